@@ -14,7 +14,7 @@ use clap::Parser;
 use protocol::ManifestRow;
 use queue::clock::SystemClock;
 use queue::expand::NewCampaign;
-use queue::ids::WorkerId;
+use queue::ids::{CampaignName, WorkerId};
 use queue::{
     Assigned, ClaimRequest, CommitReport, CommitVerdict, DATABASE_FILE, Queue, Store, Timing,
     WorkerInfo,
@@ -40,6 +40,10 @@ struct Arguments {
     /// Milliseconds that a rollout takes, a fifth more or less by chance.
     #[arg(long, default_value_t = 900)]
     rollout_millis: u64,
+    /// Rollouts of another campaign that is created, archived, deleted and imported again and
+    /// again meanwhile; 0 for none.
+    #[arg(long, default_value_t = 0)]
+    beside: u64,
     /// Folder for the database; a temporary one without it.
     #[arg(long)]
     data: Option<PathBuf>,
@@ -75,7 +79,8 @@ async fn main() -> Result<()> {
         Timing::default(),
     )
     .await?;
-    let (jobs, expand_secs) = create(&queue, &arguments).await?;
+    let (jobs, expand_secs) = create(&queue, &spec("bench", arguments.jobs)?).await?;
+    let moved = Arc::new(Mutex::new(Vec::new()));
 
     let mut beats = JoinSet::new();
     for worker in 0..arguments.slots.div_ceil(arguments.slots_per_worker) {
@@ -89,6 +94,10 @@ async fn main() -> Result<()> {
             sweeping.sweep().await?;
         }
     });
+
+    if arguments.beside > 0 {
+        beats.spawn(move_beside(queue.clone(), arguments.beside, moved.clone()));
+    }
 
     let measured = Arc::new(Measured::default());
     let began = Instant::now();
@@ -109,22 +118,23 @@ async fn main() -> Result<()> {
     let elapsed = began.elapsed();
     slots.abort_all();
     beats.abort_all();
-    let report = report(
+    let mut report = report(
         &arguments,
         (&measured, &seconds, elapsed),
         jobs,
         expand_secs,
         &folder,
     )?;
+    report["beside_create_copy_delete_import_secs"] = json!(*moved.lock().expect("nothing panics"));
     println!("{}", serde_json::to_string_pretty(&report)?);
     queue.close().await?;
     Ok(())
 }
 
-async fn create(queue: &Queue, arguments: &Arguments) -> Result<(u64, f64)> {
-    let configs: Vec<u64> = (0..arguments.jobs.div_ceil(ROLLOUTS_PER_CONFIG)).collect();
+fn spec(name: &str, jobs: u64) -> Result<NewCampaign> {
+    let configs: Vec<u64> = (0..jobs.div_ceil(ROLLOUTS_PER_CONFIG)).collect();
     let spec = json!({
-        "name": "bench",
+        "name": name,
         "policy": {"name": "simulated", "endpoint": "http://127.0.0.1:1"},
         "tasks": protocol::select_tasks("all")?,
         "axes": protocol::Axis::ALL,
@@ -132,10 +142,38 @@ async fn create(queue: &Queue, arguments: &Arguments) -> Result<(u64, f64)> {
         "configs": configs,
         "nominal": "none",
     });
+    Ok(NewCampaign::from_json(&spec.to_string())?)
+}
+
+async fn create(queue: &Queue, campaign: &NewCampaign) -> Result<(u64, f64)> {
     let began = Instant::now();
-    let campaign = NewCampaign::from_json(&spec.to_string())?;
-    let created = queue.create_campaign(&campaign).await?;
+    let created = queue.create_campaign(campaign).await?;
     Ok((created.jobs_total, began.elapsed().as_secs_f64()))
+}
+
+/// Takes another campaign in and out until it is stopped, and notes how long each step took.
+async fn move_beside(queue: Arc<Queue>, jobs: u64, moved: Arc<Mutex<Vec<[f64; 4]>>>) -> Result<()> {
+    let mut other = spec("other", jobs)?;
+    // The slots are those of the first campaign.
+    other.priority = -1;
+    let name = CampaignName::parse("other")?;
+    loop {
+        let folder = tempfile::tempdir()?;
+        let (_, created) = create(&queue, &other).await?;
+        let began = Instant::now();
+        let (copy, _) = queue.copy_campaign(&name, folder.path()).await?;
+        let copied = began.elapsed().as_secs_f64();
+        let began = Instant::now();
+        queue.delete_campaign(&name).await?;
+        let deleted = began.elapsed().as_secs_f64();
+        let began = Instant::now();
+        queue.adopt(&copy, None, None).await?;
+        let imported = began.elapsed().as_secs_f64();
+        copy.close().await?;
+        queue.delete_campaign(&name).await?;
+        let mut moved = moved.lock().expect("nothing panics");
+        moved.push([created, copied, deleted, imported]);
+    }
 }
 
 /// One simulated slot: claims, waits, commits, until it is stopped.
@@ -353,6 +391,7 @@ fn outcome(
             clipped_actions: 0,
             policy_queries: 100,
             parts: None,
+            goal: None,
         },
         provenance: Provenance {
             // Every worker runs on a machine of its own.

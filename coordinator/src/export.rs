@@ -15,8 +15,8 @@ use crate::reading::ReadError;
 /// Results read at a time.
 const PAGE_ROWS: u32 = 1_000;
 
-/// The reference's columns, in its order, and the replicate where it is not the
-/// first.
+/// The reference's columns, in its order; then, where there is anything to say, the
+/// replicate that is not the first, the radius of a placebo, and how much of the goal held.
 #[derive(Serialize)]
 struct ExportRow<'a> {
     rollout_id: RolloutId,
@@ -34,6 +34,14 @@ struct ExportRow<'a> {
     ik_res_mm: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     replicate: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    placebo_radius: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    goal_predicates: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    goal_at_end: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    goal_at_most: Option<u32>,
 }
 
 /// The lines of one campaign, read page by page while they are taken.
@@ -89,6 +97,10 @@ fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
         wall_s: result.wall_secs,
         ik_res_mm: result.ik_residual_mm,
         replicate: (result.replicate > 0).then_some(result.replicate),
+        placebo_radius: row.placebo_radius.map(Level::radius),
+        goal_predicates: result.goal_predicates,
+        goal_at_end: result.goal_at_end,
+        goal_at_most: result.goal_at_most,
     })
     .map_err(in_row)
 }

@@ -2,14 +2,19 @@
 //! time: what cannot be stored stays where it is, and is tried again.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use queue::{Forgotten, Queue};
+use futures_util::StreamExt;
+use futures_util::stream;
+use queue::{FilmHere, Forgotten, Queue};
 
 use crate::storage::{Storage, StorageError};
 
 /// Between two looks for films.
 const PAUSE: Duration = Duration::from_secs(2);
+/// Films that are moved at a time: the storage's answer takes longer than a film's bytes.
+const AT_ONCE: usize = 8;
 /// Longest pause while the storage fails.
 const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 
@@ -41,27 +46,70 @@ pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
 async fn look(queue: &Queue, storage: &Storage) -> Result<(), String> {
     let in_words = |error: &(dyn std::error::Error + 'static)| transport::chain(error);
     let films = queue.films_here().await.map_err(|error| in_words(&error))?;
-    let mut unreadable = Ok(());
-    for film in films {
-        match storage.put(&film.path, &film.file).await {
-            Ok(()) => {}
-            // One bad file does not keep the others here.
-            Err(error @ StorageError::File { .. }) => {
-                unreadable = Err(in_words(&error));
-                continue;
+    // A transfer that has begun is ended, so that the storage keeps no half of one; after a
+    // failure of the storage none is begun.
+    let is_down = AtomicBool::new(false);
+    let moves = stream::iter(films).map(|film| {
+        let is_down = &is_down;
+        async move {
+            if is_down.load(Ordering::Relaxed) {
+                return Ok(());
             }
-            Err(error) => return Err(in_words(&error)),
+            let moved = move_film(queue, storage, &film).await;
+            // One bad file does not keep the others here.
+            if let Err(MoveError::Storage(_)) = moved {
+                is_down.store(true, Ordering::Relaxed);
+            }
+            moved
         }
-        let forgotten = queue.forget_film(&film).await;
-        let forgotten =
-            forgotten.map_err(|error| format!("remove {}: {error}", film.file.display()))?;
-        if forgotten == Forgotten::Deleted {
-            let deleted = storage.delete(&film.path).await;
-            deleted.map_err(|error| in_words(&error))?;
-        }
+    });
+    let moved: Vec<Result<(), MoveError>> = moves.buffer_unordered(AT_ONCE).collect().await;
+    let mut failed: Vec<MoveError> = moved.into_iter().filter_map(Result::err).collect();
+    if let Some(down) = failed
+        .iter()
+        .position(|it| matches!(it, MoveError::Storage(_)))
+    {
+        return Err(failed.swap_remove(down).into_words());
     }
     // Folders of deleted campaigns that could not be removed there.
     let removed = queue.finish_removals().await;
     removed.map_err(|error| in_words(&error))?;
-    unreadable
+    failed.pop().map_or(Ok(()), |it| Err(it.into_words()))
+}
+
+/// A film that is not moved, in words.
+enum MoveError {
+    /// Because of its file.
+    File(String),
+    /// Because of the storage: no other is moved either.
+    Storage(String),
+}
+
+impl MoveError {
+    fn into_words(self) -> String {
+        let (Self::File(words) | Self::Storage(words)) = self;
+        words
+    }
+
+    fn of(error: &StorageError) -> Self {
+        let words = transport::chain(error);
+        match error {
+            StorageError::File { .. } => Self::File(words),
+            _ => Self::Storage(words),
+        }
+    }
+}
+
+async fn move_film(queue: &Queue, storage: &Storage, film: &FilmHere) -> Result<(), MoveError> {
+    let stored = storage.put(&film.path, &film.file).await;
+    stored.map_err(|error| MoveError::of(&error))?;
+    let forgotten = queue
+        .forget_film(film)
+        .await
+        .map_err(|error| MoveError::File(format!("remove {}: {error}", film.file.display())))?;
+    if forgotten == Forgotten::Deleted {
+        let deleted = storage.delete(&film.path).await;
+        deleted.map_err(|error| MoveError::of(&error))?;
+    }
+    Ok(())
 }

@@ -140,7 +140,25 @@ impl Coordinator {
     pub async fn serve(
         self,
         listener: TcpListener,
-        shutdown: impl Future<Output = ()>,
+        shutdown: impl Future<Output = ()> + Send + 'static,
+    ) -> Result<(), ServeError> {
+        self.serve_boxed(listener, Box::pin(shutdown)).await
+    }
+
+    /// Serves as [`Coordinator::serve`] does. Boxed, so that the server is compiled in this
+    /// crate once, and not again in every program and test that starts one.
+    fn serve_boxed(
+        self,
+        listener: TcpListener,
+        shutdown: Pin<Box<dyn Future<Output = ()> + Send>>,
+    ) -> Pin<Box<dyn Future<Output = Result<(), ServeError>> + Send>> {
+        Box::pin(self.serve_until(listener, shutdown))
+    }
+
+    async fn serve_until(
+        self,
+        listener: TcpListener,
+        shutdown: Pin<Box<dyn Future<Output = ()> + Send>>,
     ) -> Result<(), ServeError> {
         let queue = self.queue;
         let (stop, stopped) = oneshot::channel::<()>();
@@ -165,7 +183,7 @@ impl Coordinator {
             let _ = stopped.await;
         });
         let mut server = std::pin::pin!(server);
-        let mut shutdown = std::pin::pin!(shutdown);
+        let mut shutdown = shutdown;
         tokio::select! {
             served = &mut server => {
                 served?;

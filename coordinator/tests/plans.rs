@@ -1,17 +1,18 @@
-//! What workers ask for costs the same in any campaign: every statement that it
-//! executes is caught on its way, and SQLite's plan for it walks an index or a
-//! table of a few rows, never the jobs or their results. A process of its own,
-//! so that no other test's statements are caught.
+//! What workers ask for costs the same in any campaign, and so does what pages, metrics and
+//! the queue's own tasks ask for all the while: every statement is caught on its way, and
+//! SQLite's plan for it walks an index or a table of a few rows, never the jobs or their
+//! results. A process of its own, so that no other test's statements are caught.
 
 use std::collections::BTreeSet;
 use std::fmt::Debug;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use attempt::{AttemptId, Digests, Motion, Pin, Provenance, Realised, RolloutResult};
+use protocol::ManifestRow;
 use queue::clock::{ManualClock, UnixMillis};
 use queue::expand::NewCampaign;
-use queue::ids::WorkerId;
+use queue::ids::{CampaignName, JobName, WorkerId};
 use queue::rules::lease::FailureReason;
 use queue::{
     ClaimRequest, CommitReport, CommitVerdict, DATABASE_FILE, Queue, Store, Timing, WorkerInfo,
@@ -27,7 +28,18 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 /// Tables of a few rows, by the names that statements give them: campaigns,
 /// their tasks, policies, workers, origins.
-const SMALL: [&str; 7] = ["c", "t", "p", "w", "campaign", "policy", "worker"];
+const SMALL: [&str; 10] = [
+    "c",
+    "t",
+    "p",
+    "w",
+    "d",
+    "s",
+    "campaign",
+    "policy",
+    "worker",
+    "ending_tally",
+];
 /// Indices that hold the leased, the backed-off, or the lone jobs only.
 const OF_FEW_JOBS: [&str; 4] = ["job_leased", "job_held", "job_backed_off", "job_alone"];
 /// What the hot statements must be seen to walk.
@@ -38,6 +50,12 @@ const WALKED: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_s
 struct Caught(Arc<Mutex<BTreeSet<String>>>);
 
 struct Text<'a>(&'a Caught);
+
+impl Caught {
+    fn lock(&self) -> MutexGuard<'_, BTreeSet<String>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
 
 impl<S: tracing::Subscriber> Layer<S> for Caught {
     fn on_event(&self, event: &tracing::Event<'_>, _: Context<'_, S>) {
@@ -52,8 +70,7 @@ impl Visit for Text<'_> {
         // A short statement is its own summary.
         let is_cut = field.name() == "summary" && value.ends_with('…');
         if ["summary", "db.statement"].contains(&field.name()) && !is_cut {
-            let mut caught = self.0.0.lock().unwrap_or_else(PoisonError::into_inner);
-            caught.insert(value.trim().to_owned());
+            self.0.lock().insert(value.trim().to_owned());
         }
     }
 
@@ -95,6 +112,7 @@ fn report(attempt: AttemptId) -> CommitReport {
             clipped_actions: 0,
             policy_queries: 1,
             parts: None,
+            goal: None,
         },
         provenance: Provenance {
             host: "here".to_owned(),
@@ -166,19 +184,106 @@ async fn everything(queue: &Queue, clock: &ManualClock) {
     }
 }
 
-/// What is wrong with SQLite's plan of a statement, and the indices it walks.
-async fn look_at(
-    connection: &mut SqliteConnection,
-    statement: &str,
-) -> (Vec<String>, BTreeSet<String>) {
+/// Campaigns that are done or wait, one that explains, one that may stop early and one that is
+/// filmed among them, are asked for, while a rollout of another campaign is settled.
+async fn asked_all_the_while(queue: &Queue, caught: &Caught) -> BTreeSet<String> {
+    let name = |name: &str| CampaignName::parse(name).expect("a name");
+    let create = async |name: &str, priority: i32, fields: &serde_json::Value| {
+        let mut spec = json!({
+            "name": name,
+            "policy": {"name": "another", "endpoint": "http://127.0.0.1:1"},
+        });
+        let spec_fields = spec.as_object_mut().expect("an object");
+        spec_fields.extend(fields.as_object().expect("an object").clone());
+        let mut campaign = NewCampaign::from_json(&spec.to_string()).expect("a campaign");
+        campaign.priority = priority;
+        queue.create_campaign(&campaign).await.expect("created");
+    };
+    let design = json!({
+        "tasks": ["libero_object/0"], "axes": ["camera", "sensor"], "levels": ["L1"],
+        "configs": [0, 1], "nominal": "eval", "record": "transitions",
+    });
+    create("done", 10, &design).await;
+    let mut early = design;
+    early["stop"] = json!({"rule": "width(I) < 0.08", "seed": 7});
+    create("early", -10, &early).await;
+    create("why", 0, &json!({"explains": {"campaign": "done"}})).await;
+    let mut skipped = Vec::new();
+    let mut has_result = false;
+    let other = loop {
+        let number = 100 + u32::try_from(skipped.len()).expect("few");
+        let claimed = queue.claim(&claim(number, None), Duration::ZERO).await;
+        let job = claimed.expect("an answer").job.expect("a job waits");
+        let row: ManifestRow = serde_json::from_str(&job.manifest_row).expect("a row");
+        let job_name = JobName {
+            rollout_id: row.id.to_string(),
+            replicate: 0,
+        };
+        if job.campaign != name("done") {
+            break (job.campaign, job_name);
+        }
+        if !has_result && row.axes().is_empty() {
+            has_result = true;
+            let reply = queue.commit(&report(job.attempt)).await;
+            assert_eq!(reply.expect("a verdict").verdict, CommitVerdict::Accepted);
+        } else {
+            skipped.push(job_name);
+        }
+    };
+    assert!(has_result, "it is pinned, so that it is filmed");
+    let skip = queue.skip_jobs(&name("done"), &skipped).await;
+    assert_eq!(skip.expect("skipped"), skipped.len() as u64);
+    is_looked_at(queue).await;
+    assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
+
+    caught.lock().clear();
+    let skip = queue.skip_jobs(&other.0, &[other.1]).await;
+    assert_eq!(skip.expect("skipped"), 1);
+    is_looked_at(queue).await;
+    assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
+    let mut view = queue.view().await.expect("a view");
+    view.statuses().await.expect("statuses");
+    view.workers().await.expect("workers");
+    view.policies().await.expect("policies");
+    view.endings().await.expect("endings");
+    drop(view);
+    caught.lock().clone()
+}
+
+/// Waits until the queue's tasks have looked at everything that was settled.
+async fn is_looked_at(queue: &Queue) {
+    for _ in 0..1_000 {
+        let mut view = queue.view().await.expect("a view");
+        let statuses = view.statuses().await.expect("statuses");
+        let why = statuses
+            .iter()
+            .find(|it| it.campaign.name.as_str() == "why");
+        if !why.expect("it is here").may_grow {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    panic!("what was settled is not looked at");
+}
+
+/// SQLite's plan of a statement, line by line.
+async fn plan(connection: &mut SqliteConnection, statement: &str) -> Vec<String> {
     let explain = format!("EXPLAIN QUERY PLAN {statement}");
     let lines: Vec<(i64, i64, i64, String)> = sqlx::query_as(sqlx::AssertSqlSafe(explain))
         .fetch_all(connection)
         .await
         .unwrap_or_else(|error| panic!("{statement}: {error}"));
+    lines.into_iter().map(|(.., line)| line).collect()
+}
+
+/// What is wrong with SQLite's plan of a statement, and the indices it walks.
+async fn look_at(
+    connection: &mut SqliteConnection,
+    statement: &str,
+) -> (Vec<String>, BTreeSet<String>) {
     let mut faults = Vec::new();
     let mut walked = BTreeSet::new();
-    for (.., line) in lines {
+    for line in plan(connection, statement).await {
         let words: Vec<&str> = line.split_whitespace().collect();
         let index = words.iter().position(|word| *word == "INDEX");
         let index = index.and_then(|place| words.get(place + 1)).copied();
@@ -195,8 +300,28 @@ async fn look_at(
     (faults, walked)
 }
 
+/// Lines of SQLite's plan that walk all jobs, or all results, of a campaign.
+async fn campaign_walks(connection: &mut SqliteConnection, statement: &str) -> Vec<String> {
+    let lines = plan(connection, statement).await;
+    let walks = |line: &String| {
+        let index = line.split_whitespace().find(|word| {
+            [
+                "job_",
+                "result_",
+                "sqlite_autoindex_job",
+                "sqlite_autoindex_result",
+            ]
+            .iter()
+            .any(|start| word.starts_with(start))
+        });
+        index.is_some_and(|index| !OF_FEW_JOBS.contains(&index))
+            && line.ends_with("(campaign_id=?)")
+    };
+    lines.into_iter().filter(walks).collect()
+}
+
 #[tokio::test]
-async fn no_statement_of_a_worker_or_a_sweep_walks_the_jobs() {
+async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
     let caught = Caught::default();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let store = Store::open(folder.path()).await.expect("a store");
@@ -231,11 +356,8 @@ async fn no_statement_of_a_worker_or_a_sweep_walks_the_jobs() {
     queue.register(&worker).await.expect("registered");
     tracing_subscriber::registry().with(caught.clone()).init();
     everything(&queue, &clock).await;
-    let statements = caught
-        .0
-        .lock()
-        .unwrap_or_else(PoisonError::into_inner)
-        .clone();
+    let statements = caught.lock().clone();
+    let asked = asked_all_the_while(&queue, &caught).await;
     queue.close().await.expect("closes");
 
     let file = folder.path().join(DATABASE_FILE);
@@ -264,6 +386,30 @@ async fn no_statement_of_a_worker_or_a_sweep_walks_the_jobs() {
     }
     for index in WALKED {
         assert!(walked.contains(index), "{index} is not walked: {walked:?}");
+    }
+
+    // Findings B5, B10 and B14: what is done was counted, derived and looked through again.
+    assert!(asked.len() >= 15, "{asked:#?}");
+    for part in [
+        "FROM derivation d JOIN",
+        "FROM stop s",
+        "ending_tally",
+        "record = 'transitions'",
+    ] {
+        assert!(
+            asked.iter().any(|it| it.contains(part)),
+            "{part} in {asked:#?}"
+        );
+    }
+    for statement in asked.iter().filter(is_hot) {
+        let is_outcomes = statement.contains("LEFT JOIN result r");
+        assert!(
+            !is_outcomes,
+            "a campaign that is done is read again by\n{statement}"
+        );
+        let (mut faults, _) = look_at(&mut connection, statement).await;
+        faults.extend(campaign_walks(&mut connection, statement).await);
+        assert!(faults.is_empty(), "{faults:?} in\n{statement}");
     }
     connection.close().await.expect("closes");
 }

@@ -26,7 +26,7 @@ import numpy as np
 from .errors import CoordinatorError
 
 #: The newest form and schema that are read here.
-FORMAT, SCHEMA = 1, 8
+FORMAT, SCHEMA = 1, 10
 
 #: Bytes that are read at a time.
 PIECE = 1 << 20
@@ -72,7 +72,7 @@ class Rollout:
     instruction: str
     #: The condition, as in rollout ids: `clean`, `camera`, `combination`.
     axis: str
-    #: `L0` of nominal rollouts.
+    #: `L0` of nominal rollouts, and of those of the placebo level.
     level: str
     success: bool
     #: The policy's control steps.

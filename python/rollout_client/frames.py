@@ -27,6 +27,10 @@ RESULTS = {
     "wall_s": NUMBER,
     "ik_res_mm": NUMBER,
     "replicate": COUNT,
+    "placebo_radius": NUMBER,
+    "goal_predicates": INTEGER,
+    "goal_at_end": INTEGER,
+    "goal_at_most": INTEGER,
 }
 
 #: As `coordinator jobs list --json` names them.

@@ -87,9 +87,8 @@ class Sample:
         both = None
         if new and directions and rows:
             variance = max(new[0] + directions[0] - rows[0], new[0], directions[0])
-            parts = new[0] ** 2 / new[1] + directions[0] ** 2 / directions[1] or 1.0
-            has_spread = new[0] + directions[0] > 1e-24
-            df = (new[0] + directions[0]) ** 2 / parts if has_spread else min(new[1], directions[1])
+            parts = sum(v**2 / df for v, df in (new, directions, rows))
+            df = variance**2 / parts if variance > 1e-24 else min(new[1], directions[1])
             both = (variance, df)
         if self.tasks < FEWEST_TASKS:
             new = both = None

@@ -18,8 +18,8 @@ use tests::chaos::{Fault, Fleet, LEASE, Plan, Schedule, SlotKind, Way};
 /// Schedules with simulated slots, and with MuJoCo.
 const SIMULATED: u64 = 48;
 const REAL: u64 = 4;
-/// Systems that suffer at a time: they wait more than they work.
-const AT_A_TIME: usize = 6;
+/// Systems that suffer at a time, for each core: they wait more than they work.
+const AT_A_TIME_PER_CORE: usize = 3;
 
 /// Attempts that were charged.
 const CHARGED: &str = "SELECT coalesce(sum(charged), 0) FROM failure";
@@ -56,7 +56,8 @@ fn play(slots: SlotKind, seeds: VecDeque<u64>) {
     let count = seeds.len();
     let (seeds, failed) = (Mutex::new(seeds), Mutex::new(Vec::new()));
     std::thread::scope(|threads| {
-        for _ in 0..AT_A_TIME {
+        let cores = std::thread::available_parallelism().map_or(2, usize::from);
+        for _ in 0..cores * AT_A_TIME_PER_CORE {
             threads.spawn(|| {
                 while let Some(seed) = { seeds.lock().unwrap().pop_front() } {
                     if !survives(&Schedule::new(seed), slots, &expected) {

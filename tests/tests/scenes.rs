@@ -118,7 +118,8 @@ fn an_altered_file_of_liberos_never_gets_into_a_scene() {
     let path = folder.path().to_string_lossy();
     let open = || AssetPack::open(&path, &sources).unwrap();
     let before = open();
-    compose(&problem, &before, &sources, ENV_SEED).unwrap();
+    let scene = compose(&problem, &before, &sources, ENV_SEED).unwrap();
+    scene.verify_files(&before).unwrap();
     for file in [
         "turbosquid_objects/wine_bottle/wine_bottle.xml",
         "stable_scanned_objects/akita_black_bowl/texture.png",
@@ -136,7 +137,10 @@ fn an_altered_file_of_liberos_never_gets_into_a_scene() {
         // Opened before, as by a slot, it is refused when the file is used.
         let known = AssetPack::open_known(&path, &sources, pack.digest()).unwrap();
         for pack in [&before, &known] {
-            let error = compose(&problem, pack, &sources, ENV_SEED).unwrap_err();
+            let composed = compose(&problem, pack, &sources, ENV_SEED);
+            let error = composed
+                .and_then(|scene| scene.verify_files(pack))
+                .unwrap_err();
             assert!(matches!(error, SceneError::NotLiberos { .. }), "{error}");
             let error = error.to_string();
             assert!(

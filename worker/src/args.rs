@@ -277,6 +277,11 @@ pub struct SimulatorArguments {
     /// what `cargo xtask setup` put into the user's cache folder]
     #[arg(long, value_name = "DIR")]
     pub sources: Option<PathBuf>,
+    /// Where compiled scenes are kept, mapped by all slots and processes of this
+    /// machine, or `off`: each process then compiles its own and keeps it in memory
+    /// [default: rollout/scenes in the user's cache folder]
+    #[arg(long, value_name = "DIR|off", env = "ROLLOUT_SCENES")]
+    pub scenes: Option<OsString>,
     /// What draws: `software` (the same pictures on every machine), or `gl`
     /// (MuJoCo's own renderer, through OpenGL, on the first graphics device
     /// that works; `gl:N` on the N-th, from 0)

@@ -12,7 +12,7 @@ use std::time::Duration;
 use anyhow::Context;
 use protocol::{ManifestRow, Realisation, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles};
-use sim::{Renderer, Simulator, SimulatorConfig};
+use sim::{Renderer, SceneFolder, Simulator, SimulatorConfig};
 use terminal::counted;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
@@ -29,11 +29,13 @@ use worker::ids::{WorkerId, host_name, machine, random_id, random_number};
 use worker::message::{Assignment, Session, VideoOf, VideoRequest};
 use worker::policy::{OF_ONE_ROLLOUT, POLICY_CALL_DEADLINE, PolicyClient};
 use worker::single::{OwnTask, RecordedActions};
+use worker::slot::warn_of_scene_files;
 use worker::supervise::{self, Config, Identity};
 use worker::{assets, film, measure, preview, rescue, single, slot};
 
 /// Compiled scenes that a slot keeps. Jobs of one task come together, so two
-/// are enough; each takes some hundred MB with the real assets.
+/// are enough; each takes some hundred MB with the real assets where it is not kept in
+/// a file.
 const CACHED_SCENES: usize = 2;
 /// Requests to end that wait for the supervisor: the third changes nothing.
 const SHUTDOWN_QUEUE: usize = 2;
@@ -63,6 +65,7 @@ fn main() -> ExitCode {
         (None, Some(serve)) => run_worker(serve, &arguments.access, &arguments.simulator),
         (None, _) => unreachable!("clap asks for --connect"),
     };
+    warn_of_scene_files();
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if terminal::reader_is_gone(&*error) => ExitCode::SUCCESS,
@@ -90,6 +93,9 @@ fn manual(folder: &Path) -> anyhow::Result<()> {
 }
 
 fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
+    if let Some(scenes) = &arguments.scenes {
+        SceneFolder::choose(scenes);
+    }
     let dir = arguments.sources.clone();
     let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
     let pack = match &arguments.pack_digest {
@@ -324,7 +330,15 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
         rescued.rollout_id,
         counted(rescued.tried.len() as u64, "step"),
         arguments.output.display()
-    ))
+    ))?;
+    match rescued.saved_by_placebo.len() as u64 {
+        0 => Ok(()),
+        times => say(&format!(
+            "at {}, nudging the robot by a thousandth of a millimetre and lifting nothing saves it \
+             as well: the rollout stood on an edge there, and these count as no rescue",
+            counted(times, "step")
+        )),
+    }
 }
 
 fn own_task(arguments: &RolloutArguments) -> Option<OwnTask> {
@@ -347,6 +361,12 @@ fn run_worker(
     // Opened here too, so that what is missing is said once and at once.
     let access = client.access(&[Role::Worker])?;
     let simulator = open(simulator_arguments)?;
+    let mut simulator_arguments = simulator_arguments.clone();
+    if let Some(Err(error)) = SceneFolder::of_process().map(SceneFolder::check) {
+        // Said here for all slots.
+        tracing::warn!("each slot keeps its scenes in memory of its own: {error}");
+        simulator_arguments.scenes = Some("off".into());
+    }
     let lacking_tasks = assets::check(&simulator.pack, &simulator.sources)?;
     let has_own_slots = arguments.slot_program.is_some();
     let program = match arguments.slot_program {
@@ -366,7 +386,7 @@ fn run_worker(
             let task = LoadArguments::default_task();
             assets::provide(&simulator.pack, &simulator.sources, [task])?;
             let program = program.clone();
-            let slot = program_of("bench-slot", program, simulator_arguments, &simulator);
+            let slot = program_of("bench-slot", program, &simulator_arguments, &simulator);
             let chosen = measure::choose_slots(slot, CACHED_SCENES)
                 .context("choose --slots by measurement (`--slots N` needs none)")?;
             tracing::info!("--slots auto: {}, {}", chosen.slots, chosen.why);
@@ -398,7 +418,7 @@ fn run_worker(
         access,
         identity,
         slots: slots.get(),
-        slot_program: slot_program(program, simulator_arguments, client, &simulator),
+        slot_program: slot_program(program, &simulator_arguments, client, &simulator),
         provider: Provider::new(&simulator.pack, &simulator.sources),
         lacking_tasks,
         policy_endpoint: arguments.policy_endpoint,
@@ -470,7 +490,7 @@ fn program_of(
     arguments: &SimulatorArguments,
     simulator: &SimulatorConfig,
 ) -> SlotProgram {
-    SlotProgram {
+    let mut slot = SlotProgram {
         program,
         arguments: vec![
             mode.into(),
@@ -483,5 +503,9 @@ fn program_of(
             "--renderer".into(),
             arguments.renderer.to_string().into(),
         ],
+    };
+    if let Some(scenes) = &arguments.scenes {
+        slot.arguments.extend(["--scenes".into(), scenes.clone()]);
     }
+    slot
 }

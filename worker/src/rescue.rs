@@ -1,7 +1,9 @@
 //! `worker rescue`: until when a failing rollout could still have been saved. The scene
 //! is brought back to a step of the failing rollout by its own commands, the perturbations
 //! are lifted there, and the policy goes on in the nominal scene; the last look of the
-//! policy from which it still succeeds is searched for. Writes `rescue.json`, and
+//! policy from which it still succeeds is searched for. Where lifting saves it, a placebo is
+//! tried at the same step: nothing is lifted and the robot is nudged by a thousandth of a
+//! millimetre. A rollout that this saves stood on an edge, and was not rescued. Writes `rescue.json`, and
 //! `rescue.mp4`: to the left the rollout as it failed, to the right as it was saved.
 
 mod search;
@@ -14,12 +16,13 @@ use std::path::{Path, PathBuf};
 
 use protocol::{Condition, RolloutId};
 use serde::Serialize;
+use sim::episode::NUDGE_M;
 use sim::{Episode, Observation, Simulator};
 
 use crate::actor::{Action, Actor};
 use crate::filming::{FilmingError, Replay, watch_again};
 use crate::message::Assignment;
-use crate::rollout::{self, RolloutError, Simulated, Step, Watcher};
+use crate::rollout::{self, Change, Resumed, RolloutError, Simulated, Step, Watcher};
 use crate::stage::Stage;
 use crate::video::VideoEncoder;
 
@@ -74,13 +77,17 @@ pub struct Rescue {
     pub looks: Vec<u32>,
     /// What was tried, by step.
     pub tried: Vec<Tried>,
-    /// The last step at which lifting the perturbations saves it; none if nothing that
-    /// was tried does.
+    /// The last step at which lifting the perturbations saves it and the placebo does not;
+    /// none if nothing that was tried does.
     pub saved_until: Option<u32>,
     /// The next look, from which it is lost; none if it is saved at the last look.
     pub lost_from: Option<u32>,
     /// Whether it is saved wherever it was tried before `saved_until`.
     pub is_monotone: bool,
+    /// Steps at which the placebo saves it, too: it stood on an edge there.
+    pub saved_by_placebo: Vec<u32>,
+    /// How far the placebo moves the robot's hand, m.
+    pub nudge_m: f64,
 }
 
 /// One attempt to save it.
@@ -92,6 +99,9 @@ pub struct Tried {
     pub success: bool,
     /// Control steps in all.
     pub steps: u32,
+    /// Whether it reached the goal with nothing lifted and the robot nudged there; tried
+    /// where `success`.
+    pub placebo_success: Option<bool>,
 }
 
 /// Finds the last look from which a failing rollout is saved, and writes what it found to
@@ -139,26 +149,32 @@ pub fn run(
             "try {}: lifting the perturbations at step {before}",
             tried.len() + 1
         );
-        let commands = Some(&failed.actions[..before]);
-        let simulated = rollout::run_after(
-            commands,
-            &mut stage,
-            actor,
-            assignment,
-            &mut Looks::default(),
-        )?;
+        let mut go_on = |change| {
+            let resumed = Resumed {
+                after: &failed.actions[..before],
+                change,
+            };
+            let mut looks = Looks::default();
+            rollout::run_after(Some(resumed), &mut stage, actor, assignment, &mut looks)
+        };
+        let simulated = go_on(Change::Lift)?;
         let result = &simulated.finished.result;
-        tracing::info!(
-            "{id} lifted at step {before}: {}",
-            if result.success { "success" } else { "failure" }
-        );
-        search.record(look, result.success);
+        tracing::info!("{id} lifted at step {before}: {}", ended(result.success));
+        let mut placebo_success = None;
+        if result.success {
+            let success = go_on(Change::Nudge)?.finished.result.success;
+            tracing::info!("{id} nudged at step {before}: {}", ended(success));
+            placebo_success = Some(success);
+        }
+        let is_saved = placebo_success == Some(false);
+        search.record(look, is_saved);
         tried.push(Tried {
             lifted_at: looks[look],
             success: result.success,
             steps: result.steps,
+            placebo_success,
         });
-        if result.success && saved.as_ref().is_none_or(|(best, _)| *best < before) {
+        if is_saved && saved.as_ref().is_none_or(|(best, _)| *best < before) {
             saved = Some((before, simulated));
         }
     }
@@ -187,6 +203,12 @@ pub fn run(
             Some(look) => looks.get(look + 1).copied(),
         },
         looks,
+        saved_by_placebo: tried
+            .iter()
+            .filter(|it| it.placebo_success == Some(true))
+            .map(|it| it.lifted_at)
+            .collect(),
+        nudge_m: NUDGE_M,
         tried,
         is_monotone,
     };
@@ -194,6 +216,14 @@ pub fn run(
     let text = serde_json::to_vec_pretty(&rescue).expect("plain data");
     fs::write(&path, text).map_err(|source| write(&path, source))?;
     Ok(rescue)
+}
+
+/// How a rollout ended, in a word.
+fn ended(success: bool) -> &'static str {
+    match success {
+        true => "success",
+        false => "failure",
+    }
 }
 
 /// The control steps at which the policy looks.

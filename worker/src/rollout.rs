@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use attempt::{IkResidual, Motion, Parts, Realised, RolloutResult};
+use attempt::{GoalProgress, IkResidual, Motion, Parts, Realised, RolloutResult};
 use proto::policy as wire;
 use sha2::{Digest, Sha256};
 use sim::episode::clip;
@@ -113,14 +113,31 @@ pub fn run(
     run_after(None, stage, actor, assignment, watcher)
 }
 
-/// The same from the state that the robot's commands so far, if any, have led to. There
-/// the perturbations are lifted, and the policy is reset and told the canonical
-/// instruction. Of the budget it has what they have left.
+/// A rollout that goes on from a step of an earlier one, with a change there.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Resumed<'a> {
+    /// The robot's commands that lead there.
+    pub(crate) after: &'a [Action],
+    /// The change.
+    pub(crate) change: Change,
+}
+
+/// A change at the step from which a rollout goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Change {
+    /// The perturbations are lifted; the instruction is canonical from there on.
+    Lift,
+    /// The placebo: nothing is lifted, the robot is nudged ([`Episode::nudge`]).
+    Nudge,
+}
+
+/// The same from the state that the robot's commands so far have led to, changed there.
+/// The policy is reset there. Of the budget it has what the commands have left.
 ///
 /// # Errors
 /// As [`run`].
 pub(crate) fn run_after(
-    commands: Option<&[Action]>,
+    resumed: Option<Resumed<'_>>,
     stage: &mut Stage<'_>,
     actor: &mut dyn Actor,
     assignment: &Assignment,
@@ -131,7 +148,7 @@ pub(crate) fn run_after(
     let description = actor.describe(assignment.policy_session())?;
     let mut run = Run {
         assignment,
-        commands,
+        resumed,
         title: stage.title(&assignment.row),
         description: &description,
         actor,
@@ -141,6 +158,7 @@ pub(crate) fn run_after(
         clipped_actions: 0,
         queries: 0,
         parts: Parts::default(),
+        goal: GoalProgress::default(),
         first_frame_digest: String::new(),
     };
     // First, so that a renderer that cannot draw costs no rollout.
@@ -182,8 +200,8 @@ pub(crate) fn run_after(
 /// A rollout under way.
 struct Run<'a> {
     assignment: &'a Assignment,
-    /// What is done before perturbations are lifted; none if they are not.
-    commands: Option<&'a [Action]>,
+    /// The step from which it goes on, if it does.
+    resumed: Option<Resumed<'a>>,
     /// What messages call it.
     title: String,
     description: &'a Description,
@@ -197,6 +215,7 @@ struct Run<'a> {
     queries: u32,
     /// Where its time has gone so far.
     parts: Parts,
+    goal: GoalProgress,
     first_frame_digest: String,
 }
 
@@ -210,9 +229,10 @@ impl Run<'_> {
             row, realisation, ..
         } = self.assignment;
         let started = Instant::now();
-        let instruction = match self.commands {
-            None => stage.instruction(row, self.description),
-            Some(_) => Cow::Owned(row.id.task().instruction()),
+        let change = self.resumed.map(|resumed| resumed.change);
+        let instruction = match change {
+            None | Some(Change::Nudge) => stage.instruction(row, self.description),
+            Some(Change::Lift) => Cow::Owned(row.id.task().instruction()),
         };
         let physics = &mut self.parts.physics_secs;
         let begun = processor(physics, || stage.begin(row, *realisation));
@@ -222,12 +242,15 @@ impl Run<'_> {
             .map_err(|source| self.simulator_failed(source))?;
         carry_on(self.watcher.progress(row.settle_steps))?;
         self.path.push(whereabouts(&mut episode));
+        self.goal.record(&episode.environment().goal_truths());
         self.watcher.moved(None, &mut episode);
-        if let Some(commands) = self.commands {
-            for &command in commands {
-                self.step(&mut episode, command)?;
-            }
-            episode.lift();
+        for &command in self.resumed.map_or(&[][..], |resumed| resumed.after) {
+            self.step(&mut episode, command)?;
+        }
+        match change {
+            None => {}
+            Some(Change::Lift) => episode.lift(),
+            Some(Change::Nudge) => episode.nudge(),
         }
         let suite = row.id.task().suite();
         let session = self.assignment.policy_session();
@@ -251,6 +274,7 @@ impl Run<'_> {
             clipped_actions: self.clipped_actions,
             policy_queries: self.queries,
             parts: Some(self.parts),
+            goal: Some(self.goal),
         };
         Ok((
             result,
@@ -282,6 +306,7 @@ impl Run<'_> {
         let success = stepped.map_err(|source| self.simulator_failed(source))?;
         self.executed.push(executed);
         self.path.push(whereabouts(episode));
+        self.goal.record(&episode.environment().goal_truths());
         self.watcher.moved(Some(&Step { sent, executed }), episode);
         let settled = self.assignment.row.settle_steps;
         carry_on(self.watcher.progress(settled + self.steps()))?;

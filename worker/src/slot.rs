@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::{fs, io, process, thread};
 
 use attempt::AttemptId;
-use sim::{SimError, Simulator, SimulatorConfig};
+use sim::{SceneFolder, SimError, Simulator, SimulatorConfig};
 use tokio::signal::unix::{SignalKind, signal};
 use transport::{Access, chain};
 
@@ -82,8 +82,16 @@ pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
         if let Some(error) = reporter.broken {
             return Err(SlotError::Parent(error));
         }
+        warn_of_scene_files();
     }
     Ok(())
+}
+
+/// Logs why this process keeps a scene in memory of its own, if it does; once.
+pub fn warn_of_scene_files() {
+    if let Some(problem) = SceneFolder::take_problem() {
+        tracing::warn!("{problem}");
+    }
 }
 
 /// What ends a service signals all of its processes, and the rollout in hand

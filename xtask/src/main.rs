@@ -121,9 +121,23 @@ enum Bench {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
+    /// Memory and start of slots whose scenes lie in files.
+    Scenes {
+        /// Passed on: [--slots N] [--tasks SUITE/N,…] [--assets PACK_OR_PATH]
+        /// [--scenes DIR|off] [--python FILE].
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// The coordinator's queue under simulated slots, as a release build.
     Queue {
         /// Passed on: [--jobs N] [--slots N] [--rollout-millis N] [--data DIR].
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
+    /// A million jobs of four campaigns under 2,000 slots over TLS, with a coordinator that is
+    /// killed and restored: what grows, as a figure. A release build.
+    Soak {
+        /// Passed on: [--jobs N] [--slots N] [--workers N] [--minutes N] [--figure FILE].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
@@ -152,10 +166,14 @@ fn main() -> ExitCode {
         Command::Bench(Bench::Rollout { arguments }) => {
             test::program(&root(), "bench_rollout", &arguments)
         }
+        Command::Bench(Bench::Scenes { arguments }) => {
+            test::program(&root(), "bench_scenes", &arguments)
+        }
         Command::Bench(Bench::Compare(options)) => bench::compare(&root(), &options),
         Command::Bench(Bench::Python(options)) => bench_python::run(&root(), &options),
         Command::Bench(Bench::Machine { arguments }) => test::worker_bench(&root(), &arguments),
         Command::Bench(Bench::Queue { arguments }) => bench_queue(&arguments),
+        Command::Bench(Bench::Soak { arguments }) => bench_soak(&arguments),
         Command::Bench(Bench::Gateway { arguments }) => bench_gateway(&arguments),
         Command::Parity { arguments } => test::program(&root(), "parity", &arguments),
     };
@@ -189,6 +207,18 @@ fn bench_queue(arguments: &[String]) -> anyhow::Result<()> {
     let mut program = cargo::cargo(&root());
     program.args(["run", "--quiet", "--release", "--package", "coordinator"]);
     program.args(["--example", "bench_queue", "--"]);
+    process::run(program.args(arguments))
+}
+
+/// The coordinator runs as the program that it is, beside the example that is its crowd.
+fn bench_soak(arguments: &[String]) -> anyhow::Result<()> {
+    let package = ["--release", "--package", "coordinator"];
+    let mut coordinator = cargo::cargo(&root());
+    coordinator.args(["build", "--quiet"]).args(package);
+    process::run(coordinator.args(["--bin", "coordinator"]))?;
+    let mut program = cargo::cargo(&root());
+    program.args(["run", "--quiet"]).args(package);
+    program.args(["--example", "soak", "--"]);
     process::run(program.args(arguments))
 }
 

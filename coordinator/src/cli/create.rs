@@ -11,24 +11,26 @@ use coordinator::client::Service;
 use coordinator::video_estimate;
 use proto::coordinator::CreateCampaignRequest;
 use protocol::{
-    Axis, AxisSet, CampaignSpec, Design, Level, MAX_CONFIGS, MAX_REPLICATES, Nominal, PolicyRoute,
-    Realisation, Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef, UnknownName,
-    Wanted, select_tasks,
+    Axis, AxisSet, CampaignSpec, Design, Directions, Level, MAX_CONFIGS, MAX_REPLICATES, Nominal,
+    PLACEBO_RADII, Placebo, PolicyRoute, Realisation, Record, RendererKind, Rollouts, Stop,
+    StopRule, Strata, TaskRef, UnknownName, Wanted, select_tasks,
 };
 use queue::expand::NewCampaign;
 use queue::rules::campaign::PRIORITIES;
 use serde::de::DeserializeOwned;
-use terminal::{counted, decimal, number, number_from};
+use terminal::{counted, decimal, number, number_from, wrapped};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
-use super::forecast;
+use super::planning::{self, Planning};
+use super::{forecast, stopping};
 
 /// The flags that say what a manifest says, and the others that say what a
 /// specification says: an error names those of them that were given.
 #[rustfmt::skip]
-const DESIGN_FLAGS: [&str; 6] = [
-    "axes", "subsets", "levels", "configs", "nominal", "design_seed",
+const DESIGN_FLAGS: [&str; 9] = [
+    "axes", "subsets", "levels", "configs", "nominal", "design_seed", "directions",
+    "placebo_radius", "placebo_configs",
 ];
 #[rustfmt::skip]
 const SPEC_FLAGS: [&str; 12] = [
@@ -39,6 +41,7 @@ const SPEC_FLAGS: [&str; 12] = [
 pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
 const NOMINALS: [&str; 3] = ["eval", "all", "none"];
 const RENDERERS: [&str; 2] = ["software", "gl"];
+const DIRECTIONS: [&str; 2] = ["shared", "own"];
 const STRATA: [&str; 2] = ["suites", "tasks"];
 
 /// Printed below the long help.
@@ -51,6 +54,10 @@ Examples:
     coordinator campaign create --name v01 --policy student \\
         --endpoint http://127.0.0.1:7412 --tasks all --axes all --levels L1,L2,L3 \\
         --nominal all --dry-run
+  L2 and its noise floor, the floor in two configurations of each task:
+    coordinator campaign create --name floor --policy student \\
+        --endpoint http://127.0.0.1:7412 --tasks all --axes all --levels L0,L2 \\
+        --placebo-configs 0-1
   The specification as a file, to be edited and used:
     coordinator campaign create --name first --policy student \\
         --endpoint http://127.0.0.1:7412 --tasks libero_goal --print-spec > first.json
@@ -79,8 +86,8 @@ pub(super) struct CreateArguments {
     #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true,
         hide_short_help = true, value_parser = number(PRIORITIES, ""))]
     priority: i32,
-    /// Print the number of rollouts, how long they take and the room for their videos,
-    /// and create nothing.
+    /// Print the number of rollouts, how long they take, the room for their videos and the
+    /// smallest differences that they can show, and create nothing.
     #[arg(long)]
     dry_run: bool,
     /// Print the specification in JSON, as --spec reads it, and create nothing.
@@ -91,6 +98,16 @@ pub(super) struct CreateArguments {
     #[arg(long, value_name = "N", requires = "dry_run", hide_short_help = true,
         value_parser = decimal(0.001..=1e6, "queries per second"))]
     policy_rate: Option<f64>,
+    /// With --dry-run: the outcomes that those of the campaign are assumed to be like, for
+    /// the smallest differences that it can show: a campaign, or a folder as `report --from`
+    /// reads it. Without it, those published of the student.
+    #[arg(
+        long,
+        value_name = "FOLDER|CAMPAIGN",
+        requires = "dry_run",
+        hide_short_help = true
+    )]
+    planning_from: Option<String>,
     /// With --dry-run: print JSON.
     #[arg(long, requires = "dry_run")]
     json: bool,
@@ -141,7 +158,11 @@ struct SpecFlags {
 #[command(next_help_heading = "Ending early")]
 struct StopFlags {
     /// When the campaign ends early, at every level: `width(M) < X` or `M excludes X`,
-    /// or several with ` and ` between; M is S_sim, R_e, R_c, R_d or I.
+    /// or several with ` and ` between; M is S_sim, R_e, R_c, R_d or I. The rule is about
+    /// all configurations of this campaign and no others: `I excludes 0` will have shown that
+    /// emergent failures and compensated successes are not equally many among them, which a
+    /// run to the end shows for certain unless they are, and says nothing of other tasks or
+    /// directions.
     #[arg(long, value_name = "RULE", hide_short_help = true)]
     stop: Option<StopRule>,
     /// From what the order of the configurations is drawn, in which such a campaign
@@ -167,7 +188,8 @@ struct DesignFlags {
     /// `pairs`; or `all`, every subset of the axes.
     #[arg(long, value_delimiter = ',')]
     subsets: Vec<String>,
-    /// Levels: L1, L2, L3, or any radius: `r2.5`.
+    /// Levels: L1, L2, L3, or any radius: `r2.5`; and L0, the placebo: the same conditions
+    /// so weak that no policy should care, which measures the noise floor.
     #[arg(long, value_delimiter = ',', default_value = "L2")]
     levels: Vec<String>,
     /// Configurations: `0-9`, `0,3,5-7`. From 10 on they are drawn.
@@ -181,6 +203,19 @@ struct DesignFlags {
     #[arg(long, value_name = "SEED", default_value_t = 0, hide_short_help = true,
         value_parser = number_from(0_u64, ""))]
     design_seed: u64,
+    /// Directions: `shared`, configuration 3 is one direction in all tasks, as in the paper;
+    /// or `own`, each task has its own, drawn from --design-seed, so that figures hold
+    /// for more than ten directions.
+    #[arg(long, value_parser = one_of::<Directions>(DIRECTIONS), default_value = "shared",
+        hide_short_help = true)]
+    directions: Directions,
+    /// Configurations that are run at L0, some of --configs: without it, all.
+    #[arg(long, value_delimiter = ',', hide_short_help = true)]
+    placebo_configs: Vec<String>,
+    /// Radius of L0, from 0.001 to 0.5.
+    #[arg(long, value_name = "RADIUS", hide_short_help = true, default_value_t = 0.02,
+        value_parser = decimal(PLACEBO_RADII[0]..=PLACEBO_RADII[1], "units"))]
+    placebo_radius: f64,
 }
 
 pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandError> {
@@ -197,14 +232,20 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     }
     if arguments.dry_run {
         let client = arguments.connection.patient_client(Duration::ZERO)?;
+        let earlier = arguments.planning_from.as_deref();
+        let planning = Planning::of(&campaign, earlier, &arguments.connection).await?;
         let answer = forecast::ask(&client, &campaign, arguments.policy_rate).await;
         if arguments.json {
-            return forecast::print(&campaign, answer);
+            return forecast::print(&campaign, answer, &planning);
         }
         let total = counted(campaign.jobs.len() as u64, "rollout");
         print_line(&format!("campaign {name} would have {total}"))?;
-        tell_stop(&spec)?;
+        tell_placebo(&campaign)?;
+        tell_stop(&spec, &campaign)?;
         print_line(&forecast::in_words(&answer, &campaign.policy))?;
+        if let Some(words) = planning::in_words(&planning) {
+            print_line(&words)?;
+        }
         return tell_size(&campaign);
     }
     let client = arguments.connection.client()?;
@@ -219,7 +260,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     };
     let total = counted(created.jobs_total, "rollout");
     print_line(&format!("campaign {name} {happened}: {total}"))?;
-    tell_stop(&spec)?;
+    tell_stop(&spec, &campaign)?;
     if created.priority != arguments.priority {
         let kept = created.priority;
         print_line(&format!(
@@ -229,12 +270,25 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     tell_size(&campaign)
 }
 
-fn tell_stop(spec: &CampaignSpec) -> Result<(), CommandError> {
+/// Prints how many rollouts the noise floor takes.
+fn tell_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
+    let placebo = campaign.jobs.iter().filter(|job| job.is_placebo()).count();
+    if placebo > 0 {
+        let of_them = counted(placebo as u64, "rollout");
+        print_line(&format!("  of them {of_them} of the placebo level L0"))?;
+    }
+    Ok(())
+}
+
+fn tell_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), CommandError> {
     if let Some(Stop { rule, seed, strata }) = &spec.stop {
         let strata = strata.name();
         print_line(&format!(
             "it ends early once {rule} at every level; order of seed {seed}, rounds of {strata}"
         ))?;
+        for line in stopping::in_words(rule, campaign.stops_among.unwrap_or_default()) {
+            print_line(&wrapped("  ", 4, &line))?;
+        }
     }
     Ok(())
 }
@@ -296,8 +350,22 @@ fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
         configs: configs(&arguments.design.configs)?,
         nominal: arguments.design.nominal,
         seed: arguments.design.design_seed,
+        directions: arguments.design.directions,
+        placebo: placebo(&arguments.design)?,
     };
     Ok(design.in_order())
+}
+
+fn placebo(flags: &DesignFlags) -> anyhow::Result<Placebo> {
+    let radius = flags.placebo_radius;
+    Ok(Placebo {
+        radius: Level::of_radius(radius)
+            .with_context(|| format!("read --placebo-radius {radius}: write for example 0.02"))?,
+        configs: match flags.placebo_configs.is_empty() {
+            true => None,
+            false => Some(configs(&flags.placebo_configs)?),
+        },
+    })
 }
 
 /// Sets of axes, of `axes` where they are not named one by one.

@@ -3,13 +3,14 @@
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use clap::Args;
 use coordinator::client::{Client, Service};
 use proto::coordinator::ExportRequest;
+use report::{ResultRow, write_results_parquet};
 use terminal::counted;
 
-use super::command::{CommandError, Connection};
+use super::command::{CommandError, Connection, usage};
 use super::files::WholeFile;
 
 /// Printed below the long help.
@@ -17,6 +18,7 @@ const EXAMPLES: &str = "\
 Examples:
   coordinator export first --format jsonl --output first.jsonl
   coordinator export first --format jsonl | head -1
+  coordinator export first --format parquet --output first.parquet
   coordinator report first --table outcomes.csv        # one row per configuration";
 
 #[derive(Args, Debug)]
@@ -24,10 +26,10 @@ Examples:
 pub(super) struct ExportArguments {
     /// Name of the campaign.
     campaign: String,
-    /// `jsonl`, the reference's result rows. For CSV and Parquet there is
-    /// `coordinator report CAMPAIGN --table FILE.csv`.
+    /// `jsonl`, the reference's result rows; or `parquet`, the same rows as a table, with
+    /// --output. For a row per configuration there is `coordinator report CAMPAIGN --table`.
     #[arg(long, value_parser = format)]
-    format: String,
+    format: Format,
     /// File to write; standard output without it.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -35,16 +37,31 @@ pub(super) struct ExportArguments {
     connection: Connection,
 }
 
+/// Forms of an export.
+#[derive(Clone, Copy, Debug)]
+enum Format {
+    Jsonl,
+    Parquet,
+}
+
 pub(super) async fn export(arguments: ExportArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     match &arguments.output {
+        None if matches!(arguments.format, Format::Parquet) => {
+            return Err(usage(anyhow!(
+                "export as parquet: a table is no text; name a file with --output"
+            )));
+        }
         None => {
             let mut stdout = BufWriter::new(std::io::stdout().lock());
             write_lines(&client, &arguments.campaign, &mut stdout).await?;
         }
         Some(path) => {
             let mut file = WholeFile::create(path)?;
-            let rows = write_lines(&client, &arguments.campaign, file.writer()).await?;
+            let rows = match arguments.format {
+                Format::Jsonl => write_lines(&client, &arguments.campaign, file.writer()).await?,
+                Format::Parquet => write_table(&client, &arguments.campaign, file.writer()).await?,
+            };
             file.finish()?;
             eprintln!("wrote {} to {}", counted(rows, "result"), path.display());
         }
@@ -52,15 +69,35 @@ pub(super) async fn export(arguments: ExportArguments) -> Result<(), CommandErro
     Ok(())
 }
 
-fn format(name: &str) -> Result<String, String> {
+fn format(name: &str) -> Result<Format, String> {
     match name {
-        "jsonl" => Ok(name.to_owned()),
-        "csv" | "parquet" => Err(format!(
-            "`coordinator report CAMPAIGN --table FILE.{name}` writes outcomes in this format; \
-             `export` writes jsonl"
-        )),
-        _ => Err("write jsonl".to_owned()),
+        "jsonl" => Ok(Format::Jsonl),
+        "parquet" => Ok(Format::Parquet),
+        "csv" => Err(
+            "`coordinator report CAMPAIGN --table FILE.csv` writes outcomes in this format; \
+             `export` writes jsonl and parquet"
+                .to_owned(),
+        ),
+        _ => Err("write jsonl or parquet".to_owned()),
     }
+}
+
+async fn write_table(
+    client: &Client,
+    campaign: &str,
+    out: &mut (impl Write + Send),
+) -> Result<u64, CommandError> {
+    let request = ExportRequest {
+        campaign: campaign.to_owned(),
+    };
+    let mut lines = client.call(request, Service::export).await?;
+    let mut rows = Vec::new();
+    while let Some(line) = client.next(&mut lines).await? {
+        rows.push(ResultRow::from_json(&line.json).context("read a result")?);
+    }
+    let count = rows.len() as u64;
+    write_results_parquet(rows, out).context("write the results")?;
+    Ok(count)
 }
 
 async fn write_lines(

@@ -12,6 +12,7 @@ use serde::Serialize;
 
 use super::command::CommandError;
 use super::json;
+use super::planning::Planning;
 
 /// What there is to say, or why there is nothing: what else a dry run says needs no
 /// coordinator.
@@ -60,16 +61,19 @@ pub(super) fn in_words(answer: &Result<ForecastResponse, String>, policy: &str) 
 pub(super) fn print(
     campaign: &NewCampaign,
     answer: Result<ForecastResponse, String>,
+    planning: &Planning,
 ) -> Result<(), CommandError> {
-    json::print(&DryRun::of(campaign, answer))
+    json::print(&DryRun::of(campaign, answer, planning))
 }
 
 /// What `campaign create --dry-run --json` prints; docs/JSON.md has the schema.
 #[derive(Serialize)]
-struct DryRun {
+struct DryRun<'a> {
     name: String,
     policy: String,
     rollouts: usize,
+    placebo_rollouts: usize,
+    planning: &'a Planning,
     forecast: Option<Forecast>,
     no_forecast: Option<String>,
 }
@@ -99,9 +103,13 @@ struct Speed {
     enough_slots_secs: Option<f64>,
 }
 
-impl DryRun {
+impl<'a> DryRun<'a> {
     /// What a dry run says of a campaign: its forecast, or why there is none.
-    fn of(campaign: &NewCampaign, answer: Result<wire::ForecastResponse, String>) -> DryRun {
+    fn of(
+        campaign: &NewCampaign,
+        answer: Result<wire::ForecastResponse, String>,
+        planning: &'a Planning,
+    ) -> DryRun<'a> {
         let (forecast, no_forecast) = match answer {
             Ok(forecast) => (Some(Forecast::of(forecast)), None),
             Err(problem) => (None, Some(problem)),
@@ -110,6 +118,8 @@ impl DryRun {
             name: campaign.name.to_string(),
             policy: campaign.policy.clone(),
             rollouts: campaign.jobs.len(),
+            placebo_rollouts: campaign.jobs.iter().filter(|job| job.is_placebo()).count(),
+            planning,
             forecast,
             no_forecast,
         }

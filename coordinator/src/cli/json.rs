@@ -102,7 +102,15 @@ pub(super) struct Job {
 }
 
 #[derive(Serialize)]
+struct Goal {
+    predicates: u32,
+    at_end: u32,
+    at_most: u32,
+}
+
+#[derive(Serialize)]
 struct ResultOrigin {
+    goal: Option<Goal>,
     attempt: u32,
     worker_id: String,
     host: String,
@@ -252,6 +260,11 @@ impl JobDetails {
             divergences: result.divergences,
             video: given(&result.video),
             committed_at: instant(result.committed_unix_ms),
+            goal: result.goal.as_ref().map(|goal| Goal {
+                predicates: goal.predicates,
+                at_end: goal.at_end,
+                at_most: goal.at_most,
+            }),
         });
         Ok(JobDetails {
             job: Job::of(&details.job.clone().unwrap_or_default()),

@@ -94,6 +94,11 @@ pub(super) fn details(details: JobDetails, now: UnixMillis) -> wire::GetJobRespo
         failed_unix_ms: line.failed_ms.0,
     };
     let result = |line: ResultLine| wire::ResultOrigin {
+        goal: line.goal().map(|goal| wire::GoalProgress {
+            predicates: goal.predicates,
+            at_end: goal.at_end,
+            at_most: goal.at_most,
+        }),
         attempt: line.number.0,
         worker_id: line.worker_id.0,
         ago_secs: now.since(line.committed_ms).as_secs_f64(),

@@ -5,7 +5,8 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use attempt::{
-    AttemptId, Digests, IkResidual, Motion, Parts, Pin, Provenance, Realised, RolloutResult,
+    AttemptId, Digests, GoalProgress, IkResidual, Motion, Parts, Pin, Provenance, Realised,
+    RolloutResult,
 };
 use proto::{MAX_MOTION_STEPS, coordinator as wire};
 use protocol::{Axis, Suite, select_tasks};
@@ -306,6 +307,16 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
             "`result` holds a number that is negative or not finite",
         ));
     }
+    let goal = result.goal.map(|goal| GoalProgress {
+        predicates: goal.predicates,
+        at_end: goal.at_end,
+        at_most: goal.at_most,
+    });
+    if goal.is_some_and(|goal| !goal.agrees_with(result.success)) {
+        return Err(invalid(
+            "`result` holds a progress towards the goal that contradicts itself or its success",
+        ));
+    }
     let ik = |residual_mm| IkResidual {
         residual_mm,
         residual_deg: result.ik_residual_deg.unwrap_or_default(),
@@ -319,6 +330,7 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
         clipped_actions: result.clipped_actions,
         policy_queries: result.policy_queries,
         parts,
+        goal,
     })
 }
 

@@ -76,12 +76,10 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
         }
         tally.succeeded += u64::from(record.outcome == Outcome::Success);
     }
-    let levels: BTreeSet<Level> = tallies.keys().map(|(_, level)| *level).collect();
-    let perturbed = levels.into_iter().filter(|level| *level != Level::L0);
-    let perturbed: Vec<Level> = perturbed.collect();
-    let conditions: BTreeSet<Condition> = tallies.keys().map(|(condition, _)| *condition).collect();
-    let perturbs = |condition: &Condition| *condition != Condition::Clean;
-    let perturbing = conditions.into_iter().filter(perturbs);
+    let perturbs = |(condition, _): &&(Condition, Level)| *condition != Condition::Clean;
+    let perturbed: BTreeSet<Level> = tallies.keys().filter(perturbs).map(|it| it.1).collect();
+    let conditions: BTreeSet<Condition> = tallies.keys().filter(perturbs).map(|it| it.0).collect();
+    let perturbing = conditions.into_iter();
     let is_subset = |condition: &Condition| matches!(condition, Condition::Subset(_));
     let (subsets, few): (Vec<Condition>, Vec<Condition>) = perturbing.partition(is_subset);
     let nominal = tallies.get(&(Condition::Clean, Level::L0));
@@ -112,7 +110,10 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
         (of(&few))
     };
     let mut columns = vec!["condition".to_owned()];
-    columns.extend(perturbed.iter().map(Level::to_string));
+    columns.extend(perturbed.iter().map(|level| match *level {
+        Level::L0 => "L0 (placebo)".to_owned(),
+        level => level.to_string(),
+    }));
     if perturbed.is_empty() {
         columns.push("unperturbed".to_owned());
     }

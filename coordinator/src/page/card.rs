@@ -1,6 +1,7 @@
 //! One rollout among its siblings: what it came to, what was perturbed, its
 //! video, and where it all came from.
 
+use attempt::GoalProgress;
 use maud::{Markup, html};
 use protocol::{Axis, ManifestRow, RolloutId, seeds};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
@@ -206,6 +207,19 @@ fn origin(shown: &Shown, replicate: u32) -> Markup {
     }
 }
 
+/// How much of the goal held, in words; empty where its worker did not say.
+fn goal(result: &ResultLine) -> String {
+    let words = |goal: GoalProgress| {
+        let GoalProgress {
+            predicates,
+            at_end,
+            at_most,
+        } = goal;
+        format!("{at_end} of {predicates} predicates held at the end, {at_most} at most together")
+    };
+    result.goal().map(words).unwrap_or_default()
+}
+
 fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
     let (from, pin) = (&result.provenance, &result.provenance.pin);
     let privileged = match from.policy_privileged {
@@ -230,6 +244,7 @@ fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("took", duration_text(result.wall_secs)),
         ("policy asked", format!("{} times", result.policy_queries)),
         ("actions clipped", result.clipped_actions.to_string()),
+        ("goal", goal(result)),
         ("inverse kinematics off by", residual.unwrap_or_default()),
         ("policy", format!("{}{privileged}", from.policy_name)),
         ("checkpoint", from.policy_checkpoint.clone()),

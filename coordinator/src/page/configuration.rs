@@ -212,6 +212,9 @@ fn number(id: RolloutId) -> String {
 fn heading(asked: RolloutId) -> String {
     let task = asked.task();
     let which = match asked.config() {
+        Some(config) if asked.is_placebo() => {
+            format!("configuration {config} at L0, the placebo level")
+        }
         Some(config) => format!("configuration {config} at {}", asked.level()),
         None => format!("nominal from initial state {}", asked.number()),
     };

@@ -1,19 +1,29 @@
 //! Things that cost something to make and that many ask for at once: one of
 //! them makes it, the others wait and share it. What is fresh enough is for the
 //! caller to say.
+//!
+//! A computation outlives those who asked for it, since a thread cannot be stopped. Its key
+//! stays taken until it has ended, so that a page that is loaded again and again waits for
+//! the computation that runs and begins no other.
 
 use std::collections::HashMap;
 use std::future::Future;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use tokio::sync::Semaphore;
+use tokio::task::JoinError;
 use tokio::time::Instant;
+
+/// Computations of all keys at a time.
+const COMPUTATIONS: usize = 2;
 
 /// The newest value of every key, at most so many.
 #[derive(Debug)]
 pub(super) struct Kept<V> {
     places: Mutex<HashMap<String, Place<V>>>,
     most: usize,
+    computing: Arc<Semaphore>,
 }
 
 /// Held while its value is being made.
@@ -27,12 +37,13 @@ pub(super) struct Made<V> {
     pub(super) cost: Duration,
 }
 
-impl<V: Clone> Kept<V> {
+impl<V: Clone + Send + 'static> Kept<V> {
     /// Nothing yet; later at most `most` values.
     pub(super) fn new(most: usize) -> Kept<V> {
         Kept {
             places: Mutex::default(),
             most,
+            computing: Arc::new(Semaphore::new(COMPUTATIONS)),
         }
     }
 
@@ -62,6 +73,44 @@ impl<V: Clone> Kept<V> {
         Ok(value)
     }
 
+    /// The value of a key: the one that is there, if it is fresh, or one that is computed on
+    /// a thread that answers nobody. `read` returns the computation and ends with its caller;
+    /// the computation does not.
+    ///
+    /// # Errors
+    /// Those of `read` and of the computation, to its caller alone; of one that panicked, what
+    /// `panicked` makes of it.
+    pub(super) async fn compute<E, C>(
+        &self,
+        key: &str,
+        is_fresh: impl FnOnce(&Made<V>) -> bool,
+        read: impl Future<Output = Result<C, E>>,
+        panicked: impl FnOnce(&JoinError) -> E,
+    ) -> Result<V, E>
+    where
+        E: Send + 'static,
+        C: FnOnce() -> Result<V, E> + Send + 'static,
+    {
+        let mut made = self.place(key).lock_owned().await;
+        if let Some(made) = made.as_ref().filter(|made| is_fresh(made)) {
+            return Ok(made.value.clone());
+        }
+        let at = Instant::now();
+        let computation = read.await?;
+        let turn = self.computing.clone().acquire_owned().await;
+        let computed = tokio::task::spawn_blocking(move || {
+            let _turn = turn;
+            let value = computation()?;
+            *made = Some(Made {
+                value: value.clone(),
+                at,
+                cost: at.elapsed(),
+            });
+            Ok(value)
+        });
+        computed.await.unwrap_or_else(|error| Err(panicked(&error)))
+    }
+
     fn place(&self, key: &str) -> Place<V> {
         // Nothing panics while it holds this.
         let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
@@ -69,8 +118,9 @@ impl<V: Clone> Kept<V> {
             return place.clone();
         }
         if places.len() >= self.most {
-            // What is still wanted is made again, once.
-            places.clear();
+            // Those that are being made stay. Another that is still wanted is made again,
+            // once.
+            places.retain(|_, place| Arc::strong_count(place) > 1);
         }
         places.entry(key.to_owned()).or_default().clone()
     }
@@ -97,6 +147,35 @@ mod tests {
         assert_eq!((a, b, c), (Ok(0), Ok(0), Ok(0)));
         let again = kept.get("page", |_| false, async { Ok::<_, Infallible>(7) });
         assert_eq!(again.await, Ok(7));
+    }
+
+    /// Finding B12: a page that was loaded again while its statistics were computed began
+    /// another computation.
+    #[tokio::test]
+    async fn a_computation_that_nobody_waits_for_any_more_is_not_begun_again() {
+        let kept = Kept::new(2);
+        let begun = Arc::new(AtomicU32::new(0));
+        let (go_on, gate) = std::sync::mpsc::channel::<()>();
+        let gate = Arc::new(Mutex::new(gate));
+        let ask = || {
+            let (begun, gate) = (begun.clone(), gate.clone());
+            let computation = move || {
+                let number = begun.fetch_add(1, Ordering::Relaxed);
+                let gate = gate.lock().expect("unpoisoned");
+                gate.recv().expect("it goes on");
+                Ok(number)
+            };
+            let read = async { Ok::<_, String>(computation) };
+            kept.compute("page", |_| true, read, JoinError::to_string)
+        };
+        for _ in 0..5 {
+            let given_up = tokio::time::timeout(Duration::from_millis(20), ask()).await;
+            assert!(given_up.is_err(), "the computation waits");
+        }
+        // Enough for each of them, if there were several.
+        (0..6).for_each(|_| go_on.send(()).expect("the gate is there"));
+        assert_eq!(ask().await, Ok(0));
+        assert_eq!(begun.load(Ordering::Relaxed), 1);
     }
 
     #[tokio::test]

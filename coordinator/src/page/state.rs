@@ -143,17 +143,19 @@ impl Page {
                     && made.at.elapsed() < patience(made.cost))
         };
         let wanted = editions.clone();
-        let make = async {
+        let read = async {
             let subject = report::subject(view, campaign).await?;
-            // Thousands of resamplings: not on a thread that answers others.
-            let document = tokio::task::spawn_blocking(|| Document::new(vec![subject]));
-            let document = document.await.map_err(|error| Problem::failed(&error))?;
-            let document = document.map_err(|error| Problem::failed(&error))?;
-            Ok::<_, Problem>((wanted, Arc::new(document)))
+            Ok::<_, Problem>(move || {
+                let document = Document::new(vec![subject]);
+                let document = document.map_err(|error| Problem::failed(&error))?;
+                Ok((wanted, Arc::new(document)))
+            })
         };
         let (_, document) = self
             .documents
-            .get(campaign.name.as_str(), is_fresh, make)
+            .compute(campaign.name.as_str(), is_fresh, read, |error| {
+                Problem::failed(error)
+            })
             .await?;
         Ok(document)
     }
@@ -173,23 +175,24 @@ impl Page {
                     && made.at.elapsed() < patience(made.cost))
         };
         let wanted = editions.clone();
-        let make = async {
+        let read = async {
             let documents = [self.document(a, view).await?, self.document(b, view).await?];
             let setups = [
                 report::setups(view, a).await?,
                 report::setups(view, b).await?,
             ];
-            // Thousands of resamplings: not on a thread that answers others.
-            let compared = tokio::task::spawn_blocking(move || {
+            Ok::<_, Problem>(move || {
                 let [a, b] = documents.each_ref().map(|it| &it.analyses[0]);
-                Comparison::of([a, b], setups.each_ref())
-            });
-            let compared = compared.await.map_err(|error| Problem::failed(&error))?;
-            Ok::<_, Problem>((wanted, Arc::new(compared)))
+                let compared = Comparison::of([a, b], setups.each_ref());
+                Ok((wanted, Arc::new(compared)))
+            })
         };
         // No name has a space.
         let key = format!("{} {}", a.name, b.name);
-        let (_, compared) = self.comparisons.get(&key, is_fresh, make).await?;
+        let compared = self
+            .comparisons
+            .compute(&key, is_fresh, read, |error| Problem::failed(error));
+        let (_, compared) = compared.await?;
         Ok(compared)
     }
 

@@ -7,6 +7,7 @@ use std::fs::{File, Permissions};
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
@@ -335,6 +336,34 @@ fn other_machines_are_listened_to_only_with_guards_or_on_demand() {
         assert!(told.contains(word), "{told}");
     }
     assert!(!folder.path().join("data").exists());
+}
+
+/// Finding A2: on a shared machine every user could call a coordinator that listened to this
+/// machine alone, delete its campaigns and set its policies' endpoints.
+#[test]
+fn other_users_of_the_machine_are_let_in_only_on_demand() {
+    /// `nobody`.
+    const OTHER: u32 = 65_534;
+    if !rustix::process::geteuid().is_root() {
+        println!("skipped other_users_of_the_machine_are_let_in_only_on_demand: not root");
+        return;
+    }
+    for (flags, is_let_in) in [(&[][..], false), (&["--insecure-loopback"][..], true)] {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let serve = Serve::start_with(folder.path(), flags, Stdio::null());
+        let listed = Command::new(env!("CARGO_BIN_EXE_coordinator"))
+            .args(["campaign", "list", "--connect", &serve.url])
+            .env_clear()
+            .current_dir("/")
+            .uid(OTHER)
+            .gid(OTHER)
+            .output()
+            .expect("runs");
+        let told = text(&listed.stderr);
+        assert_eq!(listed.status.success(), is_let_in, "{told}");
+        assert_eq!(told.contains("--insecure-loopback"), !is_let_in, "{told}");
+        assert!(serve.command(&["campaign", "list"]).status.success());
+    }
 }
 
 #[test]

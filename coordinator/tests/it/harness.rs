@@ -326,6 +326,11 @@ impl Worker {
                     drawing_secs: 0.25,
                     policy_secs: 0.5,
                 }),
+                goal: Some(wire::GoalProgress {
+                    predicates: 2,
+                    at_end: if success { 2 } else { 0 },
+                    at_most: if success { 2 } else { 1 },
+                }),
                 ..wire::RolloutResult::default()
             }),
             provenance: Some(wire::Provenance {

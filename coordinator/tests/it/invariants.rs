@@ -16,7 +16,7 @@ use crate::harness::{Bench, small_spec, with};
 use crate::process::{coordinator, text};
 
 /// What breaks each, past the coordinator, and a word of the violation.
-const BROKEN: [(&str, &str, &str); 18] = [
+const BROKEN: [(&str, &str, &str); 19] = [
     (
         "file_is_whole",
         "PRAGMA writable_schema = 1; DELETE FROM sqlite_schema WHERE name = 'job_queued'",
@@ -36,6 +36,11 @@ const BROKEN: [(&str, &str, &str); 18] = [
         "expansion_is_whole",
         "DELETE FROM job WHERE state = 'queued'",
         "expanded into 8 jobs and has",
+    ),
+    (
+        "tallies_are_true",
+        "UPDATE tally SET queued = queued + 1",
+        "campaign sound is said to have",
     ),
     (
         "committed_has_one_result",
@@ -204,13 +209,13 @@ async fn the_program_names_violations_and_fails() {
     let folder = sound().await;
     let path = |folder: &TempDir| folder.path().to_str().expect("UTF-8").to_owned();
     let output = coordinator(&["check", &path(&folder)]);
-    assert_eq!(text(&output.stdout), "all 18 invariants hold\n");
+    assert_eq!(text(&output.stdout), "all 19 invariants hold\n");
     let copy = broken(folder.path(), "DELETE FROM result").await;
     let output = coordinator(&["check", &path(&copy)]);
     assert_eq!(output.status.code(), Some(1));
     let said = text(&output.stdout);
     assert!(said.contains("committed_has_one_result: 2\n"), "{said}");
-    assert!(text(&output.stderr).contains("2 of 18 invariants"));
+    assert!(text(&output.stderr).contains("3 of 19 invariants"));
     let output = coordinator(&["check", "/nowhere"]);
     assert_eq!(output.status.code(), Some(2));
     let other = folder.path().join("notes.txt");

@@ -55,6 +55,14 @@ impl Printed {
         Printed(serde_json::from_str(text(&output.stdout)).expect("JSON"))
     }
 
+    /// Nothing that is not documented; what is `null` has no keys.
+    fn has_the_keys_of_a_part(&self, command: &str) {
+        let mut found = BTreeSet::new();
+        keys(&self.0, "", &mut found);
+        let documented = documented(command);
+        assert!(found.is_subset(&documented), "{found:?}");
+    }
+
     fn has_the_keys_of(&self, command: &str) {
         let mut found = BTreeSet::new();
         keys(&self.0, "", &mut found);
@@ -193,6 +201,73 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
         assert_eq!(refused.status.code(), Some(2), "{flag} {value}");
         assert!(text(&refused.stderr).contains(value), "{flag} {value}");
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_placebo_is_planned_counted_and_listed_by_its_level() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let create: Vec<&str> = "campaign create --name floor --policy expert --tasks libero_object \
+         --endpoint http://127.0.0.1:50051 --axes camera,language --levels L0,L1 --configs 0,3 \
+         --placebo-configs 3"
+        .split_whitespace()
+        .collect();
+    let dry = [&create[..], &["--dry-run"]].concat();
+    let json = Printed::by(&serve, &dry);
+    json.has_the_keys_of_a_part("campaign create --dry-run");
+    // Two nominal rollouts of each task, three conditions at L1 of both configurations.
+    assert_eq!(json.0["rollouts"], 10 * (2 + 2 * 3 + 3));
+    assert_eq!(json.0["placebo_rollouts"], 30);
+    let level = &json.0["planning"]["levels"][0];
+    assert_eq!(
+        [
+            &level["level"],
+            &level["configurations"],
+            &level["floor_configurations"]
+        ],
+        [&Value::from("L1"), &Value::from(20), &Value::from(10)]
+    );
+    let detectable = |level: &Value| level["new_tasks"]["r_d"].as_f64().expect("some");
+    assert!(detectable(level) > 0.1, "{level}");
+    assert!(level["these_tasks"]["r_d"].as_f64() < Some(detectable(level)));
+    let words = serve.command(&dry);
+    let words = text(&words.stdout);
+    assert!(
+        words.contains("of them 30 rollouts of the placebo level L0"),
+        "{words}"
+    );
+    assert!(
+        words.contains("above a floor of 5.0 % over 10 configurations"),
+        "{words}"
+    );
+    assert!(
+        words.lines().all(|line| line.chars().count() <= 80),
+        "{words}"
+    );
+    // More is found where outcomes are known to be steadier.
+    let example = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
+    let earlier = Printed::by(&serve, &[&dry[..], &["--planning-from", example]].concat());
+    assert_ne!(
+        detectable(&earlier.0["planning"]["levels"][0]),
+        detectable(level)
+    );
+    let unknown = serve.command(&[&dry[..], &["--planning-from", "nowhere"]].concat());
+    assert!(!unknown.status.success());
+
+    assert!(serve.command(&create).status.success());
+    let ids = |filters: &[&str]| -> Vec<String> {
+        let printed = Printed::by(&serve, &[&["jobs", "list", "floor"][..], filters].concat());
+        let jobs = printed.0["jobs"].as_array().expect("a list").iter();
+        jobs.map(|job| job["rollout_id"].as_str().expect("an id").to_owned())
+            .collect()
+    };
+    assert_eq!(ids(&["--level", "L0"]).len(), 20 + 30);
+    let placebo = ids(&["--level", "L0", "--condition", "language"]);
+    assert_eq!(placebo.len(), 10);
+    assert_eq!(placebo[0], "object/t0/language/L0/c03");
+    let shown = Printed::by(&serve, &["jobs", "show", "floor", &placebo[0]]);
+    assert_eq!(shown.0["manifest_row"]["placebo_radius"], 0.02);
+    assert_eq!(shown.0["manifest_row"]["variant_id"], "t0/L0/canonical");
 }
 
 #[test]

@@ -392,7 +392,8 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
     for (sql, words) in [
         (
             "UPDATE result SET success = 1 - success
-             WHERE job_id = (SELECT min(job_id) FROM result)",
+             WHERE job_id = (SELECT min(job_id) FROM result);
+             UPDATE tally SET succeeded = (SELECT sum(success) FROM result)",
             &["report.json", "differs"][..],
         ),
         (

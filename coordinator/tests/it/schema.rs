@@ -77,6 +77,10 @@ const FOUL: &[(&str, &str)] = &[
     ("UPDATE result SET drawing_secs = NULL", "CHECK"),
     ("UPDATE result SET physics_secs = NULL", "CHECK"),
     ("UPDATE result SET policy_secs = -0.5", "CHECK"),
+    ("UPDATE result SET goal_predicates = 0", "CHECK"),
+    ("UPDATE result SET goal_at_end = NULL", "CHECK"),
+    ("UPDATE result SET goal_at_end = 0 WHERE success", "CHECK"),
+    ("UPDATE result SET goal_at_most = 3", "CHECK"),
     ("UPDATE worker SET cores = 0", "CHECK"),
     ("UPDATE worker SET machine = ''", "CHECK"),
     ("UPDATE job SET losses = -1", "CHECK"),
@@ -93,7 +97,7 @@ const FOUL: &[(&str, &str)] = &[
         "INSERT INTO result SELECT j.id, r.campaign_id, hex(zeroblob(16)), 1, r.worker_id,
              r.committed_ms, r.success, r.steps, r.wall_secs, NULL, NULL, NULL, 0, 0,
              r.provenance_id, r.scene_digest, r.init_state_digest, '', '{}',
-             NULL, NULL, NULL
+             NULL, NULL, NULL, NULL, NULL, NULL
          FROM result r JOIN job j ON j.state = 'queued' LIMIT 1",
         "result_is_of_the_held_lease",
     ),

@@ -332,7 +332,11 @@ fn a_rule_that_cannot_end_a_campaign_is_refused_before_anything_is_created() {
     );
     create(&["--stop-seed", "7"], "were not provided:\n  --stop <RULE>");
     // What a design is refused for is said once, too.
-    create(&["--levels", "L0"], "`levels` has 0");
+    create(&["--placebo-configs", "0"], "add L0 to `levels`");
+    create(
+        &["--levels", "L0,L1", "--placebo-configs", "77"],
+        "`placebo_configs` has 77",
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -21,7 +21,7 @@ use crate::process::{coordinator, text};
 /// every state, charged and uncharged failures, a policy that is down, films. The
 /// later ones are what released programs made of the second. A new migration adds the
 /// one of the schema before it.
-const RELEASED: [&str; 7] = [
+const RELEASED: [&str; 10] = [
     include_str!("../databases/schema_1.sql"),
     include_str!("../databases/schema_2.sql"),
     include_str!("../databases/schema_3.sql"),
@@ -29,6 +29,9 @@ const RELEASED: [&str; 7] = [
     include_str!("../databases/schema_5.sql"),
     include_str!("../databases/schema_6.sql"),
     include_str!("../databases/schema_7.sql"),
+    include_str!("../databases/schema_8.sql"),
+    include_str!("../databases/schema_9.sql"),
+    include_str!("../databases/schema_10.sql"),
 ];
 
 const FIRST_MIGRATION: &str = "0001_campaigns_jobs_results.sql";

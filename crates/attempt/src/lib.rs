@@ -15,4 +15,4 @@ pub use backoff::{Backoff, Waits};
 pub use id::{AttemptId, AttemptIdError};
 pub use provenance::{Digests, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER, TAUGHT_ON};
 pub use realised::{Realised, RealisedAxis, TOLERANCE};
-pub use result::{IkResidual, Motion, Parts, RolloutResult};
+pub use result::{GoalProgress, IkResidual, Motion, Parts, RolloutResult};

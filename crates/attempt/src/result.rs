@@ -20,6 +20,43 @@ pub struct RolloutResult {
     /// Where `wall_secs` went. None from workers of the first release.
     #[serde(default)]
     pub parts: Option<Parts>,
+    /// How much of the goal held. None from workers of earlier releases.
+    #[serde(default)]
+    pub goal: Option<GoalProgress>,
+}
+
+/// How much of a goal held during a rollout: of its predicates, how many. `at_end` ≤
+/// `at_most` ≤ `predicates`, and `at_end` = `predicates` exactly in a success.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GoalProgress {
+    /// Predicates of the goal; 1 or more.
+    pub predicates: u32,
+    /// Those that held after the last control step.
+    pub at_end: u32,
+    /// The most that held together, from rest to the last control step.
+    pub at_most: u32,
+}
+
+impl GoalProgress {
+    /// Takes which predicates hold after a further step.
+    pub fn record(&mut self, truths: &[bool]) {
+        self.predicates = truths.len() as u32;
+        self.at_end = truths.iter().filter(|holds| **holds).count() as u32;
+        self.at_most = self.at_most.max(self.at_end);
+    }
+
+    /// Whether the numbers agree with one another, and with how the rollout ended.
+    pub fn agrees_with(&self, success: bool) -> bool {
+        let Self {
+            predicates,
+            at_end,
+            at_most,
+        } = *self;
+        predicates > 0
+            && at_end <= at_most
+            && at_most <= predicates
+            && (at_end == predicates) == success
+    }
 }
 
 /// Where the time of a rollout went, seconds. What they leave of its duration it
@@ -91,6 +128,19 @@ impl Motion {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn progress_is_what_holds_at_the_end_and_the_most_that_held_together() {
+        let mut goal = GoalProgress::default();
+        for truths in [[false, false], [true, false], [false, true], [false, false]] {
+            goal.record(&truths);
+        }
+        assert_eq!((goal.predicates, goal.at_end, goal.at_most), (2, 0, 1));
+        assert!(goal.agrees_with(false) && !goal.agrees_with(true));
+        goal.record(&[true, true]);
+        assert!(goal.agrees_with(true) && !goal.agrees_with(false));
+        assert!(!GoalProgress::default().agrees_with(true));
+    }
 
     #[test]
     fn a_motion_unpacks_to_what_was_packed() {

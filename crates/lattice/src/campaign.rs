@@ -31,7 +31,10 @@ pub fn configurations(
         None => Evidence::Once,
         Some(most) => Evidence::Repeated(Repeats::up_to(most)),
     };
-    let counts = |record: &&Record| explanation.repeats.is_some() || record.replicate == 0;
+    // Nothing explains a change at the placebo level: nothing to speak of is perturbed.
+    let counts = |record: &&Record| {
+        !record.id.is_placebo() && (explanation.repeats.is_some() || record.replicate == 0)
+    };
     let explained: Vec<Record> = explained.iter().filter(counts).copied().collect();
     let records = Records::new(&explained).unwrap_or_default();
     let mut known = BTreeMap::new();

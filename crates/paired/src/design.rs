@@ -7,9 +7,9 @@ use protocol::TaskRef;
 use crate::measures::Configuration;
 
 /// Normal quantile of a two-sided test at 5 %: Φ⁻¹(0.975).
-const Z_TEST: f64 = 1.959963984540054;
+pub(crate) const Z_TEST: f64 = 1.959963984540054;
 /// Normal quantile of a power of 80 %: Φ⁻¹(0.8).
-const Z_POWER: f64 = 0.8416212335729143;
+pub(crate) const Z_POWER: f64 = 0.8416212335729143;
 /// Halvings of the interval in which the effect is sought: enough for doubles.
 const BISECTIONS: u32 = 60;
 
@@ -78,10 +78,20 @@ pub fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
 /// correlation coefficient, International Statistical Review 54 (1986), 67–82,
 /// section 2.
 pub fn task_correlation(configurations: &[Configuration]) -> Option<f64> {
+    correlation(configurations, |it| {
+        f64::from(it.simultaneous) - f64::from(it.conjunction())
+    })
+}
+
+/// The same of another value of a configuration.
+pub(crate) fn correlation(
+    configurations: &[Configuration],
+    value: impl Fn(&Configuration) -> f64,
+) -> Option<f64> {
     let mut tasks: BTreeMap<TaskRef, Vec<f64>> = BTreeMap::new();
     for configuration in configurations {
-        let change = f64::from(configuration.simultaneous) - f64::from(configuration.conjunction());
-        tasks.entry(configuration.task).or_default().push(change);
+        let own = tasks.entry(configuration.task).or_default();
+        own.push(value(configuration));
     }
     let (k, n) = (tasks.len() as f64, configurations.len() as f64);
     if k < 2.0 || n <= k {

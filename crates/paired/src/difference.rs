@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use protocol::TaskRef;
+use protocol::{Directions, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::{Bootstrap, Interval};
@@ -11,7 +11,7 @@ use crate::inference::defined;
 use crate::inference::equivalence::equivalence_p;
 use crate::inference::estimate::{Estimate, Scale};
 use crate::inference::multiplicity::{holm, max_t};
-use crate::inference::sample::{Directions, Row, Sample};
+use crate::inference::sample::{Row, Sample};
 use crate::inference::sign_flip::sign_flip_p;
 use crate::interval::{MIN_TASKS, NoInterval, shown};
 use crate::mcnemar::mcnemar_exact;

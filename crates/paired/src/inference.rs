@@ -14,7 +14,7 @@ pub(crate) mod sample;
 pub(crate) mod sign_flip;
 pub(crate) mod student_t;
 
-use protocol::Level;
+use protocol::{Directions, Level};
 use serde::{Deserialize, Serialize};
 
 use crate::inference::direction::DirectionTest;
@@ -22,7 +22,6 @@ use crate::inference::estimate::Estimate;
 use crate::inference::floor::Excess;
 use crate::inference::loss::{Loss, Losses};
 use crate::inference::paired::{Eligible, PairedEstimates, Relative};
-use crate::inference::sample::Directions;
 use crate::outcomes::Matched;
 
 /// Everything inferred of one level of one replicate.

@@ -28,6 +28,7 @@ mod legend;
 mod mcnemar;
 mod measures;
 mod outcomes;
+mod planning;
 mod replication;
 mod report;
 mod sequential;
@@ -55,13 +56,13 @@ pub use inference::floor::{Excess, Simultaneity, chance_bounds};
 pub use inference::loss::{Loss, Losses};
 pub use inference::multiplicity::{holm, max_t};
 pub use inference::paired::{Eligible, PairedEstimates, Relative};
-pub use inference::sample::Directions;
 pub use inference::sign_flip::sign_flip_p;
 pub use interval::{MIN_TASKS, NoInterval, intervals_of_many};
 pub use legend::legend;
 pub use mcnemar::mcnemar_exact;
 pub use measures::{Configuration, Measures};
 pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
+pub use planning::{Against, Assumed, Detectable, Planned};
 pub use replication::{Change, Flips, Replication};
 pub use report::{
     Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report, report_of,

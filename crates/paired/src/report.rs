@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use protocol::{Axis, AxisSet, Condition, Level, Suite, TaskRef};
+use protocol::{Axis, AxisSet, Condition, Directions, Level, Suite, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
@@ -14,7 +14,6 @@ use crate::findings::{Finding, findings};
 use crate::gate::{Gate, SuiteGate};
 use crate::inference::Inference;
 use crate::inference::components::Components;
-use crate::inference::sample::Directions;
 use crate::measures::{Configuration, Measures};
 use crate::outcomes::{DuplicateRecord, Matched, Outcome, Record, Records};
 use crate::replication::Replication;

@@ -8,10 +8,12 @@ use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::condition::Realisation;
 use crate::design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
+use crate::directions::Directions;
 use crate::explanation::Explanation;
 use crate::level::Level;
 use crate::manifest::{self, ManifestErrors};
 use crate::names::UnknownName;
+use crate::placebo::Placebo;
 use crate::presets::PRESETS;
 use crate::row::ManifestRow;
 use crate::stop::{self, Stop, StopError};
@@ -26,8 +28,8 @@ pub const MAX_REPLICATES: u32 = 100;
 /// The specification of a campaign, as people and tools write it in JSON.
 ///
 /// The fields of its [`Rollouts`] stand beside the others: `tasks`, `axes`,
-/// `levels` and, optional, `subsets`, `configs`, `nominal` and `design_seed`; or
-/// `manifest`, `explains` or `thresholds`, instead of all these. Tasks are written as
+/// `levels` and, optional, `subsets`, `configs`, `nominal`, `design_seed`, `directions`,
+/// `placebo_radius` and `placebo_configs`; or `manifest`, `explains` or `thresholds`, instead of all these. Tasks are written as
 /// `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SpecText", into = "SpecText")]
@@ -316,6 +318,12 @@ struct SpecText {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     design_seed: Option<u64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    directions: Option<Directions>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    placebo_radius: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    placebo_configs: Option<Vec<u16>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     manifest: Option<Vec<ManifestRow>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     explains: Option<Explanation>,
@@ -350,6 +358,8 @@ enum TextError {
     },
     #[error(transparent)]
     Task(#[from] UnknownName),
+    #[error(transparent)]
+    Design(#[from] DesignError),
 }
 
 impl TryFrom<SpecText> for CampaignSpec {
@@ -394,6 +404,9 @@ impl From<CampaignSpec> for SpecText {
             configs: None,
             nominal: None,
             design_seed: None,
+            directions: None,
+            placebo_radius: None,
+            placebo_configs: None,
             manifest: None,
             explains: None,
             thresholds: None,
@@ -409,6 +422,11 @@ impl From<CampaignSpec> for SpecText {
             Rollouts::Explanation(explanation) => text.explains = Some(explanation),
             Rollouts::Thresholds(thresholds) => text.thresholds = Some(thresholds),
             Rollouts::Design(design) => {
+                if design.has_placebo() {
+                    text.placebo_radius = Some(design.placebo.radius.radius());
+                }
+                text.placebo_configs = design.placebo.configs;
+                text.directions = Some(design.directions).filter(|it| *it != Directions::Shared);
                 text.tasks = Some(design.tasks.iter().map(TaskRef::to_string).collect());
                 text.axes = Some(design.axes);
                 text.subsets = Some(design.subsets).filter(|subsets| !subsets.is_empty());
@@ -435,6 +453,9 @@ fn no_two_sources(text: &SpecText) -> Result<(), TextError> {
         ("configs", text.configs.is_some()),
         ("nominal", text.nominal.is_some()),
         ("design_seed", text.design_seed.is_some()),
+        ("directions", text.directions.is_some()),
+        ("placebo_radius", text.placebo_radius.is_some()),
+        ("placebo_configs", text.placebo_configs.is_some()),
     ];
     let by_themselves = &written[..3];
     let Some(&(field, _)) = by_themselves.iter().find(|(_, written)| *written) else {
@@ -464,8 +485,20 @@ fn design(text: &mut SpecText) -> Result<Design, TextError> {
             .unwrap_or_else(|| (0..PRESETS).collect()),
         nominal: text.nominal.unwrap_or_default(),
         seed: text.design_seed.unwrap_or_default(),
+        directions: text.directions.unwrap_or_default(),
+        placebo: Placebo {
+            radius: placebo_radius(text.placebo_radius)?,
+            configs: text.placebo_configs.take(),
+        },
     };
     Ok(design.in_order())
+}
+
+fn placebo_radius(given: Option<f64>) -> Result<Level, DesignError> {
+    match given {
+        None => Ok(Placebo::DEFAULT_RADIUS),
+        Some(given) => Level::of_radius(given).ok_or(DesignError::PlaceboRadius { given }),
+    }
 }
 
 fn one() -> u32 {

@@ -1,16 +1,19 @@
 //! A design: which part of the protocol is run, or what beyond it. This module
 //! says what a design is, checks it and names it; `expansion` makes rows of it.
 
+use std::fmt::Write;
+
 use serde::{Deserialize, Serialize};
 
 use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::condition::Condition;
-use crate::directions::MAX_CONFIGS;
+use crate::directions::{Directions, MAX_CONFIGS};
 use crate::explanation::Explanation;
 use crate::level::Level;
 use crate::manifest;
 use crate::names::{UnknownName, serde_as_text};
+use crate::placebo::{PLACEBO_RADII, Placebo};
 use crate::presets::PRESETS;
 use crate::row::{MAX_ROWS, ManifestRow};
 use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
@@ -25,14 +28,18 @@ pub struct Design {
     pub axes: Vec<Axis>,
     /// Further conditions: several of the axes, but not all of them.
     pub subsets: Vec<AxisSet>,
-    /// Levels of every axis.
+    /// Levels of every axis. L0 is the placebo level.
     pub levels: Vec<Level>,
     /// Configurations: 0 to 9 are the protocol's presets, others are drawn.
     pub configs: Vec<u16>,
     /// Which nominal rollouts go with them.
     pub nominal: Nominal,
-    /// From what configurations beyond the presets are drawn.
+    /// From what configurations beyond the presets are drawn, and tasks' own directions.
     pub seed: u64,
+    /// Source of the directions of its configurations.
+    pub directions: Directions,
+    /// How the placebo level is run, if it is among `levels`.
+    pub placebo: Placebo,
 }
 
 /// Which nominal rollouts a design contains.
@@ -49,7 +56,7 @@ pub enum Nominal {
 }
 
 /// A design that cannot be run.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DesignError {
     /// A field that must not be empty.
     #[error("`{field}` is empty, {remedy}")]
@@ -80,6 +87,26 @@ pub enum DesignError {
         /// The design's axes.
         axes: AxisSet,
     },
+    /// A placebo that no level runs.
+    #[error("`{field}` is about the placebo level: add L0 to `levels`, or take `{field}` out")]
+    NoPlacebo {
+        /// The field.
+        field: &'static str,
+    },
+    /// A placebo's radius outside its range.
+    #[error(
+        "`placebo_radius` is {given}, valid are {} to {}", PLACEBO_RADII[0], PLACEBO_RADII[1]
+    )]
+    PlaceboRadius {
+        /// The radius.
+        given: f64,
+    },
+    /// A placebo of a configuration that the design has not.
+    #[error("`placebo_configs` has {given}, which is none of `configs`")]
+    PlaceboConfig {
+        /// The configuration.
+        given: u16,
+    },
     /// The language axis where there are no paraphrases.
     #[error(
         "axis `language` has paraphrases at L1, L2 and L3 and not at {level}: \
@@ -108,6 +135,8 @@ impl Design {
             configs: (0..PRESETS).collect(),
             nominal: Nominal::All,
             seed: 0,
+            directions: Directions::default(),
+            placebo: Placebo::default(),
         }
     }
 
@@ -120,6 +149,10 @@ impl Design {
             subsets: in_order(self.subsets),
             levels: in_order(self.levels),
             configs: in_order(self.configs),
+            placebo: Placebo {
+                configs: self.placebo.configs.map(in_order),
+                ..self.placebo
+            },
             ..self
         }
     }
@@ -161,14 +194,9 @@ impl Design {
                 valid: format!("0 to {}", MAX_CONFIGS - 1),
             });
         }
-        if self.levels.contains(&Level::L0) {
-            return Err(DesignError::OutOfRange {
-                field: "levels",
-                given: 0,
-                valid: "L1, L2, L3 and radii such as r2.5".to_owned(),
-            });
-        }
-        let unnamed = self.levels.iter().find(|level| !level.is_named());
+        self.check_placebo()?;
+        let is_spoken = |level: &Level| level.is_named() || *level == Level::L0;
+        let unnamed = self.levels.iter().find(|level| !is_spoken(level));
         if let (true, Some(&level)) = (self.axes.contains(&Axis::Language), unnamed) {
             return Err(DesignError::NoParaphrase { level });
         }
@@ -176,6 +204,44 @@ impl Design {
             rows if rows > MAX_ROWS => Err(DesignError::TooLarge { rows }),
             _ => Ok(()),
         }
+    }
+
+    fn check_placebo(&self) -> Result<(), DesignError> {
+        let Placebo { radius, configs } = &self.placebo;
+        if !self.has_placebo() {
+            let field = match configs {
+                Some(_) => "placebo_configs",
+                None if *radius != Placebo::DEFAULT_RADIUS => "placebo_radius",
+                None => return Ok(()),
+            };
+            return Err(DesignError::NoPlacebo { field });
+        }
+        if !Placebo::may_have(*radius) {
+            let given = radius.radius();
+            return Err(DesignError::PlaceboRadius { given });
+        }
+        if configs.as_ref().is_some_and(Vec::is_empty) {
+            return Err(DesignError::Empty {
+                field: "placebo_configs",
+                remedy: "write some of `configs`, or leave it out for all of them",
+            });
+        }
+        let mut given = configs.iter().flatten();
+        match given.find(|config| !self.configs.contains(config)) {
+            Some(&given) => Err(DesignError::PlaceboConfig { given }),
+            None => Ok(()),
+        }
+    }
+
+    /// Whether it has the placebo level.
+    pub fn has_placebo(&self) -> bool {
+        self.levels.contains(&Level::L0)
+    }
+
+    /// Whether a configuration is run at a level: all are at all levels but the
+    /// placebo's.
+    pub(crate) fn runs(&self, level: Level, config: u16) -> bool {
+        level != Level::L0 || self.placebo.has(config)
     }
 
     /// All its axes.
@@ -213,6 +279,14 @@ impl Design {
         for subset in &self.subsets {
             text.push_str(subset.name());
         }
+        // So do those with shared directions and without a placebo.
+        if self.directions == Directions::Own {
+            text.push_str("own directions");
+        }
+        if self.has_placebo() {
+            let Placebo { radius, configs } = &self.placebo;
+            let _ = write!(text, "placebo {} {configs:?}", radius.radius());
+        }
         DesignVersion(format!("{CUSTOM}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
@@ -228,13 +302,17 @@ impl Design {
     /// The seed, where anything is drawn from it.
     fn effective_seed(&self) -> Option<u64> {
         let drawn = self.configs.iter().any(|&config| config >= PRESETS);
-        drawn.then_some(self.seed)
+        (drawn || self.directions == Directions::Own).then_some(self.seed)
     }
 
     fn rows_at_most(&self) -> usize {
-        let configurations = self.tasks.len() * self.configs.len();
-        let nominal = self.tasks.len() * usize::from(INIT_STATES_PER_TASK);
-        configurations * self.levels.len() * self.conditions().len() + nominal
+        let at_level = |level: &Level| {
+            let configs = self.configs.iter();
+            configs.filter(|&&config| self.runs(*level, config)).count()
+        };
+        let units: usize = self.levels.iter().map(at_level).sum();
+        let of_task = units * self.conditions().len() + usize::from(INIT_STATES_PER_TASK);
+        self.tasks.len() * of_task
     }
 }
 
@@ -354,7 +432,7 @@ mod tests {
             levels: vec![Level::L2],
             configs: vec![4],
             nominal: Nominal::Eval,
-            seed: 0,
+            ..Design::v0_1()
         }
     }
 
@@ -394,6 +472,16 @@ mod tests {
             design.axes.pop();
             design.levels.push("r2.5".parse().expect("a level"));
         });
+        add(|design| design.directions = Directions::Own);
+        add(|design| {
+            design.directions = Directions::Own;
+            design.seed = 7;
+        });
+        add(|design| design.levels.insert(0, Level::L0));
+        add(|design| {
+            design.levels.insert(0, Level::L0);
+            design.placebo.configs = Some(vec![0]);
+        });
         let distinct: std::collections::BTreeSet<_> = versions.iter().collect();
         assert_eq!(distinct.len(), versions.len());
     }
@@ -430,6 +518,43 @@ mod tests {
         ] {
             let error = check(text, axes).expect_err(text);
             assert!(error.contains(&format!("`subsets` has {text}")), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_placebo_without_a_level_of_another_configuration_or_too_strong_is_refused() {
+        let check = |levels: &[Level], radius: f64, configs: Option<Vec<u16>>| {
+            let radius = Level::of_radius(radius).expect("a radius");
+            let design = Design {
+                levels: levels.to_vec(),
+                placebo: Placebo { radius, configs },
+                ..small()
+            };
+            design.check().map_err(|error| error.to_string())
+        };
+        let both = [Level::L0, Level::L2];
+        assert_eq!(check(&both, 0.02, None), Ok(()));
+        assert_eq!(check(&both, 0.05, Some(vec![4])), Ok(()));
+        assert_eq!(check(&both[..1], 0.02, None), Ok(()));
+        for (levels, radius, configs, expected) in [
+            (&both[1..], 0.05, None, "add L0 to `levels`"),
+            (
+                &both[1..],
+                0.02,
+                Some(vec![4]),
+                "`placebo_configs` is about",
+            ),
+            (&both, 0.02, Some(vec![3]), "`placebo_configs` has 3"),
+            (&both, 0.02, Some(vec![]), "`placebo_configs` is empty"),
+            (
+                &both,
+                2.0,
+                None,
+                "`placebo_radius` is 2, valid are 0.001 to 0.5",
+            ),
+        ] {
+            let error = check(levels, radius, configs).expect_err(expected);
+            assert!(error.contains(expected), "{error}");
         }
     }
 

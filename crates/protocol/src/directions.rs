@@ -1,6 +1,8 @@
-//! Configurations beyond the ten presets: directions on the unit sphere and
-//! initial states, drawn from the seed of a design. Configurations 0 to 9 are
-//! the protocol's in every design.
+//! Configurations beyond the ten presets, and those of designs with directions of their
+//! own: directions on the unit sphere and initial states, drawn from the seed of a
+//! design. Where directions are shared, configurations 0 to 9 are the protocol's.
+
+use serde::{Deserialize, Serialize};
 
 use crate::axis::Axis;
 use crate::presets::{PRESETS, half_space, preset_direction, unit};
@@ -10,19 +12,41 @@ use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
 /// Most configurations of a design: they multiply its rollouts.
 pub const MAX_CONFIGS: u16 = 1_000;
 
+/// Source of the directions of a design's configurations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Directions {
+    /// All tasks': configuration 3 is the same direction in each, the protocol's in 0 to
+    /// 9. Figures then hold for these directions.
+    #[default]
+    Shared,
+    /// Each task's own, drawn from the design's seed, the first ten too. Figures then hold
+    /// for all directions, of which every configuration has drawn one.
+    Own,
+}
+
 /// Part of every key: a change of what is drawn must change it.
 const VERSION: &str = "libero-ctrl/configurations/1";
 
 /// The direction of a configuration in the normalised coordinates of an axis: a
 /// unit vector, empty for the language axis.
 ///
-/// Beyond the presets it is uniform on the sphere, then folded into the axis's
-/// half-spaces, and a function of `design_seed`, axis and configuration alone.
-pub(crate) fn direction(axis: Axis, config: u16, design_seed: u64) -> Vec<f64> {
-    if config < PRESETS {
-        return preset_direction(axis, config).to_vec();
-    }
-    let mut rng = draws(design_seed, &format!("{axis}/c{config}"));
+/// A drawn one is uniform on the sphere, then folded into the axis's half-spaces. It is a
+/// function of `design_seed`, axis and configuration alone, and, where every task has its
+/// own, of the task.
+pub(crate) fn direction(
+    of: Directions,
+    task: TaskRef,
+    axis: Axis,
+    config: u16,
+    design_seed: u64,
+) -> Vec<f64> {
+    let name = match of {
+        Directions::Shared if config < PRESETS => return preset_direction(axis, config).to_vec(),
+        Directions::Shared => format!("{axis}/c{config}"),
+        Directions::Own => format!("{task}/{axis}/c{config}"),
+    };
+    let mut rng = draws(design_seed, &name);
     // A vector of independent normals points everywhere alike.
     let mut direction: Vec<f64> = unit(axis).iter().map(|_| rng.standard_normal()).collect();
     let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -66,6 +90,31 @@ mod tests {
     use super::*;
     use std::collections::BTreeSet;
 
+    fn shared(axis: Axis, config: u16, design_seed: u64) -> Vec<f64> {
+        let task = "libero_goal/3".parse().expect("a task");
+        direction(Directions::Shared, task, axis, config, design_seed)
+    }
+
+    #[test]
+    fn tasks_have_directions_of_their_own_if_they_are_to() {
+        let own = |task: TaskRef, axis, config, seed| {
+            direction(Directions::Own, task, axis, config, seed)
+        };
+        let [one, other] = ["libero_goal/3", "libero_goal/4"].map(|it| it.parse().expect("a task"));
+        for config in [0, 10] {
+            let of_one = own(one, Axis::Camera, config, 1);
+            let length = of_one.iter().map(|x| x * x).sum::<f64>().sqrt();
+            assert!(
+                (length - 1.0).abs() < 1e-12 && of_one[2] >= 0.0,
+                "{of_one:?}"
+            );
+            assert_ne!(of_one, own(other, Axis::Camera, config, 1));
+            assert_ne!(of_one, own(one, Axis::Camera, config, 2));
+            assert_ne!(of_one, own(one, Axis::Lighting, config, 1));
+            assert_ne!(of_one, shared(Axis::Camera, config, 1));
+        }
+    }
+
     #[test]
     fn fifty_configurations_have_fifty_initial_states() {
         for task in TaskRef::all() {
@@ -84,15 +133,12 @@ mod tests {
                 task.eval_init_ids()[config as usize]
             );
             for axis in Axis::ALL {
-                assert_eq!(direction(axis, config, 1), direction(axis, config, 2));
+                assert_eq!(shared(axis, config, 1), shared(axis, config, 2));
             }
         }
         let of_seed = |seed| (10..50).map(|c| init_id(task, c, seed)).collect::<Vec<_>>();
         assert_ne!(of_seed(1), of_seed(2));
-        assert_ne!(
-            direction(Axis::Camera, 10, 1),
-            direction(Axis::Camera, 10, 2)
-        );
+        assert_ne!(shared(Axis::Camera, 10, 1), shared(Axis::Camera, 10, 2));
     }
 
     /// Pins the draws: a change here changes what the configurations of every
@@ -108,6 +154,6 @@ mod tests {
             0.4261873060080315,
             -0.19973608837967805,
         ];
-        assert_eq!(direction(Axis::Sensor, 10, 0), expected);
+        assert_eq!(shared(Axis::Sensor, 10, 0), expected);
     }
 }

@@ -11,6 +11,7 @@ use crate::directions::{direction, init_id};
 use crate::level::Level;
 use crate::paraphrase::paraphrase;
 use crate::perturbation::Perturbation;
+use crate::placebo::Placebo;
 use crate::presets::{PRESETS, apply_direction};
 use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
@@ -52,6 +53,9 @@ impl Design {
                     rows.push(clean_row(task, init_id));
                 }
                 for &level in &self.levels {
+                    if !self.runs(level, config) {
+                        continue;
+                    }
                     for condition in self.conditions() {
                         rows.push(self.perturbed_row(task, condition, level, config));
                     }
@@ -85,6 +89,13 @@ impl Design {
             subsets: Vec::new(),
             levels: vec![level],
             configs: vec![config],
+            placebo: match level {
+                Level::L0 => Placebo {
+                    configs: None,
+                    ..self.placebo.clone()
+                },
+                _ => Placebo::default(),
+            },
             ..self.clone()
         };
         of_one.check()?;
@@ -100,15 +111,20 @@ impl Design {
         config: u16,
     ) -> ManifestRow {
         let axes = condition.axes(self.axis_set());
+        let placebo_radius = (level == Level::L0).then_some(self.placebo.radius);
         let mut perturbation = Perturbation::default();
         for axis in axes.axes() {
-            let direction = direction(axis, config, self.seed);
-            apply_direction(&mut perturbation, axis, level, &direction);
+            let direction = direction(self.directions, task, axis, config, self.seed);
+            let radius = placebo_radius.unwrap_or(level);
+            apply_direction(&mut perturbation, axis, radius, &direction);
         }
         let id = RolloutId::perturbed(task, condition, level, config)
-            .expect("a checked design perturbs at a level above L0");
+            .expect("the conditions of a design perturb");
         let init_id = init_id(task, config, self.seed);
-        let mut row = ManifestRow::new(id, config, init_id, perturbation);
+        let mut row = ManifestRow {
+            placebo_radius,
+            ..ManifestRow::new(id, config, init_id, perturbation)
+        };
         if axes.contains(Axis::Language) {
             // There are ten variants; configurations beyond them speak them again.
             let paraphrase = paraphrase(task, level, config % PRESETS);
@@ -148,6 +164,7 @@ fn paired_units_first(mut rows: Vec<ManifestRow>) -> Vec<ManifestRow> {
 mod tests {
     use super::*;
     use crate::axis_set::AxisSet;
+    use crate::directions::Directions;
 
     fn metric_design() -> Design {
         Design {
@@ -286,6 +303,82 @@ mod tests {
         let all = Condition::Combination;
         let spoken = Design::v0_1().row_at(task, all, between, 4);
         assert_eq!(spoken, Err(DesignError::NoParaphrase { level: between }));
+    }
+
+    #[test]
+    fn a_placebo_is_the_same_configurations_at_a_radius_that_nobody_sees() {
+        let design = Design {
+            levels: vec![Level::L0, Level::L2],
+            configs: vec![4, 17],
+            tasks: select("libero_goal/3"),
+            placebo: Placebo {
+                configs: Some(vec![4]),
+                ..Placebo::default()
+            },
+            ..Design::v0_1()
+        };
+        let rows = design.expand().expect("rows");
+        let (placebo, others): (Vec<_>, Vec<_>) = rows.iter().partition(|row| row.id.is_placebo());
+        let ids: Vec<String> = placebo.iter().map(|row| row.id.to_string()).collect();
+        assert_eq!((ids.len(), ids[0].as_str()), (7, "goal/t3/camera/L0/c04"));
+        let without = Design {
+            levels: vec![Level::L2],
+            placebo: Placebo::default(),
+            ..design.clone()
+        };
+        assert!(others.into_iter().eq(&without.expand().expect("rows")));
+        for row in &placebo {
+            let id = row.id;
+            let condition = id.condition();
+            let far = design.row_at(id.task(), condition, Level::L2, 4);
+            let far = far.expect("a row");
+            assert_eq!((row.init_id, row.axes()), (far.init_id, far.axes()), "{id}");
+            assert_eq!(row.instruction, id.task().instruction());
+            assert_eq!(row.placebo_radius, Some(Placebo::DEFAULT_RADIUS));
+            for axis in row.perturbation.axes() {
+                let pairs = far.perturbation.values(axis).into_iter();
+                for (far, near) in pairs.zip(row.perturbation.values(axis)) {
+                    assert!((far / 200.0 - near).abs() < 1e-6, "{id}: {far} {near}");
+                }
+            }
+            let at = design.row_at(id.task(), condition, Level::L0, 4);
+            assert_eq!(at.as_ref(), Ok(*row));
+            assert_eq!(crate::row_of(id).as_ref(), Ok(*row));
+        }
+        let text = crate::manifest::to_text(&rows);
+        assert!(text.contains("\"placebo_radius\":0.02"));
+        assert_eq!(crate::manifest::parse(&text), Ok(rows));
+    }
+
+    #[test]
+    fn directions_of_ones_own_change_what_is_drawn_and_no_id() {
+        let shared = Design {
+            configs: vec![4, 17],
+            tasks: select("libero_goal/3"),
+            ..Design::v0_1()
+        };
+        let own = Design {
+            directions: Directions::Own,
+            ..shared.clone()
+        };
+        let [shared, own] = [shared, own].map(|design| design.expand().expect("rows"));
+        assert_eq!(shared.len(), own.len());
+        for (shared, own) in shared.iter().zip(&own) {
+            let same = ManifestRow {
+                perturbation: own.perturbation.clone(),
+                ..shared.clone()
+            };
+            assert_eq!(&same, own);
+            let is_metric = !shared.perturbation.axes().is_empty();
+            assert_eq!(
+                shared.perturbation != own.perturbation,
+                is_metric,
+                "{}",
+                own.id
+            );
+        }
+        let text = crate::manifest::to_text(&own);
+        assert_eq!(crate::manifest::parse(&text), Ok(own));
     }
 
     #[test]

@@ -11,7 +11,8 @@ use crate::names::{UnknownName, serde_as_text};
 ///
 /// LIBERO-CTRL names four radii, and `L2` is how radius 4 is written. Any other
 /// is written as itself, `r2.5`, with up to six decimals. Levels are ordered by
-/// radius.
+/// radius. `L0` is the level of nominal rollouts, and the placebo level of perturbed
+/// ones, whose radius their rows hold ([`crate::Placebo`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Level {
     // A decimal, so that a level is equal to what its text says.
@@ -19,7 +20,7 @@ pub struct Level {
 }
 
 impl Level {
-    /// Nominal: radius 0.
+    /// Nominal, radius 0; of a perturbed rollout, the placebo level.
     pub const L0: Self = Self::of_whole_radius(0);
     /// Radius 2.
     pub const L1: Self = Self::of_whole_radius(2);
@@ -52,9 +53,11 @@ impl Level {
     }
 
     const fn of_whole_radius(radius: u32) -> Self {
-        Self {
-            radius_micros: radius * MICROS,
-        }
+        Self::of_radius_micros(radius * MICROS)
+    }
+
+    pub(crate) const fn of_radius_micros(radius_micros: u32) -> Self {
+        Self { radius_micros }
     }
 }
 
@@ -95,7 +98,7 @@ const NAMES: [(&str, Level); 4] = [
     ("L3", Level::L3),
 ];
 
-const VALID: [&str; 4] = ["L1", "L2", "L3", "or a radius from r0.001 to r100"];
+const VALID: [&str; 5] = ["L0", "L1", "L2", "L3", "or a radius from r0.001 to r100"];
 
 /// Parts of 1 that a radius is counted in.
 const MICROS: u32 = 1_000_000;

@@ -25,6 +25,7 @@ mod measurable;
 mod names;
 mod paraphrase;
 mod perturbation;
+mod placebo;
 mod privileged;
 mod rollout_id;
 mod row;
@@ -42,7 +43,7 @@ pub use axis_set::AxisSet;
 pub use campaign::{CampaignSpec, MAX_REPLICATES, PolicyRoute, Record, Rollouts, SpecError};
 pub use condition::{Condition, Realisation};
 pub use design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
-pub use directions::MAX_CONFIGS;
+pub use directions::{Directions, MAX_CONFIGS};
 pub use explanation::Explanation;
 pub use level::Level;
 pub use measurable::NotMeasurable;
@@ -52,6 +53,7 @@ pub use perturbation::{
     ActuationDistortion, CameraShift, LightingShift, PerturbError, Perturbation, RobotShift,
     SensorCorruption,
 };
+pub use placebo::{PLACEBO_RADII, Placebo};
 pub use privileged::{Entity, EntityKind, Predicate, Privileged};
 pub use rollout_id::RolloutId;
 pub use row::{MAX_ROWS, ManifestRow, RowError};

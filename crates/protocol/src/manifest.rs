@@ -309,7 +309,7 @@ impl Checker {
 
 fn check_radii(row: &ManifestRow) -> Result<(), LineProblem> {
     let (id, level) = (row.id, row.id.level());
-    let expected = level.radius();
+    let expected = row.radius();
     for axis in row.perturbation.axes() {
         let values = row.perturbation.values(axis);
         let normalised = values.iter().zip(unit(axis)).map(|(x, unit)| x / unit);

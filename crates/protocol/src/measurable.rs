@@ -2,6 +2,7 @@
 
 use crate::campaign::Rollouts;
 use crate::design::Nominal;
+use crate::level::Level;
 use crate::thresholds::Thresholds;
 
 /// A campaign whose thresholds cannot be measured, and what to do about it.
@@ -19,8 +20,10 @@ pub enum NotMeasurable {
          eval"
     )]
     NoNominal,
-    /// It perturbs nothing.
-    #[error("it perturbs nothing; create a campaign with axes and levels")]
+    /// It perturbs nothing, or nothing but at the placebo level.
+    #[error(
+        "it perturbs nothing, or at the placebo level only; create a campaign with axes and levels"
+    )]
     NoCondition,
     /// A condition that it does not run.
     #[error("it does not run the condition {given}; its own are {valid}")]
@@ -45,7 +48,7 @@ impl Thresholds {
             return Err(NotMeasurable::NoNominal);
         }
         let valid = design.conditions();
-        if valid.is_empty() {
+        if valid.is_empty() || design.levels.iter().all(|level| *level == Level::L0) {
             return Err(NotMeasurable::NoCondition);
         }
         let other = self.conditions.iter().find(|it| !valid.contains(it));
@@ -105,6 +108,8 @@ mod tests {
         let nothing = of(|design| design.nominal = Nominal::None, &[]);
         assert_eq!(nothing, Err(NotMeasurable::NoNominal));
         let nothing = of(|design| design.axes.clear(), &[]);
+        assert_eq!(nothing, Err(NotMeasurable::NoCondition));
+        let nothing = of(|design| design.levels = vec![Level::L0], &[]);
         assert_eq!(nothing, Err(NotMeasurable::NoCondition));
         let imported = under(&[]).can_be_of(&Rollouts::Manifest(Vec::new()));
         assert_eq!(imported, Err(NotMeasurable::NoDesign));

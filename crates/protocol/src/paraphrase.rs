@@ -38,17 +38,24 @@ pub struct Paraphrase {
     /// punctuation, at most 160 characters.
     pub text: String,
     /// Its name in manifests: `t0/L1/v01` is variant 1 of task 0 of the row's
-    /// suite at L1.
+    /// suite at L1, `t0/L0/canonical` the task's own instruction.
     pub variant_id: String,
 }
 
 /// The paraphrase of a task's instruction at `level` in configuration `config`.
-/// The same arguments always give the same sentence.
+/// The same arguments always give the same sentence. At L0, the placebo level, it is the
+/// canonical instruction.
 ///
 /// # Panics
-/// If `level` is not one of [`Level::PERTURBED`], or `config` is not below
-/// [`PRESETS`].
+/// If `level` is neither L0 nor one of [`Level::PERTURBED`], or `config` is not below
+/// [`PRESETS`](crate::presets::PRESETS).
 pub fn paraphrase(task: TaskRef, level: Level, config: u16) -> Paraphrase {
+    if level == Level::L0 {
+        return Paraphrase {
+            text: task.instruction(),
+            variant_id: format!("t{}/{level}/canonical", task.index()),
+        };
+    }
     let variant = usize::from(config);
     assert!(
         variant < VARIANTS,

@@ -11,6 +11,7 @@ use crate::condition::Condition;
 use crate::level::Level;
 use crate::names::UnknownName;
 use crate::perturbation::{PerturbError, Perturbation};
+use crate::placebo::{PLACEBO_RADII, Placebo};
 use crate::presets::SETTLE_STEPS;
 use crate::rollout_id::RolloutId;
 use crate::suite::{INIT_STATES_PER_TASK, Suite};
@@ -35,7 +36,7 @@ pub struct ManifestRow {
     pub init_id: u16,
     /// The policy's instruction, verbatim.
     pub instruction: String,
-    /// Which paraphrase the instruction is; none where it is canonical.
+    /// Which paraphrase the instruction is; none where language is not perturbed.
     pub variant_id: Option<String>,
     /// Control steps that the policy has.
     pub max_steps: u32,
@@ -43,6 +44,8 @@ pub struct ManifestRow {
     pub settle_steps: u32,
     /// What is perturbed, by how much.
     pub perturbation: Perturbation,
+    /// The radius of a row at the placebo level, and of no other.
+    pub placebo_radius: Option<Level>,
 }
 
 impl ManifestRow {
@@ -57,7 +60,13 @@ impl ManifestRow {
             max_steps: id.task().suite().max_steps(),
             settle_steps: SETTLE_STEPS,
             perturbation,
+            placebo_radius: None,
         }
+    }
+
+    /// The radius of its perturbation; 0 of a nominal row.
+    pub fn radius(&self) -> f64 {
+        self.placebo_radius.unwrap_or(self.id.level()).radius()
     }
 
     /// The axes that it perturbs.
@@ -92,7 +101,7 @@ impl ManifestRow {
 }
 
 /// A row that contradicts itself.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RowError {
     /// A column says something else than the rollout id.
     #[error("read row {id}: `{column}` is {given}, but the id says {expected}")]
@@ -113,6 +122,19 @@ pub enum RowError {
         id: RolloutId,
         /// What the row says.
         given: u16,
+    },
+    /// A placebo's radius where there is no placebo, none where there is, or none that
+    /// can be a placebo's.
+    #[error(
+        "read row {id}: `placebo_radius` is {}, write {} to {} in perturbed rows at L0, and \
+         leave it out of others",
+        told(*given), PLACEBO_RADII[0], PLACEBO_RADII[1]
+    )]
+    Placebo {
+        /// The row's id.
+        id: RolloutId,
+        /// What the row says.
+        given: Option<f64>,
     },
     /// A policy seed in the row.
     #[error("read row {id}: `policy_seed` is {given}, but seeds follow from the id: write 0")]
@@ -152,6 +174,8 @@ struct FlatRow {
     max_steps: u32,
     num_steps_wait: u32,
     policy_seed: u64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    placebo_radius: Option<f64>,
     #[serde(default)]
     perturb: Map<String, Value>,
 }
@@ -181,6 +205,7 @@ impl From<ManifestRow> for FlatRow {
             max_steps: row.max_steps,
             num_steps_wait: row.settle_steps,
             policy_seed: 0,
+            placebo_radius: row.placebo_radius.map(Level::radius),
             perturb: row.perturbation.to_manifest(id.condition()),
         }
     }
@@ -213,6 +238,15 @@ impl TryFrom<FlatRow> for ManifestRow {
             let given = flat.policy_seed;
             return Err(RowError::PolicySeed { id, given });
         }
+        let given = flat.placebo_radius;
+        let placebo_radius = given.and_then(Level::of_radius);
+        let fits = match placebo_radius {
+            Some(radius) => id.is_placebo() && Placebo::may_have(radius),
+            None => given.is_none() && !id.is_placebo(),
+        };
+        if !fits {
+            return Err(RowError::Placebo { id, given });
+        }
         let perturbation = Perturbation::from_manifest(condition, flat.perturb)
             .map_err(|problem| RowError::Perturb { id, problem })?;
         Ok(Self {
@@ -224,8 +258,13 @@ impl TryFrom<FlatRow> for ManifestRow {
             max_steps: flat.max_steps,
             settle_steps: flat.num_steps_wait,
             perturbation,
+            placebo_radius,
         })
     }
+}
+
+fn told(radius: Option<f64>) -> String {
+    radius.map_or_else(|| "not there".to_owned(), |radius| radius.to_string())
 }
 
 fn agree<T: PartialEq + ToString>(
@@ -325,5 +364,14 @@ mod tests {
         check("policy_seed", json!(7), "write 0");
         check("colour", json!("red"), "unknown field `colour`");
         check("perturb", json!({"blur_sigma": 1.0}), "is not there");
+        check("placebo_radius", json!(0.02), "leave it out of others");
+        let mut placebo = good.clone();
+        placebo["level"] = json!("L0");
+        placebo["rollout_id"] = json!("goal/t0/sensor/L0/c09");
+        let error = serde_json::from_value::<ManifestRow>(placebo).expect_err("no radius");
+        assert!(
+            error.to_string().contains("`placebo_radius` is not there"),
+            "{error}"
+        );
     }
 }

@@ -32,7 +32,7 @@ pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
             _ => Err(problem("the task has no such initial state".to_owned())),
         };
     };
-    let combined = match id.level().is_named() {
+    let combined = match id.level().is_named() || id.is_placebo() {
         true => AxisSet::ALL,
         false => AxisSet::from_iter(Axis::METRIC),
     };

@@ -41,7 +41,7 @@ prop_compose! {
         seed in any::<u64>(),
     ) -> Design {
         let (levels, configs) = (levels.into_iter().collect(), configs.into_iter().collect());
-        Design { tasks, axes, subsets: Vec::new(), levels, configs, nominal, seed }
+        Design { tasks, axes, levels, configs, nominal, seed, ..Design::v0_1() }
     }
 }
 
@@ -51,9 +51,9 @@ fn single(axis: Axis, level: Level, config: u16, seed: u64) -> ManifestRow {
         axes: vec![axis],
         levels: vec![level],
         configs: vec![config],
-        subsets: Vec::new(),
         nominal: Nominal::None,
         seed,
+        ..Design::v0_1()
     };
     design.expand().expect("rows").remove(0)
 }
@@ -194,9 +194,7 @@ fn more_configurations_pair_with_all_initial_states_before_one_repeats() {
         axes: vec![Axis::Camera],
         levels: vec![Level::L1],
         configs: (0..60).collect(),
-        subsets: Vec::new(),
-        nominal: Nominal::All,
-        seed: 0,
+        ..Design::v0_1()
     };
     let rows = design.expand().expect("rows");
     let perturbed: Vec<&ManifestRow> = rows
@@ -216,9 +214,8 @@ fn a_configuration_beyond_the_variants_speaks_one_of_them_again() {
         axes: vec![Axis::Camera, Axis::Language],
         levels: vec![Level::L2],
         configs: vec![4, 14],
-        subsets: Vec::new(),
         nominal: Nominal::None,
-        seed: 0,
+        ..Design::v0_1()
     };
     let rows = design.expand().expect("rows");
     assert_eq!(rows[4].instruction, rows[1].instruction);

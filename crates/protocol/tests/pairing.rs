@@ -13,9 +13,9 @@ fn design(axes: Vec<Axis>, task: TaskRef, level: Level, config: u16) -> Design {
         tasks: vec![task],
         levels: vec![level],
         configs: vec![config],
-        subsets: Vec::new(),
         nominal: Nominal::Eval,
         seed: 7,
+        ..Design::v0_1()
     }
 }
 

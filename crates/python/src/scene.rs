@@ -1,13 +1,14 @@
 //! Compiled scenes.
 
+use std::ffi::CString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use protocol::presets::ENV_SEED;
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyRuntimeWarning, PyValueError};
 use pyo3::prelude::*;
 use scene::{InstanceKind, Sources, TaskFiles, compose};
-use sim::{CompiledScene, ReadyScene};
+use sim::{CompiledScene, ReadyScene, SceneFolder};
 
 use crate::error;
 use crate::pack::opened;
@@ -35,7 +36,8 @@ type Instances = Vec<(String, &'static str)>;
 
 #[pymethods]
 impl Scene {
-    /// Compiles the scene of a BDDL file. With the file of its initial states, its
+    /// Compiles the scene of a BDDL file, or maps it if this machine has compiled it before.
+    /// With the file of its initial states, its
     /// rollouts can begin there.
     #[new]
     #[pyo3(signature = (bddl_file, *, assets, sources, init_file = None))]
@@ -46,7 +48,12 @@ impl Scene {
         sources: PathBuf,
         init_file: Option<PathBuf>,
     ) -> PyResult<Self> {
-        py.detach(|| Self::compile(bddl_file, assets, &sources, init_file))
+        let scene = py.detach(|| Self::compile(bddl_file, assets, &sources, init_file))?;
+        if let Some(problem) = SceneFolder::take_problem() {
+            let problem = CString::new(problem)?;
+            PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &problem, 1)?;
+        }
+        Ok(scene)
     }
 
     /// The problem's class: `libero_tabletop_manipulation`.

@@ -6,7 +6,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use paired::{Unit, drawn_order};
 use protocol::seeds::policy_seed;
-use protocol::{CampaignSpec, JsonError, ManifestRow, Record, Rollouts, SpecError, Stop, Wanted};
+use protocol::{
+    CampaignSpec, JsonError, ManifestRow, Record, RolloutId, Rollouts, SpecError, Stop, Wanted,
+};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
@@ -65,6 +67,13 @@ pub struct NewJob {
 }
 
 impl NewJob {
+    /// Whether it is of the placebo level.
+    pub fn is_placebo(&self) -> bool {
+        self.rollout_id
+            .parse::<RolloutId>()
+            .is_ok_and(|id| id.is_placebo())
+    }
+
     /// The job of a row, at a place in paired-unit order.
     ///
     /// # Errors

@@ -12,38 +12,58 @@ pub const MAX_CAMPAIGN_NAME_BYTES: usize = 80;
 pub const MAX_WORKER_ID_BYTES: usize = 128;
 
 /// Row number of a campaign.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx::Type)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx_macros::Type)]
 #[sqlx(transparent)]
 pub struct CampaignId(pub i64);
 
 /// Row number of a job: one rollout × replicate of one campaign.
 #[derive(
-    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, sqlx::Type,
+    Clone,
+    Copy,
+    Debug,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    Deserialize,
+    sqlx_macros::Type,
 )]
 #[sqlx(transparent)]
 pub struct JobId(pub i64);
 
 /// Row number of a policy at one endpoint.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx::Type)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx_macros::Type)]
 #[sqlx(transparent)]
 pub struct PolicyId(pub i64);
 
 /// How many times a job has been leased; 0 before the first lease, only ever
 /// rises. A fact about an attempt, whose name is its `AttemptId`.
 #[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, sqlx::Type,
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Deserialize,
+    sqlx_macros::Type,
 )]
 #[sqlx(transparent)]
 pub struct AttemptNumber(pub u32);
 
 /// A worker process, by the name that it chose when it started.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, sqlx::Type)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, sqlx_macros::Type)]
 #[sqlx(transparent)]
 pub struct WorkerId(pub String);
 
 /// Name of a campaign: letters, digits, `-`, `_` and `.`, not starting with a
 /// dot, so that it can name a folder anywhere.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx::Type)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx_macros::Type)]
 #[sqlx(transparent)]
 pub struct CampaignName(String);
 

@@ -70,7 +70,7 @@ pub(crate) const SCHEMA_INVARIANT: &str = "schema_is_the_programs";
 
 /// All of them, in the order in which they are checked. A query uses
 /// `known_schema`, a temporary table of this program's schema.
-pub const INVARIANTS: [Invariant; 18] = [
+pub const INVARIANTS: [Invariant; 19] = [
     // SQLite finds the file intact.
     Invariant {
         name: "file_is_whole",
@@ -93,15 +93,49 @@ pub const INVARIANTS: [Invariant; 18] = [
          FROM pragma_foreign_key_check",
     },
     // A campaign has all the jobs that it was expanded into, each place in
-    // paired-unit order once.
+    // paired-unit order once, unless it is on its way in or out.
     Invariant {
         name: "expansion_is_whole",
         query: "SELECT format('campaign %s was expanded into %d jobs and has %d, in %d places',
              c.name, c.jobs, count(j.id), count(DISTINCT j.unit_order))
          FROM campaign c LEFT JOIN job j ON j.campaign_id = c.id
+         WHERE c.id NOT IN (SELECT campaign_id FROM passage)
          GROUP BY c.id HAVING count(j.id) <> c.jobs
              OR count(DISTINCT j.unit_order) <> c.jobs
              OR coalesce(max(j.unit_order), -1) <> c.jobs - 1",
+    },
+    // The counts that triggers keep are those of the rows.
+    Invariant {
+        name: "tallies_are_true",
+        query: "SELECT format('campaign %s is said to have %d queued, %d leased, %d committed, '
+             || '%d quarantined and %d succeeded rollouts, and has others', c.name, t.queued,
+             t.leased, t.committed, t.quarantined, t.succeeded)
+         FROM campaign c LEFT JOIN tally t ON t.campaign_id = c.id LEFT JOIN
+             (SELECT campaign_id, sum(state = 'queued') AS queued, sum(state = 'leased') AS leased,
+                  sum(state = 'committed') AS committed, sum(state = 'quarantined') AS quarantined
+              FROM job GROUP BY campaign_id) j ON j.campaign_id = c.id
+         LEFT JOIN (SELECT campaign_id, sum(success) AS succeeded FROM result
+              GROUP BY campaign_id) r ON r.campaign_id = c.id
+         WHERE t.queued IS NOT coalesce(j.queued, 0) OR t.leased IS NOT coalesce(j.leased, 0)
+             OR t.committed IS NOT coalesce(j.committed, 0)
+             OR t.quarantined IS NOT coalesce(j.quarantined, 0)
+             OR t.succeeded IS NOT coalesce(r.succeeded, 0)
+         UNION ALL
+         SELECT format('campaign %d is said to have %d results of origin %d and has %d',
+             coalesce(o.campaign_id, r.campaign_id), coalesce(o.results, 0),
+             coalesce(o.provenance_id, r.provenance_id), coalesce(r.results, 0))
+         FROM origin_tally o FULL JOIN
+             (SELECT campaign_id, provenance_id, count(*) AS results FROM result
+              GROUP BY campaign_id, provenance_id) r
+             ON r.campaign_id = o.campaign_id AND r.provenance_id = o.provenance_id
+         WHERE coalesce(o.results, 0) <> coalesce(r.results, 0)
+         UNION ALL
+         SELECT format('%d attempts are said to have ended as %s, and %d did',
+             coalesce(e.attempts, 0), coalesce(e.reason, f.reason), coalesce(f.attempts, 0))
+         FROM ending_tally e FULL JOIN
+             (SELECT reason, count(*) AS attempts FROM failure GROUP BY reason) f
+             ON f.reason = e.reason
+         WHERE coalesce(e.attempts, 0) <> coalesce(f.attempts, 0)",
     },
     // A job is committed exactly if it has a result, of its newest attempt.
     Invariant {
@@ -165,8 +199,9 @@ pub const INVARIANTS: [Invariant; 18] = [
         query: "SELECT format('campaign %s is pinned to %s and has %s', c.name,
              coalesce(c.asset_pack, 'nothing'), iif(c.pinned_ms IS NULL, 'results', 'none'))
          FROM campaign c
-         WHERE (c.pinned_ms IS NULL) = EXISTS
-             (SELECT 1 FROM result r WHERE r.campaign_id = c.id)",
+         WHERE c.id NOT IN (SELECT campaign_id FROM passage)
+             AND (c.pinned_ms IS NULL) = EXISTS
+                 (SELECT 1 FROM result r WHERE r.campaign_id = c.id)",
     },
     // A cancelled campaign holds no lease.
     Invariant {

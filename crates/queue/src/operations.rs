@@ -18,6 +18,7 @@ pub(crate) mod films_here;
 pub(crate) mod heartbeat;
 pub(crate) mod in_flight;
 pub(crate) mod merge;
+pub(crate) mod passages;
 pub(crate) mod portable;
 mod register;
 pub(crate) mod release;

@@ -21,11 +21,10 @@ use crate::operations::commit::{CommitReply, CommitReport, CommitVerdict};
 use crate::operations::error::QueueError;
 use crate::operations::filming::Filming;
 use crate::operations::heartbeat::Heartbeat;
-use crate::operations::in_flight::InFlight;
 use crate::operations::release::{Release, ReleaseReply, ReleaseVerdict};
 use crate::operations::shared::Shared;
 use crate::operations::writer::{self, MAX_WAITING, Operation, Pending};
-use crate::operations::{derive, stop};
+use crate::operations::{derive, passages, stop};
 use crate::operations::{removals, start};
 use crate::read::{Changes, View};
 use crate::rules::lease::FailureReason;
@@ -44,11 +43,12 @@ pub struct Queue {
     /// campaigns as outcomes come; they end with the queue.
     tasks: tokio::sync::Mutex<Tasks>,
     pub(crate) last_sweep: AtomicI64,
-    pub(crate) films: InFlight,
     pub(crate) filming: Filming,
     /// Held while a campaign comes or goes: its files must not be removed
-    /// under a new one of the same name.
+    /// under a new one of the same name. Never across the network.
     pub(crate) campaigns: tokio::sync::Mutex<()>,
+    /// Held while files of deleted campaigns are removed, here and elsewhere.
+    pub(crate) removing: tokio::sync::Mutex<()>,
     pub(crate) backups: Arc<tokio::sync::Mutex<()>>,
 }
 
@@ -118,10 +118,15 @@ impl Queue {
         start::start(&shared).await?;
         // Elsewhere may not answer: then it is tried again and again, beside the rest.
         if shared.elsewhere.is_none() {
-            removals::finish_all(&shared).await?;
+            for folder in removals::pending(&shared).await? {
+                removals::remove(&shared, &folder).await?;
+            }
         }
         let (operations, asked) = mpsc::channel(MAX_WAITING);
+        let left = passages::left(&shared).await?;
         let mut tasks = Tasks::default();
+        let removal = passages::run(shared.clone(), left);
+        tasks.spawn("the removal of what was left on the way", removal);
         tasks.spawn("the database's writer", writer::run(shared.clone(), asked));
         tasks.spawn("the checkpointer", keep_log_short(shared.clone()));
         tasks.spawn("the derivation of rollouts", derive::run(shared.clone()));
@@ -131,9 +136,9 @@ impl Queue {
             shared,
             operations,
             tasks: tokio::sync::Mutex::new(tasks),
-            films: InFlight::default(),
             filming: Filming::default(),
             campaigns: tokio::sync::Mutex::default(),
+            removing: tokio::sync::Mutex::default(),
             backups: Arc::default(),
         }))
     }

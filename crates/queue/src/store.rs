@@ -18,6 +18,7 @@ pub(crate) mod films;
 pub(crate) mod halves;
 pub(crate) mod instants;
 pub(crate) mod jobs;
+pub(crate) mod passages;
 pub(crate) mod policies;
 pub(crate) mod portable;
 pub(crate) mod provenance;
@@ -60,7 +61,7 @@ const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long closing waits for readers.
 const READERS_GRACE: Duration = Duration::from_secs(2);
 
-static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
+static MIGRATIONS: Migrator = sqlx_macros::migrate!("../../migrations");
 
 /// The open database of one data folder.
 #[derive(Debug)]

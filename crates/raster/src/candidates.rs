@@ -11,8 +11,17 @@ use crate::setup::{extent, has_samples, is_large, turned};
 pub(crate) struct Candidates {
     pub(crate) count: usize,
     /// Places in the cluster.
-    pub(crate) at: [u8; CLUSTER + LANES],
+    pub(crate) at: [u8; ROOM],
+    /// Rows of their corners among the positions, as they are gone round.
+    pub(crate) corners: [[u8; ROOM]; 3],
+    /// Bits of the triangles of which a part is beyond a side, by place in the
+    /// cluster.
+    pub(crate) cut: u64,
 }
+
+/// Room for a cluster, and for reading eight at a time.
+const ROOM: usize = CLUSTER + LANES;
+const _: () = assert!(CLUSTER <= u64::BITS as usize, "a bit for each triangle");
 
 impl Candidates {
     /// Finds them. `beyond` says whether any position is beyond a side; triangles
@@ -27,7 +36,9 @@ impl Candidates {
     ) -> Self {
         let mut found = Self {
             count: 0,
-            at: [0; CLUSTER + LANES],
+            at: [0; ROOM],
+            corners: [[0; ROOM]; 3],
+            cut: 0,
         };
         let order = turned(instance.counter_clockwise);
         let first = cluster.first_triangle as usize;
@@ -41,7 +52,20 @@ impl Candidates {
             for (ids, corner) in ids.iter_mut().zip(order) {
                 ids.copy_from_slice(&mesh.corners[corner][first + at..][..LANES]);
             }
-            let (x, y) = positions.snapped(&ids);
+            let corners = positions.corners(&ids);
+            let mut left_out = 0;
+            if at + LANES > count {
+                left_out = !0 << (count - at);
+            }
+            if beyond {
+                let [a, b, c] = corners.beyond();
+                let reach_beyond = !(a | b | c).equals(splat(0));
+                let all_beyond = !(a & b & c).equals(splat(0));
+                let cut = (reach_beyond & !all_beyond).bits() & !left_out;
+                found.cut |= u64::from(cut) << at;
+                left_out |= reach_beyond.bits();
+            }
+            let (x, y) = corners.snapped();
             let ([x0, x1], [y0, y1]) = (extent(&x), extent(&y));
             // Samples lie in every fourth of a pixel, once in a row and column.
             let (column0, column1) = (
@@ -69,21 +93,15 @@ impl Candidates {
             let is_small =
                 (row1 - row0).lt(splat(SMALL[1])) & (column1 - column0).lt(splat(SMALL[0]));
             let grid = [[column0, column1], [row0, row1]];
-            let mut bits = (kept & (!is_small | small_covers(&x, &y, grid))).bits();
-            if at + LANES > count {
-                bits &= (1 << (count - at)) - 1;
-            }
+            let mut bits = (kept & (!is_small | small_covers(&x, &y, grid))).bits() & !left_out;
             while bits != 0 {
                 let lane = bits.trailing_zeros() as usize;
                 bits &= bits - 1;
-                let reaches_beyond = || {
-                    let mut corners = ids.iter().map(|ids| usize::from(ids[lane]));
-                    corners.any(|id| positions.beyond[id] != 0)
-                };
-                if !(beyond && reaches_beyond()) {
-                    found.at[found.count] = (at + lane) as u8;
-                    found.count += 1;
+                found.at[found.count] = (at + lane) as u8;
+                for (corners, ids) in found.corners.iter_mut().zip(&ids) {
+                    corners[found.count] = ids[lane];
                 }
+                found.count += 1;
             }
         }
         found

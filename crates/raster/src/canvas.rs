@@ -15,7 +15,7 @@ use crate::window::Window;
 use crate::{glass, mirror};
 
 /// Longest side of a frame, pixels.
-const MAX_SIDE: usize = 4096;
+pub(crate) const MAX_SIDE: usize = 4096;
 
 /// What one camera's frames are drawn on, and what is kept from each to the
 /// next. It draws the same whatever it drew before; a camera with a canvas of its

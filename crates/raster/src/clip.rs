@@ -2,6 +2,7 @@
 //! Mesa's order. Few triangles reach there, so this takes them one by one.
 
 use crate::instance::Instance;
+use crate::lanes::{F, LANES};
 use crate::matrix::Vec3;
 
 /// A corner that came out of cutting.
@@ -38,12 +39,12 @@ pub(crate) struct Cut {
 }
 
 /// How much varies over a triangle.
-pub(crate) const VARYING: usize = 8;
-/// What varies over it, as its corners have it.
-pub(crate) type Values = [f32; VARYING];
+pub(crate) const VARYING: usize = LANES;
+/// What varies over it, as its corners have it, a lane each.
+pub(crate) type Values = F;
 
 /// A corner in clip space.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Corner {
     pos: [f32; 4],
     values: Values,
@@ -62,41 +63,63 @@ const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
     [0.0, 0.0, -1.0, 1.0],
 ];
 
-/// Cuts a triangle, with what varies over it; the pieces in the order in which
-/// they are drawn, each corner in the order in which the whole one's are.
+/// Corners of a triangle that every side has cut: each adds one, and rounding may add
+/// another where a side touches.
+const MOST_CORNERS: usize = 3 + SIDES + 2;
+
+/// What is left of a triangle.
+pub(crate) struct Polygon {
+    corners: [ClippedCorner; MOST_CORNERS],
+    count: usize,
+}
+
+impl Polygon {
+    /// Its pieces in the order in which they are drawn, each corner in the order in
+    /// which the whole triangle's are. Pieces that have no place are left out.
+    pub(crate) fn pieces(&self) -> impl Iterator<Item = [ClippedCorner; 3]> {
+        let is_placed = |corners: &[ClippedCorner; 3]| {
+            let mut places = corners.iter().flat_map(|it| it.window);
+            places.all(f32::is_finite)
+        };
+        (2..self.count)
+            .map(|last| [last - 1, last, 0].map(|corner| self.corners[corner]))
+            .filter(is_placed)
+    }
+}
+
+/// Cuts a triangle, with what varies over it.
 pub(crate) fn clip(
     instance: &Instance,
     corners: [Vec3; 3],
     values: [Values; 3],
     cut_at: &Cut,
-) -> Vec<[ClippedCorner; 3]> {
-    let mut polygon: Vec<Corner> = corners
-        .into_iter()
-        .zip(values)
-        .map(|(pos, values)| Corner {
+) -> Polygon {
+    let mut polygons = [[Corner::default(); MOST_CORNERS]; 2];
+    let [polygon, other] = &mut polygons;
+    let (mut polygon, mut other) = (polygon, other);
+    for ((to, pos), values) in polygon.iter_mut().zip(corners).zip(values) {
+        *to = Corner {
             pos: carried(instance, pos),
             values,
             fused: true,
-        })
-        .collect();
+        };
+    }
+    let mut count = 3;
     for side in (0..SIDES).filter(|side| cut_at.beyond & (1 << side) != 0) {
         let Some(normal) = SIDE_PLANES.get(side).copied().or(cut_at.plane) else {
             continue;
         };
-        polygon = match cut(&polygon, normal) {
-            Some(polygon) => polygon,
-            None => return Vec::new(),
-        };
+        count = cut(&polygon[..count], normal, other).unwrap_or(0);
+        std::mem::swap(&mut polygon, &mut other);
     }
-    let finished: Vec<ClippedCorner> = polygon.iter().map(|it| finish(it, cut_at.half)).collect();
-    let is_placed = |corners: &[ClippedCorner; 3]| {
-        let mut places = corners.iter().flat_map(|it| it.window);
-        places.all(f32::is_finite)
-    };
-    (2..finished.len())
-        .map(|last| [finished[last - 1], finished[last], finished[0]])
-        .filter(is_placed)
-        .collect()
+    let mut finished = [ClippedCorner::default(); MOST_CORNERS];
+    for (to, corner) in finished.iter_mut().zip(&polygon[..count]) {
+        *to = finish(corner, cut_at.half);
+    }
+    Polygon {
+        corners: finished,
+        count,
+    }
 }
 
 fn carried(instance: &Instance, [x, y, z]: Vec3) -> [f32; 4] {
@@ -104,13 +127,20 @@ fn carried(instance: &Instance, [x, y, z]: Vec3) -> [f32; 4] {
     std::array::from_fn(|row| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12])
 }
 
-/// The part of a polygon on the inner side; none if that cannot be told.
-fn cut(polygon: &[Corner], plane: [f32; 4]) -> Option<Vec<Corner>> {
+/// Cuts a convex polygon; returns how many corners the part on the inner side has,
+/// none if that cannot be told.
+fn cut(polygon: &[Corner], plane: [f32; 4], kept: &mut [Corner; MOST_CORNERS]) -> Option<usize> {
     let distance = |it: &Corner| {
         let p = it.pos;
         p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] + p[3] * plane[3]
     };
-    let mut kept = Vec::with_capacity(polygon.len() + 1);
+    let mut count = 0;
+    let mut keep = |corner: Corner| {
+        let room = kept.get_mut(count)?;
+        *room = corner;
+        count += 1;
+        Some(())
+    };
     let mut last = polygon.first()?;
     let mut last_distance = distance(last);
     for corner in polygon.iter().skip(1).chain(polygon.first()) {
@@ -119,7 +149,7 @@ fn cut(polygon: &[Corner], plane: [f32; 4]) -> Option<Vec<Corner>> {
             return None;
         }
         if last_distance >= 0.0 {
-            kept.push(*last);
+            keep(*last)?;
         }
         if (last_distance >= 0.0) != (here >= 0.0) {
             // From the nearer corner, for precision.
@@ -128,14 +158,14 @@ fn cut(polygon: &[Corner], plane: [f32; 4]) -> Option<Vec<Corner>> {
                 true => -here < last_distance,
                 false => -last_distance >= here,
             };
-            kept.push(match from_here {
+            keep(match from_here {
                 true => toward(corner, last, here / between),
                 false => toward(last, corner, -last_distance / between),
-            });
+            })?;
         }
         (last, last_distance) = (corner, here);
     }
-    Some(kept)
+    Some(count)
 }
 
 /// From one corner so far towards another.
@@ -143,7 +173,7 @@ fn toward(from: &Corner, to: &Corner, share: f32) -> Corner {
     let mix = |from: f32, to: f32| from + share * (to - from);
     Corner {
         pos: std::array::from_fn(|at| mix(from.pos[at], to.pos[at])),
-        values: std::array::from_fn(|at| mix(from.values[at], to.values[at])),
+        values: from.values + F::splat(share) * (to.values - from.values),
         fused: false,
     }
 }

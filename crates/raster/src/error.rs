@@ -18,6 +18,9 @@ pub enum ModelError {
         /// Bytes that were given.
         bytes: usize,
     },
+    /// Bytes that no mesh or texture was written as.
+    #[error("these bytes are of no prepared mesh or texture: prepare it again")]
+    Bytes,
     /// Shapes of no pieces.
     #[error(
         "shapes of {slices} slices, {stacks} stacks and {quads} quads cannot be made: give 3 to 512 slices, 4 to 512 stacks and 1 to 64 quads"

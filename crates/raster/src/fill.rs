@@ -18,6 +18,10 @@ pub(crate) const FIRST_SAMPLE: [f32; 2] = [0.375, 0.125];
 const LATTICE: i32 = 32;
 const POINTS_PER_PIXEL: i32 = SUBPIXELS / LATTICE;
 
+/// What multiplies by the lattice points of a pair of pixels, and of a row.
+const PAIR_SHIFT: i32 = (2 * POINTS_PER_PIXEL).ilog2() as i32;
+const ROW_SHIFT: i32 = POINTS_PER_PIXEL.ilog2() as i32;
+
 /// Where the parts of a block are, in lattice points from its corner, and in pixels.
 const PART_X: [i32; LANES] = [0, 64, 0, 64, 0, 64, 0, 64];
 const PART_Y: [i32; LANES] = [0, 0, 32, 32, 64, 64, 96, 96];
@@ -27,6 +31,8 @@ const MOST_PAIRS: i32 = 16;
 /// Fills one of the triangles that were set up.
 #[inline(always)]
 pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Drawing<'_>) {
+    // Says that it is one, so that none of the reads is checked.
+    let lane = lane % LANES;
     let (x, y) = (setup.x.map(|end| end[lane]), setup.y.map(|end| end[lane]));
     let id = drawing.visible.records.len() as u32;
     let place = (x, y, (record, id));
@@ -261,9 +267,8 @@ fn fill_block<const INSIDE: bool>(
             + splat(setup.along_x[edge][lane]) * lane_x
             + splat(setup.along_y[edge][lane]) * lane_y
     });
-    let per_pair =
-        [0, 1, 2].map(|edge| splat(setup.along_x[edge][lane]) * splat(2 * POINTS_PER_PIXEL));
-    let per_row = [0, 1, 2].map(|edge| splat(setup.along_y[edge][lane]) * splat(POINTS_PER_PIXEL));
+    let per_pair = [0, 1, 2].map(|edge| splat(setup.along_x[edge][lane]) << PAIR_SHIFT);
+    let per_row = [0, 1, 2].map(|edge| splat(setup.along_y[edge][lane]) << ROW_SHIFT);
     let pixels = real(1.0 / POINTS_PER_PIXEL as f32);
     let (off_x, off_y) = (lane_x.float() * pixels, lane_y.float() * pixels);
     let (depth, depth_x, depth_y) = (

@@ -124,14 +124,13 @@ fn blend(picture: &mut Picture, painted: &[Painted]) -> Option<Window> {
     let stride = picture.visible.stride;
     let mut window = None;
     for (fragment, colour) in painted.iter().chain(painted.iter().rev()).flatten() {
-        let pixel =
-            &mut picture.samples[usize::from(fragment.y) * stride + usize::from(fragment.x)];
+        let pixel = &mut picture.samples[fragment.y() * stride + fragment.x()];
         for (sample, under) in pixel.iter_mut().enumerate() {
-            if fragment.samples & (1 << sample) != 0 {
+            if fragment.samples() & (1 << sample) != 0 {
                 *under = blended(*under, *colour);
             }
         }
-        let here = Window::pixel(i32::from(fragment.x), i32::from(fragment.y));
+        let here = Window::pixel(fragment.x() as i32, fragment.y() as i32);
         window = Window::around(window, Some(here));
     }
     window
@@ -175,7 +174,7 @@ fn paint(
         );
     }
     let painted = (layers.len() <= most).then(|| {
-        let shown = (instances.as_slice(), &*visible);
+        let shown = (instances.as_slice(), &*visible, before.1);
         colour(shown, pass, &mut layers, &mut work.lists)
     });
     instances.truncate(before.0);
@@ -187,40 +186,38 @@ fn paint(
 
 /// Colours what was drawn of a geom, in drawing order.
 fn colour(
-    (instances, visible): (&[Instance], &Visible),
+    (instances, visible, first): (&[Instance], &Visible, usize),
     pass: Pass<'_>,
     layers: &mut [Layer],
     lists: &mut Lists,
 ) -> Painted {
     // Stable: the pixels of one triangle do not overlap.
     layers.sort_by_key(|layer| layer.rank);
-    lists.clear(visible.records.len(), pass.model.textures.len());
-    let mut count = 0u32;
+    lists.clear(first, visible.records.len(), pass.model.textures.len());
+    // Colours come back list by list; this puts them in order again.
+    let mut order = Vec::with_capacity(2 * layers.len());
     for layer in &*layers {
-        let (surface, instance) = lists.surface_of(layer.id, &visible.records);
-        let list = lists.list_of(&instances[instance as usize]);
+        let (surface, list) = lists.need(layer.id, &visible.records, instances);
         for (pixel, samples) in [(0, layer.samples & 0xf), (1, layer.samples >> SAMPLES)] {
             // Pixels are drawn in pairs, of which one may lie beside the window.
             let x = i32::from(layer.x + pixel);
             let is_inside = (pass.window.x[0]..=pass.window.x[1]).contains(&x);
             if is_inside && samples != 0 {
-                lists.fragments[list].push(Fragment {
-                    x: layer.x + pixel,
-                    y: layer.y,
-                    surface,
-                    // Colours come back list by list; this puts them in order again.
-                    samples: samples | count << SAMPLES,
-                });
-                count += 1;
+                let (x, y) = (u32::from(layer.x + pixel), u32::from(layer.y));
+                lists.fragments[list].push(Fragment::new(x, y, samples, surface));
+                order.push((list, order.len()));
             }
         }
     }
     shade::work_out_surfaces(pass.model, visible, instances, pass.lights, lists);
-    let mut painted = Vec::with_capacity(count as usize);
+    order.sort_unstable();
+    let mut painted = vec![(Fragment::default(), 0); order.len()];
+    let mut places = order.into_iter();
     shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
-        painted.push((*fragment, colour));
+        if let Some((_, place)) = places.next() {
+            painted[place] = (*fragment, colour);
+        }
     });
-    painted.sort_unstable_by_key(|(fragment, _)| fragment.samples >> SAMPLES);
     painted
 }
 

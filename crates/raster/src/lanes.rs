@@ -5,7 +5,7 @@
 use std::ops::{BitAnd, BitOr, Not};
 
 use bytemuck::cast;
-pub(crate) use wide::{f32x8 as F, i32x8 as I};
+pub(crate) use wide::{f32x8 as F, i16x16, i32x8 as I};
 
 /// How many.
 pub(crate) const LANES: usize = 8;

@@ -37,6 +37,7 @@ mod shade;
 mod shapes;
 mod surface;
 mod texture;
+mod values;
 mod visible;
 mod window;
 
@@ -52,3 +53,7 @@ pub use texture::{Texture, TextureKind};
 /// This renderer and its version, which changes whenever any frame of any scene
 /// changes by a bit.
 pub const NAME: &str = "rollout-raster 2";
+
+/// Digest of this crate's sources: models that are kept as bytes are read by the code that
+/// prepared them, or prepared again.
+pub const SOURCES: &str = env!("RASTER_SOURCES");

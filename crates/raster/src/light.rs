@@ -96,6 +96,9 @@ pub(crate) struct Shading<'a> {
     /// What it shows without any.
     base: Vec3,
     products: [[Vec3; 3]; MOST_LIGHTS],
+    /// Whether a light adds nothing but its ambient part to what it does not face: all
+    /// its other numbers are finite, so that none times zero is other than zero.
+    is_tame: [bool; MOST_LIGHTS],
     shininess: f32,
 }
 
@@ -111,18 +114,32 @@ impl<'a> Shading<'a> {
         let times = |light: Vec3, material: Vec3| -> Vec3 {
             std::array::from_fn(|channel| light[channel] * material[channel])
         };
+        let products: [[Vec3; 3]; MOST_LIGHTS] = std::array::from_fn(|at| {
+            lights.get(at).map_or([[0.0; 3]; 3], |light| {
+                [
+                    times(light.ambient, colour),
+                    times(light.diffuse, colour),
+                    times(light.specular, [instance.specular; 3]),
+                ]
+            })
+        });
+        let is_tame = |light: &EyeLight, products: &[Vec3; 3]| {
+            let is_finite = products.as_flattened().iter().all(|part| part.is_finite());
+            let is_dimmed_finitely = light.attenuation.is_none()
+                && light
+                    .cone
+                    .is_none_or(|cone| cone.exponent >= 0.0 && cone.exponent.is_finite());
+            is_finite && is_dimmed_finitely && (light.cone.is_none() || products[0] == [0.0; 3])
+        };
         Self {
             lights,
             base: colour.map(|part| everywhere * part + instance.emission * part),
-            products: std::array::from_fn(|at| {
-                lights.get(at).map_or([[0.0; 3]; 3], |light| {
-                    [
-                        times(light.ambient, colour),
-                        times(light.diffuse, colour),
-                        times(light.specular, [instance.specular; 3]),
-                    ]
-                })
+            is_tame: std::array::from_fn(|at| {
+                lights
+                    .get(at)
+                    .is_some_and(|light| is_tame(light, &products[at]))
             }),
+            products,
             shininess: instance.shininess,
         }
     }
@@ -156,19 +173,32 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
     let vec = |v: Vec3| v.map(splat);
     let normal = unit8(normal);
     let has_highlights = shading.shininess != 0.0;
-    let towards_pos = unit8(pos);
+    let towards_pos = match has_highlights {
+        true => unit8(pos),
+        false => pos,
+    };
     let mut colour = vec(shading.base);
-    for (light, products) in shading.lights.iter().zip(&shading.products) {
+    let materials = shading.products.iter().zip(&shading.is_tame);
+    for (light, (products, is_tame)) in shading.lights.iter().zip(materials) {
         let [ambient, diffuse, specular] = products.map(vec);
-        let (to_light, attenuation) = if light.is_directional {
-            (vec(light.place), None)
+        let (to_light, over_distance) = if light.is_directional {
+            (vec(light.place), one)
         } else {
             let off = minus8(vec(light.place), pos);
             let over_distance = one / dot8(off, off).sqrt();
-            let to_light = off.map(|part| part * over_distance);
-            (to_light, attenuated(light, to_light, over_distance))
+            (off.map(|part| part * over_distance), over_distance)
         };
         let facing = dot8(normal, to_light);
+        if *is_tame && facing.le(zero).all() {
+            for channel in 0..3 {
+                colour[channel] = ambient[channel] + colour[channel];
+            }
+            continue;
+        }
+        let attenuation = match light.is_directional {
+            true => None,
+            false => attenuated(light, to_light, over_distance),
+        };
         let (is_lit, lit) = (facing.gt(zero), facing.max(zero));
         // Without a shininess, Mesa's program reads the same number in its place.
         let (near, exponent) = if has_highlights && products[2] != [0.0; 3] {

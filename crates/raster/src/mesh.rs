@@ -4,8 +4,12 @@
 
 use std::collections::HashMap;
 
+use bytes::Bytes;
+
+use crate::error::ModelError;
 use crate::lanes::LANES;
 use crate::matrix::{Vec3, cross, dot, minus};
+use crate::values::{Blob, Values};
 
 /// Triangles in a cluster at most. Their corners fit a byte.
 pub(crate) const CLUSTER: usize = 64;
@@ -44,16 +48,16 @@ pub(crate) struct Attributes {
 pub struct Mesh {
     pub(crate) clusters: Vec<Cluster>,
     /// Positions of vertices, cluster by cluster, each padded to a multiple of eight.
-    pub(crate) xs: Vec<f32>,
-    pub(crate) ys: Vec<f32>,
-    pub(crate) zs: Vec<f32>,
-    /// Attributes of the same vertices.
-    pub(crate) attributes: Vec<Attributes>,
+    pub(crate) xs: Values<f32>,
+    pub(crate) ys: Values<f32>,
+    pub(crate) zs: Values<f32>,
+    /// Normals and texture coordinates of the same vertices; see [`Mesh::attributes`].
+    pub(crate) attributes: Values<[f32; 5]>,
     /// Triangles, cluster by cluster, each padded to a multiple of eight: which of
     /// the cluster's vertices its corners are.
-    pub(crate) corners: [Vec<u8>; 3],
+    pub(crate) corners: [Values<u8>; 3],
     /// Of each triangle its place in the order in which the mesh is drawn.
-    pub(crate) order: Vec<u32>,
+    pub(crate) order: Values<u32>,
     pub(crate) bounds: Sphere,
 }
 
@@ -246,10 +250,74 @@ impl Mesh {
         self.xs.push(x);
         self.ys.push(y);
         self.zs.push(z);
-        self.attributes.push(Attributes {
-            normal: corner.normal,
-            st: corner.st,
-        });
+        let ([nx, ny, nz], [s, t]) = (corner.normal, corner.st);
+        self.attributes.push([nx, ny, nz, s, t]);
+    }
+
+    /// The mesh as bytes, for [`Mesh::from_bytes`] of the same [`SOURCES`](crate::SOURCES) on
+    /// the same kind of machine.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let Self {
+            clusters,
+            xs,
+            ys,
+            zs,
+            attributes,
+            corners,
+            order,
+            bounds,
+        } = self;
+        let counts = [clusters.len(), xs.len(), order.len()].map(|count| count as u32);
+        let mut bytes = bytemuck::cast_slice(&counts).to_vec();
+        bytes.extend_from_slice(bytemuck::cast_slice(&bounds.words()));
+        for cluster in clusters {
+            bytes.extend_from_slice(bytemuck::cast_slice(&cluster.words()));
+        }
+        for values in [xs, ys, zs] {
+            bytes.extend_from_slice(bytemuck::cast_slice(values));
+        }
+        bytes.extend_from_slice(bytemuck::cast_slice(attributes));
+        bytes.extend_from_slice(bytemuck::cast_slice(order));
+        for values in corners {
+            bytes.extend_from_slice(values);
+        }
+        bytes
+    }
+
+    /// A mesh whose arrays stay where they are in the bytes of [`Mesh::to_bytes`]; those are
+    /// aligned to four.
+    ///
+    /// # Errors
+    /// If the bytes are of no mesh.
+    pub fn from_bytes(bytes: Bytes) -> Result<Self, ModelError> {
+        Self::read(Blob::new(bytes)).ok_or(ModelError::Bytes)
+    }
+
+    fn read(mut blob: Blob) -> Option<Self> {
+        let counts = blob.take::<u32>(3)?;
+        let [clusters, positions, triangles] = [0, 1, 2].map(|at| counts[at] as usize);
+        let bounds = Sphere::of_words(blob.take::<[u32; 4]>(1)?[0]);
+        let clusters = blob.take::<[u32; 12]>(clusters)?;
+        let mesh = Self {
+            clusters: clusters.iter().copied().map(Cluster::of_words).collect(),
+            xs: blob.take(positions)?,
+            ys: blob.take(positions)?,
+            zs: blob.take(positions)?,
+            attributes: blob.take(positions)?,
+            order: blob.take(triangles)?,
+            corners: [
+                blob.take(triangles)?,
+                blob.take(triangles)?,
+                blob.take(triangles)?,
+            ],
+            bounds,
+        };
+        let lies_inside = |cluster: &Cluster| {
+            let end = |first: u32, count: u32| first as usize + count as usize;
+            end(cluster.first_position, cluster.positions) <= positions
+                && end(cluster.first_triangle, cluster.triangles) <= triangles
+        };
+        (blob.is_empty() && mesh.clusters.iter().all(lies_inside)).then_some(mesh)
     }
 
     /// How many triangles it has.
@@ -261,10 +329,59 @@ impl Mesh {
         counts.sum()
     }
 
-    /// Where a corner of a triangle is; `cluster` is the one that it is in.
-    pub(crate) fn position(&self, cluster: &Cluster, triangle: usize, corner: usize) -> Vec3 {
-        let at = cluster.first_position as usize + usize::from(self.corners[corner][triangle]);
+    /// Attributes of a vertex.
+    #[inline(always)]
+    pub(crate) fn attributes(&self, vertex: usize) -> Attributes {
+        let [nx, ny, nz, s, t] = self.attributes[vertex];
+        Attributes {
+            normal: [nx, ny, nz],
+            st: [s, t],
+        }
+    }
+
+    /// Where a vertex of a cluster is.
+    pub(crate) fn position(&self, cluster: &Cluster, vertex: u8) -> Vec3 {
+        let at = cluster.first_position as usize + usize::from(vertex);
         [self.xs[at], self.ys[at], self.zs[at]]
+    }
+}
+
+impl Sphere {
+    fn words(self) -> [u32; 4] {
+        let [x, y, z] = self.center;
+        [x, y, z, self.radius].map(f32::to_bits)
+    }
+
+    fn of_words(words: [u32; 4]) -> Self {
+        let [x, y, z, radius] = words.map(f32::from_bits);
+        Self {
+            center: [x, y, z],
+            radius,
+        }
+    }
+}
+
+impl Cluster {
+    fn words(&self) -> [u32; 12] {
+        let [a, b, c, d] = self.bounds.words();
+        let [x, y, z] = self.axis.map(f32::to_bits);
+        let sine = self.sine.to_bits();
+        let [p, q] = [self.first_position, self.positions];
+        let [t, u] = [self.first_triangle, self.triangles];
+        [a, b, c, d, x, y, z, sine, p, q, t, u]
+    }
+
+    fn of_words(words: [u32; 12]) -> Self {
+        let [a, b, c, d, x, y, z, sine, p, q, t, u] = words;
+        Self {
+            bounds: Sphere::of_words([a, b, c, d]),
+            axis: [x, y, z].map(f32::from_bits),
+            sine: f32::from_bits(sine),
+            first_position: p,
+            positions: q,
+            first_triangle: t,
+            triangles: u,
+        }
     }
 }
 
@@ -355,11 +472,44 @@ mod tests {
                 let order = mesh.order[triangle] as usize;
                 found[order] += 1;
                 for (at, corner) in wanted[order].iter().enumerate() {
-                    assert_eq!(mesh.position(cluster, triangle, at), corner.pos);
+                    let vertex = mesh.corners[at][triangle];
+                    assert_eq!(mesh.position(cluster, vertex), corner.pos);
                 }
             }
         }
         assert!(found.iter().all(|count| *count == 1));
+    }
+
+    #[test]
+    fn a_mesh_comes_back_from_its_bytes_and_from_no_others() {
+        let mut builder = MeshBuilder::default();
+        for index in 0..200 {
+            let x = index as f32;
+            let lifted = Corner {
+                st: [x, -x],
+                ..corner(x, 0.5 * x, -0.0)
+            };
+            builder.triangle([lifted, corner(x, x, 1.0), corner(x, -x, 2.0)]);
+        }
+        let bytes = builder.build().to_bytes();
+        // Vectors of bytes need not be aligned, mapped files are.
+        let words: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
+        let aligned = Bytes::from_owner(Aligned(words)).slice(..bytes.len());
+        let back = Mesh::from_bytes(aligned.clone()).expect("a mesh");
+        assert_eq!(back.triangles(), 200);
+        assert!(back.to_bytes() == bytes);
+        for length in [0, 4, 30, bytes.len() / 2, bytes.len() - 1] {
+            let cut = Mesh::from_bytes(aligned.slice(..length));
+            assert_eq!(cut.err(), Some(ModelError::Bytes), "{length} bytes");
+        }
+    }
+
+    struct Aligned(Vec<u32>);
+
+    impl AsRef<[u8]> for Aligned {
+        fn as_ref(&self) -> &[u8] {
+            bytemuck::cast_slice(&self.0)
+        }
     }
 
     #[test]

@@ -40,6 +40,20 @@ pub(crate) struct Workspace {
     order: Vec<usize>,
 }
 
+/// Of each set of samples, all bits of those in it and none of the others.
+const OWN_SAMPLES: [[u32; SAMPLES]; 1 << SAMPLES] = {
+    let mut masks = [[0; SAMPLES]; 1 << SAMPLES];
+    let mut at = 0;
+    while at < SAMPLES << SAMPLES {
+        let (set, sample) = (at / SAMPLES, at % SAMPLES);
+        if set & (1 << sample) != 0 {
+            masks[set][sample] = u32::MAX;
+        }
+        at += 1;
+    }
+    masks
+};
+
 impl Picture {
     /// Starts over with nothing in a window.
     pub(crate) fn clear(&mut self, size: [usize; 2], window: Window) {
@@ -88,20 +102,15 @@ impl Picture {
             return;
         };
         let (visible, lists) = (&self.visible, &mut work.lists);
-        lists.clear(visible.records.len(), pass.model.textures.len());
-        shade::list_fragments(visible, &self.instances, window, first as u32, lists);
+        lists.clear(first, visible.records.len(), pass.model.textures.len());
+        shade::list_fragments(visible, &self.instances, window, lists);
         shade::work_out_surfaces(pass.model, visible, &self.instances, pass.lights, lists);
         let (stride, samples) = (visible.stride, &mut self.samples);
         shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
-            let pixel = &mut samples[usize::from(fragment.y) * stride + usize::from(fragment.x)];
-            if fragment.samples == 0xf {
-                *pixel = [colour; SAMPLES];
-                return;
-            }
-            for (sample, value) in pixel.iter_mut().enumerate() {
-                if fragment.samples & (1 << sample) != 0 {
-                    *value = colour;
-                }
+            let pixel = &mut samples[fragment.y() * stride + fragment.x()];
+            let own = OWN_SAMPLES[fragment.samples()];
+            for (value, own) in pixel.iter_mut().zip(own) {
+                *value = *value & !own | colour & own;
             }
         });
     }

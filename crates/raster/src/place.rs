@@ -4,7 +4,7 @@ use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::mesh::{Cluster, Mesh};
-use crate::positions::{FURTHEST, SUBPIXELS};
+use crate::positions::{EightPositions, FURTHEST, SUBPIXELS};
 
 /// What is known of a cluster once its positions are in the picture.
 pub(crate) struct Placed {
@@ -40,9 +40,10 @@ pub(crate) fn place(
         let z = F::load(&mesh.zs[from..from + LANES]);
         let row = instance.to_clip.rows([x, y, z]);
         let (cx, cy, cz, cw) = (row(0), row(1), row(2), row(3));
+        let mut beyond = I::splat(0);
         if !inside {
             let bit = |mask: Mask, bit: i32| mask.ints() & I::splat(bit);
-            let mut beyond = bit(cx.gt(cw), 1)
+            beyond = bit(cx.gt(cw), 1)
                 | bit((cx + cw).lt(zero), 2)
                 | bit(cy.gt(cw), 4)
                 | bit((cy + cw).lt(zero), 8)
@@ -53,7 +54,6 @@ pub(crate) fn place(
                 let off = d.fused(cw, c.fused(cz, b.fused(cy, a * cx)));
                 beyond |= bit(off.lt(zero), 64);
             }
-            beyond.store(&mut to.beyond[at..at + LANES]);
             any |= beyond;
         }
         let over_w = one / cw;
@@ -66,11 +66,15 @@ pub(crate) fn place(
             let at: I = (at * subpixels).nearest();
             at.max(I::splat(-FURTHEST)).min(I::splat(FURTHEST))
         });
-        wx.store(&mut to.x[at..at + LANES]);
-        wy.store(&mut to.y[at..at + LANES]);
-        wz.store(&mut to.z[at..at + LANES]);
-        snapped[0].store(&mut to.snapped_x[at..at + LANES]);
-        snapped[1].store(&mut to.snapped_y[at..at + LANES]);
+        let exact = [wx, wy, wz];
+        to.store(
+            at,
+            &EightPositions {
+                exact,
+                snapped,
+                beyond,
+            },
+        );
         for axis in 0..2 {
             low[axis] = low[axis].min(snapped[axis]);
             high[axis] = high[axis].max(snapped[axis]);

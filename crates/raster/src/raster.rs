@@ -2,11 +2,11 @@
 //! the triangles that may cover a sample, their edges, the samples.
 
 use crate::candidates::Candidates;
-use crate::clip::{self, ClippedTriangle, Cut, VARYING};
+use crate::clip::{self, ClippedTriangle, Cut};
 use crate::drawing::Drawing;
 use crate::fill::fill;
 use crate::frustum::Frustum;
-use crate::lanes::LANES;
+use crate::lanes::{F, LANES};
 use crate::mesh::{Cluster, Mesh};
 use crate::place::{Placed, place};
 use crate::setup::Setup;
@@ -54,15 +54,18 @@ fn draw_cluster(
         return;
     }
     let candidates = Candidates::find(instance, mesh, cluster, drawing, beyond);
-    if beyond {
-        cut_off(index, mesh, cluster, drawing);
+    if candidates.cut != 0 {
+        cut_off(index, mesh, cluster, candidates.cut, drawing);
     }
     let mut setup = Setup::default();
     for first in (0..candidates.count).step_by(LANES) {
         let count = (candidates.count - first).min(LANES);
-        let lanes: &[u8; LANES] = candidates.at[first..][..LANES].try_into().expect("eight");
-        setup.eight(instance, mesh, cluster, drawing, lanes);
-        for (lane, &triangle) in lanes[..count].iter().enumerate() {
+        let mut rows = [[0; LANES]; 3];
+        for (rows, corners) in rows.iter_mut().zip(&candidates.corners) {
+            rows.copy_from_slice(&corners[first..first + LANES]);
+        }
+        setup.eight(drawing, &rows);
+        for (lane, &triangle) in candidates.at[first..first + count].iter().enumerate() {
             let triangle = cluster.first_triangle + u32::from(triangle);
             let record = Record {
                 instance: index as u32,
@@ -74,44 +77,41 @@ fn draw_cluster(
     }
 }
 
-/// Cuts off what is beyond a side of those triangles that reach there.
+/// Cuts off what is beyond a side of those triangles of a cluster whose bits are set.
 #[inline(never)]
-fn cut_off(index: usize, mesh: &Mesh, cluster: &Cluster, drawing: &mut Drawing<'_>) {
-    let first = cluster.first_triangle as usize;
-    for triangle in first..first + cluster.triangles as usize {
-        let beyond = mesh
-            .corners
-            .each_ref()
-            .map(|ids| drawing.positions.beyond[usize::from(ids[triangle])]);
-        let (any, all) = (
-            beyond.iter().fold(0, |a, b| a | b),
-            beyond.iter().fold(-1, |a, b| a & b),
-        );
-        if any == 0 || all != 0 {
-            continue;
-        }
-        let corners = std::array::from_fn(|corner| mesh.position(cluster, triangle, corner));
-        let instance = &drawing.instances[index];
-        let size = [
-            drawing.visible.width as f32 * 0.5,
-            drawing.visible.height as f32 * 0.5,
-        ];
+fn cut_off(
+    index: usize,
+    mesh: &Mesh,
+    cluster: &Cluster,
+    mut triangles: u64,
+    drawing: &mut Drawing<'_>,
+) {
+    let instance = &drawing.instances[index];
+    let half = [
+        drawing.visible.width as f32 * 0.5,
+        drawing.visible.height as f32 * 0.5,
+    ];
+    let mut setup = Setup::default();
+    while triangles != 0 {
+        let triangle = cluster.first_triangle as usize + triangles.trailing_zeros() as usize;
+        triangles &= triangles - 1;
+        let ids = mesh.corners.each_ref().map(|ids| ids[triangle]);
         let cut = Cut {
-            beyond: any,
+            beyond: drawing.positions.any_beyond(ids),
             plane: drawing.plane,
-            half: size,
+            half,
         };
-        let pieces = clip::clip(instance, corners, [[0.0; VARYING]; 3], &cut);
-        for (piece, corners) in pieces.iter().enumerate() {
+        let corners = ids.map(|id| mesh.position(cluster, id));
+        let polygon = clip::clip(instance, corners, [F::splat(0.0); 3], &cut);
+        for (piece, corners) in polygon.pieces().enumerate() {
+            if !setup.clipped(instance, &corners, drawing.window) {
+                continue;
+            }
             let record = Record {
                 instance: index as u32,
                 triangle: drawing.visible.clipped.len() as u32,
                 positions: CLIPPED,
             };
-            let mut setup = Setup::default();
-            if !setup.clipped(instance, corners, drawing.window) {
-                continue;
-            }
             drawing.visible.clipped.push(ClippedTriangle {
                 triangle: triangle as u32,
                 positions: cluster.first_position,

@@ -1,7 +1,9 @@
 //! Sampling textures, eight places at a time, with llvmpipe's arithmetic: flat
 //! ones of plain colours in 8 bits, those of sRGB and cubes in single precision.
 
-use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
+use bytemuck::cast;
+
+use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask, i16x16};
 use crate::texture::{Level, SRGB_LINEAR_FACTOR, SRGB_LINEAR_TO, SRGB_POLYNOMIAL, Texels};
 
 /// Red, green, blue and opacity, 0 to 1.
@@ -147,6 +149,20 @@ fn fetch(texels: Texels<'_>, at: I) -> I {
     I::new(texels.eight(&at.into()).map(u32::cast_signed))
 }
 
+/// Two texels of each of eight rows; `is_beside` says that the second ones follow the
+/// first.
+#[inline(always)]
+fn fetch_two(texels: Texels<'_>, row: I, [x0, x1]: [I; 2], is_beside: bool) -> [I; 2] {
+    let pairs = match is_beside {
+        true => texels.eight_pairs(&(row + x0).into()),
+        false => None,
+    };
+    match pairs {
+        Some(pairs) => pairs.map(|texels| I::new(texels.map(u32::cast_signed))),
+        None => [fetch(texels, row + x0), fetch(texels, row + x1)],
+    }
+}
+
 /// The texels around eight places of a flat texture, and the shares of the
 /// second ones along both directions, in whatever the arithmetic is.
 struct Around<W> {
@@ -169,8 +185,11 @@ fn around<W>(
     let (x1, y1) = (next(x, sizes.width), next(y, sizes.height));
     let row0 = sizes.start + y * sizes.width;
     let row1 = sizes.start + y1 * sizes.width;
+    let is_beside = x1.equals(x + one).all();
+    let [a, b] = fetch_two(texels, row0, [x, x1], is_beside);
+    let [c, d] = fetch_two(texels, row1, [x, x1], is_beside);
     Around {
-        texels: [row0 + x, row0 + x1, row1 + x, row1 + x1].map(|at| fetch(texels, at)),
+        texels: [a, b, c, d],
         shares: [share_x, share_y],
     }
 }
@@ -186,31 +205,60 @@ fn flat_in_bytes(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
             texels: [a, b, c, d],
             shares: [u, v],
         } = around(texels, &sizes, x, y);
-        [0, 1, 2, 3].map(|channel: u32| {
-            let part = |texel: I| (texel >> (8 * channel as i32)) & I::splat(255);
-            let top = blend(part(a), part(b), u);
-            blend(top, blend(part(c), part(d), u), v)
-        })
+        let (u, v) = (Share::new(u), Share::new(v));
+        let top = Bytes::new(a).blended(&Bytes::new(b), u);
+        top.blended(&Bytes::new(c).blended(&Bytes::new(d), u), v)
     };
     let mut colour = on(&levels.first);
     if !levels.is_one {
         let share: I = (levels.share * F::splat(256.0)).whole();
-        let second = on(&levels.second);
-        for channel in 0..CHANNELS {
-            colour[channel] = blend(colour[channel], second[channel], share);
-        }
+        colour = colour.blended(&on(&levels.second), Share::new(share));
     }
-    colour.map(|part| {
+    let Bytes([even, odd]) = colour;
+    let (even, odd): (I, I) = (cast(even), cast(odd));
+    [
+        even & I::splat(255),
+        odd & I::splat(255),
+        even >> 16i32,
+        odd >> 16i32,
+    ]
+    .map(|part| {
         let part: F = part.float();
         part * F::splat(OVER_255)
     })
 }
 
-/// Interpolates between two values of 0 to 255, by a share in 256ths.
-#[inline(always)]
-fn blend(from: I, to: I, share: I) -> I {
-    let change = (share * (to - from) + I::splat(128)) >> 8i32;
-    (from + change) & I::splat(255)
+/// Eight texels, their channels in 16 bits each: red and blue, green and opacity.
+struct Bytes([i16x16; 2]);
+
+/// A share in 256ths for each channel of eight texels, as [`Bytes::blended`] has it.
+#[derive(Clone, Copy)]
+struct Share(i16x16);
+
+impl Share {
+    #[inline(always)]
+    fn new(share: I) -> Self {
+        // 256ths are multiplied as 32,768ths, and the product rounded to whole ones.
+        Self(cast((share << 7i32) | (share << 23i32)))
+    }
+}
+
+impl Bytes {
+    #[inline(always)]
+    fn new(texels: I) -> Self {
+        let even = I::splat(0x00ff_00ff);
+        Self([cast(texels & even), cast((texels >> 8i32) & even)])
+    }
+
+    /// Interpolates between values of 0 to 255.
+    #[inline(always)]
+    fn blended(&self, to: &Self, Share(share): Share) -> Self {
+        let blend = |from: i16x16, to: i16x16| {
+            let change = (to - from).mul_scale_round(share);
+            (from + change) & i16x16::splat(255)
+        };
+        Self([blend(self.0[0], to.0[0]), blend(self.0[1], to.0[1])])
+    }
 }
 
 /// The texel before a place that repeats, and how far behind it that is.
@@ -376,8 +424,10 @@ fn cube_on(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colour {
     let (y0, y1) = (clamped(y), clamped(y + whole(1)));
     let start = sizes.start + face.number * sizes.image;
     let (row0, row1) = (start + y0 * sizes.width, start + y1 * sizes.width);
-    let texels = [row0 + x0, row0 + x1, row1 + x0, row1 + x1].map(|at| fetch(cube, at));
-    let mut colour = mix_four(texels, [u, v], false);
+    let is_beside = x1.equals(x0 + whole(1)).all();
+    let [a, b] = fetch_two(cube, row0, [x0, x1], is_beside);
+    let [c, d] = fetch_two(cube, row1, [x0, x1], is_beside);
+    let mut colour = mix_four([a, b, c, d], [u, v], false);
     if !is_inside.all() {
         let bits = is_inside.bits();
         for lane in (0..LANES).filter(|lane| bits & (1 << lane) == 0) {

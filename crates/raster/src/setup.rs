@@ -5,7 +5,6 @@ use crate::clip::ClippedCorner;
 use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
-use crate::mesh::{Cluster, Mesh};
 use crate::positions::{FURTHEST, SUBPIXELS};
 use crate::window::Window;
 
@@ -68,26 +67,11 @@ pub(crate) struct Setup {
 }
 
 impl Setup {
-    /// Sets up eight triangles of a cluster, named by their places in it.
+    /// Sets up eight triangles, whose corners are in these rows of the positions.
     #[inline(always)]
-    pub(crate) fn eight(
-        &mut self,
-        instance: &Instance,
-        mesh: &Mesh,
-        cluster: &Cluster,
-        drawing: &Drawing<'_>,
-        triangles: &[u8; LANES],
-    ) {
-        let order = turned(instance.counter_clockwise);
-        let first = cluster.first_triangle as usize;
-        let mut ids = [[0; LANES]; 3];
-        for (ids, corner) in ids.iter_mut().zip(order) {
-            let corners = &mesh.corners[corner][first..];
-            for (id, triangle) in ids.iter_mut().zip(triangles) {
-                *id = corners[usize::from(*triangle)];
-            }
-        }
-        let (x, y) = drawing.positions.snapped(&ids);
+    pub(crate) fn eight(&mut self, drawing: &Drawing<'_>, rows: &[[u8; LANES]; 3]) {
+        let corners = drawing.positions.corners(rows);
+        let (x, y) = corners.snapped();
         let (extent_x, extent_y) = (extent(&x), extent(&y));
         let splat = |value: i32| I::splat(value);
         let pixels = |[least, most]: [I; 2], window: [i32; 2]| {
@@ -115,7 +99,7 @@ impl Setup {
             pixels_x[end].store(&mut self.x[end]);
             pixels_y[end].store(&mut self.y[end]);
         }
-        let [x, y, z] = drawing.positions.exact(&ids);
+        let [x, y, z] = corners.exact();
         let [at_corner, per_x, per_y] = Slopes::new(&x, &y).of(&z);
         at_corner.store(&mut self.depth);
         per_x.store(&mut self.depth_x);
@@ -151,12 +135,22 @@ impl Setup {
             self.x[end][0] = pixels_x[end];
             self.y[end][0] = pixels_y[end];
         }
-        // In blocks, with products of 64 bits.
-        self.large = 1;
+        let extent = |values: [i32; 3]| {
+            let [a, b, c] = values;
+            a.max(b).max(c) - a.min(b).min(c)
+        };
+        self.large = u32::from(extent(x).max(extent(y)) >= LARGE);
+        let origin = [pixels_x[0] & !1, pixels_y[0]].map(|pixel| pixel * SUBPIXELS);
         for edge in 0..3 {
             let next = (edge + 1) % 3;
-            self.along_x[edge][0] = y[next] - y[edge];
-            self.along_y[edge][0] = x[edge] - x[next];
+            let (dx, dy) = (y[edge] - y[next], x[edge] - x[next]);
+            if self.large == 0 {
+                let value = dx * (x[edge] - origin[0]) - dy * (y[edge] - origin[1]);
+                let is_in = i32::from(dx < 0 || dx == 0 && dy > 0);
+                self.edge[edge][0] = (value + is_in - 1) >> 5i32;
+            }
+            self.along_x[edge][0] = -dx;
+            self.along_y[edge][0] = dy;
             self.corners[edge][0][0] = x[edge];
             self.corners[edge][1][0] = y[edge];
         }

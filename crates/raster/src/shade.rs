@@ -1,6 +1,7 @@
 //! From what is visible to colours: every triangle that is seen in a pixel is
 //! coloured once, at the pixel's centre, for all samples that it has there.
 
+use crate::canvas::MAX_SIDE;
 use crate::clip::VARYING;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES};
@@ -12,25 +13,58 @@ use crate::texture::{Texels, TextureKind};
 use crate::visible::{CLIPPED, NOTHING, Record, SAMPLES, Visible};
 use crate::window::Window;
 
-/// A triangle in a pixel.
+/// A triangle in a pixel, in few bytes: there are more of them than pixels.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Fragment {
-    pub(crate) x: u16,
-    pub(crate) y: u16,
+    /// Column, row, and bits of the samples that it has.
+    place: u32,
     /// Its place among the surfaces.
-    pub(crate) surface: u32,
-    /// Bits of the samples that it has; where they go is the caller's.
-    pub(crate) samples: u32,
+    surface: u32,
+}
+
+/// Bits of a column or a row, which are less than [`MAX_SIDE`].
+const SIDE_BITS: u32 = MAX_SIDE.ilog2();
+const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
+const _: () = assert!(MAX_SIDE.is_power_of_two(), "each side fits its bits");
+const _: () = assert!(
+    2 * SIDE_BITS + SAMPLES as u32 <= u32::BITS,
+    "all fits a number"
+);
+
+impl Fragment {
+    #[inline(always)]
+    pub(crate) fn new(x: u32, y: u32, samples: u32, surface: u32) -> Self {
+        Self {
+            place: x | y << SIDE_BITS | samples << (2 * SIDE_BITS),
+            surface,
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn x(&self) -> usize {
+        (self.place & SIDE_MASK) as usize
+    }
+
+    #[inline(always)]
+    pub(crate) fn y(&self) -> usize {
+        (self.place >> SIDE_BITS & SIDE_MASK) as usize
+    }
+
+    /// Bits of the samples that it has.
+    #[inline(always)]
+    pub(crate) fn samples(&self) -> usize {
+        (self.place >> (2 * SIDE_BITS)) as usize & ((1 << SAMPLES) - 1)
+    }
 }
 
 /// Lists that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub(crate) struct Lists {
+    /// Of each record from `first` on, if it is listed.
     pub(crate) surfaces: Vec<Surface>,
-    /// Of each record its surface, or [`NOTHING`].
-    of_record: Vec<u32>,
-    /// Of each surface its instance.
-    instances: Vec<u32>,
+    first: usize,
+    /// Of the same records the list that their fragments are in, or [`NOTHING`].
+    list_of: Vec<u32>,
     /// What is worked out of one cluster.
     wanted: Vec<Wanted>,
     vertices: Box<Vertices>,
@@ -39,80 +73,129 @@ pub(crate) struct Lists {
 }
 
 impl Lists {
-    pub(crate) fn clear(&mut self, records: usize, textures: usize) {
-        self.instances.clear();
-        self.of_record.clear();
-        self.of_record.resize(records, NOTHING);
+    /// Empties the lists, for fragments of records from `first` on.
+    pub(crate) fn clear(&mut self, first: usize, records: usize, textures: usize) {
+        self.first = first;
+        self.list_of.clear();
+        self.list_of.resize(records - first, NOTHING);
         self.fragments.resize_with(textures + 1, Vec::new);
         self.fragments.iter_mut().for_each(Vec::clear);
     }
 
-    /// The surface of a record, to be worked out later; and its instance.
+    /// Notes that a record's surface is needed; returns its place among the surfaces,
+    /// and the list that its fragments are in.
     #[inline(always)]
-    pub(crate) fn surface_of(&mut self, id: u32, records: &[Record]) -> (u32, u32) {
-        let known = self.of_record[id as usize];
-        if known != NOTHING {
-            return (known, self.instances[known as usize]);
+    pub(crate) fn need(
+        &mut self,
+        id: u32,
+        records: &[Record],
+        instances: &[Instance],
+    ) -> (u32, usize) {
+        let surface = id as usize - self.first;
+        let list = &mut self.list_of[surface];
+        if *list == NOTHING {
+            let texture = instances[records[id as usize].instance as usize].texture;
+            *list = texture.unwrap_or(self.fragments.len() - 1) as u32;
         }
-        let (surface, instance) = (self.instances.len() as u32, records[id as usize].instance);
-        self.of_record[id as usize] = surface;
-        self.instances.push(instance);
-        (surface, instance)
-    }
-
-    /// Which list the fragments of an instance are in.
-    #[inline(always)]
-    pub(crate) fn list_of(&self, instance: &Instance) -> usize {
-        instance.texture.unwrap_or(self.fragments.len() - 1)
+        (surface as u32, *list as usize)
     }
 }
 
-/// Lists the fragments of a window whose records are `first` or later ones.
+/// Lists the fragments of a window whose records the lists were emptied for.
 pub(crate) fn list_fragments(
     visible: &Visible,
     instances: &[Instance],
     window: Window,
-    first: u32,
     lists: &mut Lists,
 ) {
-    for y in window.y[0]..window.y[1] + 1 {
-        let row = y as usize * visible.stride;
-        let mut last = (NOTHING, 0, 0);
-        for x in window.x[0]..window.x[1] + 1 {
-            let at = (row + x as usize) * SAMPLES;
-            let ids: [u32; SAMPLES] = visible.ids[at..at + SAMPLES].try_into().expect("four");
-            let [id, ..] = ids;
-            if id == last.0 && id != NOTHING && ids == [id; SAMPLES] {
-                lists.fragments[last.2].push(Fragment {
-                    x: x as u16,
-                    y: y as u16,
-                    surface: last.1,
-                    samples: 0xf,
-                });
-                continue;
-            }
-            let mut left = 0xfu32;
-            while left != 0 {
-                let sample = left.trailing_zeros() as usize;
-                let id = ids[sample];
-                let same =
-                    (0..SAMPLES).fold(0, |bits, other| bits | u32::from(ids[other] == id) << other);
-                left &= !same;
-                if id == NOTHING || id < first {
-                    continue;
-                }
-                if id != last.0 {
-                    let (surface, instance) = lists.surface_of(id, &visible.records);
-                    last = (id, surface, lists.list_of(&instances[instance as usize]));
-                }
-                lists.fragments[last.2].push(Fragment {
-                    x: x as u16,
-                    y: y as u16,
-                    surface: last.1,
-                    samples: same,
-                });
-            }
+    let mut listing = Listing {
+        lists,
+        records: &visible.records,
+        instances,
+        id: NO_RECORD,
+        surface: 0,
+        number: 0,
+        list: Vec::new(),
+    };
+    listing.open(0);
+    for (row, y) in window.rows(visible.stride).zip(window.y[0]..) {
+        let ids = &visible.ids[row.start * SAMPLES..row.end * SAMPLES];
+        let (pixels, _) = ids.as_chunks::<SAMPLES>();
+        for (ids, x) in pixels.iter().zip(window.x[0]..) {
+            listing.pixel(ids, x as u32, y as u32);
         }
+    }
+    listing.close();
+}
+
+/// No record's place, and not [`NOTHING`] either.
+const NO_RECORD: u32 = NOTHING - 1;
+
+/// Fragments on their way into the lists. Neighbours are mostly of the same triangle,
+/// and of the same list.
+struct Listing<'a> {
+    lists: &'a mut Lists,
+    records: &'a [Record],
+    instances: &'a [Instance],
+    /// The last record, and its surface.
+    id: u32,
+    surface: u32,
+    /// The list of the last fragment, taken out of the others, and its place among them.
+    number: usize,
+    list: Vec<Fragment>,
+}
+
+impl Listing<'_> {
+    #[inline(always)]
+    fn pixel(&mut self, ids: &[u32; SAMPLES], x: u32, y: u32) {
+        let [a, b, c, d] = *ids;
+        let of = |same: bool, sample: u32| u32::from(same) << sample;
+        let with_first = 1 | of(b == a, 1) | of(c == a, 2) | of(d == a, 3);
+        self.push(a, x, y, with_first);
+        if with_first == 0xf {
+            return;
+        }
+        if b != a {
+            self.push(b, x, y, 2 | of(c == b, 2) | of(d == b, 3));
+        }
+        if c != a && c != b {
+            self.push(c, x, y, 4 | of(d == c, 3));
+        }
+        if d != a && d != b && d != c {
+            self.push(d, x, y, 8);
+        }
+    }
+
+    #[inline(always)]
+    fn push(&mut self, id: u32, x: u32, y: u32, samples: u32) {
+        if id != self.id && !self.turn_to(id) {
+            return;
+        }
+        self.list.push(Fragment::new(x, y, samples, self.surface));
+    }
+
+    /// Makes a record the last one; false if it is not listed.
+    #[inline(always)]
+    fn turn_to(&mut self, id: u32) -> bool {
+        if id == NOTHING || (id as usize) < self.lists.first {
+            return false;
+        }
+        let (surface, number) = self.lists.need(id, self.records, self.instances);
+        (self.id, self.surface) = (id, surface);
+        if number != self.number {
+            self.close();
+            self.open(number);
+        }
+        true
+    }
+
+    fn open(&mut self, number: usize) {
+        self.number = number;
+        self.list = std::mem::take(&mut self.lists.fragments[number]);
+    }
+
+    fn close(&mut self) {
+        self.lists.fragments[self.number] = std::mem::take(&mut self.list);
     }
 }
 
@@ -126,47 +209,47 @@ pub(crate) fn work_out_surfaces(
     lists: &mut Lists,
 ) {
     // What is left of another frame is overwritten before it is read.
-    if lists.surfaces.len() < lists.instances.len() {
+    if lists.surfaces.len() < lists.list_of.len() {
         lists
             .surfaces
-            .resize(lists.instances.len(), Surface::default());
+            .resize(lists.list_of.len(), Surface::default());
     }
     let size = [visible.width as f32, visible.height as f32];
     let Lists {
         surfaces,
-        of_record,
+        first,
+        list_of,
         wanted,
         vertices,
         ..
     } = lists;
     let mut shading = ShadingOf { lights, last: None };
-    let mut records = visible.records.iter().zip(&*of_record).peekable();
-    while let Some((record, surface)) = records.next() {
-        if *surface == NOTHING {
-            continue;
-        }
+    let records = visible.records[*first..].iter().zip(&*list_of).zip(0u32..);
+    let mut needed = records
+        .filter(|((_, list), _)| **list != NOTHING)
+        .map(|((record, _), surface)| (record, surface))
+        .peekable();
+    while let Some((record, surface)) = needed.next() {
         let instance = &instances[record.instance as usize];
         let mesh = instance.mesh.of(model);
         let shading = shading.of(record.instance, instance);
         if record.positions == CLIPPED {
-            surfaces[*surface as usize] =
+            surfaces[surface as usize] =
                 surface::work_out_clipped(instance, mesh, shading, visible, record);
             continue;
         }
         wanted.clear();
         wanted.push(Wanted {
             triangle: record.triangle,
-            surface: *surface,
+            surface,
         });
         let is_of_same =
             |next: &Record| (next.instance, next.positions) == (record.instance, record.positions);
-        while let Some((next, surface)) = records.next_if(|(next, _)| is_of_same(next)) {
-            if *surface != NOTHING {
-                wanted.push(Wanted {
-                    triangle: next.triangle,
-                    surface: *surface,
-                });
-            }
+        while let Some((next, surface)) = needed.next_if(|(next, _)| is_of_same(next)) {
+            wanted.push(Wanted {
+                triangle: next.triangle,
+                surface,
+            });
         }
         let cluster = (record.positions, wanted.as_slice());
         surface::work_out(instance, mesh, shading, size, cluster, vertices, surfaces);
@@ -265,11 +348,9 @@ fn colour_eight(
     let all = Planes::gather(&of);
     let planes = |at: usize| all[at];
     let (one, half) = (splat(1.0), splat(0.5));
-    let place = |of: fn(&Fragment) -> u16| {
-        let values = fragments.each_ref().map(|it| i32::from(of(it)));
-        I::new(values)
-    };
-    let (x, y) = (place(|it| it.x), place(|it| it.y));
+    let places = I::new(fragments.each_ref().map(|it| it.place.cast_signed()));
+    let side = I::splat(SIDE_MASK.cast_signed());
+    let (x, y) = (places & side, (places >> SIDE_BITS.cast_signed()) & side);
     let centre = |at: I| -> F { at.float() + half };
     let (px, py) = (centre(x), centre(y));
     let over_w = planes(OVER_W);

@@ -158,11 +158,12 @@ impl Corners {
             normal: [[0.0; LANES]; 3],
             st: [[0.0; LANES]; 2],
         };
+        let (xs, ys, zs) = (&*mesh.xs, &*mesh.ys, &*mesh.zs);
         for (lane, &vertex) in vertices.iter().enumerate() {
-            it.pos[0][lane] = mesh.xs[vertex];
-            it.pos[1][lane] = mesh.ys[vertex];
-            it.pos[2][lane] = mesh.zs[vertex];
-            let attributes = &mesh.attributes[vertex];
+            it.pos[0][lane] = xs[vertex];
+            it.pos[1][lane] = ys[vertex];
+            it.pos[2][lane] = zs[vertex];
+            let attributes = mesh.attributes(vertex);
             for axis in 0..3 {
                 it.normal[axis][lane] = attributes.normal[axis];
             }
@@ -241,29 +242,27 @@ pub(crate) fn work_out_clipped(
 ) -> Surface {
     debug_assert_eq!(record.positions, CLIPPED, "a piece of a triangle");
     let piece = &visible.clipped[record.triangle as usize];
-    let one = F::splat(1.0);
-    let vertices = mesh
+    let ids = mesh
         .corners
         .each_ref()
-        .map(|corners| piece.positions as usize + usize::from(corners[piece.triangle as usize]));
-    let values = vertices.map(|vertex| {
-        let from = Corners::gather(mesh, &[vertex; LANES]);
-        let values = from.values(instance, shading, one);
-        values.map(|value| value.as_array()[0])
-    });
-    let pos = vertices.map(|vertex| [mesh.xs[vertex], mesh.ys[vertex], mesh.zs[vertex]]);
-    let pieces = clip::clip(instance, pos, values, &piece.cut);
-    let corners =
-        turned(instance.counter_clockwise).map(|corner| pieces[piece.piece as usize][corner]);
+        .map(|corners| corners[piece.triangle as usize]);
+    let [a, b, c] = ids.map(|id| piece.positions as usize + usize::from(id));
+    let from = Corners::gather(mesh, &[a, b, c, c, c, c, c, c]);
+    let [a, b, c, ..] = F::transpose(from.values(instance, shading, F::splat(1.0)));
+    let pos = [0, 1, 2].map(|lane| from.pos.map(|axis| axis[lane]));
+    let polygon = clip::clip(instance, pos, [a, b, c], &piece.cut);
+    let Some(corners) = polygon.pieces().nth(piece.piece as usize) else {
+        return Surface::default();
+    };
+    let corners = turned(instance.counter_clockwise).map(|corner| corners[corner]);
     let place = |axis: usize| corners.map(|corner| F::splat(corner.window[axis]));
     let slopes = Slopes::new(&place(0), &place(1));
-    let mut surface = Surface::default();
-    for at in 0..VARYING {
-        let values = corners.map(|corner| F::splat(corner.values[at] * corner.over_w));
-        let [at_corner, per_x, per_y] = slopes.of(&values).map(|it| it.as_array()[0]);
-        surface.at_corner[at] = at_corner;
-        surface.per_x[at] = per_x;
-        surface.per_y[at] = per_y;
+    // A lane for each number that varies.
+    let values = corners.map(|corner| corner.values * F::splat(corner.over_w));
+    let [at_corner, per_x, per_y] = slopes.of(&values);
+    Surface {
+        at_corner: at_corner.to_array(),
+        per_x: per_x.to_array(),
+        per_y: per_y.to_array(),
     }
-    surface
 }

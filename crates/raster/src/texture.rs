@@ -2,8 +2,11 @@
 //! to know. Levels are averaged as Mesa averages them: by sampling the level
 //! before in the middle of each of their texels.
 
+use bytes::Bytes;
+
 use crate::error::ModelError;
 use crate::lanes::LANES;
+use crate::values::Values;
 
 /// Longest side of a texture, texels.
 const MAX_SIDE: usize = 1 << 14;
@@ -30,7 +33,7 @@ pub struct Texture {
     largest: usize,
     /// Bytes of the smaller levels: level by level, in a level image by image, and
     /// a byte more, so that four can be read of the last texel's three.
-    smaller: Vec<u8>,
+    smaller: Values<u8>,
 }
 
 /// A texture with its largest level.
@@ -55,7 +58,7 @@ impl<'a> Texels<'a> {
         let (bytes, at) = match index < texture.largest {
             true => (self.largest, index * texture.channels),
             false => (
-                texture.smaller.as_slice(),
+                &*texture.smaller,
                 (index - texture.largest) * texture.channels,
             ),
         };
@@ -91,6 +94,33 @@ impl Texels<'_> {
                 texels
             }
         }
+    }
+
+    /// Eight texels, and the ones that follow them, read by one load each; none where
+    /// they are of different levels' bytes, or too near to their end.
+    #[inline(always)]
+    pub(crate) fn eight_pairs(self, at: &[i32; LANES]) -> Option<[[u32; LANES]; 2]> {
+        let largest = self.texture.largest as i32;
+        let smaller = at
+            .iter()
+            .fold(0, |count, at| count + u32::from(*at >= largest));
+        let (bytes, first) = match smaller {
+            0 => (self.largest, 0),
+            8 => (&self.texture.smaller[..], largest),
+            _ => return None,
+        };
+        let (channels, opaque) = match self.texture.channels {
+            3 => (3, 0xff00_0000),
+            _ => (4, 0),
+        };
+        let mut pairs = [[0; LANES]; 2];
+        for (lane, at) in at.iter().enumerate() {
+            let place = (at - first).cast_unsigned() as usize * channels;
+            let pair = u64::from_le_bytes(*bytes.get(place..)?.first_chunk()?);
+            pairs[0][lane] = opaque | pair as u32;
+            pairs[1][lane] = opaque | (pair >> (8 * channels)) as u32;
+        }
+        Some(pairs)
     }
 
     /// Eight texels from bytes that start with texel `first`.
@@ -140,38 +170,64 @@ impl Texture {
         channels: usize,
         bytes: &[u8],
     ) -> Result<Self, ModelError> {
-        // One after the other: what is not sized may be too large to multiply.
-        let sized = (1..=MAX_SIDE).contains(&width)
-            && (1..=6 * MAX_SIDE).contains(&height)
-            && matches!(channels, 3 | 4);
-        let shaped = sized
-            && match kind {
-                TextureKind::Flat { .. } => height <= MAX_SIDE,
-                TextureKind::Cube => height == width || height == 6 * width,
-            };
-        if !(shaped && bytes.len() == width * height * channels) {
-            return Err(ModelError::Texture {
+        let images = images_of(kind, width, height, channels)
+            .filter(|_| bytes.len() == width * height * channels)
+            .ok_or(ModelError::Texture {
                 width,
                 height,
                 channels,
                 bytes: bytes.len(),
-            });
-        }
-        let images = match kind {
-            TextureKind::Cube => height / width,
-            TextureKind::Flat { .. } => 1,
-        };
-        let mut texture = Self {
-            kind,
-            levels: vec![Level::new(width, height / images, 0, images)],
-            channels,
-            largest: width * height,
-            smaller: Vec::new(),
-        };
+            })?;
+        let mut texture = Self::sized(kind, [width, height, channels], images);
+        texture.smaller = Values::with_capacity(texture.smaller_bytes(images));
         texture.add_smaller_levels(images, bytes);
         texture.smaller.push(0);
-        texture.smaller.shrink_to_fit();
         Ok(texture)
+    }
+
+    /// The smaller levels as bytes, for [`Texture::with_smaller`] of the same
+    /// [`SOURCES`](crate::SOURCES).
+    pub fn smaller(&self) -> &[u8] {
+        &self.smaller
+    }
+
+    /// A texture whose smaller levels were made before, and stay where they are.
+    ///
+    /// # Errors
+    /// If the largest level is of no texture, or the smaller ones are not as large as
+    /// its.
+    pub fn with_smaller(
+        kind: TextureKind,
+        [width, height, channels]: [usize; 3],
+        smaller: Bytes,
+    ) -> Result<Self, ModelError> {
+        let images = images_of(kind, width, height, channels).ok_or(ModelError::Bytes)?;
+        let texture = Self {
+            smaller: Values::Shared(smaller),
+            ..Self::sized(kind, [width, height, channels], images)
+        };
+        match texture.smaller.len() == texture.smaller_bytes(images) {
+            true => Ok(texture),
+            false => Err(ModelError::Bytes),
+        }
+    }
+
+    /// A texture with the sizes of its levels, and without the smaller ones' bytes.
+    fn sized(kind: TextureKind, [width, height, channels]: [usize; 3], images: usize) -> Self {
+        let first = Level::new(width, height / images, 0, images);
+        let next = |last: &Level| last.next(images);
+        Self {
+            kind,
+            levels: std::iter::successors(Some(first), next).collect(),
+            channels,
+            largest: width * height,
+            smaller: Values::default(),
+        }
+    }
+
+    fn smaller_bytes(&self, images: usize) -> usize {
+        let end = self.levels.last().map_or(0, |last| last.end(images));
+        (end - self.largest) * self.channels + 1
     }
 
     /// Bytes of the largest level.
@@ -180,11 +236,8 @@ impl Texture {
     }
 
     fn add_smaller_levels(&mut self, images: usize, bytes: &[u8]) {
-        let mut last = self.levels[0];
-        let mut texels = self.largest;
-        while last.width > 1 || last.height > 1 {
-            let (width, height) = ((last.width / 2).max(1), (last.height / 2).max(1));
-            let level = Level::new(width, height, texels, images);
+        for at in 1..self.levels.len() {
+            let (last, Level { width, height, .. }) = (self.levels[at - 1], self.levels[at]);
             for image in 0..images {
                 for y in 0..height {
                     let t = (y as f32 + 0.5) / height as f32;
@@ -195,9 +248,6 @@ impl Texture {
                     }
                 }
             }
-            texels += images * width * height;
-            self.levels.push(level);
-            last = level;
         }
     }
 }
@@ -245,6 +295,37 @@ impl Level {
             start,
             image: if images == 1 { 0 } else { width * height },
         }
+    }
+
+    /// The texel behind its images.
+    fn end(&self, images: usize) -> usize {
+        self.start + images * self.width * self.height
+    }
+
+    /// The next smaller one; none after the last.
+    fn next(&self, images: usize) -> Option<Self> {
+        let half = |side: usize| (side / 2).max(1);
+        let is_last = self.width == 1 && self.height == 1;
+        (!is_last).then(|| {
+            Self::new(
+                half(self.width),
+                half(self.height),
+                self.end(images),
+                images,
+            )
+        })
+    }
+}
+
+/// Images in the largest level of a texture; none if it cannot be one.
+fn images_of(kind: TextureKind, width: usize, height: usize, channels: usize) -> Option<usize> {
+    let is_sized = (1..=MAX_SIDE).contains(&width)
+        && (1..=6 * MAX_SIDE).contains(&height)
+        && matches!(channels, 3 | 4);
+    match kind {
+        _ if !is_sized => None,
+        TextureKind::Flat { .. } => (height <= MAX_SIDE).then_some(1),
+        TextureKind::Cube => (height == width || height == 6 * width).then(|| height / width),
     }
 }
 

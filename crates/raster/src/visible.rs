@@ -55,8 +55,9 @@ pub(crate) struct Visible {
     pub(crate) stride: usize,
     /// 1 at the near plane, 0 at the far one.
     pub(crate) depths: Vec<f32>,
-    /// Blocks of the picture, row by row.
+    /// Blocks of the picture, row by row, and how many are in a row.
     blocks: Vec<Block>,
+    blocks_in_row: usize,
     /// Places in `records`.
     pub(crate) ids: Vec<u32>,
     pub(crate) records: Vec<Record>,
@@ -95,7 +96,8 @@ impl Visible {
     }
 
     fn forget_what_is_hidden(&mut self, writes: u8) {
-        let blocks = self.width.div_ceil(BLOCK as usize) * self.height.div_ceil(BLOCK as usize);
+        self.blocks_in_row = self.width.div_ceil(BLOCK as usize);
+        let blocks = self.blocks_in_row * self.height.div_ceil(BLOCK as usize);
         self.blocks.clear();
         let nothing = Block {
             parts: [0.0; LANES],
@@ -106,20 +108,27 @@ impl Visible {
     }
 
     /// The place of a pixel's block in `blocks`.
+    #[inline(always)]
     fn block_of(&self, x: i32, y: i32) -> usize {
-        (y / BLOCK) as usize * self.width.div_ceil(BLOCK as usize) + (x / BLOCK) as usize
+        let [x, y] = [x, y].map(|at| at.cast_unsigned() as usize / BLOCK as usize);
+        y * self.blocks_in_row + x
     }
 
     /// Notes that depths of some pixels, the ends inside, were written, so much of
     /// [`WORTH_FINDING`].
     #[inline(always)]
     pub(crate) fn mark_written(&mut self, x: [i32; 2], y: [i32; 2], writes: u8) {
-        for row in y[0] / BLOCK..=y[1] / BLOCK {
-            let first = self.block_of(x[0], row * BLOCK);
-            let last = self.block_of(x[1], row * BLOCK);
-            for block in &mut self.blocks[first..=last] {
-                block.writes = block.writes.saturating_add(writes);
-            }
+        let mark = |block: &mut Block| block.writes = block.writes.saturating_add(writes);
+        let (first, last) = (self.block_of(x[0], y[0]), self.block_of(x[1], y[1]));
+        mark(&mut self.blocks[first]);
+        if first == last {
+            return;
+        }
+        let right = self.block_of(x[1], y[0]);
+        self.blocks[first + 1..=right].iter_mut().for_each(mark);
+        for row in (right + self.blocks_in_row..=last).step_by(self.blocks_in_row) {
+            let blocks = &mut self.blocks[row + first - right..=row];
+            blocks.iter_mut().for_each(mark);
         }
     }
 

@@ -64,6 +64,7 @@ impl Analysis {
                 published_nominal: subject.published_nominal,
                 published_by_suite: subject.published_by_suite.clone(),
                 reported_nominal: subject.reported_nominal,
+                directions: subject.directions,
                 ..Options::default()
             },
         );

@@ -253,7 +253,7 @@ impl Measured {
                 fails_at,
             } => (Kind::Between, Some(succeeds_at), Some(fails_at)),
             Threshold::Beyond => (Kind::Beyond, largest_success(known), None),
-            Threshold::Open => (Kind::Open, largest_success(known), None),
+            Threshold::Open { succeeds_at } => (Kind::Open, Some(succeeds_at), None),
         };
         let points = [(Level::L0, known.nominal())]
             .into_iter()

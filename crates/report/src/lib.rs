@@ -39,5 +39,5 @@ pub use subject::{
     BeyondRange, Derived, EarlyStop, Origin, Prospect, Purpose, Quarantined, Setups, Subject,
     counted, rollout_name,
 };
-pub use table::{TableError, write_csv, write_parquet};
+pub use table::{ResultRow, TableError, write_csv, write_parquet, write_results_parquet};
 pub use warnings::fingerprints_in_words;

@@ -6,6 +6,7 @@
 mod configurations;
 mod explanations;
 mod form;
+mod results;
 mod thresholds;
 
 use std::io::Write;
@@ -13,6 +14,7 @@ use std::io::Write;
 use crate::document::Document;
 
 pub use form::TableError;
+pub use results::{ResultRow, write_results_parquet};
 
 /// Writes the table as CSV, with a line of column names: minimal subsets if every
 /// subject explains another campaign, thresholds if every subject measures those of

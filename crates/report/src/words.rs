@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use paired::{Interval, NoInterval};
-use thresholds::{Curve, HalfSuccess};
+use thresholds::{Curve, HalfSuccess, Point};
 
 /// A rate, or a loss, in percent: `87.5`, `−0.3`.
 pub(crate) fn percent(rate: f64) -> String {
@@ -69,14 +69,17 @@ pub(crate) fn p_value(p: f64) -> String {
     }
 }
 
-/// Where half of the configurations survive, as it is printed: `4.25`, `> 16`, or
-/// `none` where fewer than half succeed nominally.
+/// Where half of the configurations survive, as it is printed: `4.25`, `2 to 4` where
+/// no radius between was run, `> 16`, or `none` where fewer than half succeed nominally.
 pub(crate) fn half_success(curve: &Curve) -> String {
-    let begins = curve.points.first().map_or(0.0, |point| point.survival);
-    match curve.half_success.radius {
-        Some(radius) => format!("{radius:.2}"),
-        None if begins < 0.5 => "none".to_owned(),
-        None => format!("> {}", curve.largest_radius),
+    let share = |point: Option<&Point>| point.map_or(0.0, |point| point.survival);
+    match (curve.half_success.radius, curve.half_success.bounds) {
+        (Some(radius), _) => format!("{radius:.2}"),
+        _ if share(curve.points.first()) < 0.5 => "none".to_owned(),
+        (None, Some([low, high])) if share(curve.points.last()) <= 0.5 => {
+            format!("{low} to {high}")
+        }
+        _ => format!("> {}", curve.largest_radius),
     }
 }
 

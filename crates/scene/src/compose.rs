@@ -2,6 +2,8 @@
 //! objects, fixtures and region sites, in the original's element order and
 //! with its names.
 
+use std::path::PathBuf;
+
 use protocol::Predicate;
 use sha2::{Digest, Sha256};
 
@@ -16,7 +18,7 @@ use crate::pack::AssetPack;
 use crate::part::{Part, recolor_collision_geoms};
 use crate::placement::{FixturePose, Samplers};
 use crate::robot;
-use crate::sources::{Sources, locate_files};
+use crate::sources::{AssetRoot, Sources, locate_files};
 
 /// Simulation step of robosuite's macros, s.
 const TIMESTEP_SECS: f64 = 0.002;
@@ -45,6 +47,36 @@ impl Scene {
     /// The model as MJCF with this machine's file names, ready to be compiled.
     pub fn mjcf(&self, pack: &AssetPack, sources: &Sources) -> String {
         locate_files(&self.mjcf, [&pack.root(), &sources.robosuite()])
+    }
+
+    /// The model as MJCF with folders' names that are the same on every machine.
+    pub fn portable_mjcf(&self) -> &str {
+        &self.mjcf
+    }
+
+    /// Holds the meshes and textures that the MJCF names against LIBERO's table, if the
+    /// pack goes by LIBERO's name. To be called before they are compiled.
+    ///
+    /// # Errors
+    /// If a file is not LIBERO's.
+    pub fn verify_files(&self, pack: &AssetPack) -> Result<(), SceneError> {
+        let root = pack.root();
+        let mut files = self.files_below(&root);
+        files.try_for_each(|file| root.verify(file, "file of the scene"))
+    }
+
+    /// The robot's meshes and textures that the MJCF names.
+    pub fn robot_files(&self, sources: &Sources) -> Vec<PathBuf> {
+        let root = sources.robosuite();
+        self.files_below(&root)
+            .map(|file| root.path(file))
+            .collect()
+    }
+
+    fn files_below<'a>(&'a self, root: &'a AssetRoot) -> impl Iterator<Item = &'a str> {
+        let named = self.mjcf.split("file=\"").skip(1);
+        let named = named.filter_map(|behind| Some(behind.split_once('"')?.0));
+        named.filter_map(|file| root.inside(file))
     }
 
     /// SHA-256 of the composed MJCF and the fixtures' poses, hex. The same on

@@ -69,8 +69,8 @@ impl Part {
         })
     }
 
-    /// Checks that the files which the assets name are there, and are LIBERO's where
-    /// the pack is: MuJoCo's own message would not say what they belong to.
+    /// Checks that the files which the assets name are there: MuJoCo's own message would
+    /// not say what they belong to.
     pub(crate) fn check_files(&self, root: &AssetRoot, what: &str) -> Result<(), SceneError> {
         let mut names = HashSet::new();
         let assets = self.root.child("asset").into_iter();
@@ -83,7 +83,6 @@ impl Part {
                 continue;
             };
             let what = format!("{} of the {what}", asset.tag);
-            root.verify(inside, &what)?;
             let path = root.path(inside);
             std::fs::metadata(&path).map_err(|source| SceneError::Read {
                 what,

@@ -56,10 +56,15 @@ impl Sources {
 
     /// `rollout/sources` in the user's cache folder.
     fn in_cache() -> PathBuf {
+        Self::cache_folder().join("sources")
+    }
+
+    /// `rollout` in the user's cache folder.
+    pub fn cache_folder() -> PathBuf {
         let cache = std::env::var_os("XDG_CACHE_HOME")
             .map(PathBuf::from)
             .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
-        cache.unwrap_or_default().join("rollout/sources")
+        cache.unwrap_or_default().join("rollout")
     }
 
     /// The folder that LIBERO's assets are fetched into: `packs/libero` in the sources.

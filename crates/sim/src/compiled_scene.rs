@@ -11,6 +11,7 @@ use crate::mujoco::{Model, ObjectKind, return_freed_memory};
 use crate::predicates::Goal;
 use crate::render::Prepared;
 use crate::reset::Resets;
+use crate::scene_files::{Obtained, Preparation, SceneFolder, name_of_scene};
 
 /// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
@@ -30,6 +31,7 @@ pub struct CompiledScene {
     pub(crate) grip_site: usize,
     /// For our renderer; made when it first draws the scene.
     prepared: OnceLock<Arc<Prepared>>,
+    preparation: Preparation,
 }
 
 /// A site that glows while its stove is on.
@@ -45,12 +47,23 @@ pub(crate) struct Burner {
 }
 
 impl CompiledScene {
-    /// Compiles a scene, its fixtures where the scene has them.
+    /// Compiles a scene, its fixtures where the scene has them, or maps it if this machine
+    /// has compiled it before.
     ///
     /// # Errors
     /// If MuJoCo refuses it, or it lacks what every LIBERO scene has.
     pub fn compile(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
-        let mut model = Model::compile(&scene.mjcf(pack, sources))?;
+        let compile = || {
+            scene.verify_files(pack)?;
+            Model::compile(&scene.mjcf(pack, sources))
+        };
+        let Obtained {
+            mut model,
+            prepared,
+        } = match SceneFolder::of_process() {
+            Some(folder) => folder.obtain(&name_of_scene(&scene, pack, sources), compile)?,
+            None => Obtained::of(compile()?),
+        };
         model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
         let resets = Resets::resolve(&scene.samplers, &model)?;
         for pose in &scene.fixture_poses {
@@ -66,6 +79,7 @@ impl CompiledScene {
             hand_body: model.id(ObjectKind::Body, HAND_BODY)?,
             grip_site: model.id(ObjectKind::Site, GRIP_SITE)?,
             prepared: OnceLock::new(),
+            preparation: prepared,
             scene,
             model,
         })
@@ -86,8 +100,15 @@ impl CompiledScene {
         if let Some(prepared) = self.prepared.get() {
             return Ok(Arc::clone(prepared));
         }
-        let prepared = Arc::new(Prepared::of(&self.model)?);
-        return_freed_memory();
+        let prepared = match &self.preparation {
+            Preparation::Made(prepared) => Arc::clone(prepared),
+            Preparation::Kept(bytes) => Arc::new(Prepared::of_bytes(&self.model, bytes)?),
+            Preparation::Missing => {
+                let prepared = Arc::new(Prepared::of(&self.model)?);
+                return_freed_memory();
+                prepared
+            }
+        };
         // Another thread may have been faster.
         Ok(Arc::clone(self.prepared.get_or_init(|| prepared)))
     }

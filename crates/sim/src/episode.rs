@@ -25,6 +25,11 @@ pub fn clip(action: &[f64; 7]) -> [f64; 7] {
     action.map(|number| number.clamp(-1.0, 1.0))
 }
 
+/// How far [`Episode::nudge`] moves the hand, m: a thousandth of a pixel of its cameras.
+pub const NUDGE_M: f64 = 1e-6;
+/// Of the least squares of a nudge, in squares of the Jacobian's lengths, m².
+const NUDGE_DAMPING: f64 = 1e-9;
+
 /// The camera on the hand.
 const WRIST_CAMERA: &str = "robot0_eye_in_hand";
 
@@ -263,6 +268,24 @@ impl<'a> Episode<'a> {
         self.environment.restore_appearance();
         self.conditions.sensor = None;
         self.conditions.actuation = None;
+    }
+
+    /// Moves the point between the fingertips up by [`NUDGE_M`], by the joints' least change
+    /// that does. Nothing else changes, and the policy's view only with the next step. A
+    /// rollout that ends otherwise because of it is chaotic there.
+    pub fn nudge(&mut self) {
+        let site = self.environment.model().id(ObjectKind::Site, GRIP_SITE);
+        let site = site.expect("the controller has it");
+        let (model, data) = self.environment.model_and_data();
+        let jacobian = arm_state(model, data, site).jacobian;
+        let jacobian = jacobian.fixed_rows::<3>(0).into_owned();
+        // Enough to be invertible in every posture, and nothing beside its squares.
+        let damped = jacobian * jacobian.transpose() + Matrix3::identity() * NUDGE_DAMPING;
+        let inverse = damped.try_inverse().expect("positive definite");
+        let change = jacobian.transpose() * inverse * nalgebra::Vector3::new(0.0, 0.0, NUDGE_M);
+        for (angle, change) in data.qpos_mut(model).iter_mut().zip(change.iter()) {
+            *angle += change;
+        }
     }
 
     /// What the policy sees now, every perturbation included. Draws only what is

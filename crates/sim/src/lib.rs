@@ -1,9 +1,9 @@
 //! LIBERO in MuJoCo: compiled scenes, the robot's controllers, success, frames
 //! drawn off-screen, and the perturbations of LIBERO-CTRL.
 //!
-//! The only crate of the workspace with `unsafe` code: in [`mujoco`], and in
-//! [`render`] where it calls OpenGL, behind safe types, with a reason at every
-//! block.
+//! The only crate of the workspace with `unsafe` code: in [`mujoco`], in
+//! [`render`] where it calls OpenGL, and where files of scenes are mapped, behind
+//! safe types, with a reason at every block.
 
 mod compiled_scene;
 pub mod controller;
@@ -20,6 +20,7 @@ mod privileged;
 mod ready_scene;
 pub mod render;
 mod reset;
+mod scene_files;
 pub mod simulator;
 mod state;
 
@@ -35,5 +36,6 @@ pub use perturb::IkSolution;
 pub use ready_scene::ReadyScene;
 pub use render::{Drawer, GlDevice, Renderer};
 pub use reset::Reset;
+pub use scene_files::{SceneFileError, SceneFolder};
 pub use simulator::{Simulator, SimulatorConfig};
 pub use state::Snapshot;

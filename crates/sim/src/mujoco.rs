@@ -5,6 +5,7 @@
 mod arrays;
 mod changes;
 mod data;
+mod image;
 mod model;
 mod own;
 mod slices;
@@ -19,6 +20,7 @@ use mujoco_rs::mujoco_c as c;
 pub use arrays::{ModelArray, NamedArray, Values};
 pub use changes::OwnArray;
 pub use data::Data;
+pub(crate) use image::{ALIGNMENT, STRUCTURE};
 pub(crate) use model::{MeshData, TextureData};
 pub use model::{Model, ObjectKind};
 pub use visual_scene::Segment;

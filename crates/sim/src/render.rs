@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 use gl::GlCanvas;
 pub use gl_context::{GlContext, GlDevice};
-pub(crate) use prepare::Prepared;
+pub(crate) use prepare::{Prepared, PreparedBytes, digest_of_texture};
 use software::SoftwareCanvas;
 use thread_bound::ThreadBound;
 pub(crate) use view::View;
@@ -150,7 +150,15 @@ impl Canvas {
                 Ok(Self::Software(Box::new(canvas)))
             }
             Drawer::Gl(context) => {
-                let canvas = GlCanvas::new(context, model, width, height)?;
+                model.grow_offscreen_buffer(width, height);
+                let upload = |model: &Model| GlCanvas::new(context, model, width, height);
+                let canvas = match model.lacks_texels() {
+                    true => {
+                        let texels = prepared(model)?.texels(model);
+                        model.with_texels(&texels, upload)?
+                    }
+                    false => upload(model)?,
+                };
                 Ok(Self::Gl(ThreadBound::new(canvas)))
             }
         }

@@ -23,7 +23,8 @@ pub struct SimulatorConfig {
     pub pack: AssetPack,
     /// What draws.
     pub renderer: Renderer,
-    /// Compiled scenes kept; each takes some 100 MB with the real assets.
+    /// Compiled scenes kept; each takes some 100 MB with the real assets where it is not
+    /// kept in a file.
     pub cached_scenes: usize,
 }
 

@@ -195,6 +195,7 @@ prop_compose! {
             configs: vec![config],
             nominal: Nominal::None,
             seed,
+            ..Design::v0_1()
         }
     }
 }
@@ -247,9 +248,8 @@ proptest! {
             axes: Axis::METRIC.to_vec(),
             levels: vec![Level::L3],
             configs: vec![config],
-            subsets: Vec::new(),
             nominal: Nominal::None,
-            seed: 0,
+            ..Design::v0_1()
         };
         each_axis(&design, Realisation::Reference, |axis, alone, combined| {
             let is_drawn = matches!(axis, Axis::Sensor | Axis::Actuation);

@@ -6,9 +6,18 @@
 //! with a report's rates; where no configuration recovers from a failure, it is equal to
 //! them at the levels of the grid.
 //!
-//! Where within its bracket a threshold lies is not known. The curve takes it as
+//! The place of a threshold within its bracket is not known. The curve takes it as
 //! uniform there; the *band* is what every other place would give. At a radius that was
-//! run of every configuration, both are the same.
+//! run of every configuration, both are the same. A threshold beyond the largest success
+//! whose failure is not known is censored on the right: the curve goes on with it as with
+//! the others that came so far, the band with everything that it may be.
+//!
+//! Intervals are about what the band allows: from the lower end of an interval of the least
+//! to the upper end of an interval of the most, over resampled tasks. So they hold wherever
+//! in their brackets the thresholds lie, and are never narrower than the brackets there
+//! (J. L. Horowitz, C. F. Manski, Nonparametric analysis of randomized experiments with
+//! missing covariate and outcome data, Journal of the American Statistical Association 95
+//! (2000), 77–84).
 
 use std::collections::BTreeMap;
 
@@ -19,8 +28,12 @@ use serde::Serialize;
 use crate::found::{Found, Threshold};
 use crate::search::Search;
 
-/// What is half of all configurations.
+/// One half of all configurations.
 const HALF: f64 = 0.5;
+/// Most rounds in which the share of censored configurations is settled, and the change
+/// of a share that ends them.
+const MOST_ROUNDS: u32 = 1_000;
+const CHANGE: f64 = 1e-12;
 
 /// How many configurations survive up to each radius, under one condition.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -39,13 +52,15 @@ pub struct Curve {
     pub n: u64,
     /// Their tasks.
     pub tasks: usize,
-    /// Configurations that it leaves out, as long as outcomes are missing or in
-    /// quarantine without which nothing can be said.
+    /// Configurations that it leaves out: outcomes of the grid are missing still, or the
+    /// nominal rollout is in quarantine.
     pub left_out: u64,
     /// Those that fail nominally.
     pub nominal_fails: u64,
     /// Those that survive up to the largest radius: there, their threshold is censored.
     pub beyond: u64,
+    /// Those that are censored below it, because the outcome there is in quarantine.
+    pub censored: u64,
     /// Those that succeed again at a larger radius than one at which they fail.
     pub not_monotone: u64,
     /// The curve, from radius 0 on, straight between these points. None where it is over
@@ -66,18 +81,22 @@ pub struct Point {
     pub survival: f64,
     /// The smallest and the largest share that the brackets allow.
     pub band: [f64; 2],
-    /// Interval of `survival`, by resampling tasks; none where that cannot give one.
+    /// Interval of `survival`, by resampling tasks, wherever the thresholds lie in their
+    /// brackets; none where that cannot give one.
     pub ci95: Option<Interval>,
 }
 
 /// The radius up to which half of all configurations survive.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HalfSuccess {
-    /// The radius; none if fewer than half succeed nominally, or more than half survive
-    /// up to the largest radius.
+    /// Where the curve crosses one half; none if fewer than half succeed nominally, more
+    /// than half survive up to the largest radius, or brackets are not narrowed there.
     pub radius: Option<f64>,
-    /// Its interval, by resampling tasks. An end at 0 means less than half nominally,
-    /// one at the largest radius, more than half there.
+    /// Between which radii it lies for these configurations, wherever the thresholds are in
+    /// their brackets; none where the curve is over no configuration.
+    pub bounds: Option<Interval>,
+    /// Its interval, by resampling tasks, brackets included. An end at 0 means less than
+    /// half nominally, one at the largest radius, half or more there.
     pub ci95: Option<Interval>,
     /// Why there is no interval.
     pub no_interval: Option<NoInterval>,
@@ -92,6 +111,8 @@ enum Survives {
     Until([f64; 2]),
     /// Up to the largest radius.
     Throughout,
+    /// Up to this radius; what is beyond is not known.
+    AtLeast(f64),
 }
 
 impl Survives {
@@ -103,17 +124,24 @@ impl Survives {
                 fails_at,
             } => Some(Self::Until([succeeds_at.radius(), fails_at.radius()])),
             Threshold::Beyond => Some(Self::Throughout),
-            Threshold::NominalUnknown | Threshold::Open => None,
+            Threshold::Open { succeeds_at } => Some(Self::AtLeast(succeeds_at.radius())),
+            Threshold::NominalUnknown => None,
         };
         survives.filter(|_| found.is_on_grid)
     }
 
-    /// How likely it survives up to a radius, if its threshold is uniform in its bracket.
-    fn expected(self, radius: f64) -> f64 {
+    /// How likely it survives up to a radius, if its threshold is uniform in its bracket,
+    /// and, where it is censored, as likely as `others` that survive as far.
+    fn expected(self, radius: f64, others: impl Fn(f64) -> f64) -> f64 {
         match self {
             Self::Never => 0.0,
             Self::Until([low, high]) => ((high - radius) / (high - low)).clamp(0.0, 1.0),
             Self::Throughout => 1.0,
+            Self::AtLeast(known) if radius <= known => 1.0,
+            Self::AtLeast(known) => match others(known) {
+                share if share > 0.0 => others(radius) / share,
+                _ => 0.0,
+            },
         }
     }
 
@@ -123,13 +151,15 @@ impl Survives {
             Self::Never => [false; 2],
             Self::Until([low, high]) => [radius <= low, radius < high],
             Self::Throughout => [true; 2],
+            Self::AtLeast(known) => [radius <= known, true],
         }
     }
 
     fn ends(self) -> impl Iterator<Item = f64> {
         let ends = match self {
-            Self::Until(ends) => Some(ends),
-            Self::Never | Self::Throughout => None,
+            Self::Until(ends) => [Some(ends[0]), Some(ends[1])],
+            Self::AtLeast(known) => [Some(known), None],
+            Self::Never | Self::Throughout => [None; 2],
         };
         ends.into_iter().flatten()
     }
@@ -150,7 +180,8 @@ impl Curve {
         let recovers = |(_, found): &&(TaskRef, Found)| !found.recovers_at.is_empty();
         let largest_radius = search.largest().map_or(0.0, Level::radius);
         let clusters = Clusters::of(&known, search);
-        let (points, half_success) = clusters.points(&known, bootstrap);
+        let (points, mut half_success) = clusters.points(&known, bootstrap);
+        half_success.radius = half_success.radius.filter(|_| search.tolerance.is_some());
         Self {
             condition,
             grid: search.grid.iter().map(|level| level.radius()).collect(),
@@ -161,6 +192,7 @@ impl Curve {
             left_out: (found.len() - known.len()) as u64,
             nominal_fails: count(|it| matches!(it, Survives::Never)) as u64,
             beyond: count(|it| matches!(it, Survives::Throughout)) as u64,
+            censored: count(|it| matches!(it, Survives::AtLeast(_))) as u64,
             not_monotone: found.iter().filter(recovers).count() as u64,
             points,
             half_success,
@@ -183,8 +215,8 @@ struct Clusters {
 /// The configurations of one task.
 struct Task {
     n: f64,
-    /// How many of them survive up to each radius.
-    survive: Vec<f64>,
+    /// How many of them survive up to each radius: the fewest, then the most.
+    survive: [Vec<f64>; 2],
 }
 
 impl Clusters {
@@ -198,11 +230,13 @@ impl Clusters {
         for (task, survives) in known {
             let task = tasks.entry(*task).or_insert_with(|| Task {
                 n: 0.0,
-                survive: vec![0.0; radii.len()],
+                survive: [vec![0.0; radii.len()], vec![0.0; radii.len()]],
             });
             task.n += 1.0;
-            for (sum, &radius) in task.survive.iter_mut().zip(&radii) {
-                *sum += survives.expected(radius);
+            for (k, &radius) in radii.iter().enumerate() {
+                for (sum, survives) in task.survive.iter_mut().zip(survives.bounds(radius)) {
+                    sum[k] += f64::from(survives);
+                }
             }
         }
         Self {
@@ -211,72 +245,114 @@ impl Clusters {
         }
     }
 
-    /// The curve's points, and the radius at which it crosses one half.
+    /// The curve's points, and where it crosses one half.
     fn points(
         &self,
         known: &[(TaskRef, Survives)],
         bootstrap: &Bootstrap,
     ) -> (Vec<Point>, HalfSuccess) {
-        let mut values = vec![0.0; self.radii.len() + 1];
-        self.statistics(&vec![1; self.tasks.len()], &mut values);
-        let intervals = intervals_of_many(
-            bootstrap,
-            self.tasks.len(),
-            values.len(),
-            |draws, values| self.statistics(draws, values),
-        );
-        let n = known.len() as f64;
-        let band = |radius: f64| {
-            let bounds = known.iter().map(|(_, survives)| survives.bounds(radius));
-            let sums = bounds.fold([0.0, 0.0], |[low, high], [certain, possible]| {
-                [low + f64::from(certain), high + f64::from(possible)]
+        if known.is_empty() {
+            let nothing = HalfSuccess {
+                radius: None,
+                bounds: None,
+                ci95: None,
+                no_interval: Some(NoInterval::TooFewTasks),
+            };
+            return (Vec::new(), nothing);
+        }
+        let (tasks, count) = (self.tasks.len(), 2 * (self.radii.len() + 1));
+        let mut values = vec![0.0; count];
+        self.statistics(&vec![1; tasks], &mut values);
+        let statistics = |draws: &[u32], values: &mut [f64]| self.statistics(draws, values);
+        let intervals = intervals_of_many(bootstrap, tasks, count, statistics);
+        let interval = |k: usize| {
+            let ends = [2 * k, 2 * k + 1].map(|place| match intervals[place] {
+                // An end that no resampling moves is its value.
+                Err(NoInterval::NoSpread) => Ok([values[place]; 2]),
+                ends => ends,
             });
-            sums.map(|sum| sum / n)
+            let [[low, _], [_, high]] = [ends[0]?, ends[1]?];
+            match high > low {
+                true => Ok([low, high]),
+                false => Err(NoInterval::NoSpread),
+            }
         };
-        let point = |((&radius, &survival), ci95): ((&f64, &f64), &Result<_, _>)| Point {
+        let survival = self.survival(known);
+        let of_curve = self.radii.iter().zip(&survival).enumerate();
+        let points = of_curve.map(|(k, (&radius, &survival))| Point {
             radius,
             level: Level::of_radius(radius).filter(|level| level.is_named()),
             survival,
-            band: band(radius),
-            ci95: ci95.as_ref().ok().copied(),
-        };
-        let of_curve = self.radii.iter().zip(&values).zip(&intervals);
-        let points = match known.is_empty() {
-            true => Vec::new(),
-            false => of_curve.map(point).collect(),
-        };
-        let survival = &values[..self.radii.len()];
+            band: [values[2 * k], values[2 * k + 1]],
+            ci95: interval(k).ok(),
+        });
         let crosses = survival.first().is_some_and(|it| *it >= HALF)
             && survival.last().is_some_and(|it| *it <= HALF);
-        let of_half = intervals.last().copied();
+        let of_half = interval(self.radii.len());
         let half = HalfSuccess {
-            radius: values.last().copied().filter(|_| crosses),
-            ci95: of_half.and_then(Result::ok),
-            no_interval: of_half.and_then(Result::err),
+            radius: crosses.then(|| self.crossing(&survival)),
+            bounds: Some([values[count - 2], values[count - 1]]),
+            ci95: of_half.ok(),
+            no_interval: of_half.err(),
         };
-        (points, half)
+        (points.collect(), half)
     }
 
-    /// Survival at each radius over tasks that were drawn so often, and then the radius
-    /// at which it crosses one half: 0 if it is below from the beginning, and the largest
-    /// radius if it stays above.
+    /// The curve at each radius. Censored configurations survive as the others do, of
+    /// which they are some: the share is what makes that so (B. Efron, The two sample
+    /// problem with censored data, Proceedings of the Fifth Berkeley Symposium 4 (1967),
+    /// 831–853).
+    fn survival(&self, known: &[(TaskRef, Survives)]) -> Vec<f64> {
+        let mut survival = vec![1.0; self.radii.len()];
+        for _ in 0..MOST_ROUNDS {
+            let others = |radius: f64| {
+                let place = self.radii.partition_point(|it| *it < radius);
+                survival[place]
+            };
+            let share = |&radius: &f64| {
+                let expected = known.iter().map(|(_, it)| it.expected(radius, others));
+                expected.sum::<f64>() / known.len() as f64
+            };
+            let next: Vec<f64> = self.radii.iter().map(share).collect();
+            let pairs = next.iter().zip(&survival);
+            let change = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            survival = next;
+            if change < CHANGE {
+                break;
+            }
+        }
+        survival
+    }
+
+    /// The least and the most survival at each radius over tasks that were drawn so often,
+    /// in turn, and then the radii between which it crosses one half.
     fn statistics(&self, draws: &[u32], values: &mut [f64]) {
-        let (half, survival) = values.split_last_mut().expect("a value for the half");
+        values.fill(0.0);
         let mut n = 0.0;
-        survival.fill(0.0);
         for (task, &drawn) in self.tasks.iter().zip(draws) {
             let drawn = f64::from(drawn);
             n += drawn * task.n;
-            for (sum, of_task) in survival.iter_mut().zip(&task.survive) {
-                *sum += drawn * of_task;
+            for k in 0..self.radii.len() {
+                values[2 * k] += drawn * task.survive[0][k];
+                values[2 * k + 1] += drawn * task.survive[1][k];
             }
         }
-        for sum in survival.iter_mut() {
+        for sum in values.iter_mut() {
             *sum /= n;
         }
-        *half = self.crossing(survival);
+        let at = |k: usize, end: usize| values[2 * k + end];
+        let places = 0..self.radii.len();
+        // The median of the brackets' lower ends, and that of their upper ends.
+        let low = places.clone().rev().find(|&k| at(k, 0) > HALF);
+        let high = places.clone().find(|&k| at(k, 1) < HALF);
+        let low = low.map_or(0.0, |k| self.radii[k]);
+        let last = self.radii.last().copied().unwrap_or_default();
+        let high = high.map_or(last, |k| self.radii[k]);
+        values[2 * self.radii.len()] = low;
+        values[2 * self.radii.len() + 1] = high;
     }
 
+    /// Where a curve crosses one half, straight between its points.
     fn crossing(&self, survival: &[f64]) -> f64 {
         let below = survival.iter().position(|share| *share <= HALF);
         match below {

@@ -24,8 +24,12 @@ pub enum Threshold {
     /// Beyond the largest radius that is run, where it succeeds: the threshold is
     /// censored on the right.
     Beyond,
-    /// No radius is known to fail, and the largest has no outcome.
-    Open,
+    /// No radius is known to fail, and the largest has no outcome: the threshold is
+    /// censored on the right, at the largest radius that is known to succeed.
+    Open {
+        /// It succeeds here; L0 is the nominal rollout.
+        succeeds_at: Level,
+    },
 }
 
 /// What is known of a ray's threshold.
@@ -56,7 +60,12 @@ pub fn found(known: &Known, search: &Search) -> Found {
         }
         (Outcome::Success, None) => match known.at(largest).and_then(Outcome::success) {
             Some(_) => Threshold::Beyond,
-            None => Threshold::Open,
+            None => Threshold::Open {
+                succeeds_at: known
+                    .levels(true)
+                    .rfind(|level| *level <= largest)
+                    .unwrap_or(Level::L0),
+            },
         },
     };
     let first_failure = match threshold {

@@ -35,7 +35,7 @@ impl Measurement {
     pub fn of(source: &[Record], own: &[Record], thresholds: &Thresholds) -> Self {
         let source: Vec<Record> = source
             .iter()
-            .filter(|it| it.replicate == 0)
+            .filter(|it| it.replicate == 0 && !it.id.is_placebo())
             .copied()
             .collect();
         let nominal = source

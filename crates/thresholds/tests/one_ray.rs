@@ -117,7 +117,7 @@ proptest! {
                 );
             }
             Threshold::Beyond => prop_assert_eq!(fails, None),
-            Threshold::Open => {
+            Threshold::Open { .. } => {
                 prop_assert_eq!(fails, None);
                 prop_assert_eq!(known.at(level(16.0)), Some(Outcome::Quarantined));
             }

@@ -20,6 +20,10 @@ use tonic::{Request, Status};
 
 use crate::server::{HANDSHAKE_TIMEOUT, SecurityError, read_pem, tokens};
 use crate::token::{Role, Token, TokenError, Tokens};
+use crate::users::Listener;
+
+/// Where `http://` leads without a port.
+const HTTP_PORT: u16 = 80;
 
 /// The credentials for a server that requires them.
 #[derive(Args, Clone, Debug, Default)]
@@ -52,7 +56,11 @@ pub type Connection = InterceptedService<Channel, Bearer>;
 
 /// Adds the token to a call.
 #[derive(Clone, Debug)]
-pub struct Bearer(Option<MetadataValue<Ascii>>);
+pub struct Bearer {
+    value: Option<MetadataValue<Ascii>>,
+    /// Who the token is shown to, if it is shown in the clear.
+    listener: Option<Listener>,
+}
 
 /// A client that cannot be what it should. Reads after "failed to …".
 #[derive(Debug, thiserror::Error)]
@@ -224,7 +232,12 @@ impl Access {
         if let Some(value) = &mut value {
             value.set_sensitive(true);
         }
-        Bearer(value)
+        let is_clear = value.is_some() && !Access::is_encrypted(uri);
+        let port = uri.port_u16().unwrap_or(HTTP_PORT);
+        Bearer {
+            value,
+            listener: is_clear.then(|| Listener::at(port)),
+        }
     }
 
     fn token_for(&self, uri: &Uri) -> Option<&Token> {
@@ -235,7 +248,13 @@ impl Access {
 
 impl Interceptor for Bearer {
     fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
-        if let Some(value) = &self.0 {
+        if self.listener.as_ref().is_some_and(|it| !it.is_trusted()) {
+            return Err(Status::permission_denied(
+                "show the token: another user of this machine listens there and would have it; \
+                 stop that program, or serve over TLS (https://)",
+            ));
+        }
+        if let Some(value) = &self.value {
             request
                 .metadata_mut()
                 .insert("authorization", value.clone());

@@ -11,7 +11,7 @@ use tokio::time::Instant;
 use tonic::body::Body;
 use tonic::codegen::http::{HeaderMap, Request, Response, StatusCode, header};
 use tonic::codegen::{BoxFuture, Service};
-use tonic::transport::server::{TcpConnectInfo, TlsConnectInfo};
+use tonic::transport::server::TlsConnectInfo;
 use tonic::{Code, Status};
 use tower_layer::Layer;
 
@@ -20,6 +20,7 @@ use crate::rate::{MAX_REQUESTS_PER_SEC, Rates};
 use crate::readers::Readers;
 use crate::refusals::Refusals;
 use crate::token::{Role, Tokens};
+use crate::users::{Caller, Users};
 
 /// What is at a path, and who may have it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,6 +58,7 @@ struct Shared {
     /// None: everybody is let in, because only this machine can connect, or
     /// because the operator said so.
     tokens: Option<Tokens>,
+    users: Users,
     /// What is at a path.
     resource: fn(&str) -> Resource,
     /// Where people log in; none where there are no pages, only calls.
@@ -67,9 +69,10 @@ struct Shared {
 }
 
 impl Gate {
-    /// A gate that knows these tokens; without any, it lets everybody in.
+    /// A gate that knows these tokens; without any, it lets in whoever is one of these users.
     pub(crate) fn new(
         tokens: Option<Tokens>,
+        users: Users,
         resource: fn(&str) -> Resource,
         log_in: Option<&'static str>,
         readers: Readers,
@@ -77,6 +80,7 @@ impl Gate {
         Gate {
             shared: Arc::new(Shared {
                 tokens,
+                users,
                 resource,
                 log_in,
                 readers,
@@ -112,7 +116,7 @@ where
     }
 
     fn call(&mut self, request: Request<B>) -> Self::Future {
-        let caller = caller(&request);
+        let caller = address(&request);
         let shared = Arc::clone(&self.shared);
         let path = request.uri().path().to_owned();
         if let Err(status) = shared.admit(caller, &request) {
@@ -152,6 +156,13 @@ impl Shared {
             return Err(Status::resource_exhausted(format!(
                 "answer more than {MAX_REQUESTS_PER_SEC} requests per second over one connection"
             )));
+        }
+        if self.users == Users::Own && !self::caller(request).is_some_and(Caller::is_own) {
+            return Err(Status::permission_denied(
+                "be let in: this server listens for the user that started it alone, and the call \
+                 is another user's of this machine; start the server with --token-file, or with \
+                 --insecure-loopback if all users of the machine may do everything",
+            ));
         }
         let resource = (self.resource)(request.uri().path());
         let allowed = match resource {
@@ -219,14 +230,16 @@ const MAX_LOGGED_CHARS: usize = 300;
 /// the request would break the connection.
 const MAX_STATUS_CHARS: usize = 2_000;
 
-fn caller<B>(request: &Request<B>) -> SocketAddr {
+fn caller<B>(request: &Request<B>) -> Option<&Caller> {
     let extensions = request.extensions();
-    let plain = extensions.get::<TcpConnectInfo>();
-    let tls = extensions.get::<TlsConnectInfo<TcpConnectInfo>>();
-    plain
-        .or_else(|| tls.map(TlsConnectInfo::get_ref))
-        .and_then(TcpConnectInfo::remote_addr)
-        .unwrap_or((IpAddr::from(Ipv4Addr::UNSPECIFIED), 0).into())
+    let plain = extensions.get::<Caller>();
+    let tls = extensions.get::<TlsConnectInfo<Caller>>();
+    plain.or_else(|| tls.map(TlsConnectInfo::get_ref))
+}
+
+fn address<B>(request: &Request<B>) -> SocketAddr {
+    let address = caller(request).and_then(Caller::address);
+    address.unwrap_or((IpAddr::from(Ipv4Addr::UNSPECIFIED), 0).into())
 }
 
 fn bearer(headers: &HeaderMap) -> Option<&str> {

@@ -23,9 +23,10 @@ use tokio::sync::Notify;
 use tokio::sync::futures::OwnedNotified;
 use tokio::time::{Instant, Sleep, sleep};
 use tokio_stream::Stream;
-use tonic::transport::server::{Connected, TcpConnectInfo};
+use tonic::transport::server::Connected;
 
 use crate::refusals::LOG_AGAIN_AFTER;
+use crate::users::Caller;
 
 /// Longest wait for the first [`GREETING_BYTES`] of a connection.
 pub const GREETING_TIMEOUT: Duration = Duration::from_secs(10);
@@ -266,10 +267,10 @@ impl AsyncWrite for Watched {
 }
 
 impl Connected for Watched {
-    type ConnectInfo = TcpConnectInfo;
+    type ConnectInfo = Caller;
 
-    fn connect_info(&self) -> TcpConnectInfo {
-        self.stream.connect_info()
+    fn connect_info(&self) -> Caller {
+        Caller::new(self.stream.connect_info())
     }
 }
 

@@ -4,8 +4,9 @@
 //! One crate for all programs, so that a rule holds everywhere. Not responsible
 //! for what is called: which call requires which role is each server's table.
 //!
-//! A server on a loopback address asks for nothing. On any other it must have a
-//! certificate and tokens, or the flag `--insecure`. Tokens come from a file or
+//! A server on a loopback address asks for nothing and lets in the user that started it, whom the
+//! kernel tells from the machine's other users; `--insecure-loopback` lets all of them in. On any
+//! other address it must have a certificate and tokens, or the flag `--insecure`. Tokens come from a file or
 //! the environment, never from an argument, which every process list shows; they
 //! are kept as digests, compared in constant time, and never logged. A browser keeps no token but
 //! the name of a session, which opens pages for some hours and no call.
@@ -27,6 +28,7 @@ mod readers;
 mod refusals;
 mod server;
 mod token;
+mod users;
 
 pub use client::{Access, AccessError, Bearer, ClientArguments, Connection};
 pub use endpoint::{EndpointError, parse_endpoint};

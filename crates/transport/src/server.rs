@@ -15,6 +15,7 @@ use crate::gate::{Gate, Resource};
 use crate::private::exposed;
 use crate::readers::Readers;
 use crate::token::{Role, TokenError, Tokens};
+use crate::users::Users;
 
 /// Longest time for a TLS handshake: a silent connection is closed.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
@@ -47,6 +48,10 @@ pub struct ServerArguments {
     /// that only trusted people reach
     #[arg(long)]
     pub insecure: bool,
+    /// Lets every user of this machine in where it listens to this machine alone and without
+    /// tokens; by default only the user that started it, and root
+    #[arg(long)]
+    pub insecure_loopback: bool,
 }
 
 /// How a server guards its port.
@@ -54,6 +59,7 @@ pub struct ServerArguments {
 pub struct Security {
     identity: Option<Identity>,
     tokens: Option<Tokens>,
+    users: Users,
     readers: Readers,
 }
 
@@ -131,19 +137,26 @@ impl ServerArguments {
             Some(missing) if !self.insecure && !address.ip().to_canonical().is_loopback() => {
                 Err(SecurityError::Unguarded { address, missing })
             }
-            _ => Ok(Security::new(identity, tokens)),
+            _ => {
+                let is_for_own = tokens.is_none()
+                    && address.ip().to_canonical().is_loopback()
+                    && !self.insecure_loopback;
+                let users = if is_for_own { Users::Own } else { Users::Any };
+                Ok(Security::new(identity, tokens, users))
+            }
         }
     }
 }
 
 impl Security {
-    /// A server on a loopback address, which requires no token.
+    /// A server on a loopback address, which requires no token and lets its own user in.
     pub fn loopback() -> Security {
-        Security::new(None, None)
+        Security::new(None, None, Users::Own)
     }
 
-    fn new(identity: Option<Identity>, tokens: Option<Tokens>) -> Security {
+    fn new(identity: Option<Identity>, tokens: Option<Tokens>, users: Users) -> Security {
         Security {
+            users,
             readers: Readers::new(identity.is_some()),
             identity,
             tokens,
@@ -174,7 +187,8 @@ impl Security {
 
     /// The gate of these guards, for a server with this table.
     pub fn gate(&self, resource: fn(&str) -> Resource, log_in: Option<&'static str>) -> Gate {
-        Gate::new(self.tokens.clone(), resource, log_in, self.readers.clone())
+        let (tokens, readers) = (self.tokens.clone(), self.readers.clone());
+        Gate::new(tokens, self.users, resource, log_in, readers)
     }
 
     /// A server of calls with these guards.

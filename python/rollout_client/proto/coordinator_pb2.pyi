@@ -145,7 +145,7 @@ class Motion(_message.Message):
     def __init__(self, path: _Optional[bytes] = ..., actions: _Optional[bytes] = ...) -> None: ...
 
 class RolloutResult(_message.Message):
-    __slots__ = ("success", "steps", "wall_secs", "ik_residual_mm", "ik_residual_deg", "ik_clamped_joints", "clipped_actions", "policy_queries", "parts")
+    __slots__ = ("success", "steps", "wall_secs", "ik_residual_mm", "ik_residual_deg", "ik_clamped_joints", "clipped_actions", "policy_queries", "parts", "goal")
     SUCCESS_FIELD_NUMBER: _ClassVar[int]
     STEPS_FIELD_NUMBER: _ClassVar[int]
     WALL_SECS_FIELD_NUMBER: _ClassVar[int]
@@ -155,6 +155,7 @@ class RolloutResult(_message.Message):
     CLIPPED_ACTIONS_FIELD_NUMBER: _ClassVar[int]
     POLICY_QUERIES_FIELD_NUMBER: _ClassVar[int]
     PARTS_FIELD_NUMBER: _ClassVar[int]
+    GOAL_FIELD_NUMBER: _ClassVar[int]
     success: bool
     steps: int
     wall_secs: float
@@ -164,7 +165,18 @@ class RolloutResult(_message.Message):
     clipped_actions: int
     policy_queries: int
     parts: Parts
-    def __init__(self, success: bool = ..., steps: _Optional[int] = ..., wall_secs: _Optional[float] = ..., ik_residual_mm: _Optional[float] = ..., ik_residual_deg: _Optional[float] = ..., ik_clamped_joints: _Optional[int] = ..., clipped_actions: _Optional[int] = ..., policy_queries: _Optional[int] = ..., parts: _Optional[_Union[Parts, _Mapping]] = ...) -> None: ...
+    goal: GoalProgress
+    def __init__(self, success: bool = ..., steps: _Optional[int] = ..., wall_secs: _Optional[float] = ..., ik_residual_mm: _Optional[float] = ..., ik_residual_deg: _Optional[float] = ..., ik_clamped_joints: _Optional[int] = ..., clipped_actions: _Optional[int] = ..., policy_queries: _Optional[int] = ..., parts: _Optional[_Union[Parts, _Mapping]] = ..., goal: _Optional[_Union[GoalProgress, _Mapping]] = ...) -> None: ...
+
+class GoalProgress(_message.Message):
+    __slots__ = ("predicates", "at_end", "at_most")
+    PREDICATES_FIELD_NUMBER: _ClassVar[int]
+    AT_END_FIELD_NUMBER: _ClassVar[int]
+    AT_MOST_FIELD_NUMBER: _ClassVar[int]
+    predicates: int
+    at_end: int
+    at_most: int
+    def __init__(self, predicates: _Optional[int] = ..., at_end: _Optional[int] = ..., at_most: _Optional[int] = ...) -> None: ...
 
 class Parts(_message.Message):
     __slots__ = ("physics_secs", "drawing_secs", "policy_secs")
@@ -631,7 +643,7 @@ class Failure(_message.Message):
     def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., reason: _Optional[str] = ..., charged: bool = ..., error: _Optional[str] = ..., failed_unix_ms: _Optional[int] = ...) -> None: ...
 
 class ResultOrigin(_message.Message):
-    __slots__ = ("attempt", "worker_id", "ago_secs", "wall_secs", "host", "renderer", "divergences", "video", "committed_unix_ms")
+    __slots__ = ("attempt", "worker_id", "ago_secs", "wall_secs", "host", "renderer", "divergences", "video", "committed_unix_ms", "goal")
     ATTEMPT_FIELD_NUMBER: _ClassVar[int]
     WORKER_ID_FIELD_NUMBER: _ClassVar[int]
     AGO_SECS_FIELD_NUMBER: _ClassVar[int]
@@ -641,6 +653,7 @@ class ResultOrigin(_message.Message):
     DIVERGENCES_FIELD_NUMBER: _ClassVar[int]
     VIDEO_FIELD_NUMBER: _ClassVar[int]
     COMMITTED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
+    GOAL_FIELD_NUMBER: _ClassVar[int]
     attempt: int
     worker_id: str
     ago_secs: float
@@ -650,7 +663,8 @@ class ResultOrigin(_message.Message):
     divergences: int
     video: str
     committed_unix_ms: int
-    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., wall_secs: _Optional[float] = ..., host: _Optional[str] = ..., renderer: _Optional[str] = ..., divergences: _Optional[int] = ..., video: _Optional[str] = ..., committed_unix_ms: _Optional[int] = ...) -> None: ...
+    goal: GoalProgress
+    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., wall_secs: _Optional[float] = ..., host: _Optional[str] = ..., renderer: _Optional[str] = ..., divergences: _Optional[int] = ..., video: _Optional[str] = ..., committed_unix_ms: _Optional[int] = ..., goal: _Optional[_Union[GoalProgress, _Mapping]] = ...) -> None: ...
 
 class RetryJobsRequest(_message.Message):
     __slots__ = ("campaign", "jobs", "all")

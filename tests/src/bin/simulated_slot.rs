@@ -156,6 +156,7 @@ fn play(
             clipped_actions: 0,
             policy_queries: STEPS / STEPS_PER_QUERY,
             parts: Some(parts),
+            goal: None,
         },
         evidence: Evidence {
             renderer: RENDERER.to_owned(),

@@ -94,6 +94,9 @@ fn protocol(messages: &mut Messages) {
         DesignError::NoParaphrase { .. } => DesignError::NoParaphrase {
             level: "r2.5".parse().expect("a level"),
         },
+        DesignError::NoPlacebo { .. } => DesignError::NoPlacebo { field: "placebo_configs" },
+        DesignError::PlaceboRadius { .. } => DesignError::PlaceboRadius { given: 2.0 },
+        DesignError::PlaceboConfig { .. } => DesignError::PlaceboConfig { given: 12 },
         DesignError::TooLarge { .. } => no_design(),
     );
     variants!(messages, SpecError,
@@ -151,6 +154,7 @@ fn protocol(messages: &mut Messages) {
             id: id(), column: "suite", given: text(), expected: "libero_object".to_owned(),
         },
         RowError::InitState { .. } => RowError::InitState { id: id(), given: 50 },
+        RowError::Placebo { .. } => RowError::Placebo { id: id(), given: None },
         RowError::PolicySeed { .. } => RowError::PolicySeed { id: id(), given: 7 },
         RowError::Perturb { .. } => RowError::Perturb {
             id: id(),

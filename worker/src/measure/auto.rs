@@ -68,12 +68,13 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
         slots: NonZeroUsize::new(slots).unwrap_or(NonZeroUsize::MIN),
         why: format!(
             "the fewest that reach {:.0} % of the most control steps per second \
-             ({}); there are {cores} cores, and memory for {fitting} slots of {} MiB each in {} \
-             MiB available",
+             ({}); there are {cores} cores, and memory for {fitting} slots in {} MiB available, \
+             of {} MiB each and {} MiB a scene that slots share",
             ENOUGH * 100.0,
             rates.join(", "),
-            per_slot / MIB,
             available / MIB,
+            per_slot.own / MIB,
+            per_slot.scene_files / MIB,
         ),
     })
 }

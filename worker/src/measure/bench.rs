@@ -80,9 +80,11 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
     }
     writeln!(
         out,
-        "\nMiB a slot: resident in the largest one, with one scene compiled; in a campaign\n\
-         a slot keeps up to {}. One more slot adds what it does not share with others.",
-        plan.scenes
+        "\nMiB a slot, in the largest one, with one scene compiled; in a campaign a slot keeps\n\
+         up to {}. PSS divides among processes what they share; one more slot adds what none\n\
+         can share. Scenes lie in files that all slots map: {:.0} MiB of this one's are in use.",
+        plan.scenes,
+        measured.last().map_or(0, |row| row.memory.scene_files) as f64 / MIB
     )?;
     let throughputs: Vec<_> = measured.iter().map(|it| it.throughput).collect();
     match choose(&throughputs, most) {
@@ -114,17 +116,18 @@ fn policy(secs: f64) -> String {
 }
 
 const HEADER: &str =
-    "slots    steps/s   frames/s   slowest–fastest slot   MiB a slot   one more adds";
+    "slots    steps/s   frames/s  slowest–fastest slot  MiB a slot    PSS  one more adds";
 
 fn line(row: &Measured) -> String {
     format!(
-        "{:>5} {:>10.1} {:>10.1} {:>22} {:>12.0} {:>15.0}",
+        "{:>5} {:>10.1} {:>10.1} {:>21} {:>11.0} {:>6.0} {:>14.0}",
         row.throughput.slots,
         row.throughput.steps_per_sec,
         row.frames_per_sec,
         format!("{:.1}–{:.1}", row.slowest, row.fastest),
-        row.resident as f64 / MIB,
-        row.own as f64 / MIB,
+        row.memory.resident as f64 / MIB,
+        row.memory.proportional as f64 / MIB,
+        row.memory.own as f64 / MIB,
     )
 }
 

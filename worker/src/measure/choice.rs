@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use protocol::TaskRef;
+
 /// Of the best throughput, what a number of slots must reach to be enough. More
 /// slots for the rest would cost memory and cores that others can use.
 pub(super) const ENOUGH: f64 = 0.95;
@@ -48,12 +50,31 @@ pub(super) fn numbers(most: usize) -> BTreeSet<usize> {
         .collect()
 }
 
-/// How many slots fit into the memory that is available, at least one; both in
-/// bytes.
-pub(super) fn fit(available: u64, per_slot: u64) -> usize {
+/// Memory that a slot takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct PerSlot {
+    /// Bytes that no other process can share.
+    pub(super) own: u64,
+    /// Compiled scenes that it keeps.
+    pub(super) scenes: usize,
+    /// Bytes of a scene's files that it uses; all slots with that scene share them.
+    pub(super) scene_files: u64,
+}
+
+/// How many slots fit into the bytes of memory that are available, at least one. No two
+/// have a scene in common, until slots have the scenes of all tasks.
+pub(super) fn fit(available: u64, per_slot: PerSlot) -> usize {
+    let room = available as f64 * SHARE;
+    let tasks = TaskRef::all().count() as f64;
+    let (own, files) = (per_slot.own.max(1) as f64, per_slot.scene_files as f64);
+    let scenes = per_slot.scenes as f64;
+    let apart = room / (own + scenes * files);
+    let slots = match apart * scenes <= tasks {
+        true => apart,
+        false => (room - tasks * files) / own,
+    };
     // A cast stops at the ends of its range.
-    let slots = (available as f64 * SHARE / per_slot.max(1) as f64) as usize;
-    slots.max(1)
+    (slots as usize).max(1)
 }
 
 #[cfg(test)]
@@ -130,11 +151,29 @@ mod tests {
 
     #[test]
     fn a_part_of_the_memory_is_left_and_one_slot_always_fits() {
-        assert_eq!(fit(10 * GIB, GIB), 8);
-        assert_eq!(fit(10 * GIB, 3 * GIB), 2);
-        assert_eq!(fit(GIB, 3 * GIB), 1);
-        assert_eq!(fit(0, GIB), 1);
-        assert!(fit(GIB, 0) > 1000);
+        let own = |own| PerSlot {
+            own,
+            scenes: 2,
+            scene_files: 0,
+        };
+        assert_eq!(fit(10 * GIB, own(GIB)), 8);
+        assert_eq!(fit(10 * GIB, own(3 * GIB)), 2);
+        assert_eq!(fit(GIB, own(3 * GIB)), 1);
+        assert_eq!(fit(0, own(GIB)), 1);
+        assert!(fit(GIB, own(0)) > 1000);
+    }
+
+    #[test]
+    fn scenes_of_files_count_once_for_all_slots() {
+        let per_slot = PerSlot {
+            own: GIB,
+            scenes: 2,
+            scene_files: GIB,
+        };
+        // Slots of 3 GiB each, until the 40 tasks' scenes are there.
+        assert_eq!(fit(10 * GIB, per_slot), 2);
+        assert_eq!(fit(75 * GIB, per_slot), 20);
+        assert_eq!(fit(100 * GIB, per_slot), 40);
     }
 
     #[test]

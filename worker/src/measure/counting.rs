@@ -58,10 +58,16 @@ pub(super) struct Count {
 pub(super) struct SlotMemory {
     /// All that is resident.
     pub(super) resident: u64,
-    /// Of it, what no other process shares: a further slot adds so much.
+    /// The same, with what several processes share divided among them.
+    pub(super) proportional: u64,
+    /// Of it, what no other process can share: a further slot adds so much.
     pub(super) own: u64,
-    /// Of it, what the one compiled scene takes.
+    /// Of it, pages of files, which all slots share: programs, libraries, scenes.
+    pub(super) files: u64,
+    /// What the one compiled scene takes of `own`.
     pub(super) scene: u64,
+    /// What it takes of `files`.
+    pub(super) scene_files: u64,
 }
 
 /// Counts control steps of `task` for the parent process, until it closes the
@@ -91,10 +97,10 @@ pub fn count(
             Perturbation::default(),
         )),
     };
-    let without_scene = SlotMemory::now(0)?;
+    let without_scene = SlotMemory::now()?;
     let mut first = Counter::until(Instant::now());
     slot.roll_out(1, &mut first)?;
-    let scene = SlotMemory::now(0)?.own.saturating_sub(without_scene.own);
+    let with_scene = SlotMemory::now()?;
     let renderer = slot.simulator.renderer_name();
     parent.send(&Said::Ready {
         renderer: renderer.map_err(|source| RolloutError::Simulator {
@@ -114,7 +120,11 @@ pub fn count(
             secs: started.elapsed().as_secs_f64(),
             steps: counter.steps,
             frames: counter.frames,
-            memory: SlotMemory::now(scene)?,
+            memory: SlotMemory {
+                scene: with_scene.own.saturating_sub(without_scene.own),
+                scene_files: with_scene.files.saturating_sub(without_scene.files),
+                ..SlotMemory::now()?
+            },
         }))?;
     }
     Ok(())
@@ -219,22 +229,28 @@ impl Watcher for Counter {
 }
 
 impl SlotMemory {
-    /// What this process uses, given what its scene takes.
-    fn now(scene: u64) -> Result<Self, MeasureError> {
-        let file = Path::new("/proc/self/status");
-        let status = fs::read_to_string(file)?;
-        let bytes = |field: &'static str| {
-            super::room::bytes(&status, field).ok_or_else(|| MeasureError::Memory {
-                field,
-                file: file.to_owned(),
-            })
+    /// What this process uses, without what its scene takes.
+    fn now() -> Result<Self, MeasureError> {
+        let read = |file: &'static str, fields: &[&'static str]| {
+            let file = Path::new(file);
+            let text = fs::read_to_string(file)?;
+            let bytes = |field: &&'static str| {
+                super::room::bytes(&text, field).ok_or_else(|| MeasureError::Memory {
+                    field,
+                    file: file.to_owned(),
+                })
+            };
+            fields.iter().map(bytes).collect::<Result<Vec<u64>, _>>()
         };
-        let resident = bytes("VmRSS:")?;
+        let status = read("/proc/self/status", &["VmRSS:", "RssFile:"])?;
+        let rollup = read("/proc/self/smaps_rollup", &["Pss:"])?;
+        let (resident, files) = (status[0], status[1]);
         Ok(Self {
             resident,
-            // Libraries and programs are mapped files, which all slots share.
-            own: resident.saturating_sub(bytes("RssFile:")?),
-            scene,
+            proportional: rollup[0],
+            own: resident.saturating_sub(files),
+            files,
+            ..Self::default()
         })
     }
 }

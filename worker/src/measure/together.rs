@@ -10,8 +10,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use super::MeasureError;
-use super::choice::Throughput;
-use super::counting::{Count, Said};
+use super::choice::{PerSlot, Throughput};
+use super::counting::{Count, Said, SlotMemory};
 use crate::child::{SlotProgram, connection, explain_status};
 use crate::memory::OomKills;
 
@@ -52,12 +52,8 @@ pub(super) struct Measured {
     pub(super) slowest: f64,
     /// And of the fastest.
     pub(super) fastest: f64,
-    /// Bytes resident in the largest slot.
-    pub(super) resident: u64,
-    /// Of them, those that a further slot adds.
-    pub(super) own: u64,
-    /// What one scene takes in it, bytes.
-    pub(super) scene: u64,
+    /// Of each kind of memory, what the largest slot uses of it.
+    pub(super) memory: SlotMemory,
 }
 
 impl Slots {
@@ -199,23 +195,32 @@ impl Measured {
             frames_per_sec: frames.sum(),
             slowest: rates().fold(f64::INFINITY, f64::min),
             fastest: rates().fold(0.0, f64::max),
-            resident: largest(|it| it.memory.resident),
-            own: largest(|it| it.memory.own),
-            scene: largest(|it| it.memory.scene),
+            memory: SlotMemory {
+                resident: largest(|it| it.memory.resident),
+                proportional: largest(|it| it.memory.proportional),
+                own: largest(|it| it.memory.own),
+                files: largest(|it| it.memory.files),
+                scene: largest(|it| it.memory.scene),
+                scene_files: largest(|it| it.memory.scene_files),
+            },
         }
     }
 
-    /// What a slot of a campaign takes for itself, bytes: it keeps `scenes`
-    /// compiled scenes, and one was measured.
-    pub(super) fn per_slot(&self, scenes: usize) -> u64 {
-        self.own + self.scene * (scenes as u64).saturating_sub(1)
+    /// What a slot of a campaign takes: it keeps `scenes` compiled scenes, and one was
+    /// measured.
+    pub(super) fn per_slot(&self, scenes: usize) -> PerSlot {
+        let further = (scenes as u64).saturating_sub(1);
+        PerSlot {
+            own: self.memory.own + self.memory.scene * further,
+            scenes,
+            scene_files: self.memory.scene_files,
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::counting::SlotMemory;
 
     #[test]
     fn rates_add_up_and_the_largest_slot_stands_for_all() {
@@ -225,8 +230,11 @@ mod tests {
             frames: 2 * steps,
             memory: SlotMemory {
                 resident: own + 10,
+                proportional: own + 5,
                 own,
+                files: 10,
                 scene: 40,
+                scene_files: 7,
             },
         };
         let all = Measured::of(&[count(2.0, 40, 100), count(2.5, 75, 90)]);
@@ -236,10 +244,14 @@ mod tests {
             (50.0, 100.0)
         );
         assert_eq!((all.slowest, all.fastest), (20.0, 30.0));
-        assert_eq!(
-            (all.resident, all.per_slot(1), all.per_slot(2)),
-            (110, 100, 140)
-        );
+        let per_slot = |scenes, own| PerSlot {
+            own,
+            scenes,
+            scene_files: 7,
+        };
+        assert_eq!((all.memory.resident, all.memory.proportional), (110, 105));
+        assert_eq!(all.per_slot(1), per_slot(1, 100));
+        assert_eq!(all.per_slot(2), per_slot(2, 140));
     }
 
     #[test]

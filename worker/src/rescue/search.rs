@@ -38,7 +38,7 @@ impl Search {
         }
     }
 
-    /// Takes what came of lifting at a look.
+    /// Records whether lifting at a look saves the rollout and a placebo there does not.
     pub(super) fn record(&mut self, look: usize, saved: bool) {
         self.tried.insert(look, saved);
     }

@@ -1,6 +1,8 @@
 //! Lifting perturbations, on the built-in assets where `cargo xtask setup` has been run.
 
-use protocol::{ManifestRow, row_of};
+use protocol::{ManifestRow, Realisation, row_of};
+use sim::ObjectKind;
+use sim::controller::GRIP_SITE;
 
 use super::*;
 use crate::single::tests::{Looking, assignment, simulator, sources};
@@ -22,7 +24,7 @@ fn row(id: &str) -> ManifestRow {
     row
 }
 
-fn look(simulator: &mut Simulator, row: ManifestRow, commands: Option<&[Action]>) -> Seen {
+fn look(simulator: &mut Simulator, row: ManifestRow, resumed: Option<Resumed<'_>>) -> Seen {
     let mut actor = Looking {
         side: SIDE,
         seen: Vec::new(),
@@ -32,7 +34,7 @@ fn look(simulator: &mut Simulator, row: ManifestRow, commands: Option<&[Action]>
     let assignment = assignment(row, None);
     let mut stage = Stage::of_the_protocol(simulator);
     let mut watcher = Looks::default();
-    let simulated = rollout::run_after(commands, &mut stage, &mut actor, &assignment, &mut watcher)
+    let simulated = rollout::run_after(resumed, &mut stage, &mut actor, &assignment, &mut watcher)
         .expect("an outcome");
     let both = |camera| [0, 1].map(|at: usize| camera_of(&actor.seen[camera], at));
     Seen {
@@ -41,6 +43,13 @@ fn look(simulator: &mut Simulator, row: ManifestRow, commands: Option<&[Action]>
         path: simulated.finished.motion.path(),
         actions: simulated.actions,
     }
+}
+
+fn after(commands: &[Action], change: Change) -> Option<Resumed<'_>> {
+    Some(Resumed {
+        after: commands,
+        change,
+    })
 }
 
 fn camera_of(observation: &proto::policy::Observation, at: usize) -> Vec<u8> {
@@ -58,7 +67,7 @@ fn what_is_lifted_before_the_first_look_leaves_the_nominal_rollout() {
     let perturbed = row("object/t0/camera+lighting+sensor+actuation+language/L2/c00");
     let nominal = row(&format!("object/t0/clean/i{:02}", perturbed.init_id));
     let nominal = look(&mut simulator, nominal, None);
-    let lifted = look(&mut simulator, perturbed.clone(), Some(&[]));
+    let lifted = look(&mut simulator, perturbed.clone(), after(&[], Change::Lift));
     assert!(lifted.pictures == nominal.pictures, "the pictures differ");
     assert_eq!(lifted.path, nominal.path);
     assert!(lifted.instruction_is_canonical && nominal.instruction_is_canonical);
@@ -80,11 +89,55 @@ fn a_rollout_is_brought_back_to_the_step_at_which_it_goes_on() {
     let perturbed = row("object/t0/combination/L2/c00");
     let whole = look(&mut simulator, perturbed.clone(), None);
     let before = 5;
-    let resumed = look(&mut simulator, perturbed, Some(&whole.actions[..before]));
+    let commands = &whole.actions[..before];
+    let resumed = look(
+        &mut simulator,
+        perturbed.clone(),
+        after(commands, Change::Lift),
+    );
     assert_eq!(resumed.path[..=before], whole.path[..=before]);
     assert_eq!(resumed.path.len(), whole.path.len());
     assert_eq!(resumed.pictures.len(), STEPS as usize - before);
     // The camera is back, and the actions are no longer distorted.
     assert!(resumed.pictures[0] != whole.pictures[before]);
     assert_ne!(resumed.path[STEPS as usize], whole.path[STEPS as usize]);
+
+    // The placebo lifts nothing, and the hand ends where it does, but for a micrometre.
+    let nudged = look(&mut simulator, perturbed, after(commands, Change::Nudge));
+    assert!(!nudged.instruction_is_canonical);
+    assert!(nudged.pictures[0] == whole.pictures[before]);
+    let pairs = nudged.path.iter().zip(&whole.path);
+    for (nudged, whole) in pairs {
+        for (nudged, whole) in nudged.iter().zip(whole) {
+            assert!((nudged - whole).abs() <= 1, "{nudged} {whole}");
+        }
+    }
+}
+
+#[test]
+fn a_nudge_moves_the_hand_up_by_a_micrometre_and_no_object() {
+    let test = "a_nudge_moves_the_hand_up_by_a_micrometre_and_no_object";
+    let Some(sources) = sources(test) else {
+        return;
+    };
+    let mut simulator = simulator(sources);
+    let mut stage = Stage::of_the_protocol(&mut simulator);
+    let row = row("object/t0/combination/L2/c00");
+    let mut episode = stage.begin(&row, Realisation::Matched).expect("an episode");
+    episode.settle().expect("settled");
+    let pose = |episode: &mut Episode<'_>| {
+        let (model, data) = episode.environment().model_and_data();
+        data.forward(model);
+        let site = model.id(ObjectKind::Site, GRIP_SITE).expect("the hand");
+        let hand: [f64; 3] = std::array::from_fn(|axis| data.site_xpos(model)[3 * site + axis]);
+        (data.qpos(model).to_vec(), hand)
+    };
+    let (before, from) = pose(&mut episode);
+    episode.nudge();
+    let (after, to) = pose(&mut episode);
+    let moved = [0, 1, 2].map(|axis| to[axis] - from[axis]);
+    assert!(moved[0].abs() < 1e-9 && moved[1].abs() < 1e-9, "{moved:?}");
+    assert!((moved[2] - NUDGE_M).abs() < 1e-9, "{moved:?}");
+    assert_ne!(before[..7], after[..7]);
+    assert_eq!(before[7..], after[7..]);
 }

@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use attempt::GoalProgress;
 use policy_protocol::CAMERAS;
 use proto::policy as wire;
 use protocol::{Axis, ManifestRow, Realisation, row_of};
@@ -127,6 +128,12 @@ fn a_task_of_ones_own_is_replayed_and_its_trace_replays_again() {
     let finished = replay(&recording, &first);
     assert_eq!(finished.result.steps, 6, "the budget, not the recording");
     assert_eq!(finished.result.clipped_actions, 3);
+    let expected = GoalProgress {
+        predicates: 1,
+        at_end: 0,
+        at_most: 0,
+    };
+    assert_eq!(finished.result.goal, Some(expected));
     assert!(!first.join("frames").exists(), "nothing was drawn");
     let trace = first.join("trace.npz");
     let (shape, actions) = array::<f64>(&trace, "actions");

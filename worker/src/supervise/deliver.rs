@@ -165,6 +165,11 @@ fn result(result: &RolloutResult) -> wire::RolloutResult {
             drawing_secs: parts.drawing_secs,
             policy_secs: parts.policy_secs,
         }),
+        goal: result.goal.map(|goal| wire::GoalProgress {
+            predicates: goal.predicates,
+            at_end: goal.at_end,
+            at_most: goal.at_most,
+        }),
     }
 }
 

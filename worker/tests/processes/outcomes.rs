@@ -27,6 +27,8 @@ async fn an_outcome_goes_with_everything_that_it_came_out_of() {
     assert_eq!((result.success, result.steps), (false, MAX_STEPS));
     assert_eq!(result.policy_queries, MAX_STEPS / HORIZON);
     assert_eq!((result.clipped_actions, result.ik_residual_mm), (0, None));
+    let goal = result.goal.expect("a goal");
+    assert_eq!((goal.predicates, goal.at_end, goal.at_most), (1, 0, 0));
 
     let provenance = commit.provenance.expect("a provenance");
     for digest in [

@@ -284,6 +284,7 @@ fn report(attempt: AttemptId, success: bool) -> CommitReport {
             clipped_actions: 0,
             policy_queries: 1,
             parts: None,
+            goal: None,
         },
         provenance: Provenance {
             host: "bench".to_owned(),

@@ -83,6 +83,11 @@ pub(super) fn commit() -> Said {
                 drawing_secs: 0.25,
                 policy_secs: 0.5,
             }),
+            goal: Some(wire::GoalProgress {
+                predicates: 2,
+                at_end: 2,
+                at_most: 2,
+            }),
             ..wire::RolloutResult::default()
         }),
         provenance: Some(wire::Provenance {

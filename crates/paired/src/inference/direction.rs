@@ -3,13 +3,12 @@
 
 use std::collections::BTreeMap;
 
-use protocol::TaskRef;
+use protocol::{Directions, TaskRef};
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
-use crate::inference::sample::Directions;
 use crate::outcomes::Matched;
 
 /// Permutations that are drawn; the smallest p-value is 1 / (this + 1).

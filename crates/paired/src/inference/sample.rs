@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use protocol::{Suite, TaskRef};
+use protocol::{Directions, Suite, TaskRef};
 
 /// One configuration: what is added up of it.
 #[derive(Clone, Debug)]
@@ -18,16 +18,6 @@ pub(crate) struct Row {
 
 /// Variances up to this are rounding errors of equal values.
 pub(crate) const NO_VARIANCE: f64 = 1e-24;
-
-/// How directions are assigned to configurations.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Directions {
-    /// Configuration c of every task shares its directions, as in the paper.
-    #[default]
-    Shared,
-    /// Every task has directions of its own, so that new tasks are new directions too.
-    Own,
-}
 
 /// Rows, grouped once.
 #[derive(Clone, Debug)]
@@ -196,9 +186,9 @@ fn crossed(tasks: Variance, directions: Variance, cells: Variance) -> Variance {
     let value = (tasks.value + directions.value - cells.value)
         .max(tasks.value)
         .max(directions.value);
-    let parts = tasks.value.powi(2) / tasks.df + directions.value.powi(2) / directions.df;
-    let df = match tasks.value + directions.value > NO_VARIANCE {
-        true => (tasks.value + directions.value).powi(2) / parts,
+    let part = |of: Variance| of.value.powi(2) / of.df;
+    let df = match value > NO_VARIANCE {
+        true => value.powi(2) / (part(tasks) + part(directions) + part(cells)),
         false => tasks.df.min(directions.df),
     };
     Variance { value, df }

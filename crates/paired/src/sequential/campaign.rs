@@ -113,7 +113,12 @@ impl<'a> Walk<'a> {
         if units.is_empty() {
             return None;
         }
-        let levels: BTreeSet<Level> = configurations.keys().map(|(level, _)| *level).collect();
+        // The placebo level is the floor of the others, and may be run in few configurations.
+        let levels = configurations.keys().map(|(level, _)| *level);
+        let levels: BTreeSet<Level> = levels.filter(|level| *level != Level::L0).collect();
+        if levels.is_empty() {
+            return None;
+        }
         let order = drawn_order(stop, units);
         let open = configurations.iter().filter(|(_, it)| records.is_open(it));
         let open = open.map(|((_, unit), _)| *unit).collect();

@@ -164,9 +164,19 @@ fn bad_names_and_numbers_are_named_with_the_valid_ones() {
     check(
         "levels",
         json(r#"["L4"]"#),
-        "level `L4`: valid are L1, L2, L3",
+        "level `L4`: valid are L0, L1, L2, L3",
     );
-    check("levels", json(r#"["L0"]"#), "valid are L1, L2, L3");
+    check("placebo_radius", json("0.05"), "add L0 to `levels`");
+    check(
+        "placebo_radius",
+        json("0"),
+        "`placebo_radius` is 0, valid are",
+    );
+    check(
+        "directions",
+        json(r#""mine""#),
+        "`mine` has no meaning; write",
+    );
     check("levels", json("null"), "the field `levels` is not there");
     check(
         "configs",

@@ -124,9 +124,8 @@ impl Upload<'_> {
         self.file.sync_all().await.map_err(at(&self.partial))?;
         let attempt = self.attempt;
         let mut context = Context::begin(self.shared, vec![Step::Artifact]).await?;
-        if artifacts::owner(&mut context.tx, attempt).await?.is_none() {
-            return Err(ArtifactError::NoOutcome { attempt });
-        }
+        let owner = artifacts::owner(&mut context.tx, attempt).await?;
+        let owner = owner.ok_or(ArtifactError::NoOutcome { attempt })?;
         let now = context.now;
         artifacts::record(&mut context.tx, attempt, &self.path, self.size_bytes, now).await?;
         let _alone = self.shared.files.lock().await;
@@ -134,6 +133,7 @@ impl Upload<'_> {
         let renamed = self.partial.persist(&target);
         renamed.map_err(|failed| at(&target)(failed.error))?;
         context.commit().await?;
+        self.shared.films.filmed(owner.campaign, owner.job);
         Ok(self.path)
     }
 }

@@ -4,6 +4,8 @@ use protocol::{CampaignSpec, Realisation, Rollouts};
 
 use super::context::Context;
 use super::error::{QueueError, unknown_campaign};
+use super::passages::{self as moves, PIECE, remove as remove_hidden};
+use super::shared::Shared;
 use super::{artifacts, removals};
 use crate::expand::{NewCampaign, differing_fields};
 use crate::ids::{CampaignId, CampaignName};
@@ -14,7 +16,9 @@ use crate::rules::lease::{FailureReason, JobState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::removals as pending;
-use crate::store::{Doing, StoreError, campaigns, derivations, jobs, policies, stops, undecodable};
+use crate::store::{
+    Doing, StoreError, campaigns, derivations, jobs, passages, policies, stops, undecodable,
+};
 
 /// What creating a campaign did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,6 +58,12 @@ impl Queue {
             });
         }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
+        if new.jobs.len() > PIECE {
+            // It follows from no other campaign: such a one has no jobs yet.
+            drop(context);
+            moves::insert(shared, new, &folder).await?;
+            return Ok(created(shared, new));
+        }
         let source = context.source_of(new).await?;
         let id = campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
         if let Some(source) = source {
@@ -63,17 +73,8 @@ impl Queue {
         if let Some(configurations) = new.stops_among {
             stops::insert(&mut context.tx, id, configurations).await?;
         }
-        // Files that could not be removed with a deleted campaign of this folder
-        // stay now, rather than to take the new one's with them.
-        pending::done(&mut context.tx, &artifacts::campaign_folder(&folder)).await?;
         context.commit().await?;
-        tracing::info!(campaign = %new.name, jobs, "campaign created");
-        shared.work.notify_waiters();
-        Ok(Created {
-            jobs_added: jobs,
-            jobs_total: jobs,
-            priority: new.priority,
-        })
+        Ok(created(shared, new))
     }
 
     /// Pauses, resumes or cancels a campaign. Resuming also lets its policy be tried at
@@ -118,7 +119,8 @@ impl Queue {
     /// # Errors
     /// When there is no such campaign, some of its rollouts are leased, another
     /// campaign follows from it, or the database fails. Files that cannot be removed now
-    /// are removed at the next start.
+    /// are removed at the next start; those that are kept elsewhere, by
+    /// [`finish_removals`](Self::finish_removals).
     pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
         let _alone = self.campaigns.lock().await;
         let shared = &*self.shared;
@@ -139,15 +141,35 @@ impl Queue {
             });
         }
         let folder = artifacts::campaign_folder(&campaign.folder);
-        campaigns::delete(&mut context.tx, campaign.id).await?;
-        policies::remove_unused(&mut context.tx, campaign.policy_id).await?;
+        let is_large = counts.total() > PIECE as u64;
+        if is_large {
+            passages::leave(&mut context.tx, campaign.id).await?;
+        } else {
+            campaigns::delete(&mut context.tx, campaign.id).await?;
+            policies::remove_unused(&mut context.tx, campaign.policy_id).await?;
+        }
         context.cache.forget();
         pending::note(&mut context.tx, &folder).await?;
         context.commit().await?;
+        if is_large {
+            remove_hidden(shared, campaign.id, campaign.policy_id).await?;
+        }
         tracing::warn!(campaign = %name, jobs = counts.total(), results = counts.committed,
         "the campaign was deleted");
-        removals::finish(shared, &folder).await?;
+        removals::remove_here(shared, &folder).await?;
         Ok(counts)
+    }
+}
+
+/// Tells of a campaign that has come with its jobs.
+fn created(shared: &Shared, new: &NewCampaign) -> Created {
+    let jobs = new.jobs.len() as u64;
+    tracing::info!(campaign = %new.name, jobs, "campaign created");
+    shared.work.notify_waiters();
+    Created {
+        jobs_added: jobs,
+        jobs_total: jobs,
+        priority: new.priority,
     }
 }
 

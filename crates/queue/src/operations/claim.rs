@@ -349,7 +349,7 @@ fn may_claim<'a>(
 
 fn assigned(campaign: &Campaign, job: LeasedJob) -> Assigned {
     Assigned {
-        attempt: job.attempt_id,
+        attempt: job.attempt_id.0,
         job: job.id,
         number: job.attempt,
         campaign: campaign.name.clone(),

@@ -106,7 +106,7 @@ impl Context<'_> {
         let reported = key(&report.result);
         let job = &attempt.job;
         Ok(
-            match job.judge_commit(attempt.id, reported, attempt.stored) {
+            match job.judge_commit(attempt.id.0, reported, attempt.stored) {
                 CommitJudgement::Accept => return self.accept(attempt, report, accepted).await,
                 CommitJudgement::Duplicate => CommitReply {
                     verdict: CommitVerdict::Duplicate,
@@ -143,7 +143,7 @@ impl Context<'_> {
             let detail = format!("campaign `{name}` {demand} and this result is of {from}");
             // It was leased in good faith if another result pinned the campaign
             // since then.
-            let lease = attempt.job.lease_of(attempt.id);
+            let lease = attempt.job.lease_of(attempt.id.0);
             let reason = match lease.is_some_and(|it| campaign.pinned_ms >= Some(it.granted)) {
                 true => FailureReason::Unsuited,
                 false => FailureReason::Unpaired,
@@ -187,10 +187,10 @@ impl Context<'_> {
         // From now on others are compared with it.
         self.cache.add_measured(campaign.id, suite, &result.origin);
         self.cache.add_sibling(&attempt.of, result);
-        let after = campaign.health.after_commit(attempt.id, self.now);
+        let after = campaign.health.after_commit(attempt.id.0, self.now);
         self.set_health(&campaign, &after).await?;
         accepted.push(NewResult {
-            attempt: attempt.id,
+            attempt: attempt.id.0,
             job: attempt.job.id,
             number: attempt.number,
             worker: attempt.worker.clone(),
@@ -214,7 +214,7 @@ impl Context<'_> {
         reason: FailureReason,
         detail: String,
     ) -> Result<CommitReply, StoreError> {
-        if let Some(lease) = attempt.job.lease_of(attempt.id) {
+        if let Some(lease) = attempt.job.lease_of(attempt.id.0) {
             let failure = (reason, detail.as_str());
             self.end_attempt((&attempt.job, lease), attempt.of.campaign, failure)
                 .await?;

@@ -2,6 +2,7 @@
 //! read before, the present instant, and the few steps that several operations
 //! share.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
@@ -35,6 +36,16 @@ pub(crate) struct Context<'a> {
     /// Whether it settles a job: campaigns that follow from others may go on then, and
     /// a campaign may end early.
     pub(super) settles: bool,
+}
+
+/// An error as it reads after the name of its policy: one that begins with "policy `bad` at
+/// ADDRESS" begins with "it".
+fn after_the_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
+    let named = error.strip_prefix(&format!("policy `{policy}` at "));
+    match named.and_then(|rest| rest.split_once(' ')) {
+        Some((_, rest)) => format!("it {rest}").into(),
+        None => error.into(),
+    }
 }
 
 /// How an attempt without a result ended.
@@ -104,7 +115,7 @@ impl<'a> Context<'a> {
         }
         let expires = self.now.plus(self.shared.timing.lease);
         jobs::resume(&mut self.tx, attempt.job.id, lease, expires).await?;
-        tracing::info!(attempt = %attempt.id, "worker `{}` is back with it", lease.owner);
+        tracing::info!(attempt = %attempt.id.0, "worker `{}` is back with it", lease.owner);
         Ok(Some(Lease {
             expires: expires.min(lease.ceiling),
             ..lease.clone()
@@ -134,9 +145,10 @@ impl<'a> Context<'a> {
             reason,
             FailureReason::PolicyUnavailable | FailureReason::PolicyLost
         );
+        let why = after_the_name(&campaign.policy, error);
         let after = self.shared.decide(|rng| match reason {
-            _ if is_outage => before.after_outage(id, lease.granted, error, now, rng),
-            FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, error, now, rng),
+            _ if is_outage => before.after_outage(id, lease.granted, &why, now, rng),
+            FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, &why, now, rng),
             _ => before.after_other_failure(id, now),
         });
         let mut then = self
@@ -216,5 +228,28 @@ impl<'a> Context<'a> {
         }
         self.cache.forget_campaigns();
         policies::set_health(&mut self.tx, campaign.policy_id, after).await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Finding F14: "policy `bad` is paused: policy `bad` at … refused …".
+    #[test]
+    fn a_reason_that_follows_the_policys_name_does_not_say_it_again() {
+        for (error, expected) in [
+            (
+                "policy `bad` at http://h:1 refused query 0: no",
+                "it refused query 0: no",
+            ),
+            (
+                "policy `badly` at http://h:1 refused",
+                "policy `badly` at http://h:1 refused",
+            ),
+            ("connection refused", "connection refused"),
+        ] {
+            assert_eq!(after_the_name("bad", error), expected);
+        }
     }
 }

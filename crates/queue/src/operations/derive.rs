@@ -3,10 +3,13 @@
 //!
 //! What follows is a pure function of the outcomes, and jobs are only ever added.
 //! So it is looked at again whenever something was settled and at every start, and
-//! whatever was cut off on the way is made up for.
+//! whatever was cut off on the way is made up for. A campaign whose outcomes, and whose
+//! source's, are those of the last look is left alone: a finished one costs a row.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::time::Duration;
+use std::panic::resume_unwind;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use paired::{CampaignLook, Outcome, Record};
 use protocol::{CampaignSpec, Explanation, ManifestRow, Rollouts, Thresholds};
@@ -14,39 +17,71 @@ use sqlx::SqliteConnection;
 
 use super::context::Context;
 use super::shared::Shared;
-use crate::clock::UnixMillis;
 use crate::expand::NewJob;
 use crate::ids::CampaignId;
 use crate::rules::explanation::{self, Wanted};
 use crate::rules::thresholds;
 use crate::store::campaigns;
-use crate::store::derivations::{self, Derived, OutcomeRow};
+use crate::store::derivations::{self, Derived, OutcomeRow, SourceEdition};
 use crate::store::failpoint::Step;
 use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, undecodable};
 
 /// Between two looks: outcomes that come together are looked at together.
 const PAUSE: Duration = Duration::from_millis(100);
+/// A look that took long is followed by a pause of so many times as long.
+const PAUSE_PER_COST: u32 = 4;
 /// After a look that failed; the disk may be full.
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
 
-/// What is known of the sources that are through, each as of when it was created and of how
-/// many results. It is read once: while something follows from it, it stays the same.
-type Sources = BTreeMap<CampaignId, ((UnixMillis, i64), Vec<Record>)>;
+/// What is known from earlier looks.
+#[derive(Default)]
+struct Known {
+    /// The records of the sources that are through: they are read once, since a source stays
+    /// as it is unless some of its jobs come back from quarantine.
+    sources: BTreeMap<CampaignId, (SourceEdition, Arc<Vec<Record>>)>,
+    /// What each campaign was when nothing more followed for it.
+    complete: BTreeMap<CampaignId, Looked>,
+}
+
+/// All that the jobs that follow for a campaign depend on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Looked {
+    jobs: i64,
+    revision: i64,
+    source: SourceEdition,
+}
+
+impl Looked {
+    fn at(campaign: &Derived) -> Self {
+        Self {
+            jobs: campaign.jobs,
+            revision: campaign.revision,
+            source: campaign.source_edition,
+        }
+    }
+}
+
+/// How long to wait after a look that took so long: looks at a campaign of any size take a
+/// fifth of a core at most.
+pub(super) fn pause_after(cost: Duration) -> Duration {
+    PAUSE.max(cost * PAUSE_PER_COST)
+}
 
 /// Adds what follows from outcomes, as they come.
-pub(crate) async fn run(shared: std::sync::Arc<Shared>) {
+pub(crate) async fn run(shared: Arc<Shared>) {
     let mut settled = shared.settled.subscribe();
-    let mut sources = Sources::new();
+    let mut known = Known::default();
     loop {
         let ended = *settled.borrow_and_update();
-        if let Err(error) = look(&shared, &mut sources).await {
+        let began = Instant::now();
+        if let Err(error) = look(&shared, &mut known).await {
             tracing::error!("failed to {}", error.with_cause());
             tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
             continue;
         }
         shared.settled.look_ended(ended);
-        tokio::time::sleep(PAUSE).await;
+        tokio::time::sleep(pause_after(began.elapsed())).await;
         // The sender is kept by the same queue.
         let _ = settled.changed().await;
     }
@@ -54,18 +89,26 @@ pub(crate) async fn run(shared: std::sync::Arc<Shared>) {
 
 /// Adds to every campaign that follows from another what follows from the outcomes that
 /// there are.
-async fn look(shared: &Shared, sources: &mut Sources) -> Result<(), StoreError> {
+async fn look(shared: &Shared, known: &mut Known) -> Result<(), StoreError> {
     let mut view = shared.store.read().await?;
     let mut found = Vec::new();
     let campaigns = derivations::all(&mut view).await?;
-    sources.retain(|id, _| campaigns.iter().any(|it| it.source == *id));
+    let is_source = |id: &CampaignId| campaigns.iter().any(|it| it.source == *id);
+    known.sources.retain(|id, _| is_source(id));
+    let is_here = |id: &CampaignId| campaigns.iter().any(|it| it.campaign == *id);
+    known.complete.retain(|id, _| is_here(id));
     for campaign in campaigns {
+        let looked = Looked::at(&campaign);
         // Which transitions there are, and which radii are known, is clear when all
         // rollouts of the source that ever will have an outcome.
-        if campaign.unsettled == 0 {
-            let source = source_records(&mut view, &campaign, sources).await?;
-            let jobs = following(&mut view, &campaign, source).await?;
-            found.extend((!jobs.is_empty()).then_some((campaign, jobs)));
+        if campaign.unsettled > 0 || known.complete.get(&campaign.campaign) == Some(&looked) {
+            continue;
+        }
+        let source = source_records(&mut view, &campaign, &mut known.sources).await?;
+        let jobs = following(&mut view, &campaign, source).await?;
+        match jobs.is_empty() {
+            true => drop(known.complete.insert(campaign.campaign, looked)),
+            false => found.push((campaign, jobs)),
         }
     }
     drop(view);
@@ -100,11 +143,11 @@ type Rollout = (ManifestRow, u32);
 async fn following(
     tx: &mut SqliteConnection,
     campaign: &Derived,
-    source: &[Record],
+    source: Arc<Vec<Record>>,
 ) -> Result<Vec<NewJob>, StoreError> {
     let rollouts = match specification(&campaign.spec)?.rollouts {
-        Rollouts::Explanation(explanation) => subsets(tx, campaign, source, &explanation).await?,
-        Rollouts::Thresholds(thresholds) => radii(tx, campaign, source, &thresholds).await?,
+        Rollouts::Explanation(explanation) => subsets(tx, campaign, source, explanation).await?,
+        Rollouts::Thresholds(thresholds) => radii(tx, campaign, source, thresholds).await?,
         Rollouts::Design(_) | Rollouts::Manifest(_) => Vec::new(),
     };
     let jobs = (campaign.jobs..).zip(rollouts);
@@ -122,11 +165,11 @@ pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
 async fn subsets(
     tx: &mut SqliteConnection,
     campaign: &Derived,
-    source: &[Record],
-    explanation: &Explanation,
+    source: Arc<Vec<Record>>,
+    explanation: Explanation,
 ) -> Result<Vec<Rollout>, StoreError> {
     let own = records(tx, campaign.campaign).await?;
-    let wanted = explanation::wanted(source, &own, explanation);
+    let wanted = aside(move || explanation::wanted(&source, &own, &explanation)).await;
     let ids: BTreeSet<String> = wanted
         .iter()
         .map(|it| it.simultaneous.to_string())
@@ -166,15 +209,15 @@ async fn subsets(
 async fn radii(
     tx: &mut SqliteConnection,
     campaign: &Derived,
-    source: &[Record],
-    thresholds: &Thresholds,
+    source: Arc<Vec<Record>>,
+    thresholds: Thresholds,
 ) -> Result<Vec<Rollout>, StoreError> {
     let spec = campaigns::spec(tx, campaign.source).await?;
     let Rollouts::Design(design) = specification(&spec)?.rollouts else {
         return Ok(Vec::new());
     };
     let own = records(tx, campaign.campaign).await?;
-    let rows = thresholds::wanted(&design, source, &own, thresholds);
+    let rows = aside(move || thresholds::wanted(&design, &source, &own, &thresholds)).await;
     let rows = rows
         .map_err(undecodable)
         .doing("perturb at another radius")?;
@@ -183,18 +226,19 @@ async fn radii(
 
 /// What is known of the rollouts of a campaign's source, which is through: from an earlier
 /// look, unless some have come back from quarantine since.
-async fn source_records<'s>(
+async fn source_records(
     tx: &mut SqliteConnection,
     campaign: &Derived,
-    sources: &'s mut Sources,
-) -> Result<&'s [Record], StoreError> {
-    let edition = (campaign.source_created_ms, campaign.source_committed);
-    let of_before = sources.remove(&campaign.source);
-    let records = match of_before.filter(|(of, _)| *of == edition) {
-        Some((_, records)) => records,
-        None => read_source(tx, campaign).await?,
-    };
-    let (_, records) = sources.entry(campaign.source).or_insert((edition, records));
+    sources: &mut BTreeMap<CampaignId, (SourceEdition, Arc<Vec<Record>>)>,
+) -> Result<Arc<Vec<Record>>, StoreError> {
+    let edition = campaign.source_edition;
+    if let Some((of, records)) = sources.get(&campaign.source)
+        && *of == edition
+    {
+        return Ok(records.clone());
+    }
+    let records = Arc::new(read_source(tx, campaign).await?);
+    sources.insert(campaign.source, (edition, records.clone()));
     Ok(records)
 }
 
@@ -233,8 +277,20 @@ pub(super) async fn records(
         })
     };
     let rows = derivations::outcomes(tx, campaign).await?;
-    let records: Result<_, sqlx::Error> = rows.into_iter().map(record).collect();
+    let read = move || rows.into_iter().map(record).collect();
+    let records: Result<_, sqlx::Error> = aside(read).await;
     records.doing("read the outcomes that a campaign follows from")
+}
+
+/// Computes beside the threads that answer calls: what is about all of a campaign takes tens
+/// of milliseconds and more.
+pub(super) async fn aside<T: Send + 'static>(
+    computation: impl FnOnce() -> T + Send + 'static,
+) -> T {
+    match tokio::task::spawn_blocking(computation).await {
+        Ok(computed) => computed,
+        Err(panicked) => resume_unwind(panicked.into_panic()),
+    }
 }
 
 #[cfg(test)]

@@ -4,19 +4,20 @@
 //! kept, so that filming them needs no policy.
 
 use std::collections::BTreeSet;
+use std::time::Instant;
 
 use attempt::Pin;
 use paired::{Outcome, Record, Records, Transition};
 use protocol::Rollouts;
 use sqlx::SqliteConnection;
 
-use super::derive::{records, specification};
+use super::derive::{aside, records, specification};
 use super::error::QueueError;
 use crate::ids::{CampaignId, JobId};
 use crate::queue::Queue;
 use crate::rules::explanation;
 use crate::store::films::{self, FilmableRow};
-use crate::store::{Doing, StoreError, campaigns, derivations, undecodable};
+use crate::store::{Doing, StoreError, campaigns, undecodable};
 
 pub use crate::store::films::Film;
 
@@ -27,23 +28,28 @@ impl Queue {
     /// # Errors
     /// When the database fails.
     pub async fn next_film(&self, pin: &Pin) -> Result<Option<(Film, u64)>, QueueError> {
+        let films = &self.shared.films;
+        let looking = films.looking.lock().await;
+        films.look_begins();
         let mut view = self.shared.store.read().await?;
-        let mut wanting = Vec::new();
-        for campaign in films::filmed_campaigns(&mut view, pin).await? {
-            let rows = films::filmable(&mut view, campaign).await?;
-            let source = derivations::source(&mut view, campaign).await?;
-            wanting.extend(match source {
+        let campaigns = films::filmed_campaigns(&mut view, pin).await?;
+        for of in films.outdated(&campaigns, Instant::now()) {
+            let began = Instant::now();
+            let rows = films::filmable(&mut view, of.campaign).await?;
+            let wanting = match of.source {
                 Some(source) => {
-                    wanting_of_explanation(&mut view, [source, campaign], &rows).await?
+                    wanting_of_explanation(&mut view, [source, of.campaign], rows).await?
                 }
-                None => wanting_films(&rows)?,
-            });
+                None => aside(move || wanting_films(&rows)).await?,
+            };
+            films.found(of, wanting, began, began.elapsed());
         }
-        let Some(job) = self.films.take(&wanting, self.now()) else {
+        drop(looking);
+        let Some((job, left)) = films.take(&campaigns, self.now()) else {
             return Ok(None);
         };
         let film = films::film(&mut view, job).await?;
-        Ok(Some((film, wanting.len() as u64)))
+        Ok(Some((film, left)))
     }
 }
 
@@ -52,7 +58,7 @@ impl Queue {
 async fn wanting_of_explanation(
     view: &mut SqliteConnection,
     [source, own]: [CampaignId; 2],
-    rows: &[FilmableRow],
+    rows: Vec<FilmableRow>,
 ) -> Result<Vec<JobId>, StoreError> {
     let spec = campaigns::spec(view, own).await?;
     let Rollouts::Explanation(explanation) = specification(&spec)?.rollouts else {
@@ -60,15 +66,18 @@ async fn wanting_of_explanation(
     };
     let source = records(view, source).await?;
     let own = records(view, own).await?;
-    let telling = explanation::telling(&source, &own, &explanation);
-    let telling: BTreeSet<(String, u32)> = telling
-        .into_iter()
-        .map(|(id, replicate)| (id.to_string(), replicate))
-        .collect();
-    let wanting = rows
-        .iter()
-        .filter(|row| row.is_wanting && telling.contains(&(row.rollout_id.clone(), row.replicate)));
-    Ok(wanting.map(|row| row.job_id).collect())
+    let wanting = aside(move || {
+        let telling = explanation::telling(&source, &own, &explanation);
+        let telling: BTreeSet<(String, u32)> = telling
+            .into_iter()
+            .map(|(id, replicate)| (id.to_string(), replicate))
+            .collect();
+        let is_telling =
+            |row: &FilmableRow| telling.contains(&(row.rollout_id.clone(), row.replicate));
+        let wanting = rows.iter().filter(|row| row.is_wanting && is_telling(row));
+        wanting.map(|row| row.job_id).collect()
+    });
+    Ok(wanting.await)
 }
 
 /// The rollouts of changed configurations that have no video yet.

@@ -66,13 +66,22 @@ impl Queue {
         }
     }
 
-    /// Removes what is left of deleted campaigns.
+    /// Removes what is left of deleted campaigns, here and elsewhere. Elsewhere may take its
+    /// time or not answer: campaigns come and go meanwhile. Of several callers one works.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn finish_removals(&self) -> Result<(), StoreError> {
-        let _alone = self.campaigns.lock().await;
-        removals::finish_all(&self.shared).await
+        let _alone = self.removing.lock().await;
+        // A campaign on its way in has its folder noted until it is here. None is on its way
+        // while this is held, and no campaign is ever given a folder that is noted.
+        let arriving = self.campaigns.lock().await;
+        let pending = removals::pending(&self.shared).await?;
+        drop(arriving);
+        for folder in pending {
+            removals::remove(&self.shared, &folder).await?;
+        }
+        Ok(())
     }
 }
 

@@ -94,7 +94,7 @@ impl Context<'_> {
             let is_answered = |it: &Progress<'_>| is_answer(it, &probe);
             if held.contains(&probe.attempt) && progress.iter().any(is_answered) {
                 let campaign = self.campaign(probe.campaign).await?;
-                let after = campaign.health.after_answer(probe.attempt, self.now);
+                let after = campaign.health.after_answer(probe.attempt.0, self.now);
                 self.set_health(&campaign, &after).await?;
             }
         }
@@ -103,5 +103,5 @@ impl Context<'_> {
 }
 
 fn is_answer(progress: &Progress<'_>, probe: &Probe) -> bool {
-    progress.attempt == probe.attempt && progress.control_steps > probe.settle_steps
+    progress.attempt == probe.attempt.0 && progress.control_steps > probe.settle_steps
 }

@@ -1,28 +1,146 @@
-//! The rollouts that are being filmed: remembered in memory only. Should that be
-//! lost, a rollout is filmed twice, with the same frames.
+//! The rollouts that are to be filmed, and those that are being filmed: remembered in
+//! memory only. Should that be lost, they are looked for again, and a rollout may be filmed
+//! twice, with the same frames.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::clock::UnixMillis;
-use crate::ids::JobId;
+use crate::ids::{CampaignId, JobId};
+use crate::store::films::Filmed;
 
 /// Longest time to film a rollout before it is handed out again: drawing the
 /// longest one in software takes a few minutes.
 const FILMING_TIMEOUT: Duration = Duration::from_secs(15 * 60);
+/// A look that took less is repeated whenever an outcome has come.
+const CHEAP_LOOK: Duration = Duration::from_millis(50);
+/// One that took longer is repeated after so many times as long at the earliest: looks at a
+/// large campaign take a twentieth of a core while its rollouts are committed.
+const AGE_PER_COST: u32 = 20;
 
-/// The rollouts that are being filmed, and until when.
+/// What is to be filmed, by campaign.
 #[derive(Debug, Default)]
-pub(crate) struct InFlight(Mutex<BTreeMap<JobId, UnixMillis>>);
+pub(crate) struct Films {
+    /// Held while a campaign is looked through: those who ask meanwhile share what is found.
+    pub(super) looking: tokio::sync::Mutex<()>,
+    known: Mutex<Known>,
+}
 
-impl InFlight {
-    /// The first that is not being filmed.
-    pub(super) fn take(&self, wanting: &[JobId], now: UnixMillis) -> Option<JobId> {
-        let mut in_flight = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        in_flight.retain(|_, until| *until > now);
-        let job = *wanting.iter().find(|job| !in_flight.contains_key(job))?;
-        in_flight.insert(job, now.plus(FILMING_TIMEOUT));
-        Some(job)
+#[derive(Debug, Default)]
+struct Known {
+    wanting: BTreeMap<CampaignId, Wanting>,
+    /// Filmed since the last look began, which may have missed it.
+    filmed: BTreeSet<JobId>,
+    in_flight: BTreeMap<JobId, UnixMillis>,
+}
+
+/// The rollouts of a campaign that have no video yet and are to have one.
+#[derive(Debug)]
+struct Wanting {
+    of: Filmed,
+    jobs: Vec<JobId>,
+    at: Instant,
+    cost: Duration,
+}
+
+impl Films {
+    /// Forgets all campaigns but these, and returns those that are to be looked through.
+    pub(super) fn outdated(&self, campaigns: &[Filmed], now: Instant) -> Vec<Filmed> {
+        let mut known = self.lock();
+        let is_filmed = |id: &CampaignId| campaigns.iter().any(|it| it.campaign == *id);
+        known.wanting.retain(|id, _| is_filmed(id));
+        let is_outdated = |of: &&Filmed| match known.wanting.get(&of.campaign) {
+            Some(known) => {
+                let age = now.saturating_duration_since(known.at);
+                let is_due = known.cost < CHEAP_LOOK || age >= known.cost * AGE_PER_COST;
+                known.of != **of && is_due
+            }
+            None => true,
+        };
+        campaigns.iter().filter(is_outdated).cloned().collect()
+    }
+
+    /// A look at the database begins: it sees every video that was stored until now.
+    pub(super) fn look_begins(&self) {
+        self.lock().filmed.clear();
+    }
+
+    /// Stores what a look found that began at `at` and took `cost`.
+    pub(super) fn found(&self, of: Filmed, mut jobs: Vec<JobId>, at: Instant, cost: Duration) {
+        let mut known = self.lock();
+        jobs.retain(|job| !known.filmed.contains(job));
+        let campaign = of.campaign;
+        let wanting = Wanting { of, jobs, at, cost };
+        known.wanting.insert(campaign, wanting);
+    }
+
+    /// The video of a rollout was stored.
+    pub(super) fn filmed(&self, campaign: CampaignId, job: JobId) {
+        let mut known = self.lock();
+        known.filmed.insert(job);
+        known.in_flight.remove(&job);
+        if let Some(wanting) = known.wanting.get_mut(&campaign) {
+            wanting.jobs.retain(|other| *other != job);
+        }
+    }
+
+    /// The first rollout of these campaigns that is not being filmed, and how many have no
+    /// video.
+    pub(super) fn take(&self, campaigns: &[Filmed], now: UnixMillis) -> Option<(JobId, u64)> {
+        let known = &mut *self.lock();
+        known.in_flight.retain(|_, until| *until > now);
+        let wanting = |of: &Filmed| known.wanting.get(&of.campaign);
+        let jobs = || campaigns.iter().filter_map(wanting).flat_map(|it| &it.jobs);
+        let left = jobs().count() as u64;
+        let job = *jobs().find(|job| !known.in_flight.contains_key(job))?;
+        known.in_flight.insert(job, now.plus(FILMING_TIMEOUT));
+        Some((job, left))
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn campaign(revision: i64) -> Filmed {
+        Filmed {
+            campaign: CampaignId(1),
+            revision,
+            source: None,
+            source_revision: None,
+        }
+    }
+
+    #[test]
+    fn a_campaign_is_looked_through_when_outcomes_came_and_seldom_if_that_takes_long() {
+        let films = Films::default();
+        let now = UnixMillis(0);
+        let (began, second) = (Instant::now(), Duration::from_secs(1));
+        let outdated = |revision, after: u32| {
+            let at = began + second * after;
+            !films.outdated(&[campaign(revision)], at).is_empty()
+        };
+        assert!(outdated(1, 0));
+        films.found(campaign(1), vec![JobId(1), JobId(2)], began, Duration::ZERO);
+        assert!(!outdated(1, 0));
+        assert!(outdated(2, 0), "the look took no time");
+
+        films.look_begins();
+        films.filmed(CampaignId(1), JobId(1));
+        let jobs = vec![JobId(1), JobId(2), JobId(3)];
+        films.found(campaign(2), jobs, began, second);
+        let taken = films.take(&[campaign(2)], now);
+        assert_eq!(taken, Some((JobId(2), 2)), "the first was filmed meanwhile");
+        assert!(!outdated(3, 19), "the look took a second");
+        assert!(outdated(3, 20));
+        assert_eq!(films.take(&[campaign(2)], now), Some((JobId(3), 2)));
+        assert_eq!(films.take(&[campaign(2)], now), None);
+        assert!(films.outdated(&[], began).is_empty());
+        assert!(outdated(2, 0), "it is forgotten with its campaign");
     }
 }

@@ -11,6 +11,7 @@ use sha2::{Digest, Sha256};
 use super::artifacts::campaign_folder;
 use super::context::Context;
 use super::error::QueueError;
+use super::passages::{self as moves, PIECE};
 use super::removals;
 use super::settled::Settled;
 use crate::expand::altered;
@@ -23,7 +24,7 @@ use crate::store::failpoint::Step;
 use crate::store::portable::{self, Called};
 use crate::store::{
     DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, foreign_schema, instants,
-    removals as pending, undecodable,
+    passages, removals as pending, undecodable,
 };
 use crate::timing::Timing;
 
@@ -270,14 +271,13 @@ impl Queue {
         // Until the campaign is here, its files are to be removed with the next start.
         pending::note(&mut context.tx, &folder).await?;
         context.commit().await?;
-        let database = from.folder().join(DATABASE_FILE);
         let moved = move_films(from.folder(), &films, &shared.store.folder().join(&folder)).await;
         let adopted = match moved {
-            Ok(()) => self.copy_in(from, &database, &called, follows).await,
+            Ok(()) => self.copy_in(from, &called, follows).await,
             Err(error) => Err(error),
         };
         if adopted.is_err() {
-            removals::finish(shared, &folder).await?;
+            removals::remove_here(shared, &folder).await?;
         }
         let counts = adopted?;
         let jobs = counts.total();
@@ -287,20 +287,61 @@ impl Queue {
         Ok((called.name, counts))
     }
 
+    /// Copies a campaign piece by piece, so that workers are served in between; nobody sees it
+    /// until it is whole.
     async fn copy_in(
         &self,
         from: &Portable,
-        database: &Path,
         called: &Called,
         follows: Option<CampaignId>,
     ) -> Result<Counts, AdoptError> {
         let shared = &*self.shared;
+        let old = from.campaign.id;
+        let database = from.folder().join(DATABASE_FILE);
+        let mut beside = shared.store.beside(&database).await?;
+        let tx = beside.write(vec![Step::ImportCampaign]).await?;
+        let mut context = Context::within(shared, tx).await;
+        let now = context.now;
+        let id = portable::copy_without_jobs(&mut context.tx, old, called, now).await?;
+        passages::arrive(&mut context.tx, id).await?;
+        let policy = context.campaign(id).await?.policy_id;
+        context.cache.forget_campaigns();
+        context.commit().await?;
+        beside.detach().await?;
+        let copied = self.fill(&database, (id, old), called, follows).await;
+        if copied.is_err()
+            && let Err(error) = moves::remove(shared, id, policy).await
+        {
+            tracing::warn!("failed to {}; the next start does", error.with_cause());
+        }
+        copied
+    }
+
+    async fn fill(
+        &self,
+        database: &Path,
+        both: (CampaignId, CampaignId),
+        called: &Called,
+        follows: Option<CampaignId>,
+    ) -> Result<Counts, AdoptError> {
+        let (shared, id) = (&*self.shared, both.0);
+        let mut last = Some(-1);
+        while let Some(after) = last {
+            let mut beside = shared.store.beside(database).await?;
+            let tx = beside.write(vec![Step::ImportCampaign]).await?;
+            let mut context = Context::within(shared, tx).await;
+            let folder = &called.folder;
+            last = portable::copy_piece(&mut context.tx, both, folder, after, PIECE / 2).await?;
+            context.commit().await?;
+            beside.detach().await?;
+        }
         let mut beside = shared.store.beside(database).await?;
         let tx = beside.write(vec![Step::ImportCampaign]).await?;
         let mut context = Context::within(shared, tx).await;
         let now = context.now;
         campaigns::take_name(&mut context.tx, &called.name).await?;
-        let id = portable::copy(&mut context.tx, from.campaign.id, called, now).await?;
+        passages::arrived(&mut context.tx, id, (&called.name, &called.folder), now).await?;
+        portable::copy_rest(&mut context.tx, both).await?;
         // The other coordinator's clock may be ahead of this one.
         let latest = now.plus(attempt::Waits::USUAL.longest);
         instants::set_back(&mut context.tx, now, latest).await?;
@@ -312,6 +353,7 @@ impl Queue {
         pending::done(&mut context.tx, &campaign_folder(&called.folder)).await?;
         let counts = Counts::of(&mut context.tx, id).await?;
         context.commit().await?;
+        beside.detach().await?;
         Ok(counts)
     }
 }

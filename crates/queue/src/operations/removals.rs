@@ -1,5 +1,5 @@
-//! Removing the files of what was deleted. What stays on the disk is
-//! logged, and tried again at the next start.
+//! Removing the files of what was deleted. What stays is logged, and tried again: on this
+//! machine at the next start, elsewhere all the while.
 
 use std::io::ErrorKind;
 
@@ -8,29 +8,24 @@ use super::shared::Shared;
 use crate::store::failpoint::Step;
 use crate::store::{StoreError, removals};
 
-/// Removes what a process that died before had still to remove.
-pub(crate) async fn finish_all(shared: &Shared) -> Result<(), StoreError> {
+/// The folders that are still to be removed.
+pub(crate) async fn pending(shared: &Shared) -> Result<Vec<String>, StoreError> {
     let mut view = shared.store.read().await?;
-    let pending = removals::pending(&mut view).await?;
-    drop(view);
-    for path in pending {
-        finish(shared, &path).await?;
-    }
-    Ok(())
+    removals::pending(&mut view).await
 }
 
-/// Removes a folder, or a file, below the data folder.
-pub(crate) async fn finish(shared: &Shared, below: &str) -> Result<(), StoreError> {
-    let path = shared.store.folder().join(below);
-    let removed = match path.is_dir() {
-        true => tokio::fs::remove_dir_all(&path).await,
-        false => tokio::fs::remove_file(&path).await,
-    };
-    if let Err(error) = removed
-        && error.kind() != ErrorKind::NotFound
-    {
-        let path = path.display();
-        tracing::error!("failed to remove {path}: {error}; the next start tries again");
+/// Removes a folder, or a file, below the data folder. What is kept of it elsewhere remains
+/// noted.
+pub(crate) async fn remove_here(shared: &Shared, below: &str) -> Result<(), StoreError> {
+    match is_removed_here(shared, below).await && shared.elsewhere.is_none() {
+        true => note_done(shared, below).await,
+        false => Ok(()),
+    }
+}
+
+/// Removes a folder, or a file, below the data folder and elsewhere.
+pub(crate) async fn remove(shared: &Shared, below: &str) -> Result<(), StoreError> {
+    if !is_removed_here(shared, below).await {
         return Ok(());
     }
     if let Some(elsewhere) = &shared.elsewhere
@@ -39,7 +34,133 @@ pub(crate) async fn finish(shared: &Shared, below: &str) -> Result<(), StoreErro
         tracing::warn!("failed to {problem}; it is tried again");
         return Ok(());
     }
+    note_done(shared, below).await
+}
+
+async fn is_removed_here(shared: &Shared, below: &str) -> bool {
+    let path = shared.store.folder().join(below);
+    let removed = match path.is_dir() {
+        true => tokio::fs::remove_dir_all(&path).await,
+        false => tokio::fs::remove_file(&path).await,
+    };
+    match removed {
+        Err(error) if error.kind() != ErrorKind::NotFound => {
+            let path = path.display();
+            tracing::error!("failed to remove {path}: {error}; the next start tries again");
+            false
+        }
+        _ => true,
+    }
+}
+
+async fn note_done(shared: &Shared, below: &str) -> Result<(), StoreError> {
     let mut context = Context::begin(shared, vec![Step::FinishRemoval]).await?;
     removals::done(&mut context.tx, below).await?;
     context.commit().await
+}
+
+#[cfg(test)]
+mod tests {
+    use std::pin::Pin;
+    use std::sync::Arc;
+    use std::time::Duration;
+
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::SeedableRng;
+    use serde_json::json;
+    use tokio::sync::Semaphore;
+
+    use super::*;
+    use crate::clock::SystemClock;
+    use crate::elsewhere::Elsewhere;
+    use crate::expand::NewCampaign;
+    use crate::ids::CampaignName;
+    use crate::operations::alter::Alteration;
+    use crate::queue::Queue;
+    use crate::store::Store;
+    use crate::timing::Timing;
+
+    /// Storage that answers only when it is let.
+    struct Slow {
+        asked: Semaphore,
+        answers: Semaphore,
+    }
+
+    impl Elsewhere for Slow {
+        fn remove<'a>(
+            &'a self,
+            folder: &'a str,
+        ) -> Pin<Box<dyn Future<Output = Result<(), String>> + Send + 'a>> {
+            Box::pin(async move {
+                assert_eq!(folder, "artifacts/one", "no living campaign's");
+                self.asked.add_permits(1);
+                let answer = self.answers.acquire().await;
+                answer
+                    .map(|answer| answer.forget())
+                    .map_err(|_| String::new())
+            })
+        }
+    }
+
+    /// Finding B11: a deleted campaign whose films were in storage that did not answer kept
+    /// every other one from being created, altered or deleted.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn storage_that_does_not_answer_keeps_no_campaign_from_coming_or_going() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let store = Store::open(folder.path()).await.expect("a store");
+        let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
+        let slow = Arc::new(Slow {
+            asked: Semaphore::new(0),
+            answers: Semaphore::new(0),
+        });
+        let elsewhere = Some(slow.clone() as Arc<dyn Elsewhere>);
+        let queue = Queue::start_with(store, clock, rng, Timing::default(), elsewhere).await;
+        let queue = queue.expect("a queue");
+        let name = |name: &str| CampaignName::parse(name).expect("a name");
+        let create = async |name: &str| {
+            let spec = json!({
+                "name": name,
+                "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+                "tasks": ["libero_object/0"], "axes": ["camera"], "levels": ["L1"], "configs": [0],
+            });
+            let campaign = NewCampaign::from_json(&spec.to_string()).expect("a campaign");
+            queue.create_campaign(&campaign).await.expect("created");
+        };
+        create("one").await;
+        let busy = async {
+            queue.delete_campaign(&name("one")).await.expect("deleted");
+            let removing = tokio::spawn({
+                let queue = queue.clone();
+                async move { queue.finish_removals().await.expect("removed") }
+            });
+            slow.asked.acquire().await.expect("it is asked").forget();
+            // The same name, whose films must not go with those of the deleted one.
+            create("one").await;
+            create("two").await;
+            let to = Alteration {
+                priority: Some(1),
+                ..Alteration::default()
+            };
+            queue
+                .alter_campaign(&name("two"), &to)
+                .await
+                .expect("altered");
+            queue.delete_campaign(&name("two")).await.expect("deleted");
+            removing
+        };
+        let removing = tokio::time::timeout(Duration::from_secs(30), busy).await;
+        let removing = removing.expect("nothing waits for the storage");
+        let left = pending(&queue.shared).await.expect("folders");
+        assert_eq!(left, ["artifacts/one", "artifacts/two"]);
+        slow.answers.add_permits(1);
+        removing.await.expect("it ends");
+        let left = pending(&queue.shared).await.expect("folders");
+        assert_eq!(left, ["artifacts/two"]);
+        let mut view = queue.store().read().await.expect("a view");
+        let one = crate::store::campaigns::by_name(&mut view, &name("one")).await;
+        assert_eq!(
+            one.expect("a database").expect("it is here").folder,
+            "one~2"
+        );
+    }
 }

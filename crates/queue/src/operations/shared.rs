@@ -8,6 +8,7 @@ use rand_chacha::rand_core::Rng;
 use tokio::sync::{Notify, watch};
 
 use super::cache::Cache;
+use super::in_flight::Films;
 use super::settled::Settled;
 use crate::clock::{Clock, UnixMillis};
 use crate::elsewhere::Elsewhere;
@@ -25,6 +26,8 @@ pub(crate) struct Shared {
     pub(super) cache: tokio::sync::Mutex<Cache>,
     /// Held while a film comes into the data folder, or is taken out of it.
     pub(crate) files: tokio::sync::Mutex<()>,
+    /// The rollouts that are to be filmed.
+    pub(super) films: Films,
     /// Where films are kept beyond the data folder, if they are.
     pub(crate) elsewhere: Option<Arc<dyn Elsewhere>>,
     /// Rung when jobs may have become leasable.
@@ -52,6 +55,7 @@ impl Shared {
             timing,
             cache: tokio::sync::Mutex::default(),
             files: tokio::sync::Mutex::default(),
+            films: Films::default(),
             elsewhere,
             work: Notify::new(),
             settled: Arc::new(Settled::new()),

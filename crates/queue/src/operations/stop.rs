@@ -10,24 +10,21 @@
 //! met, and in these nothing is in flight.
 
 use std::collections::BTreeMap;
-use std::panic::resume_unwind;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use paired::{CampaignLook, Records};
 use protocol::{RolloutId, TaskRef};
 use sqlx::SqliteConnection;
 
 use super::context::Context;
-use super::derive::records;
+use super::derive::{aside, pause_after, records};
 use super::shared::Shared;
 use crate::ids::CampaignId;
 use crate::store::failpoint::Step;
 use crate::store::stops::{self, Stoppable};
 use crate::store::{Doing, StoreError, undecodable};
 
-/// Between two looks: outcomes that come together are looked at together.
-const PAUSE: Duration = Duration::from_millis(100);
 /// After a look that failed; the disk may be full.
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
 
@@ -45,13 +42,14 @@ pub(crate) async fn run(shared: Arc<Shared>) {
     let mut fronts = Fronts::new();
     loop {
         settled.mark_unchanged();
+        let began = Instant::now();
         if let Err(error) = look(&shared, &mut fronts).await {
             tracing::error!("failed to {}", error.with_cause());
             fronts.clear();
             tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
             continue;
         }
-        tokio::time::sleep(PAUSE).await;
+        tokio::time::sleep(pause_after(began.elapsed())).await;
         // The sender is kept by the same queue.
         let _ = settled.changed().await;
     }
@@ -117,14 +115,9 @@ async fn when_met(
 ) -> Result<Option<CampaignLook>, StoreError> {
     let stop = campaign.stop.clone();
     let records = records(tx, campaign.campaign).await?;
-    // Tens of milliseconds, in which this thread would serve nobody.
-    let found = tokio::task::spawn_blocking(move || {
+    let found = aside(move || {
         Records::new(&records).map(|records| CampaignLook::when_met(&records, &stop))
     });
-    match found.await {
-        Ok(found) => found
-            .map_err(undecodable)
-            .doing("read the outcomes that a rule is about"),
-        Err(panicked) => resume_unwind(panicked.into_panic()),
-    }
+    let found = found.await.map_err(undecodable);
+    found.doing("read the outcomes that a rule is about")
 }

@@ -70,18 +70,14 @@ impl Counts {
         self.queued + self.leased + self.committed + self.quarantined
     }
 
-    /// A campaign's. Each count walks one partial index, none the table.
+    /// A campaign's, as its tally has them: one row, however large the campaign is.
     pub(crate) async fn of(
         tx: &mut SqliteConnection,
         campaign: CampaignId,
     ) -> Result<Counts, StoreError> {
         let counts: (i64, i64, i64, i64, i64) = sqlx::query_as(
-            "SELECT
-                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'queued'),
-                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'leased'),
-                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'committed'),
-                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'quarantined'),
-                 (SELECT count(*) FROM result WHERE campaign_id = ?1 AND success = 1)",
+            "SELECT queued, leased, committed, quarantined, succeeded FROM tally
+             WHERE campaign_id = ?",
         )
         .bind(campaign)
         .fetch_one(tx)
@@ -133,9 +129,10 @@ impl View {
     /// # Errors
     /// When the database fails.
     pub async fn statuses(&mut self) -> Result<Vec<CampaignStatus>, StoreError> {
+        let live = self.live_pins().await?;
         let mut list = Vec::new();
         for campaign in campaigns::all(self.tx()).await? {
-            list.push(self.status(campaign).await?);
+            list.push(self.status_among(campaign, &live).await?);
         }
         Ok(list)
     }
@@ -145,11 +142,24 @@ impl View {
     /// # Errors
     /// When the database fails.
     pub async fn status(&mut self, campaign: Campaign) -> Result<CampaignStatus, StoreError> {
+        let live = self.live_pins().await?;
+        self.status_among(campaign, &live).await
+    }
+
+    /// What the workers that are alive run on.
+    async fn live_pins(&mut self) -> Result<Vec<Pin>, StoreError> {
+        let since = self.now.minus(self.timing.worker_alive);
+        let live = workers::live(self.tx(), since).await?;
+        Ok(live.into_iter().map(|worker| worker.pin).collect())
+    }
+
+    async fn status_among(
+        &mut self,
+        campaign: Campaign,
+        live: &[Pin],
+    ) -> Result<CampaignStatus, StoreError> {
         let now = self.now;
         let counts = Counts::of(self.tx(), campaign.id).await?;
-        let since = now.minus(self.timing.worker_alive);
-        let live = workers::live(self.tx(), since).await?;
-        let live: Vec<Pin> = live.into_iter().map(|worker| worker.pin).collect();
         let rate_per_sec = match campaign.state {
             CampaignState::Running { since: resumed } => {
                 rate(self.tx(), campaign.id, resumed, now).await?

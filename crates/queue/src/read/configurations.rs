@@ -1,6 +1,7 @@
 //! The rollouts of a configuration, side by side.
 
-use attempt::{AttemptId, Digests, Motion, Provenance, Realised};
+use attempt::{AttemptId, Digests, GoalProgress, Motion, Provenance, Realised};
+use sqlx::types::Text;
 
 use super::View;
 use crate::clock::UnixMillis;
@@ -10,7 +11,7 @@ use crate::store::results::digests;
 use crate::store::{Doing, StoreError, json};
 
 /// One rollout of a configuration, as far as its job goes.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RolloutLine {
     /// The job.
     pub id: JobId,
@@ -36,13 +37,13 @@ pub struct RolloutLine {
 }
 
 /// What a rollout came to, how, and where that came from.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ResultLine {
     /// Of which job.
     pub job_id: JobId,
     /// Of which attempt.
-    #[sqlx(rename = "attempt_id", try_from = "String")]
-    pub attempt: AttemptId,
+    #[sqlx(rename = "attempt_id")]
+    pub attempt: Text<AttemptId>,
     /// Which attempt of its job that was.
     #[sqlx(rename = "attempt")]
     pub number: AttemptNumber,
@@ -62,6 +63,12 @@ pub struct ResultLine {
     pub clipped_actions: u32,
     /// Times that the policy was asked.
     pub policy_queries: u32,
+    /// Predicates of the goal, where its worker says.
+    pub goal_predicates: Option<u32>,
+    /// Those that held at the end.
+    pub goal_at_end: Option<u32>,
+    /// The most that held together.
+    pub goal_at_most: Option<u32>,
     /// Reports of another outcome.
     pub divergences: u32,
     /// What makes it comparable.
@@ -77,6 +84,17 @@ pub struct ResultLine {
     /// Where it came from.
     #[sqlx(json)]
     pub provenance: Provenance,
+}
+
+impl ResultLine {
+    /// How much of the goal held, where its worker says.
+    pub fn goal(&self) -> Option<GoalProgress> {
+        Some(GoalProgress {
+            predicates: self.goal_predicates?,
+            at_end: self.goal_at_end?,
+            at_most: self.goal_at_most?,
+        })
+    }
 }
 
 impl View {
@@ -154,6 +172,7 @@ impl View {
         sqlx::query_as(concat!(
             "SELECT r.job_id, r.attempt_id, r.attempt, r.worker_id, r.committed_ms, r.success,
                  r.steps, r.wall_secs, r.ik_residual_mm, r.clipped_actions, r.policy_queries,
+                 r.goal_predicates, r.goal_at_end, r.goal_at_most,
                  (SELECT count(*) FROM divergence d WHERE d.job_id = r.job_id) AS divergences,
                  r.realised, a.path AS video, a.size_bytes AS video_bytes, ",
             digests!(),

@@ -7,7 +7,7 @@ use crate::store::campaigns::{self, Campaign};
 use crate::store::{Doing, StoreError, derivations, json};
 
 /// One rollout of a configuration, as its explanation needs it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SubsetRow {
     /// Which rollout.
     pub rollout_id: String,

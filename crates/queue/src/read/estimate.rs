@@ -54,7 +54,7 @@ pub struct Planned<'a> {
 }
 
 /// Recent results of one policy in one suite, drawn by one renderer.
-#[derive(Clone, Debug, Default, PartialEq, sqlx::FromRow)]
+#[derive(Clone, Debug, Default, PartialEq, sqlx_macros::FromRow)]
 pub(super) struct Measured {
     pub(super) policy: String,
     pub(super) renderer: String,
@@ -74,7 +74,7 @@ pub(super) struct Measured {
 }
 
 /// A worker that is alive.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(super) struct Live {
     #[sqlx(json)]
     pub(super) pin: Pin,

@@ -35,7 +35,7 @@ pub struct JobFilter<'a> {
 }
 
 /// A job as people see it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct JobLine {
     /// The job.
     pub id: JobId,
@@ -69,7 +69,7 @@ pub struct JobLine {
 }
 
 /// An attempt that brought no result.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct FailureLine {
     /// Of which job.
     pub job_id: JobId,
@@ -132,7 +132,8 @@ impl View {
              AND (?5 IS NULL OR r.success = ?5)
              AND (?6 IS NULL OR j.task = ?6 OR substr(j.task, 1, length(?6) + 1) = ?6 || '/')
              AND (?7 IS NULL OR instr(j.rollout_id, '/' || ?7 || '/') > 0)
-             AND (?8 IS NULL OR instr(j.rollout_id, '/' || ?8 || '/') > 0)
+             AND (?8 IS NULL OR instr(j.rollout_id, '/' || ?8 || '/') > 0
+                 OR ?8 = 'L0' AND instr(j.rollout_id, '/clean/') > 0)
              ORDER BY j.id LIMIT ?4"
         ))
         .bind(campaign.id)
@@ -142,11 +143,8 @@ impl View {
         .bind(filter.success)
         .bind(filter.task)
         .bind(filter.condition.map(Condition::name))
-        .bind(filter.level.map(|level| match level {
-            // Nominal rollouts' ids name no level.
-            Level::L0 => Condition::Clean.name().to_owned(),
-            level => level.to_string(),
-        }))
+        // Nominal rollouts are of level L0 too, and their ids name none.
+        .bind(filter.level.as_ref().map(Level::to_string))
         .fetch_all(self.tx())
         .await
         .doing("list jobs")

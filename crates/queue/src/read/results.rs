@@ -12,7 +12,7 @@ use crate::store::{Doing, StoreError};
 
 /// What a report of a campaign depends on: while it is the same, so is the
 /// report.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Edition {
     id: CampaignId,
     // Row numbers may be given again after a deletion.
@@ -27,7 +27,7 @@ pub struct Edition {
 }
 
 /// A committed rollout as exports read it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ExportedRow {
     /// Which rollout.
     pub rollout_id: String,
@@ -43,10 +43,16 @@ pub struct ExportedRow {
     pub wall_secs: f64,
     /// What the inverse kinematics left over, mm.
     pub ik_residual_mm: Option<f64>,
+    /// Predicates of the goal, where its worker says.
+    pub goal_predicates: Option<u32>,
+    /// Those that held at the end.
+    pub goal_at_end: Option<u32>,
+    /// The most that held together.
+    pub goal_at_most: Option<u32>,
 }
 
 /// A job as reports count it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RecordRow {
     /// Which rollout.
     pub rollout_id: String,
@@ -63,7 +69,7 @@ pub struct RecordRow {
 }
 
 /// What a rollout was, beyond its name.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SetupRow {
     /// Which rollout.
     pub rollout_id: String,
@@ -83,23 +89,20 @@ impl Edition {
 }
 
 impl View {
-    /// What a campaign's report depends on. Each count walks one partial index.
+    /// What a campaign's report depends on. Divergent rollouts are counted, which are few;
+    /// the other counts are the campaign's tally.
     ///
     /// # Errors
     /// When the database fails.
     pub async fn edition(&mut self, campaign: CampaignId) -> Result<Edition, StoreError> {
         sqlx::query_as(
-            "SELECT id, created_ms,
-                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'committed')
-                     AS committed,
-                 (SELECT count(*) FROM job WHERE campaign_id = ?1 AND state = 'quarantined')
-                     AS quarantined,
+            "SELECT id, created_ms, t.committed, t.quarantined,
                  (SELECT count(DISTINCT d.job_id) FROM divergence d JOIN job j ON j.id = d.job_id
                   WHERE j.campaign_id = ?1) AS divergent,
                  jobs,
                  EXISTS (SELECT 1 FROM stop WHERE campaign_id = ?1 AND stopped_ms IS NOT NULL)
                      AS has_stopped
-             FROM campaign WHERE id = ?1",
+             FROM campaign JOIN tally t ON t.campaign_id = id WHERE id = ?1",
         )
         .bind(campaign)
         .fetch_one(self.tx())
@@ -121,7 +124,7 @@ impl View {
         let (rollout_id, replicate) = after.map_or(("", -1), |(id, k)| (id, i64::from(k)));
         sqlx::query_as(
             "SELECT j.rollout_id, j.replicate, j.manifest_row, r.success, r.steps, r.wall_secs,
-                 r.ik_residual_mm
+                 r.ik_residual_mm, r.goal_predicates, r.goal_at_end, r.goal_at_most
              FROM job j JOIN result r ON r.job_id = j.id
              WHERE j.campaign_id = ? AND (j.rollout_id, j.replicate) > (?, ?)
              ORDER BY j.rollout_id, j.replicate LIMIT ?",
@@ -243,11 +246,10 @@ impl View {
         campaign: CampaignId,
     ) -> Result<Option<Fingerprints>, StoreError> {
         let results: Vec<(String, i64)> = sqlx::query_as(
-            "SELECT v.fingerprint, sum(o.results) FROM
-                 (SELECT provenance_id, count(*) AS results FROM result WHERE campaign_id = ?
-                  GROUP BY provenance_id) o
+            "SELECT v.fingerprint, sum(o.results) FROM origin_tally o
              JOIN provenance v ON v.id = o.provenance_id
-             WHERE v.fingerprint <> '' GROUP BY v.fingerprint",
+             WHERE o.campaign_id = ? AND o.results > 0 AND v.fingerprint <> ''
+             GROUP BY v.fingerprint",
         )
         .bind(campaign)
         .fetch_all(self.tx())

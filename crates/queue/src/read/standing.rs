@@ -11,7 +11,7 @@ use crate::store::{Doing, StoreError};
 pub const MAX_WORKERS_LISTED: u32 = 1_000;
 
 /// A worker as people see it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct WorkerLine {
     /// Its id.
     pub id: WorkerId,
@@ -48,7 +48,7 @@ pub struct WorkerLine {
 }
 
 /// A policy at one endpoint.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct PolicyLine {
     id: PolicyId,
     /// Where it is.
@@ -64,7 +64,7 @@ pub struct PolicyLine {
 }
 
 /// A quarantined rollout.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct QuarantinedLine {
     /// Its campaign.
     pub campaign: CampaignName,
@@ -120,11 +120,13 @@ impl View {
         .fetch_all(self.tx())
         .await
         .doing("list policies")?;
-        let users: Vec<(PolicyId, CampaignName)> =
-            sqlx::query_as("SELECT policy_id, name FROM campaign ORDER BY id")
-                .fetch_all(self.tx())
-                .await
-                .doing("list the campaigns of policies")?;
+        let users: Vec<(PolicyId, CampaignName)> = sqlx::query_as(
+            "SELECT policy_id, name FROM campaign
+                 WHERE id NOT IN (SELECT campaign_id FROM passage) ORDER BY id",
+        )
+        .fetch_all(self.tx())
+        .await
+        .doing("list the campaigns of policies")?;
         for policy in &mut policies {
             let users = users.iter().filter(|(id, _)| *id == policy.id);
             policy.campaigns = users.map(|(_, campaign)| campaign.clone()).collect();
@@ -145,6 +147,7 @@ impl View {
             "SELECT c.name AS campaign, j.rollout_id, j.replicate, j.charged_attempts, j.last_error
              FROM job j JOIN campaign c ON c.id = j.campaign_id
              WHERE j.state = 'quarantined' AND (?1 IS NULL OR j.campaign_id = ?1)
+                 AND c.id NOT IN (SELECT campaign_id FROM passage)
              ORDER BY j.campaign_id, j.rollout_id, j.replicate LIMIT ?2",
         )
         .bind(campaign)
@@ -159,7 +162,7 @@ impl View {
     /// # Errors
     /// When the database fails.
     pub async fn endings(&mut self) -> Result<Vec<(String, i64)>, StoreError> {
-        sqlx::query_as("SELECT reason, count(*) FROM failure GROUP BY reason ORDER BY reason")
+        sqlx::query_as("SELECT reason, attempts FROM ending_tally WHERE attempts > 0")
             .fetch_all(self.tx())
             .await
             .doing("count how attempts ended")

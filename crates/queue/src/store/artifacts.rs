@@ -7,10 +7,13 @@ use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError, json};
 use crate::clock::UnixMillis;
+use crate::ids::{CampaignId, JobId};
 
 /// The rollout that an artifact belongs to.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct ArtifactOwner {
+    pub(crate) campaign: CampaignId,
+    pub(crate) job: JobId,
     /// The folder of its campaign's files.
     pub(crate) folder: String,
     pub(crate) rollout_id: String,
@@ -23,9 +26,10 @@ pub(crate) async fn owner(
     attempt: AttemptId,
 ) -> Result<Option<ArtifactOwner>, StoreError> {
     sqlx::query_as(
-        "SELECT coalesce(c.folder, c.name) AS folder, j.rollout_id, j.replicate
+        "SELECT c.id AS campaign, j.id AS job, coalesce(c.folder, c.name) AS folder,
+             j.rollout_id, j.replicate
          FROM result r JOIN job j ON j.id = r.job_id JOIN campaign c ON c.id = j.campaign_id
-         WHERE r.attempt_id = ?",
+         WHERE r.attempt_id = ? AND c.id NOT IN (SELECT campaign_id FROM passage)",
     )
     .bind(attempt.to_string())
     .fetch_optional(tx)

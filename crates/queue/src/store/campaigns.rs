@@ -18,7 +18,7 @@ use crate::rules::outage::PolicyHealth;
 const JOBS_PER_INSERT: usize = 1_000;
 
 /// A campaign and the policy that it measures.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct Campaign {
     /// Its number.
     pub id: CampaignId,
@@ -142,10 +142,12 @@ pub(crate) async fn by_id(
 
 /// All campaigns, oldest first.
 pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
-    sqlx::query_as(campaigns_where!("TRUE"))
-        .fetch_all(tx)
-        .await
-        .doing("list campaigns")
+    sqlx::query_as(campaigns_where!(
+        "c.id NOT IN (SELECT campaign_id FROM passage)"
+    ))
+    .fetch_all(tx)
+    .await
+    .doing("list campaigns")
 }
 
 /// The campaigns of which jobs wait, oldest first; those that are cancelled or
@@ -153,6 +155,7 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, Stor
 pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
     sqlx::query_as(campaigns_where!(
         "c.state <> 'cancelled' AND s.stopped_ms IS NULL
+         AND c.id NOT IN (SELECT campaign_id FROM passage)
          AND EXISTS (SELECT 1 FROM job j WHERE j.campaign_id = c.id AND j.state = 'queued')"
     ))
     .fetch_all(tx)
@@ -170,14 +173,16 @@ pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<St
 }
 
 /// A folder that no campaign has, for the files of a new one: its name, unless a
-/// renamed campaign has kept that one. What follows the `~` is in no name.
+/// renamed campaign has kept that one, or files of a deleted one are still to be removed from
+/// it. What follows the `~` is in no name.
 pub(crate) async fn free_folder(
     tx: &mut SqliteConnection,
     name: &CampaignName,
 ) -> Result<String, StoreError> {
     let mut folder = name.as_str().to_owned();
     for number in 2_u64.. {
-        let taken = "SELECT EXISTS (SELECT 1 FROM campaign WHERE coalesce(folder, name) = ?)";
+        let taken = "SELECT EXISTS (SELECT 1 FROM campaign WHERE coalesce(folder, name) = ?1)
+             OR EXISTS (SELECT 1 FROM removal WHERE folder = 'artifacts/' || ?1)";
         let taken: bool = sqlx::query_scalar(taken)
             .bind(&folder)
             .fetch_one(&mut *tx)
@@ -199,6 +204,18 @@ pub(crate) async fn insert(
     now: UnixMillis,
 ) -> Result<CampaignId, StoreError> {
     take_name(tx, &campaign.name).await?;
+    let id = insert_without_jobs(tx, campaign, folder, now).await?;
+    insert_jobs(tx, id, &campaign.jobs).await?;
+    Ok(id)
+}
+
+/// Stores a campaign, which is said to have its jobs.
+pub(crate) async fn insert_without_jobs(
+    tx: &mut SqliteConnection,
+    campaign: &NewCampaign,
+    folder: &str,
+    now: UnixMillis,
+) -> Result<CampaignId, StoreError> {
     let policy =
         policies::find_or_insert(tx, &campaign.policy_endpoint, &campaign.policy, now).await?;
     let id: CampaignId = sqlx::query_scalar(
@@ -228,7 +245,6 @@ pub(crate) async fn insert(
             .await
             .doing("store a campaign's tasks")?;
     }
-    insert_jobs(tx, id, &campaign.jobs).await?;
     Ok(id)
 }
 

@@ -1,5 +1,6 @@
 //! Statements that grant leases: where jobs wait, and taking them.
 
+use sqlx::types::Text;
 use std::collections::{BTreeMap, VecDeque};
 
 use attempt::AttemptId;
@@ -13,11 +14,10 @@ use crate::rules::choice::WaitingTask;
 use crate::rules::lease::{LOSSES_UNTIL_ALONE, MAX_CHARGED_ATTEMPTS};
 
 /// A job as it is handed to a worker.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct LeasedJob {
     pub(crate) id: JobId,
-    #[sqlx(try_from = "String")]
-    pub(crate) attempt_id: AttemptId,
+    pub(crate) attempt_id: Text<AttemptId>,
     pub(crate) attempt: AttemptNumber,
     pub(crate) claim_id: String,
     pub(crate) lease_owner: WorkerId,
@@ -37,7 +37,7 @@ macro_rules! leased_columns {
 }
 
 /// A job that waits.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Candidate {
     pub(crate) id: JobId,
     /// "libero_goal/3".
@@ -64,7 +64,7 @@ macro_rules! failed_on {
 }
 
 /// A job that is run alone only.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Lone {
     #[sqlx(flatten)]
     pub(crate) job: Candidate,

@@ -4,13 +4,12 @@
 use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError, json};
-use crate::clock::UnixMillis;
 use crate::expand::NewJob;
 use crate::ids::{CampaignId, CampaignName};
 use crate::store::campaigns;
 
 /// A campaign that follows from another.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Derived {
     pub(crate) campaign: CampaignId,
     /// The campaign that it follows from.
@@ -21,13 +20,24 @@ pub(crate) struct Derived {
     pub(crate) jobs: i64,
     /// Jobs of its source without an outcome, unless that one has stopped early.
     pub(crate) unsettled: i64,
-    /// When its source was created, and how many results that has.
-    pub(crate) source_created_ms: UnixMillis,
-    pub(crate) source_committed: i64,
+    /// Equal revisions mean equal outcomes.
+    pub(crate) revision: i64,
+    #[sqlx(flatten)]
+    pub(crate) source_edition: SourceEdition,
+}
+
+/// The state of a source; equal editions of one source have equal records.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
+pub(crate) struct SourceEdition {
+    #[sqlx(rename = "source_revision")]
+    revision: i64,
+    /// It stopped early, so that only a part of its outcomes counts.
+    #[sqlx(rename = "source_has_stopped")]
+    has_stopped: bool,
 }
 
 /// A job of either campaign.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct OutcomeRow {
     pub(crate) rollout_id: String,
     pub(crate) replicate: u32,
@@ -37,13 +47,12 @@ pub(crate) struct OutcomeRow {
 }
 
 /// Jobs of the source of `d` that are still to have an outcome: none of one that has stopped
-/// early.
+/// early. One row of `tally` is read.
 macro_rules! unsettled {
     () => {
-        "(SELECT count(*) FROM job j WHERE j.campaign_id = d.source_id
-             AND j.state IN ('queued', 'leased') AND NOT EXISTS
-                 (SELECT 1 FROM stop s WHERE s.campaign_id = d.source_id
-                  AND s.stopped_ms IS NOT NULL))"
+        "(SELECT iif(EXISTS (SELECT 1 FROM stop s WHERE s.campaign_id = d.source_id
+                  AND s.stopped_ms IS NOT NULL), 0, t.queued + t.leased)
+              FROM tally t WHERE t.campaign_id = d.source_id)"
     };
 }
 
@@ -67,11 +76,12 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, Store
     sqlx::query_as(concat!(
         "SELECT d.campaign_id AS campaign, d.source_id AS source, c.spec, c.jobs, ",
         unsettled!(),
-        " AS unsettled, k.created_ms AS source_created_ms,
-             (SELECT count(*) FROM job j WHERE j.campaign_id = d.source_id
-              AND j.state = 'committed') AS source_committed
+        " AS unsettled, own.revision, its.revision AS source_revision,
+             EXISTS (SELECT 1 FROM stop s WHERE s.campaign_id = d.source_id
+                 AND s.stopped_ms IS NOT NULL) AS source_has_stopped
          FROM derivation d JOIN campaign c ON c.id = d.campaign_id
-         JOIN campaign k ON k.id = d.source_id
+         JOIN tally own ON own.campaign_id = d.campaign_id
+         JOIN tally its ON its.campaign_id = d.source_id
          WHERE c.state <> 'cancelled' ORDER BY d.campaign_id"
     ))
     .fetch_all(tx)
@@ -110,7 +120,7 @@ pub(crate) async fn source(
 }
 
 /// What a campaign that follows from another waits for.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Source {
     /// The other one's name.
     pub name: CampaignName,

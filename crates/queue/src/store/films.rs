@@ -2,16 +2,17 @@
 
 use attempt::{AttemptId, Pin};
 use sqlx::SqliteConnection;
+use sqlx::types::Text;
 
 use super::{Doing, StoreError};
 use crate::ids::{CampaignId, CampaignName, JobId};
 
 /// A committed rollout that is to be filmed.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Film {
     /// The attempt beside whose outcome the video is stored.
-    #[sqlx(rename = "attempt_id", try_from = "String")]
-    pub attempt: AttemptId,
+    #[sqlx(rename = "attempt_id")]
+    pub attempt: Text<AttemptId>,
     /// Its campaign.
     pub campaign: CampaignName,
     /// Which replicate.
@@ -27,7 +28,7 @@ pub struct Film {
 }
 
 /// A rollout of a campaign that records transitions.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct FilmableRow {
     pub(crate) job_id: JobId,
     pub(crate) rollout_id: String,
@@ -39,15 +40,30 @@ pub(crate) struct FilmableRow {
     pub(crate) is_wanting: bool,
 }
 
-/// Campaigns that record transitions with this asset pack and simulator.
+/// A campaign that records transitions. The rollouts of it that are to be filmed stay the
+/// same, but for those that are filmed, as long as these revisions do.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
+pub(crate) struct Filmed {
+    pub(crate) campaign: CampaignId,
+    pub(crate) revision: i64,
+    /// The campaign that it follows from.
+    pub(crate) source: Option<CampaignId>,
+    pub(crate) source_revision: Option<i64>,
+}
+
+/// Campaigns that record transitions with this asset pack and simulator, oldest first.
 pub(crate) async fn filmed_campaigns(
     tx: &mut SqliteConnection,
     pin: &Pin,
-) -> Result<Vec<CampaignId>, StoreError> {
-    sqlx::query_scalar(
-        "SELECT id FROM campaign
-         WHERE record = 'transitions' AND asset_pack_digest = ? AND mujoco_version = ?
-         ORDER BY id",
+) -> Result<Vec<Filmed>, StoreError> {
+    sqlx::query_as(
+        "SELECT c.id AS campaign, own.revision, d.source_id AS source,
+             its.revision AS source_revision
+         FROM campaign c JOIN tally own ON own.campaign_id = c.id
+         LEFT JOIN derivation d ON d.campaign_id = c.id
+         LEFT JOIN tally its ON its.campaign_id = d.source_id
+         WHERE c.id NOT IN (SELECT campaign_id FROM passage) AND c.record = 'transitions' AND c.asset_pack_digest = ? AND c.mujoco_version = ?
+         ORDER BY c.id",
     )
     .bind(&pin.asset_pack_digest)
     .bind(&pin.mujoco_version)

@@ -29,7 +29,7 @@ pub(crate) enum Schema {
 pub(crate) type Rollout = (String, u32);
 
 /// A committed result, as far as others are compared with it.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Stored {
     pub(crate) rollout_id: String,
     pub(crate) replicate: u32,

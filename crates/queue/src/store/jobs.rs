@@ -3,6 +3,7 @@
 //!
 //! Every statement that moves a leased job is conditional on its attempt.
 
+use sqlx::types::Text;
 use std::collections::{BTreeMap, BTreeSet};
 
 use attempt::AttemptId;
@@ -16,7 +17,7 @@ use crate::ids::{AttemptNumber, CampaignId, JobId, PolicyId, WorkerId};
 use crate::rules::lease::{AfterFailure, CutOff, FailureReason, Job, Lease, OutcomeKey};
 
 /// What matched rollouts share: one campaign, one scene, one initial state.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, sqlx_macros::FromRow)]
 pub(crate) struct InitialState {
     #[sqlx(rename = "campaign_id")]
     pub(crate) campaign: CampaignId,
@@ -26,10 +27,10 @@ pub(crate) struct InitialState {
 }
 
 /// An attempt that a call names, with its job.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct NamedAttempt {
-    #[sqlx(rename = "named", try_from = "String")]
-    pub(crate) id: AttemptId,
+    #[sqlx(rename = "named")]
+    pub(crate) id: Text<AttemptId>,
     /// Whose attempt it is or was.
     pub(crate) worker: WorkerId,
     pub(crate) number: AttemptNumber,
@@ -50,7 +51,7 @@ pub(crate) struct NamedAttempt {
 }
 
 /// A leased job.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct LeasedRow {
     #[sqlx(json)]
     pub(crate) job: Job,
@@ -60,7 +61,7 @@ pub(crate) struct LeasedRow {
 }
 
 /// A lease that has expired.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct ExpiredRow {
     #[sqlx(flatten)]
     pub(crate) leased: LeasedRow,
@@ -69,7 +70,7 @@ pub(crate) struct ExpiredRow {
 }
 
 /// What a job's attempts so far, and one more on some machine, amount to.
-#[derive(Clone, Copy, Debug, sqlx::FromRow)]
+#[derive(Clone, Copy, Debug, sqlx_macros::FromRow)]
 pub(crate) struct History {
     pub(crate) failed_on_machines: u32,
     pub(crate) silent_on_machines: u32,
@@ -126,7 +127,7 @@ pub(crate) async fn named(
     .fetch_all(tx)
     .await
     .doing("look up attempts")?;
-    let by_id = |attempt: NamedAttempt| (attempt.id, attempt);
+    let by_id = |attempt: NamedAttempt| (attempt.id.0, attempt);
     Ok(found.into_iter().map(by_id).collect())
 }
 

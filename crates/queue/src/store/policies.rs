@@ -2,6 +2,7 @@
 
 use attempt::AttemptId;
 use sqlx::SqliteConnection;
+use sqlx::types::Text;
 
 use super::{Doing, StoreError};
 use crate::clock::UnixMillis;
@@ -56,11 +57,10 @@ pub(crate) async fn remove_unused(
 }
 
 /// An attempt that is out to try its policy.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Probe {
     pub(crate) campaign: CampaignId,
-    #[sqlx(try_from = "String")]
-    pub(crate) attempt: AttemptId,
+    pub(crate) attempt: Text<AttemptId>,
     /// Control steps before the policy is first asked.
     pub(crate) settle_steps: u32,
 }

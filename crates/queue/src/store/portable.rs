@@ -162,6 +162,10 @@ const COPIED: [Copied; 10] = [
     },
 ];
 
+/// Tables of a campaign rather than of its jobs. The rows of one are to be there before the
+/// first job.
+const OF_CAMPAIGN: [&str; 2] = ["campaign_task", "worker"];
+
 /// The campaign itself, which all of them refer to.
 const CAMPAIGN_ROW: Copied = Copied {
     table: "campaign",
@@ -179,14 +183,18 @@ const CAMPAIGN_ROW: Copied = Copied {
 
 /// Tables that stay behind. A policy's health and what is to be removed are this
 /// coordinator's own; a campaign that follows from another says so in its
-/// specification.
+/// specification; triggers count the rows that are copied.
 #[cfg(test)]
-const LEFT: [&str; 5] = [
+const LEFT: [&str; 9] = [
     "_sqlx_migrations",
     "policy",
     "removal",
     "former_name",
     "derivation",
+    "passage",
+    "tally",
+    "origin_tally",
+    "ending_tally",
 ];
 
 /// Copies a campaign from the schema `source`. Leases end without a charge: their
@@ -198,6 +206,108 @@ pub(crate) async fn copy(
     now: UnixMillis,
 ) -> Result<CampaignId, StoreError> {
     begin(tx, old).await?;
+    let new = copy_row(tx, old, called, now).await?;
+    choose_jobs(tx, -1, usize::MAX).await?;
+    rows(tx, new, |_| true).await?;
+    end(tx).await?;
+    Ok(new)
+}
+
+/// As [`copy`], without what belongs to the campaign: [`copy_piece`] adds that, and
+/// [`copy_rest`].
+pub(crate) async fn copy_without_jobs(
+    tx: &mut SqliteConnection,
+    old: CampaignId,
+    called: &Called,
+    now: UnixMillis,
+) -> Result<CampaignId, StoreError> {
+    begin(tx, old).await?;
+    let new = copy_row(tx, old, called, now).await?;
+    rows(tx, new, |table| OF_CAMPAIGN.contains(&table)).await?;
+    end(tx).await?;
+    Ok(new)
+}
+
+/// Copies up to so many jobs behind a place in paired-unit order, with everything that belongs
+/// to them. Returns the last one's place; none if none was left.
+pub(crate) async fn copy_piece(
+    tx: &mut SqliteConnection,
+    (campaign, old): (CampaignId, CampaignId),
+    folder: &str,
+    after: i64,
+    limit: usize,
+) -> Result<Option<i64>, StoreError> {
+    begin(tx, old).await?;
+    sqlx::query("UPDATE temp.moved SET new = ?, folder = ?")
+        .bind(campaign)
+        .bind(folder)
+        .execute(&mut *tx)
+        .await
+        .doing("copy a campaign")?;
+    choose_jobs(tx, after, limit).await?;
+    let is_of_jobs = |table: &str| !OF_CAMPAIGN.contains(&table) && table != "stop";
+    rows(tx, campaign, is_of_jobs).await?;
+    let last = sqlx::query_scalar(
+        "SELECT max(unit_order) FROM source.job WHERE id IN (SELECT old FROM temp.moved_job)",
+    );
+    let last = last.fetch_one(&mut *tx).await.doing("copy a campaign")?;
+    end(tx).await?;
+    Ok(last)
+}
+
+/// Copies what is left once all jobs are here: whether it has stopped early, and its state.
+pub(crate) async fn copy_rest(
+    tx: &mut SqliteConnection,
+    (campaign, old): (CampaignId, CampaignId),
+) -> Result<(), StoreError> {
+    begin(tx, old).await?;
+    sqlx::query("UPDATE temp.moved SET new = ?")
+        .bind(campaign)
+        .execute(&mut *tx)
+        .await
+        .doing("copy a campaign")?;
+    rows(tx, campaign, |table| table == "stop").await?;
+    run(
+        tx,
+        "UPDATE main.campaign SET (state, state_since_ms, created_ms) =
+             (SELECT s.state, s.state_since_ms, s.created_ms FROM source.campaign s
+              JOIN temp.moved m ON m.old = s.id)
+         WHERE id = (SELECT new FROM temp.moved)",
+    )
+    .await?;
+    end(tx).await
+}
+
+/// Chooses up to so many jobs behind a place, and gives them numbers behind all jobs that ever
+/// were here.
+async fn choose_jobs(
+    tx: &mut SqliteConnection,
+    after: i64,
+    limit: usize,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT INTO temp.moved_job
+         SELECT id, (SELECT seq FROM main.sqlite_sequence WHERE name = 'job')
+             + row_number() OVER (ORDER BY unit_order)
+         FROM (SELECT id, unit_order FROM source.job
+               WHERE campaign_id = (SELECT old FROM temp.moved) AND unit_order > ?
+               ORDER BY unit_order LIMIT ?)",
+    )
+    .bind(after)
+    .bind(i64::try_from(limit).unwrap_or(i64::MAX))
+    .execute(tx)
+    .await
+    .doing("copy a campaign")
+    .map(drop)
+}
+
+/// Copies the row of a campaign, whose policy is found or stored.
+async fn copy_row(
+    tx: &mut SqliteConnection,
+    old: CampaignId,
+    called: &Called,
+    now: UnixMillis,
+) -> Result<CampaignId, StoreError> {
     let (endpoint, policy): (String, String) = sqlx::query_as(
         "SELECT p.endpoint, p.name FROM source.campaign c
          JOIN source.policy p ON p.id = c.policy_id WHERE c.id = ?",
@@ -228,16 +338,6 @@ pub(crate) async fn copy(
         .execute(&mut *tx)
         .await
         .doing("copy a campaign")?;
-    // Behind all jobs that ever were here.
-    run(
-        tx,
-        "INSERT INTO temp.moved_job
-         SELECT id, (SELECT seq FROM main.sqlite_sequence WHERE name = 'job')
-             + row_number() OVER (ORDER BY unit_order)
-         FROM source.job WHERE campaign_id = (SELECT old FROM temp.moved)",
-    )
-    .await?;
-    rows(tx, new).await?;
     Ok(new)
 }
 
@@ -273,7 +373,8 @@ pub(crate) async fn replace(
         "DELETE FROM main.job WHERE id IN (SELECT new FROM temp.moved_job)",
     )
     .await?;
-    rows(tx, campaign).await
+    rows(tx, campaign, |_| true).await?;
+    end(tx).await
 }
 
 async fn begin(tx: &mut SqliteConnection, old: CampaignId) -> Result<(), StoreError> {
@@ -294,10 +395,24 @@ async fn begin(tx: &mut SqliteConnection, old: CampaignId) -> Result<(), StoreEr
         .map(drop)
 }
 
-/// Copies the chosen jobs with everything that belongs to them.
-async fn rows(tx: &mut SqliteConnection, campaign: CampaignId) -> Result<(), StoreError> {
+async fn end(tx: &mut SqliteConnection) -> Result<(), StoreError> {
+    run(
+        tx,
+        "DROP TABLE temp.moved; DROP TABLE temp.moved_job; DROP TABLE temp.moved_attempt;
+         DROP TABLE temp.moved_origin",
+    )
+    .await
+}
+
+/// Copies the chosen jobs with everything that belongs to them, as far as it is in the tables
+/// that are wanted.
+async fn rows(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    is_wanted: impl Fn(&str) -> bool,
+) -> Result<(), StoreError> {
     name_attempts(tx).await?;
-    for copied in &COPIED {
+    for copied in COPIED.iter().filter(|it| is_wanted(it.table)) {
         let statement = copied.statement(tx).await?;
         run(tx, &statement).await?;
         match copied.table {
@@ -306,13 +421,7 @@ async fn rows(tx: &mut SqliteConnection, campaign: CampaignId) -> Result<(), Sto
             _ => {}
         }
     }
-    end_leases(tx).await?;
-    run(
-        tx,
-        "DROP TABLE temp.moved; DROP TABLE temp.moved_job; DROP TABLE temp.moved_attempt;
-         DROP TABLE temp.moved_origin",
-    )
-    .await
+    end_leases(tx).await
 }
 
 /// An attempt gets another id only if one of its own is here: then this is a copy
@@ -424,11 +533,15 @@ async fn run(tx: &mut SqliteConnection, statements: &str) -> Result<(), StoreErr
         .map(drop)
 }
 
-/// Takes away what differs between two databases of one content: when they were made.
+/// Takes away what differs between two databases of one content: when they were made, and
+/// what the counts of them went through.
 pub(crate) async fn forget_when(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,
-        "UPDATE _sqlx_migrations SET installed_on = '1970-01-01 00:00:00', execution_time = 0",
+        "UPDATE _sqlx_migrations SET installed_on = '1970-01-01 00:00:00', execution_time = 0;
+         UPDATE tally SET revision = 0;
+         DELETE FROM origin_tally WHERE results = 0;
+         DELETE FROM ending_tally WHERE attempts = 0",
     )
     .await
 }

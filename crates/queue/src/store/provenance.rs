@@ -10,7 +10,7 @@ use super::{Doing, StoreError};
 use crate::ids::CampaignId;
 
 /// Row number of an origin that is stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::Type)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx_macros::Type)]
 #[sqlx(transparent)]
 pub(crate) struct ProvenanceId(i64);
 

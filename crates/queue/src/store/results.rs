@@ -51,7 +51,7 @@ pub(crate) async fn insert(
                  committed_ms, success, steps, wall_secs, ik_residual_mm, ik_residual_deg,
                  ik_clamped_joints, clipped_actions, policy_queries, provenance_id, scene_digest,
                  init_state_digest, first_frame_digest, realised, physics_secs, drawing_secs,
-                 policy_secs) ",
+                 policy_secs, goal_predicates, goal_at_end, goal_at_most) ",
         );
         statement.push_values(chunk, |mut row, new| {
             let (result, digests, ik) = (new.result, new.digests, new.result.ik);
@@ -76,7 +76,10 @@ pub(crate) async fn insert(
                 .push_bind(json(new.realised))
                 .push_bind(result.parts.map(|parts| parts.physics_secs))
                 .push_bind(result.parts.map(|parts| parts.drawing_secs))
-                .push_bind(result.parts.map(|parts| parts.policy_secs));
+                .push_bind(result.parts.map(|parts| parts.policy_secs))
+                .push_bind(result.goal.map(|goal| goal.predicates))
+                .push_bind(result.goal.map(|goal| goal.at_end))
+                .push_bind(result.goal.map(|goal| goal.at_most));
         });
         let done = statement.build().persistent(true).execute(&mut *tx).await;
         done.doing("store results")?;

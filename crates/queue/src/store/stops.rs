@@ -8,7 +8,7 @@ use crate::clock::UnixMillis;
 use crate::ids::CampaignId;
 
 /// A campaign that may end early and has not.
-#[derive(Clone, Debug, sqlx::FromRow)]
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Stoppable {
     pub(crate) campaign: CampaignId,
     #[sqlx(json)]
@@ -16,7 +16,7 @@ pub(crate) struct Stoppable {
 }
 
 /// How a campaign may end early, or did.
-#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, sqlx_macros::FromRow)]
 pub struct EarlyStop {
     /// The rule, and what its order is drawn from.
     #[sqlx(json)]

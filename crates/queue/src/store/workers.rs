@@ -32,7 +32,7 @@ pub struct WorkerInfo {
 }
 
 /// A worker's standing with the coordinator.
-#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct Standing {
     pub(crate) id: WorkerId,
     /// The machine it runs on: its own id if it does not say.

@@ -67,12 +67,17 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
 
 /// Where half of the configurations still succeed, with its interval or why it has none.
 fn half(curve: &Curve) -> String {
-    let begins = curve.points.first().map_or(0.0, |point| point.survival);
-    match (curve.half_success.radius, curve.half_success.ci95) {
-        (None, _) if begins < 0.5 => "fewer than half succeed".to_owned(),
-        (None, _) => format!("half beyond {}", number(curve.largest_radius)),
-        (Some(radius), Some([low, high])) => format!("half at {radius:.2} [{low:.2}, {high:.2}]"),
-        (Some(radius), None) => format!("half at {radius:.2}"),
+    let share = |point: Option<&Point>| point.map_or(0.0, |point| point.survival);
+    if share(curve.points.first()) < 0.5 {
+        return "fewer than half succeed".to_owned();
+    }
+    if share(curve.points.last()) > 0.5 {
+        return format!("half beyond {}", number(curve.largest_radius));
+    }
+    let half = words::half_success(curve);
+    match curve.half_success.ci95 {
+        Some([low, high]) => format!("half at {half} [{low:.2}, {high:.2}]"),
+        None => format!("half at {half}"),
     }
 }
 

@@ -35,6 +35,7 @@ pub enum TableError {
 pub(super) enum Value {
     Text(Option<String>),
     Number(i64),
+    Integer(Option<i64>),
     Real(Option<f64>),
     Bool(Option<bool>),
 }
@@ -43,6 +44,8 @@ pub(super) enum Value {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Number,
+    /// A number that may be absent.
+    Integer,
     Real,
     Text,
     Bool,
@@ -84,7 +87,7 @@ impl<R> Table<R> {
         let properties = Arc::new(properties.build());
         let mut file = SerializedFileWriter::new(out, Arc::new(schema.build()?), properties)?;
         let mut group = file.next_row_group()?;
-        for (.., value) in &self.columns {
+        for (_, kind, value) in &self.columns {
             let values: Vec<Value> = self.rows.iter().map(value).collect();
             let mut column = group.next_column()?.expect("as many columns as fields");
             match column.untyped() {
@@ -101,8 +104,12 @@ impl<R> Table<R> {
                     writer.write_batch(&bools, Some(&levels), None)?;
                 }
                 ColumnWriter::Int64ColumnWriter(writer) => {
-                    let numbers: Vec<i64> = values.iter().map(Value::as_number).collect();
-                    writer.write_batch(&numbers, None, None)?;
+                    let numbers = values.iter().map(Value::as_number);
+                    let levels: Vec<i16> =
+                        numbers.clone().map(|n| i16::from(n.is_some())).collect();
+                    let levels = matches!(kind, Kind::Integer).then_some(levels.as_slice());
+                    let numbers: Vec<i64> = numbers.flatten().collect();
+                    writer.write_batch(&numbers, levels, None)?;
                 }
                 ColumnWriter::DoubleColumnWriter(writer) => {
                     let reals = values.iter().map(Value::as_real);
@@ -127,6 +134,7 @@ fn for_pandas<R>(columns: &[Column<R>]) -> Json {
     let column = |(name, kind, _): &Column<R>| {
         let (pandas_type, numpy_type) = match kind {
             Kind::Number => ("int64", "int64"),
+            Kind::Integer => ("int64", "Int64"),
             Kind::Real => ("float64", "float64"),
             Kind::Text => ("unicode", "string"),
             Kind::Bool => ("bool", "boolean"),
@@ -148,10 +156,11 @@ fn for_pandas<R>(columns: &[Column<R>]) -> Json {
     })
 }
 
-/// The schema of a column: only integers are never absent.
+/// The schema of a column: only numbers are never absent.
 fn field(name: &str, kind: Kind) -> Result<Type, ParquetError> {
     let (physical, repetition, logical) = match kind {
         Kind::Number => (Physical::INT64, Repetition::REQUIRED, None),
+        Kind::Integer => (Physical::INT64, Repetition::OPTIONAL, None),
         Kind::Real => (Physical::DOUBLE, Repetition::OPTIONAL, None),
         Kind::Text => (
             Physical::BYTE_ARRAY,
@@ -173,6 +182,7 @@ impl Value {
         match self {
             Self::Text(text) => text.unwrap_or_default(),
             Self::Number(number) => number.to_string(),
+            Self::Integer(number) => number.map_or_else(String::new, |it| it.to_string()),
             Self::Real(real) => real.map_or_else(String::new, |real| real.to_string()),
             Self::Bool(value) => value.map_or_else(String::new, |value| value.to_string()),
         }
@@ -199,10 +209,11 @@ impl Value {
         }
     }
 
-    fn as_number(&self) -> i64 {
+    fn as_number(&self) -> Option<i64> {
         match self {
-            Self::Number(number) => *number,
-            _ => 0,
+            Self::Number(number) => Some(*number),
+            Self::Integer(number) => *number,
+            _ => None,
         }
     }
 }

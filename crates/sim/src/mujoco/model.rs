@@ -1,10 +1,12 @@
 //! A compiled model.
 
 use std::ffi::{CStr, CString, c_char};
+use std::ops::Range;
 use std::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use bytes::Bytes;
 use mujoco_rs::mujoco_c as c;
 
 use super::arrays::{self, ModelArray, NamedArray};
@@ -24,11 +26,37 @@ pub struct Model {
 }
 
 /// What MuJoCo compiled; nobody changes it.
-struct Compilation {
+pub(super) struct Compilation {
     raw: NonNull<c::mjModel>,
+    kept: Kept,
     /// Unique in the process. States and scenes have the sizes of the model that
     /// they were made for, and check by this number that they are used with it.
     serial: u64,
+}
+
+/// Who keeps what a compilation consists of.
+pub(super) enum Kept {
+    /// MuJoCo, structure and arrays.
+    Compiled,
+    /// The structure is a box's; the arrays lie in these bytes.
+    Shared(#[expect(dead_code, reason = "they are reached through the structure")] Bytes),
+}
+
+impl Compilation {
+    /// A structure that this frees when it is dropped, as `kept` says.
+    pub(super) fn new(raw: NonNull<c::mjModel>, kept: Kept) -> Self {
+        static COMPILED: AtomicU64 = AtomicU64::new(0);
+        Self {
+            raw,
+            kept,
+            serial: COMPILED.fetch_add(1, Ordering::Relaxed),
+        }
+    }
+
+    pub(super) fn structure(&self) -> &c::mjModel {
+        // SAFETY: alive for as long as this is, and nobody writes to it.
+        unsafe { self.raw.as_ref() }
+    }
 }
 
 // SAFETY: plain memory that no thread owns, and that nobody writes to.
@@ -122,12 +150,8 @@ impl Model {
             (model, text)
         };
         super::return_freed_memory();
-        static COMPILED: AtomicU64 = AtomicU64::new(0);
         let raw = NonNull::new(model).ok_or(SimError::Compile(message))?;
-        Ok(Self::of(Arc::new(Compilation {
-            raw,
-            serial: COMPILED.fetch_add(1, Ordering::Relaxed),
-        })))
+        Ok(Self::of(Arc::new(Compilation::new(raw, Kept::Compiled))))
     }
 
     /// Another model of this one's compilation, with arrays of its own that are now
@@ -139,7 +163,7 @@ impl Model {
         other
     }
 
-    fn of(compilation: Arc<Compilation>) -> Self {
+    pub(super) fn of(compilation: Arc<Compilation>) -> Self {
         // SAFETY: compiled, and alive for as long as the compilation is shared. The
         // copy frees nothing.
         let mut raw = Box::new(unsafe { compilation.raw.read() });
@@ -174,6 +198,10 @@ impl Model {
 
     pub(crate) fn as_ptr(&self) -> *const c::mjModel {
         &raw const *self.raw
+    }
+
+    pub(super) fn compilation(&self) -> &Arc<Compilation> {
+        &self.compilation
     }
 
     pub(super) fn serial(&self) -> u64 {
@@ -271,7 +299,7 @@ impl Model {
     }
 
     /// Its textures.
-    pub(crate) fn textures(&self) -> impl Iterator<Item = TextureData<'_>> {
+    pub(crate) fn textures(&self) -> impl Iterator<Item = TextureData> {
         let raw = self.raw();
         // SAFETY: the fields point at so many values while the model lives; a
         // model without textures may have null pointers.
@@ -279,8 +307,6 @@ impl Model {
         let (kinds, spaces) = (of(raw.tex_type), of(raw.tex_colorspace));
         let (widths, heights) = (of(raw.tex_width), of(raw.tex_height));
         let (channels, starts) = (of(raw.tex_nchannel), of(raw.tex_adr));
-        // SAFETY: as above.
-        let texels = unsafe { values(raw.tex_data.cast_const(), raw.ntexdata) };
         (0..kinds.len()).map(move |at| {
             let (width, height) = (widths[at] as usize, heights[at] as usize);
             let channels = channels[at] as usize;
@@ -290,7 +316,7 @@ impl Model {
                 width,
                 height,
                 channels,
-                texels: &texels[starts[at] as usize..][..width * height * channels],
+                start: starts[at] as usize,
             }
         })
     }
@@ -351,7 +377,7 @@ impl Model {
 }
 
 /// A texture as it was compiled.
-pub(crate) struct TextureData<'a> {
+pub(crate) struct TextureData {
     /// `mjtTexture`.
     pub(crate) kind: i32,
     /// `mjtColorSpace`.
@@ -359,7 +385,15 @@ pub(crate) struct TextureData<'a> {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) channels: usize,
-    pub(crate) texels: &'a [u8],
+    /// Its first byte among the texels of all textures.
+    start: usize,
+}
+
+impl TextureData {
+    /// Where it lies among the texels of all textures.
+    pub(crate) fn texels(&self) -> Range<usize> {
+        self.start..self.start + self.width * self.height * self.channels
+    }
 }
 
 /// Meshes as they were compiled.
@@ -425,7 +459,11 @@ impl<'a> Meshes<'a> {
 
 impl Drop for Compilation {
     fn drop(&mut self) {
-        // SAFETY: owned, freed once, with the last model of it.
-        unsafe { c::mj_deleteModel(self.raw.as_ptr()) }
+        match self.kept {
+            // SAFETY: owned, freed once, with the last model of it.
+            Kept::Compiled => unsafe { c::mj_deleteModel(self.raw.as_ptr()) },
+            // SAFETY: leaked from a box, freed once, with the last model of it.
+            Kept::Shared(_) => drop(unsafe { Box::from_raw(self.raw.as_ptr()) }),
+        }
     }
 }

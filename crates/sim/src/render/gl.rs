@@ -21,16 +21,15 @@ pub(crate) struct GlCanvas {
 }
 
 impl GlCanvas {
-    /// Uploads a model's meshes and textures; buffers for pictures up to this
+    /// Uploads a model's meshes and textures; the model has room for pictures of this
     /// size, pixels.
     pub(crate) fn new(
         opengl: &Rc<GlContext>,
-        model: &mut Model,
+        model: &Model,
         width: u32,
         height: u32,
     ) -> Result<Self, SimError> {
         opengl.make_current()?;
-        model.grow_offscreen_buffer(width, height);
         let visual_scene = VisualScene::new(model);
         let mut context = Box::new(MaybeUninit::uninit());
         // SAFETY: the object is written whole by its default function before it is

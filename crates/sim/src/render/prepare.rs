@@ -1,12 +1,16 @@
 //! Prepares a compiled model's meshes and textures for our renderer. Scenes have
 //! the robot and much of the room in common, and simulators of one process their
-//! scenes, so a mesh or a texture is prepared once per process.
+//! scenes, so a mesh or a texture is prepared once per process; once per machine where scenes
+//! are kept in files.
 
 use std::collections::HashMap;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError, Weak};
 
+use bytes::Bytes;
 use mujoco_rs::mujoco_c as c;
-use raster::{Mesh, MeshBuilder, Quality, Texture, TextureKind, mesh_triangle, plane, plane_grid};
+use raster::{
+    Mesh, MeshBuilder, ModelError, Quality, Texture, TextureKind, mesh_triangle, plane, plane_grid,
+};
 use twox_hash::XxHash3_128;
 
 use crate::error::SimError;
@@ -39,6 +43,15 @@ pub(crate) struct Prepared {
     pub(super) materials: Vec<Option<Material>>,
     /// The first texture that is meant for the sky.
     pub(super) sky: Option<usize>,
+    /// Texels of each texture's largest level.
+    pub(super) largest: Vec<Bytes>,
+}
+
+/// What is prepared of a model as bytes: of each mesh, and of each texture the largest level
+/// and the smaller ones.
+pub(crate) struct PreparedBytes {
+    pub(crate) meshes: Vec<Bytes>,
+    pub(crate) textures: Vec<[Bytes; 2]>,
 }
 
 impl Prepared {
@@ -47,17 +60,96 @@ impl Prepared {
     /// # Errors
     /// If it has what our renderer cannot draw.
     pub(crate) fn of(model: &Model) -> Result<Self, SimError> {
+        let texels = model.texels();
+        let largest: Vec<Bytes> = model
+            .textures()
+            .map(|texture| texels.slice(texture.texels()))
+            .collect();
+        let meshes = model.meshes();
+        let mesh = |index| {
+            let mesh = meshes.get(index);
+            shared(&MESHES, digest_of_mesh(&mesh), || Ok(mesh_of(&mesh)))
+        };
+        let texture = |(texture, texels): (TextureData, &Bytes)| {
+            shared(&TEXTURES, digest_of_texture(&texture, texels), || {
+                texture_of(&texture, texels)
+            })
+        };
+        let textures = model.textures().zip(&largest).map(texture);
+        Self::assemble(
+            model,
+            (0..meshes.count()).map(mesh).collect::<Result<_, _>>()?,
+            textures.collect::<Result<_, _>>()?,
+            largest,
+        )
+    }
+
+    /// Takes over what was prepared of the same model before; it stays in its bytes.
+    ///
+    /// # Errors
+    /// If the bytes are not of this model.
+    pub(crate) fn of_bytes(model: &Model, bytes: &PreparedBytes) -> Result<Self, SimError> {
+        let meshes = bytes.meshes.iter().cloned().map(Mesh::from_bytes);
+        let textures = model.textures().zip(&bytes.textures);
+        let textures = textures.map(|(texture, [_, smaller])| {
+            let sizes = [texture.width, texture.height, texture.channels];
+            Texture::with_smaller(kind_of(&texture), sizes, smaller.clone())
+        });
+        let largest = bytes.textures.iter().map(|[largest, _]| largest.clone());
+        Self::assemble(
+            model,
+            meshes.map(made).collect::<Result<_, _>>()?,
+            textures.map(made).collect::<Result<_, _>>()?,
+            largest.collect(),
+        )
+    }
+
+    /// Its meshes as bytes.
+    pub(crate) fn meshes(&self) -> impl Iterator<Item = Vec<u8>> {
+        self.model.meshes.iter().map(|mesh| mesh.to_bytes())
+    }
+
+    /// Of each texture the largest level and the smaller ones.
+    pub(crate) fn textures(&self) -> impl Iterator<Item = [&[u8]; 2]> {
+        let textures = self.largest.iter().zip(&self.model.textures);
+        textures.map(|(largest, texture)| [largest, texture.smaller()])
+    }
+
+    /// The texels of all textures, as MuJoCo keeps them.
+    pub(super) fn texels(&self, model: &Model) -> Vec<u8> {
+        let mut all = vec![0; model.raw().ntexdata as usize];
+        for (texture, largest) in model.textures().zip(&self.largest) {
+            all[texture.texels()].copy_from_slice(largest);
+        }
+        all
+    }
+
+    fn assemble(
+        model: &Model,
+        meshes: Vec<Arc<Mesh>>,
+        textures: Vec<Arc<Texture>>,
+        largest: Vec<Bytes>,
+    ) -> Result<Self, SimError> {
         let sky = c::mjtTexture::mjTEXTURE_SKYBOX as i32;
+        let mut prepared = with_planes(model)?;
+        prepared.meshes = meshes;
+        prepared.textures = textures;
         Ok(Self {
-            model: prepare(model)?,
+            model: prepared,
             materials: materials(model),
             sky: model.textures().position(|texture| texture.kind == sky),
+            largest,
         })
     }
 }
 
-/// Prepares meshes, planes and textures.
-fn prepare(model: &Model) -> Result<raster::Model, SimError> {
+fn made<T>(part: Result<T, ModelError>) -> Result<Arc<T>, SimError> {
+    part.map(Arc::new)
+        .map_err(|error| graphics(error.to_string()))
+}
+
+/// A model of shapes and planes, which are made faster than they are read.
+fn with_planes(model: &Model) -> Result<raster::Model, SimError> {
     let raw = model.raw();
     let quality = &raw.vis.quality;
     let quality = Quality {
@@ -66,11 +158,6 @@ fn prepare(model: &Model) -> Result<raster::Model, SimError> {
         quads: quality.numquads as usize,
     };
     let mut prepared = raster::Model::new(quality).map_err(|error| graphics(error.to_string()))?;
-    let meshes = model.meshes();
-    for mesh in (0..meshes.count()).map(|index| meshes.get(index)) {
-        let made = shared(&MESHES, digest_of_mesh(&mesh), || Ok(mesh_of(&mesh)))?;
-        prepared.meshes.push(made);
-    }
     let far = f64::from(raw.vis.map.zfar) * raw.stat.extent;
     let repeat = model.mat_texrepeat();
     for (geom, kind) in model.geom_type().iter().enumerate() {
@@ -87,12 +174,6 @@ fn prepare(model: &Model) -> Result<raster::Model, SimError> {
             plane_grid(size[axis], size[2], period, far)
         };
         prepared.planes.push(plane(&lines(0), &lines(1)));
-    }
-    for texture in model.textures() {
-        let made = shared(&TEXTURES, digest_of_texture(&texture), || {
-            texture_of(&texture)
-        })?;
-        prepared.textures.push(made);
     }
     Ok(prepared)
 }
@@ -129,11 +210,12 @@ fn digest_of_mesh(mesh: &MeshData<'_>) -> u128 {
     )
 }
 
-fn digest_of_texture(texture: &TextureData<'_>) -> u128 {
+/// Digest of a texture and of its texels.
+pub(crate) fn digest_of_texture(texture: &TextureData, texels: &[u8]) -> u128 {
     let sizes = [texture.width, texture.height, texture.channels].map(usize::to_le_bytes);
     let kinds = [texture.kind, texture.colorspace].map(i32::to_le_bytes);
     let head = [kinds.as_flattened(), sizes.as_flattened()];
-    digest(head.into_iter().chain([texture.texels]))
+    digest(head.into_iter().chain([texels]))
 }
 
 /// Hashes parts, each after its length.
@@ -146,21 +228,24 @@ fn digest<'a>(parts: impl Iterator<Item = &'a [u8]>) -> u128 {
     hash.finish_128()
 }
 
-fn texture_of(texture: &TextureData<'_>) -> Result<Texture, SimError> {
-    let kind = match texture.kind {
+fn kind_of(texture: &TextureData) -> TextureKind {
+    match texture.kind {
         kind if kind == c::mjtTexture::mjTEXTURE_2D as i32 => TextureKind::Flat {
             srgb: texture.colorspace == c::mjtColorSpace::mjCOLORSPACE_SRGB as i32,
         },
         _ => TextureKind::Cube,
-    };
-    Texture::new(
-        kind,
-        texture.width,
-        texture.height,
-        texture.channels,
-        texture.texels,
-    )
-    .map_err(|error| graphics(error.to_string()))
+    }
+}
+
+fn texture_of(texture: &TextureData, texels: &[u8]) -> Result<Texture, SimError> {
+    let TextureData {
+        width,
+        height,
+        channels,
+        ..
+    } = *texture;
+    Texture::new(kind_of(texture), width, height, channels, texels)
+        .map_err(|error| graphics(error.to_string()))
 }
 
 fn mesh_of(mesh: &MeshData<'_>) -> Mesh {
@@ -226,7 +311,8 @@ mod tests {
             ))
             .expect("a model")
         };
-        let [one, other] = [2.5, 3.5].map(|height| prepare(&scene(height)).expect("prepared"));
+        let [one, other] =
+            [2.5, 3.5].map(|height| Prepared::of(&scene(height)).expect("prepared").model);
         assert!(Arc::ptr_eq(&one.meshes[0], &other.meshes[0]));
         assert!(!Arc::ptr_eq(&one.meshes[1], &other.meshes[1]));
         assert!(Arc::ptr_eq(&one.textures[0], &other.textures[0]));

@@ -81,11 +81,11 @@ impl SoftwareCanvas {
     }
 
     fn draw_on_canvas(&mut self, view: View<'_>) -> Result<&[u8], SimError> {
-        let View { model, camera, .. } = view;
+        let camera = view.camera;
         let size = view.size.map(|side| side as usize);
         self.update(view)?;
         let canvas = self.canvases.entry(camera).or_default();
-        let largest: Vec<&[u8]> = model.textures().map(|texture| texture.texels).collect();
+        let largest: Vec<&[u8]> = self.prepared.largest.iter().map(|it| &**it).collect();
         canvas
             .draw(&self.prepared.model, &largest, &self.scene, size)
             .map_err(|error| graphics(error.to_string()))

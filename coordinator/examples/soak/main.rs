@@ -1,0 +1,199 @@
+//! A crowd of slots at one coordinator for as long as it takes: whether anything grows that
+//! should not. Slots are tasks of this process that claim, wait and report; everything between
+//! them and the database is real: gRPC, TLS, tokens, sockets, the coordinator's process.
+//!
+//! Four campaigns share the jobs: one that is only measured, one that may stop early, one that
+//! films what its perturbations change, and one that explains the third. Page, metrics and
+//! status are asked for all the while. On the way the coordinator is killed once, and once its
+//! database is lost and the backup restored.
+//!
+//! Prints a line every few seconds, draws a figure, and exits with 1 if something grew, or a
+//! rollout was lost.
+
+mod crowd;
+mod figure;
+mod server;
+mod watch;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+use clap::Parser;
+use serde_json::json;
+
+use crowd::Crowd;
+use server::Server;
+use watch::Watch;
+
+/// Rollouts of one replicate of the whole design.
+const DESIGN: u64 = 10_400;
+/// When the coordinator is killed, backed up, and given the backup back: shares of the time.
+const KILL: f64 = 0.4;
+const BACK_UP: f64 = 0.6;
+const RESTORE: f64 = 0.7;
+/// The crowd may take so many times as long as planned before that is a failure.
+const PATIENCE: f64 = 3.0;
+
+/// Keep a crowd of slots at one coordinator, and watch what grows.
+#[derive(Parser)]
+pub(crate) struct Arguments {
+    /// Jobs of the campaigns, about.
+    #[arg(long, default_value_t = 1_000_000)]
+    jobs: u64,
+    /// Slots that run at a time.
+    #[arg(long, default_value_t = 2_000)]
+    slots: u32,
+    /// Workers that these belong to, each with a connection of its own.
+    #[arg(long, default_value_t = 200)]
+    workers: u32,
+    /// Minutes that the jobs are to last: a rollout takes what follows from that.
+    #[arg(long, default_value_t = 30.0)]
+    minutes: f64,
+    /// Where the figure goes, SVG.
+    #[arg(long, default_value = "soak.svg")]
+    figure: PathBuf,
+}
+
+impl Arguments {
+    fn planned(&self) -> Duration {
+        Duration::from_secs_f64(self.minutes * 60.0)
+    }
+
+    /// What a rollout takes on average, so that all of them take as long as planned.
+    fn rollout(&self) -> Duration {
+        self.planned()
+            .mul_f64(f64::from(self.slots) / self.jobs as f64)
+    }
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    match runtime.block_on(run(&arguments)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: failed to {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+async fn run(arguments: &Arguments) -> Result<()> {
+    let folder = tempfile::tempdir().context("make a folder")?;
+    let mut server = Server::start(folder.path())?;
+    create(&server, arguments)?;
+    println!(
+        "{} slots of {} workers, rollouts of {:.2} s",
+        arguments.slots,
+        arguments.workers,
+        arguments.rollout().as_secs_f64()
+    );
+    let crowd = Crowd::start(server.access(), arguments);
+    let watch = Watch::start(server.access(), crowd.clone());
+    let began = Instant::now();
+    let share = || began.elapsed().as_secs_f64() / arguments.planned().as_secs_f64();
+    let wait_until = async |at: f64| {
+        while share() < at && !crowd.is_finished() {
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+    };
+    watch.follow(server.process_id(), &server.log());
+    wait_until(KILL).await;
+    watch.note("killed");
+    server.kill_and_start()?;
+    watch.follow(server.process_id(), &server.log());
+    wait_until(BACK_UP).await;
+    watch.note("backed up");
+    let backup = server.back_up()?;
+    wait_until(RESTORE).await;
+    watch.note("restored");
+    server.restore(&backup)?;
+    watch.follow(server.process_id(), &server.log());
+    wait_until(PATIENCE).await;
+    let took = began.elapsed();
+    let is_finished = crowd.is_finished();
+    let samples = watch.stop().await;
+    crowd.stop().await;
+
+    std::fs::write(&arguments.figure, figure::draw(&samples))
+        .with_context(|| format!("write {}", arguments.figure.display()))?;
+    println!(
+        "{} results accepted in {:.0} s; figure in {}",
+        crowd.accepted(),
+        took.as_secs_f64(),
+        arguments.figure.display()
+    );
+    let unfinished = server.unfinished(&["measured", "stops", "filmed", "explains"])?;
+    server.stop()?;
+    println!("{}", server.check()?);
+    ensure!(is_finished, "finish in {:.0} s", took.as_secs_f64());
+    ensure!(
+        unfinished.is_empty(),
+        "finish everything: {}",
+        unfinished.join("; ")
+    );
+    watch::judge(&samples)
+}
+
+/// Creates the campaigns: 55 % of the jobs are only measured, 30 % filmed, 15 % of the one that
+/// may stop early, which takes no replicates.
+fn create(server: &Server, arguments: &Arguments) -> Result<()> {
+    let spec = |name: &str, share: f64| {
+        let designs = (arguments.jobs as f64 * share / DESIGN as f64).round();
+        // Less than one design takes fewer tasks.
+        let tasks = match designs {
+            0.0 => json!(["libero_object/0", "libero_object/1"]),
+            _ => json!([
+                "libero_spatial",
+                "libero_object",
+                "libero_goal",
+                "libero_10"
+            ]),
+        };
+        json!({
+            "name": name,
+            "policy": {"name": name, "endpoint": "http://127.0.0.1:1"},
+            "tasks": tasks,
+            "axes": ["camera", "lighting", "robot", "sensor", "actuation", "language"],
+            "levels": ["L1", "L2", "L3"],
+            "configs": (0..10).collect::<Vec<_>>(),
+            "nominal": "eval",
+            "replicates": designs.clamp(1.0, 100.0) as u32,
+        })
+    };
+    let measured = spec("measured", 0.55);
+    let mut stops = spec("stops", 0.15);
+    let configs = (stops["replicates"].as_u64().unwrap_or(1) * 10).min(1_000);
+    stops["configs"] = json!((0..configs).collect::<Vec<_>>());
+    stops["replicates"] = json!(1);
+    stops["stop"] = json!({"rule": "width(S_sim) < 0.02", "seed": 7});
+    let mut filmed = spec("filmed", 0.3);
+    filmed["record"] = json!("transitions");
+    let explains = json!({
+        "name": "explains",
+        "policy": {"name": "filmed", "endpoint": "http://127.0.0.1:1"},
+        "explains": {"campaign": "filmed"},
+    });
+    for (spec, priority) in [(measured, 0), (stops, -1), (filmed, 1), (explains, 1)] {
+        let began = Instant::now();
+        let said = server.create(&spec, priority)?;
+        println!("{said} ({:.1} s)", began.elapsed().as_secs_f64());
+    }
+    Ok(())
+}
+
+/// A number that is the same for the same text, in [0, 1).
+pub(crate) fn drawn(text: &str) -> f64 {
+    use sha2::{Digest, Sha256};
+    let digest = Sha256::digest(text.as_bytes());
+    let bits = digest
+        .iter()
+        .take(4)
+        .fold(0_u32, |bits, byte| bits << 8 | u32::from(*byte));
+    f64::from(bits) / 2_f64.powi(32)
+}
+
+pub(crate) type Shared<T> = Arc<std::sync::Mutex<T>>;

@@ -1,0 +1,257 @@
+//! The coordinator's process, guarded by TLS and tokens, and its operator's commands.
+
+use std::fs::{File, Permissions};
+use std::net::{SocketAddr, TcpListener};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair};
+use serde_json::Value;
+use transport::{Access, Role};
+
+/// How long it may take to start, or to end.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A coordinator; killed when it goes out of scope.
+pub(crate) struct Server {
+    folder: PathBuf,
+    address: SocketAddr,
+    child: Child,
+    starts: u32,
+}
+
+/// What its clients need.
+#[derive(Clone)]
+pub(crate) struct Reached {
+    /// `https://localhost:PORT`.
+    pub(crate) url: String,
+    pub(crate) worker: Access,
+    pub(crate) operator: Access,
+    pub(crate) viewer: Access,
+    /// The data folder.
+    pub(crate) data: PathBuf,
+}
+
+impl Server {
+    pub(crate) fn start(folder: &Path) -> Result<Server> {
+        let lines: Vec<String> = ["worker", "operator", "viewer"]
+            .map(|role| format!("{role} {role}-secret-of-the-soak"))
+            .into();
+        write_private(&folder.join("tokens"), &(lines.join("\n") + "\n"))?;
+        for (role, line) in ["worker", "operator", "viewer"].iter().zip(&lines) {
+            write_private(&folder.join(role), &format!("{line}\n"))?;
+        }
+        let mut params = CertificateParams::new(Vec::new())?;
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        let issuer = CertifiedIssuer::self_signed(params, KeyPair::generate()?)?;
+        std::fs::write(folder.join("ca.pem"), issuer.pem())?;
+        let key = KeyPair::generate()?;
+        let certificate = CertificateParams::new(["localhost".to_owned()])?;
+        let certificate = certificate.signed_by(&key, &issuer)?;
+        std::fs::write(folder.join("cert.pem"), certificate.pem())?;
+        write_private(&folder.join("key.pem"), &key.serialize_pem())?;
+        // It comes back at the same port.
+        let address = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
+        let folder = folder.to_owned();
+        let mut server = Server {
+            child: spawn(&folder, address, 0)?,
+            folder,
+            address,
+            starts: 1,
+        };
+        server.wait_until_it_listens()?;
+        Ok(server)
+    }
+
+    pub(crate) fn access(&self) -> Reached {
+        let access = |role: Role, file: &str| {
+            let (ca, token) = (self.folder.join("ca.pem"), self.folder.join(file));
+            let access = Access::from_files(Some(&ca), Some(&token), &[role]);
+            access.expect("files that were just written")
+        };
+        Reached {
+            url: self.url(),
+            worker: access(Role::Worker, "worker"),
+            operator: access(Role::Operator, "operator"),
+            viewer: access(Role::Viewer, "viewer"),
+            data: self.folder.join("data"),
+        }
+    }
+
+    pub(crate) fn process_id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// The log of the process that runs now.
+    pub(crate) fn log(&self) -> PathBuf {
+        self.folder.join(format!("log.{}", self.starts - 1))
+    }
+
+    pub(crate) fn kill_and_start(&mut self) -> Result<()> {
+        self.child.kill().context("kill the coordinator")?;
+        self.child.wait()?;
+        self.start_again()
+    }
+
+    pub(crate) fn back_up(&self) -> Result<PathBuf> {
+        let backup = self.folder.join("backup.sqlite");
+        let path = backup.display().to_string();
+        self.command(&["backup", "--output", &path])?;
+        Ok(backup)
+    }
+
+    /// Loses the database and puts the backup in its place.
+    pub(crate) fn restore(&mut self, backup: &Path) -> Result<()> {
+        self.child.kill().context("kill the coordinator")?;
+        self.child.wait()?;
+        let database = self.folder.join("data/coordinator.sqlite");
+        for beside in ["", "-wal", "-shm"] {
+            // There is a log only if the process died.
+            let _ = std::fs::remove_file(format!("{}{beside}", database.display()));
+        }
+        std::fs::copy(backup, &database).context("restore the backup")?;
+        self.start_again()
+    }
+
+    pub(crate) fn create(&self, spec: &Value, priority: i32) -> Result<String> {
+        let file = self.folder.join("spec.json");
+        std::fs::write(&file, spec.to_string())?;
+        let (file, priority) = (file.display().to_string(), format!("--priority={priority}"));
+        let said = self.command(&["campaign", "create", "--spec", &file, &priority])?;
+        Ok(said.lines().next().unwrap_or_default().to_owned())
+    }
+
+    /// How the campaigns stand that are neither finished nor stopped.
+    pub(crate) fn unfinished(&self, names: &[&str]) -> Result<Vec<String>> {
+        let mut unfinished = Vec::new();
+        for name in names {
+            let status = self.command(&["campaign", "status", name, "--json"])?;
+            let status: Value = serde_json::from_str(&status)?;
+            let status = &status["campaigns"][0];
+            if status["is_finished"] != true && status["state"] != "stopped" {
+                unfinished.push(format!("{name}: {}", status["rollouts"]));
+            }
+        }
+        Ok(unfinished)
+    }
+
+    /// Asks it to end, and waits until it has.
+    pub(crate) fn stop(&mut self) -> Result<()> {
+        let id = self.child.id().to_string();
+        Command::new("kill").args(["-TERM", &id]).status()?;
+        let began = Instant::now();
+        while self.child.try_wait()?.is_none() {
+            ensure!(
+                began.elapsed() < PATIENCE,
+                "stop the coordinator: it goes on"
+            );
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        Ok(())
+    }
+
+    /// Every invariant of the database at rest.
+    pub(crate) fn check(&self) -> Result<String> {
+        let data = self.folder.join("data");
+        let output = Command::new(program()?).arg("check").arg(data).output()?;
+        let said = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+        ensure!(
+            output.status.success(),
+            "find the database in order: {said}"
+        );
+        Ok(said)
+    }
+
+    fn url(&self) -> String {
+        format!("https://localhost:{}", self.address.port())
+    }
+
+    fn start_again(&mut self) -> Result<()> {
+        self.child = spawn(&self.folder, self.address, self.starts)?;
+        self.starts += 1;
+        self.wait_until_it_listens()
+    }
+
+    fn wait_until_it_listens(&mut self) -> Result<()> {
+        let began = Instant::now();
+        while std::net::TcpStream::connect(self.address).is_err() {
+            let ended = self.child.try_wait()?;
+            ensure!(
+                ended.is_none(),
+                "start the coordinator; see {}",
+                self.log().display()
+            );
+            ensure!(began.elapsed() < PATIENCE, "start the coordinator in time");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        Ok(())
+    }
+
+    fn command(&self, arguments: &[&str]) -> Result<String> {
+        let output = Command::new(program()?)
+            .args(arguments)
+            .args(["--connect", &self.url(), "--ca"])
+            .arg(self.folder.join("ca.pem"))
+            .arg("--token-file")
+            .arg(self.folder.join("operator"))
+            .output()?;
+        let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
+        ensure!(
+            output.status.success(),
+            "run `coordinator {}`: {complaint}",
+            arguments.join(" ")
+        );
+        Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn spawn(folder: &Path, address: SocketAddr, number: u32) -> Result<Child> {
+    let log = File::create(folder.join(format!("log.{number}")))?;
+    Command::new(program()?)
+        .args(["serve", "--listen", &address.to_string(), "--data"])
+        .arg(folder.join("data"))
+        .arg("--token-file")
+        .arg(folder.join("tokens"))
+        .arg("--tls-cert")
+        .arg(folder.join("cert.pem"))
+        .arg("--tls-key")
+        .arg(folder.join("key.pem"))
+        .env_remove("RUST_LOG")
+        .stdout(Stdio::null())
+        .stderr(log)
+        .spawn()
+        .context("start the coordinator")
+}
+
+/// The coordinator that was built with this program: an example lies in a folder beside it.
+fn program() -> Result<PathBuf> {
+    let own = std::env::current_exe()?;
+    let folder = own
+        .parent()
+        .and_then(Path::parent)
+        .context("find this program's folder")?;
+    let program = folder.join("coordinator");
+    let remedy = "build it with `cargo build --package coordinator`, in the same profile";
+    ensure!(program.is_file(), "find {}: {remedy}", program.display());
+    Ok(program)
+}
+
+/// Writes a file that only this user may read.
+fn write_private(path: &Path, text: &str) -> Result<()> {
+    std::fs::write(path, text)?;
+    Ok(std::fs::set_permissions(
+        path,
+        Permissions::from_mode(0o600),
+    )?)
+}

@@ -1,0 +1,330 @@
+//! What grows: the coordinator's memory, descriptors, log and database, and how long calls
+//! take, every few seconds.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use proto::coordinator as wire;
+use proto::coordinator::operator_service_client::OperatorServiceClient;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio::task::JoinSet;
+use tonic::transport::Endpoint;
+
+use super::Shared;
+use super::crowd::Crowd;
+use super::server::Reached;
+
+/// Between two samples.
+const INTERVAL: Duration = Duration::from_secs(5);
+/// Between two requests of one kind: people and Prometheus ask seldom, many people often.
+const ASKED_EVERY: Duration = Duration::from_millis(500);
+/// What people open, besides the metrics.
+const PAGES: [&str; 4] = ["/", "/campaigns/measured", "/campaigns/filmed", "/workers"];
+
+/// The coordinator and its calls at one moment.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Sample {
+    /// Seconds since the beginning.
+    pub(crate) at: f64,
+    /// What happened since the sample before.
+    pub(crate) event: Option<&'static str>,
+    pub(crate) accepted: u64,
+    /// Of the claims since the sample before, seconds; none where there were none.
+    pub(crate) claim_p50: Option<f64>,
+    pub(crate) claim_p99: Option<f64>,
+    /// The longest of page, metrics and status since the sample before, seconds.
+    pub(crate) page: Option<f64>,
+    pub(crate) metrics: Option<f64>,
+    pub(crate) status: Option<f64>,
+    pub(crate) resident_mib: f64,
+    pub(crate) descriptors: usize,
+    pub(crate) log_kib: f64,
+    pub(crate) database_mib: f64,
+    pub(crate) wal_mib: f64,
+}
+
+#[derive(Default)]
+struct Followed {
+    process: u32,
+    log: PathBuf,
+    /// Bytes of the logs of processes that have ended.
+    earlier_logs: u64,
+    event: Option<&'static str>,
+}
+
+/// Longest answers since the last sample, by kind, seconds.
+type Longest = Shared<[Option<f64>; 3]>;
+
+pub(crate) struct Watch {
+    followed: Shared<Followed>,
+    samples: Shared<Vec<Sample>>,
+    tasks: JoinSet<()>,
+}
+
+impl Watch {
+    pub(crate) fn start(reached: Reached, crowd: Arc<Crowd>) -> Watch {
+        let (followed, samples) = (
+            Shared::<Followed>::default(),
+            Shared::<Vec<Sample>>::default(),
+        );
+        let longest = Longest::default();
+        let mut tasks = JoinSet::new();
+        tasks.spawn(ask_pages(reached.clone(), longest.clone(), 0));
+        tasks.spawn(ask_pages(reached.clone(), longest.clone(), 1));
+        tasks.spawn(ask_status(reached.clone(), longest.clone()));
+        let (of, into) = (followed.clone(), samples.clone());
+        tasks.spawn(async move {
+            let began = Instant::now();
+            println!("{HEADINGS}");
+            loop {
+                tokio::time::sleep(INTERVAL).await;
+                let sample = sample(began, &reached.data, &of, &longest, &crowd);
+                println!("{}", sample.line(crowd.others()));
+                into.lock().expect("no panic").push(sample);
+            }
+        });
+        Watch {
+            followed,
+            samples,
+            tasks,
+        }
+    }
+
+    /// Looks at this process from now on.
+    pub(crate) fn follow(&self, process: u32, log: &Path) {
+        let mut followed = self.followed.lock().expect("no panic");
+        followed.earlier_logs += size(&followed.log);
+        followed.process = process;
+        followed.log = log.to_owned();
+    }
+
+    pub(crate) fn note(&self, event: &'static str) {
+        self.followed.lock().expect("no panic").event = Some(event);
+    }
+
+    pub(crate) async fn stop(mut self) -> Vec<Sample> {
+        self.tasks.shutdown().await;
+        std::mem::take(&mut *self.samples.lock().expect("no panic"))
+    }
+}
+
+const HEADINGS: &str = " secs  results  claim p50/p99 ms  page/metrics/status ms   memory MiB  files  \
+                        log KiB  database MiB  wal MiB  refused failed films";
+
+impl Sample {
+    fn line(&self, [refused, failed, films]: [u64; 3]) -> String {
+        let ms = |secs: Option<f64>| secs.map_or("-".to_owned(), |it| format!("{:.1}", it * 1e3));
+        format!(
+            "{:5.0} {:8} {:>8}/{:<8} {:>8}/{}/{:<8} {:10.1} {:6} {:8.1} {:13.1} {:8.1} {:8} {:6} \
+             {:5} {}",
+            self.at,
+            self.accepted,
+            ms(self.claim_p50),
+            ms(self.claim_p99),
+            ms(self.page),
+            ms(self.metrics),
+            ms(self.status),
+            self.resident_mib,
+            self.descriptors,
+            self.log_kib,
+            self.database_mib,
+            self.wal_mib,
+            refused,
+            failed,
+            films,
+            self.event.unwrap_or_default()
+        )
+    }
+}
+
+fn sample(
+    began: Instant,
+    data: &Path,
+    followed: &Shared<Followed>,
+    longest: &Longest,
+    crowd: &Crowd,
+) -> Sample {
+    let mut claims = crowd.take_claims();
+    claims.sort_by(f64::total_cmp);
+    let quantile = |share: f64| {
+        let place = (claims.len() as f64 * share) as usize;
+        claims
+            .get(place.min(claims.len().saturating_sub(1)))
+            .copied()
+    };
+    let mut followed = followed.lock().expect("no panic");
+    let process = format!("/proc/{}", followed.process);
+    let status = std::fs::read_to_string(format!("{process}/status")).unwrap_or_default();
+    let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let resident = resident.and_then(|it| it.trim().strip_suffix(" kB")?.parse::<f64>().ok());
+    let descriptors = std::fs::read_dir(format!("{process}/fd"));
+    let mib = |name: &str| size(&data.join(name)) as f64 / f64::from(1 << 20);
+    let [page, metrics, status] = std::mem::take(&mut *longest.lock().expect("no panic"));
+    Sample {
+        at: began.elapsed().as_secs_f64(),
+        event: followed.event.take(),
+        accepted: crowd.accepted(),
+        claim_p50: quantile(0.5),
+        claim_p99: quantile(0.99),
+        page,
+        metrics,
+        status,
+        resident_mib: resident.unwrap_or_default() / 1024.0,
+        descriptors: descriptors.map_or(0, Iterator::count),
+        log_kib: (followed.earlier_logs + size(&followed.log)) as f64 / 1024.0,
+        database_mib: mib("coordinator.sqlite"),
+        wal_mib: mib("coordinator.sqlite-wal"),
+    }
+}
+
+fn size(file: &Path) -> u64 {
+    std::fs::metadata(file).map_or(0, |it| it.len())
+}
+
+fn note(longest: &Longest, kind: usize, took: Duration) {
+    let longest = &mut longest.lock().expect("no panic")[kind];
+    *longest = Some(longest.unwrap_or_default().max(took.as_secs_f64()));
+}
+
+/// Opens pages (kind 0), or the metrics (kind 1), one after the other.
+async fn ask_pages(reached: Reached, longest: Longest, kind: usize) {
+    for turn in 0_usize.. {
+        tokio::time::sleep(ASKED_EVERY).await;
+        let path = match kind {
+            0 => PAGES[turn % PAGES.len()],
+            _ => "/metrics",
+        };
+        let asked = Instant::now();
+        // While the coordinator is down nobody answers.
+        if get(&reached, path).await.is_ok() {
+            note(&longest, kind, asked.elapsed());
+        }
+    }
+}
+
+async fn get(reached: &Reached, path: &str) -> Result<()> {
+    let uri: tonic::codegen::http::Uri = reached.url.parse()?;
+    let authority = uri.authority().map(ToString::to_string).unwrap_or_default();
+    let stream = TcpStream::connect(&authority).await?;
+    let mut stream = reached.viewer.encrypt(stream, "localhost").await?;
+    let token = reached.viewer.authorization(&uri, "Bearer");
+    let token = token
+        .as_ref()
+        .and_then(|it| it.to_str().ok())
+        .unwrap_or_default();
+    let request = format!(
+        "GET {path} HTTP/1.1\r\nHost: {authority}\r\nAuthorization: {token}\r\nConnection: close\r\n\r\n"
+    );
+    stream.write_all(request.as_bytes()).await?;
+    let mut answer = Vec::new();
+    // A server that closes at once may leave out the end of TLS.
+    let _ = stream.read_to_end(&mut answer).await;
+    match answer.starts_with(b"HTTP/1.1 200") {
+        true => Ok(()),
+        false => bail!(
+            "{}",
+            String::from_utf8_lossy(&answer[..answer.len().min(60)])
+        ),
+    }
+}
+
+async fn ask_status(reached: Reached, longest: Longest) {
+    let endpoint = Endpoint::from_shared(reached.url.clone()).expect("a URL");
+    let connection = reached.operator.connect_lazy(endpoint).expect("a host");
+    let mut client = OperatorServiceClient::new(connection);
+    loop {
+        tokio::time::sleep(ASKED_EVERY).await;
+        let asked = Instant::now();
+        let listed = client
+            .list_campaigns(wire::ListCampaignsRequest::default())
+            .await;
+        if listed.is_ok() {
+            note(&longest, 2, asked.elapsed());
+        }
+    }
+}
+
+/// Compares the last third of the samples with the one before: what is left to grow then grows
+/// for ever.
+pub(crate) fn judge(samples: &[Sample]) -> Result<()> {
+    let third = samples.len() / 3;
+    if third < 3 {
+        println!("too few samples to say what grows");
+        return Ok(());
+    }
+    let (before, last) = (&samples[third..2 * third], &samples[2 * third..]);
+    let most = |of: &[Sample], value: fn(&Sample) -> f64| of.iter().map(value).fold(0.0, f64::max);
+    let median = |of: &[Sample], value: fn(&Sample) -> Option<f64>| {
+        let mut values: Vec<f64> = of.iter().filter_map(value).collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or_default()
+    };
+    let grown = |of: &[Sample], value: fn(&Sample) -> f64| {
+        let results = |it: &Sample| it.accepted as f64;
+        let of_results = results(&of[of.len() - 1]) - results(&of[0]);
+        (value(&of[of.len() - 1]) - value(&of[0])) / of_results.max(1.0)
+    };
+    // Name, before, at the end, and what is allowed.
+    let (memory, files) = (
+        |it: &Sample| it.resident_mib,
+        |it: &Sample| it.descriptors as f64,
+    );
+    let (log, wal) = (|it: &Sample| it.log_kib, |it: &Sample| it.wal_mib);
+    let claims = (
+        median(before, |it| it.claim_p99),
+        median(last, |it| it.claim_p99),
+    );
+    let rows = [
+        (
+            "memory, MiB",
+            most(before, memory),
+            most(last, memory),
+            1.25,
+            64.0,
+        ),
+        (
+            "open files",
+            most(before, files),
+            most(last, files),
+            1.1,
+            16.0,
+        ),
+        (
+            "log, KiB a result",
+            grown(before, log),
+            grown(last, log),
+            2.0,
+            0.01,
+        ),
+        (
+            "write-ahead log, MiB",
+            most(before, wal),
+            most(last, wal),
+            1.5,
+            64.0,
+        ),
+        ("claims' p99, ms", claims.0 * 1e3, claims.1 * 1e3, 2.0, 50.0),
+    ];
+    let mut has_grown = Vec::new();
+    println!(
+        "\n{:24} {:>12} {:>12} {:>12}",
+        "", "before", "at the end", "allowed"
+    );
+    for (name, before, last, times, and) in rows {
+        let allowed = before * times + and;
+        println!("{name:24} {before:12.3} {last:12.3} {allowed:12.3}");
+        if last > allowed {
+            has_grown.push(name);
+        }
+    }
+    match has_grown.is_empty() {
+        true => Ok(()),
+        false => bail!(
+            "keep it level: {} grew in the last third",
+            has_grown.join(", ")
+        ),
+    }
+}

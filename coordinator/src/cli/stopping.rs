@@ -1,0 +1,98 @@
+//! The meaning of an early end, in words: the configurations that a rule is about, and those
+//! about which it says nothing.
+
+use protocol::{Clause, Measure, StopRule};
+use terminal::counted;
+
+/// A line for each clause, and one for what all of them are about. `configurations` is how
+/// many the campaign has at each level.
+pub(super) fn in_words(rule: &StopRule, configurations: usize) -> Vec<String> {
+    let these = counted(configurations as u64, "configuration");
+    let mut lines: Vec<String> = rule
+        .clauses()
+        .iter()
+        .map(|clause| {
+            format!(
+                "if it does, it will have shown that {}",
+                shown(*clause, &these)
+            )
+        })
+        .collect();
+    if rule.clauses().iter().any(is_certain_at_the_end) {
+        lines.push(
+            "a run to the end shows as much for certain, unless emergent failures and \
+             compensated successes are equally many; an early end saves rollouts and proves \
+             no more than that"
+                .to_owned(),
+        );
+    }
+    lines.push(format!(
+        "with 95 % for each level, at all looks together, and for these {these} only: other \
+         tasks, initial states and directions may differ. A difference that ends a campaign is \
+         likely to be larger at that look than over the whole campaign"
+    ));
+    lines
+}
+
+fn shown(clause: Clause, these: &str) -> String {
+    match clause {
+        Clause::Width(measure, width) => format!(
+            "{} over all {these} lies in an interval narrower than {}",
+            called(measure),
+            points(width)
+        ),
+        Clause::Excludes(Measure::I, 0.0) => format!(
+            "emergent failures and compensated successes are not equally many among all {these}"
+        ),
+        Clause::Excludes(measure, value) => format!(
+            "{} over all {these} is not {}",
+            called(measure),
+            points(value)
+        ),
+    }
+}
+
+/// Whether a census decides it without chance: whether two counts are equal.
+fn is_certain_at_the_end(clause: &Clause) -> bool {
+    matches!(clause, Clause::Excludes(Measure::I, 0.0))
+}
+
+fn called(measure: Measure) -> &'static str {
+    match measure {
+        Measure::SSim => "the success rate under simultaneous perturbation",
+        Measure::RE => "the share of emergent failures",
+        Measure::RC => "the share of compensated successes",
+        Measure::RD => "the share of changed outcomes",
+        Measure::I => "the net effect I of simultaneity",
+        Measure::Difference => "the difference of the success rates",
+    }
+}
+
+fn points(fraction: f64) -> String {
+    let rounded = (fraction * 1e4).round() / 100.0;
+    format!("{rounded} points")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rule_says_what_it_will_have_shown_and_about_which_configurations() {
+        let rule = "width(S_sim) < 0.1 and I excludes 0 and R_d excludes 0.05";
+        let lines = in_words(&rule.parse().expect("a rule"), 400);
+        assert_eq!(lines.len(), 5);
+        let width = "success rate under simultaneous perturbation over all 400 configurations \
+                     lies in an interval narrower than 10 points";
+        assert!(lines[0].contains(width), "{}", lines[0]);
+        assert!(lines[1].contains("are not equally many among all 400 configurations"));
+        assert!(
+            lines[2]
+                .ends_with("share of changed outcomes over all 400 configurations is not 5 points")
+        );
+        assert!(lines[3].starts_with("a run to the end shows as much for certain"));
+        assert!(lines[4].contains("these 400 configurations only"));
+        let lines = in_words(&"width(I) < 0.08".parse().expect("a rule"), 1);
+        assert!(lines.len() == 2 && lines[0].contains("over all 1 configuration "));
+    }
+}

@@ -1,0 +1,231 @@
+//! Campaigns of many jobs come and go piece by piece: the writer serves workers between two
+//! pieces, and nobody sees a part of a campaign. One that was on its way in or out when the
+//! coordinator ended goes out at the next start; whoever was creating it creates it again.
+
+use std::sync::Arc;
+
+use super::context::Context;
+use super::shared::Shared;
+use crate::expand::NewCampaign;
+use crate::ids::{CampaignId, PolicyId};
+use crate::store::failpoint::Step;
+use crate::store::{StoreError, campaigns, passages, policies, stops};
+
+/// Jobs that one transaction adds or removes: some tens of milliseconds.
+pub(super) const PIECE: usize = 1_000;
+
+/// Stores a campaign of any size, of a name that no other has, whose files go into `folder`.
+pub(super) async fn insert(
+    shared: &Shared,
+    new: &NewCampaign,
+    folder: &str,
+) -> Result<(), StoreError> {
+    let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
+    let now = context.now;
+    let id = campaigns::insert_without_jobs(&mut context.tx, new, folder, now).await?;
+    passages::arrive(&mut context.tx, id).await?;
+    context.commit().await?;
+    let inserted = fill(shared, new, id, folder).await;
+    if inserted.is_err() {
+        // Nobody sees it; what fails now is done at the next start.
+        let policy = policy_of(shared, id).await;
+        if let Err(error) = remove(shared, id, policy?).await {
+            tracing::warn!("failed to {}; the next start does", error.with_cause());
+        }
+    }
+    inserted
+}
+
+async fn fill(
+    shared: &Shared,
+    new: &NewCampaign,
+    id: CampaignId,
+    folder: &str,
+) -> Result<(), StoreError> {
+    for piece in new.jobs.chunks(PIECE) {
+        let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
+        campaigns::insert_jobs(&mut context.tx, id, piece).await?;
+        context.commit().await?;
+    }
+    let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
+    let now = context.now;
+    campaigns::take_name(&mut context.tx, &new.name).await?;
+    passages::arrived(&mut context.tx, id, (&new.name, folder), now).await?;
+    if let Some(configurations) = new.stops_among {
+        stops::insert(&mut context.tx, id, configurations).await?;
+    }
+    context.cache.forget_campaigns();
+    context.commit().await
+}
+
+async fn policy_of(shared: &Shared, id: CampaignId) -> Result<PolicyId, StoreError> {
+    let mut view = shared.store.read().await?;
+    Ok(campaigns::by_id(&mut view, id).await?.policy_id)
+}
+
+/// Deletes a campaign that is hidden already.
+pub(super) async fn remove(
+    shared: &Shared,
+    id: CampaignId,
+    policy: PolicyId,
+) -> Result<(), StoreError> {
+    loop {
+        let mut context = Context::begin(shared, vec![Step::DeleteCampaign]).await?;
+        let deleted = passages::delete_jobs(&mut context.tx, id, PIECE).await?;
+        if deleted == PIECE as u64 {
+            context.commit().await?;
+            continue;
+        }
+        campaigns::delete(&mut context.tx, id).await?;
+        policies::remove_unused(&mut context.tx, policy).await?;
+        context.cache.forget();
+        return context.commit().await;
+    }
+}
+
+/// Campaigns that were on their way when the coordinator ended before, with their policies.
+pub(crate) async fn left(shared: &Shared) -> Result<Vec<(CampaignId, PolicyId)>, StoreError> {
+    let mut view = shared.store.read().await?;
+    passages::all(&mut view).await
+}
+
+/// Deletes what was left on the way, then waits for ever.
+pub(crate) async fn run(shared: Arc<Shared>, left: Vec<(CampaignId, PolicyId)>) {
+    for (id, policy) in left {
+        match remove(&shared, id, policy).await {
+            Ok(()) => tracing::info!("removed what was left of a campaign on its way in or out"),
+            Err(error) => {
+                tracing::error!(
+                    "failed to {}; the next start tries again",
+                    error.with_cause()
+                );
+            }
+        }
+    }
+    std::future::pending().await
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::time::Duration;
+
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::SeedableRng;
+    use serde_json::json;
+
+    use super::*;
+    use crate::clock::SystemClock;
+    use crate::ids::CampaignName;
+    use crate::invariants;
+    use crate::queue::Queue;
+    use crate::store::Store;
+    use crate::timing::Timing;
+
+    async fn start(folder: &Path) -> Arc<Queue> {
+        let store = Store::open(folder).await.expect("a store");
+        let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
+        let queue = Queue::start(store, clock, rng, Timing::default()).await;
+        queue.expect("a queue")
+    }
+
+    /// More than two pieces.
+    fn large() -> NewCampaign {
+        let spec = json!({
+            "name": "large",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "tasks": ["libero_object"], "axes": ["camera", "sensor"], "levels": ["L1", "L2", "L3"],
+            "configs": (0..10).collect::<Vec<_>>(), "replicates": 3, "record": "transitions",
+        });
+        NewCampaign::from_json(&spec.to_string()).expect("a campaign")
+    }
+
+    async fn is_in_order(folder: &Path) {
+        let violations = invariants::check(folder).await;
+        assert_eq!(violations.expect("a database"), []);
+    }
+
+    async fn count(queue: &Queue, sql: &'static str) -> i64 {
+        let mut view = queue.store().read().await.expect("a view");
+        sqlx::query_scalar(sql)
+            .fetch_one(&mut *view)
+            .await
+            .expect("a count")
+    }
+
+    /// Finding B7: creating and deleting a campaign were one transaction of the only writer,
+    /// for which every worker waited.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_large_campaign_comes_and_goes_in_pieces_and_nobody_sees_a_part_of_it() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let new = large();
+        let jobs = i64::try_from(new.jobs.len()).expect("few");
+        assert!(new.jobs.len() > 2 * PIECE);
+        let mut queue = start(folder.path()).await;
+        let created = queue.create_campaign(&new).await.expect("created");
+        assert_eq!(created.jobs_added, new.jobs.len() as u64);
+        is_in_order(folder.path()).await;
+        assert_eq!(count(&queue, "SELECT count(*) FROM job").await, jobs);
+        let again = queue.create_campaign(&new).await.expect("it is here");
+        assert_eq!(again.jobs_added, 0);
+        let name = CampaignName::parse("large").expect("a name");
+        let mut view = queue.view().await.expect("a view");
+        let campaign = view.campaign(&name).await.expect("it is here");
+        assert_eq!(
+            (campaign.folder.as_str(), campaign.record.as_str()),
+            ("large", "transitions")
+        );
+        assert!(campaign.state.may_lease());
+        drop(view);
+        let counts = queue.delete_campaign(&name).await.expect("deleted");
+        assert_eq!(counts.total(), new.jobs.len() as u64);
+        assert_eq!(count(&queue, "SELECT count(*) FROM campaign").await, 0);
+
+        // The coordinator ends when a part has come, and when a part has gone.
+        for has_come in [false, true] {
+            let shared = &queue.shared;
+            if has_come {
+                queue.create_campaign(&new).await.expect("created");
+                let mut context = Context::begin(shared, vec![]).await.expect("begun");
+                let campaign = context.campaign_named(&name).await.expect("it is here");
+                passages::leave(&mut context.tx, campaign.id)
+                    .await
+                    .expect("hidden");
+                let gone = passages::delete_jobs(&mut context.tx, campaign.id, PIECE).await;
+                assert_eq!(gone.expect("deleted"), PIECE as u64);
+                context.commit().await.expect("stored");
+            } else {
+                let mut context = Context::begin(shared, vec![]).await.expect("begun");
+                let (now, tx) = (context.now, &mut context.tx);
+                let id = campaigns::insert_without_jobs(tx, &new, "large", now).await;
+                let id = id.expect("stored");
+                passages::arrive(tx, id).await.expect("hidden");
+                let piece = &new.jobs[..PIECE];
+                campaigns::insert_jobs(tx, id, piece).await.expect("stored");
+                context.commit().await.expect("stored");
+            }
+            let part = count(&queue, "SELECT count(*) FROM job").await;
+            assert!(part > 0 && part < jobs, "{part}");
+            is_in_order(folder.path()).await;
+            let mut view = queue.view().await.expect("a view");
+            assert!(view.statuses().await.expect("statuses").is_empty());
+            let policies = view.policies().await.expect("policies");
+            assert!(policies.iter().all(|it| it.campaigns.is_empty()));
+            drop(view);
+            queue.close().await.expect("closed");
+
+            let again = start(folder.path()).await;
+            let mut left = part;
+            for _ in 0..1_000 {
+                left = count(&again, "SELECT count(*) FROM campaign").await;
+                if left == 0 {
+                    break;
+                }
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+            assert_eq!(left, 0, "it is gone");
+            queue = again;
+        }
+        queue.close().await.expect("closed");
+    }
+}

@@ -1,0 +1,108 @@
+//! Statements on `passage`: campaigns that come or go piece by piece, so that workers are
+//! served in between. Nobody sees one: it has a name that no campaign can have, leases nothing,
+//! and is left out wherever campaigns are listed.
+
+use sqlx::SqliteConnection;
+
+use super::{Doing, StoreError};
+use crate::clock::UnixMillis;
+use crate::ids::{CampaignId, CampaignName, PolicyId};
+
+/// Statements that hide a campaign, each with its number.
+const HIDING: [&str; 2] = [
+    "INSERT INTO passage (campaign_id) VALUES (?1)",
+    "UPDATE campaign SET name = '~' || id, folder = NULL WHERE id = ?1",
+];
+
+/// Statements that take away, with a campaign that goes, whatever others see of it.
+const LEAVING: [&str; 4] = [
+    "UPDATE campaign SET state = 'cancelled' WHERE id = ?1",
+    "DELETE FROM derivation WHERE campaign_id = ?1",
+    "DELETE FROM stop WHERE campaign_id = ?1",
+    "DELETE FROM former_name WHERE campaign_id = ?1",
+];
+
+async fn run(
+    tx: &mut SqliteConnection,
+    statements: &[&'static str],
+    id: CampaignId,
+) -> Result<(), StoreError> {
+    for statement in statements {
+        sqlx::query(*statement)
+            .bind(id)
+            .execute(&mut *tx)
+            .await
+            .doing("hide a campaign that comes or goes")?;
+    }
+    Ok(())
+}
+
+/// Hides a campaign that has just been stored without its jobs.
+pub(crate) async fn arrive(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
+    run(tx, &HIDING, id).await?;
+    run(
+        tx,
+        &["UPDATE campaign SET state = 'paused' WHERE id = ?1 AND state = 'running'"],
+        id,
+    )
+    .await
+}
+
+/// Hides a campaign that is to be deleted.
+pub(crate) async fn leave(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
+    run(tx, &HIDING, id).await?;
+    run(tx, &LEAVING, id).await
+}
+
+/// Shows a campaign whose jobs are all here, under its name.
+pub(crate) async fn arrived(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    (name, folder): (&CampaignName, &str),
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE campaign SET name = ?2, folder = nullif(?3, ?2),
+             state = iif(state = 'paused', 'running', state), state_since_ms = ?4,
+             created_ms = ?4 WHERE id = ?1",
+    )
+    .bind(id)
+    .bind(name)
+    .bind(folder)
+    .bind(now)
+    .execute(&mut *tx)
+    .await
+    .doing("show a campaign that has come")?;
+    run(tx, &["DELETE FROM passage WHERE campaign_id = ?1"], id).await
+}
+
+/// The campaigns that come or go, with their policies.
+pub(crate) async fn all(
+    tx: &mut SqliteConnection,
+) -> Result<Vec<(CampaignId, PolicyId)>, StoreError> {
+    sqlx::query_as(
+        "SELECT c.id, c.policy_id FROM passage h JOIN campaign c ON c.id = h.campaign_id
+         ORDER BY c.id",
+    )
+    .fetch_all(tx)
+    .await
+    .doing("list campaigns that come or go")
+}
+
+/// Deletes up to so many jobs of a campaign with everything that belongs to them. Returns how
+/// many.
+pub(crate) async fn delete_jobs(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    limit: usize,
+) -> Result<u64, StoreError> {
+    let deleted = sqlx::query(
+        "DELETE FROM job WHERE id IN (SELECT id FROM job WHERE campaign_id = ? LIMIT ?)",
+    )
+    .bind(id)
+    .bind(i64::try_from(limit).unwrap_or(i64::MAX))
+    .execute(tx)
+    .await
+    .doing("delete a campaign's jobs")?;
+    Ok(deleted.rows_affected())
+}

@@ -1,0 +1,164 @@
+//! A compiled model as bytes that processes can share: MuJoCo's structure, whose pointers all
+//! lead into one buffer, and that buffer.
+
+use std::mem::offset_of;
+use std::ptr::NonNull;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use mujoco_rs::mujoco_c::mjModel;
+
+use super::model::{Compilation, Kept, Model};
+use super::slices::values;
+
+/// MuJoCo aligns arrays to this, bytes; so must be what an image is made of again.
+pub(crate) const ALIGNMENT: usize = 64;
+/// Bytes of MuJoCo's structure.
+pub(crate) const STRUCTURE: usize = size_of::<mjModel>();
+/// The structure's pointers, all of them: into its buffer, the first at its start.
+const POINTERS: std::ops::Range<usize> =
+    offset_of!(mjModel, buffer)..offset_of!(mjModel, signature);
+/// Stands for a null pointer.
+const NULL: usize = usize::MAX;
+
+const _: () = assert!(
+    POINTERS.start.is_multiple_of(size_of::<usize>())
+        && POINTERS.end.is_multiple_of(size_of::<usize>())
+        && offset_of!(mjModel, qpos0) == POINTERS.start + size_of::<usize>()
+        && offset_of!(mjModel, mapD2M) + size_of::<usize>() == POINTERS.end
+);
+
+/// A compiled model as bytes.
+pub(crate) struct ModelImage<'a> {
+    /// MuJoCo's structure, with offsets in place of pointers.
+    pub(crate) structure: Vec<u8>,
+    /// The arrays, cut where the textures' texels were.
+    pub(crate) arrays: [&'a [u8]; 2],
+}
+
+impl Model {
+    /// The model as it was compiled, without the texels of its textures, which only OpenGL
+    /// is given and which are most of it. None if its arrays do not lie as is assumed here,
+    /// or the texels are missing already.
+    pub(crate) fn image(&self) -> Option<ModelImage<'_>> {
+        let compiled = self.compilation().structure();
+        let (start, length) = (compiled.buffer as usize, compiled.nbuffer as usize);
+        let texels = compiled.ntexdata as usize;
+        let is_known = start.is_multiple_of(ALIGNMENT) && (texels == 0 || !self.lacks_texels());
+        if !is_known {
+            return None;
+        }
+        let cut = match texels {
+            0 => length,
+            _ => (compiled.tex_data as usize).checked_sub(start)?,
+        };
+        // A whole number of lines, so that what follows stays aligned.
+        let removed = texels / ALIGNMENT * ALIGNMENT;
+        if cut + removed > length {
+            return None;
+        }
+        // SAFETY: MuJoCo's buffer has this length, and nobody writes to it.
+        let buffer = unsafe {
+            std::slice::from_raw_parts(compiled.buffer.cast::<u8>().cast_const(), length)
+        };
+        // SAFETY: the structure as bytes. MuJoCo clears it whole before it fills it in, its
+        // padding too.
+        let mut structure =
+            unsafe { std::slice::from_raw_parts((&raw const *compiled).cast::<u8>(), STRUCTURE) }
+                .to_vec();
+        for word in structure[POINTERS].chunks_exact_mut(size_of::<usize>()) {
+            let pointer = usize::from_ne_bytes(word.try_into().expect("a word"));
+            let offset = match pointer {
+                0 => NULL,
+                _ => {
+                    let offset = pointer
+                        .checked_sub(start)
+                        .filter(|offset| *offset <= length)?;
+                    offset - if offset > cut { removed } else { 0 }
+                }
+            };
+            word.copy_from_slice(&offset.to_ne_bytes());
+        }
+        if texels > 0 {
+            let field = offset_of!(mjModel, tex_data);
+            structure[field..][..size_of::<usize>()].copy_from_slice(&NULL.to_ne_bytes());
+        }
+        Some(ModelImage {
+            structure,
+            arrays: [&buffer[..cut], &buffer[cut + removed..]],
+        })
+    }
+
+    /// A model whose arrays stay where they are in the bytes of an image, one part behind the
+    /// other. None if they are not aligned, or have another size.
+    ///
+    /// # Safety
+    /// The bytes are those of [`Model::image`] of the same version of MuJoCo on the same kind
+    /// of machine.
+    pub(crate) unsafe fn of_image(structure: &[u8], arrays: Bytes) -> Option<Self> {
+        super::install_handlers();
+        let start = arrays.as_ptr();
+        if structure.len() != STRUCTURE || !start.addr().is_multiple_of(ALIGNMENT) {
+            return None;
+        }
+        let mut raw = Box::<mjModel>::new_uninit();
+        let place = raw.as_mut_ptr().cast::<u8>();
+        // SAFETY: as many bytes as the box has room for.
+        unsafe { place.copy_from_nonoverlapping(structure.as_ptr(), STRUCTURE) };
+        for at in POINTERS.step_by(size_of::<usize>()) {
+            let word = &structure[at..][..size_of::<usize>()];
+            let offset = usize::from_ne_bytes(word.try_into().expect("a word"));
+            let pointer = match offset {
+                NULL => std::ptr::null_mut(),
+                offset if offset <= arrays.len() => start.cast_mut().wrapping_add(offset),
+                _ => return None,
+            };
+            // SAFETY: a pointer's place in the structure, aligned as asserted above.
+            unsafe { place.add(at).cast::<*mut u8>().write(pointer) };
+        }
+        // SAFETY: written whole, from a model of the same version as the caller promises;
+        // its pointers lead into `arrays`, which the compilation keeps. Nobody writes through
+        // them: what a model changes is copied first.
+        let raw = NonNull::from(Box::leak(unsafe { raw.assume_init() }));
+        Some(Self::of(Arc::new(Compilation::new(
+            raw,
+            Kept::Shared(arrays),
+        ))))
+    }
+
+    /// Returns true if the model has textures whose texels are not in its memory.
+    pub(crate) fn lacks_texels(&self) -> bool {
+        let compiled = self.compilation().structure();
+        compiled.ntexdata > 0 && compiled.tex_data.is_null()
+    }
+
+    /// The texels of all textures, one texture after the other; none of a model that lacks
+    /// them.
+    pub(crate) fn texels(&self) -> Bytes {
+        Bytes::from_owner(Texels(Arc::clone(self.compilation())))
+    }
+
+    /// Has a model that lacks them see texels for as long as `use_model` takes.
+    pub(crate) fn with_texels<T>(
+        &mut self,
+        texels: &[u8],
+        use_model: impl FnOnce(&Self) -> T,
+    ) -> T {
+        assert!(self.lacks_texels() && texels.len() == self.raw().ntexdata as usize);
+        self.raw_mut().tex_data = texels.as_ptr().cast_mut();
+        let result = use_model(self);
+        self.raw_mut().tex_data = std::ptr::null_mut();
+        result
+    }
+}
+
+/// A compilation's texels.
+struct Texels(Arc<Compilation>);
+
+impl AsRef<[u8]> for Texels {
+    fn as_ref(&self) -> &[u8] {
+        let compiled = self.0.structure();
+        // SAFETY: the field points at so many values while the compilation lives, or is null.
+        unsafe { values(compiled.tex_data.cast_const(), compiled.ntexdata) }
+    }
+}

@@ -1,0 +1,147 @@
+//! A file of sections: what it is, how long it is, a checksum, a table, and the sections, each
+//! aligned as MuJoCo's arrays and our renderer's need it.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
+use std::ops::Range;
+
+use bytes::Bytes;
+use memmap2::Mmap;
+use twox_hash::XxHash3_128;
+
+use super::{NAME_DIGITS, Name};
+use crate::mujoco::ALIGNMENT;
+
+const MAGIC: &[u8; 16] = b"rollout scenes\n\0";
+/// Places in the head: name, length of the file, checksum of all behind it.
+const NAME: Range<usize> = 16..16 + NAME_DIGITS;
+const LENGTH: Range<usize> = NAME.end..NAME.end + 8;
+const CHECKSUM: Range<usize> = LENGTH.end..LENGTH.end + 16;
+/// Bytes of the head; the checksum covers the rest.
+const HEAD: usize = CHECKSUM.end;
+/// Bytes that are written or read at a time.
+const BLOCK: usize = 1 << 20;
+
+/// Writes a file: each section is its parts, one behind the other.
+pub(super) fn write(
+    out: &mut (impl Write + Seek),
+    name: &Name,
+    sections: &[Vec<&[u8]>],
+) -> io::Result<()> {
+    let lengths = || {
+        let parts = sections.iter();
+        parts.map(|parts| parts.iter().map(|part| part.len()).sum::<usize>())
+    };
+    let mut table = vec![sections.len() as u64];
+    let mut end = HEAD + 8 + 16 * sections.len();
+    for length in lengths() {
+        let start = end.next_multiple_of(ALIGNMENT);
+        table.extend([start as u64, length as u64]);
+        end = start + length;
+    }
+    let mut out = Summing {
+        out: BufWriter::with_capacity(BLOCK, out),
+        sum: XxHash3_128::new(),
+        place: HEAD,
+    };
+    out.out.write_all(&[0; HEAD])?;
+    out.write(bytemuck::cast_slice(&table))?;
+    for parts in sections {
+        let gap = out.place.next_multiple_of(ALIGNMENT) - out.place;
+        out.write(&[0; ALIGNMENT][..gap])?;
+        for part in parts {
+            out.write(part)?;
+        }
+    }
+    let mut head = [0; HEAD];
+    head[..MAGIC.len()].copy_from_slice(MAGIC);
+    head[NAME].copy_from_slice(name);
+    head[LENGTH].copy_from_slice(&(end as u64).to_ne_bytes());
+    head[CHECKSUM].copy_from_slice(&out.sum.finish_128().to_ne_bytes());
+    out.out.seek(SeekFrom::Start(0))?;
+    out.out.write_all(&head)?;
+    out.out.flush()
+}
+
+struct Summing<W: Write> {
+    out: BufWriter<W>,
+    sum: XxHash3_128,
+    place: usize,
+}
+
+impl<W: Write> Summing<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.sum.write(bytes);
+        self.place += bytes.len();
+        self.out.write_all(bytes)
+    }
+}
+
+/// Reads the head of a file, and returns its checksum; none if it is not of this name, or not
+/// as long as it was.
+pub(super) fn read_head(mut file: &File, name: &Name, length: u64) -> io::Result<Option<u128>> {
+    let mut head = [0; HEAD];
+    if length < HEAD as u64 {
+        return Ok(None);
+    }
+    file.seek(SeekFrom::Start(0))?;
+    file.read_exact(&mut head)?;
+    let fits =
+        head.starts_with(MAGIC) && head[NAME] == *name && head[LENGTH] == length.to_ne_bytes();
+    let checksum = u128::from_ne_bytes(head[CHECKSUM].try_into().expect("sixteen bytes"));
+    Ok(fits.then_some(checksum))
+}
+
+/// Returns true if all behind the head has this checksum. Reads the file rather than a mapping,
+/// whose pages would count as this process's.
+pub(super) fn has_checksum(mut file: &File, checksum: u128) -> io::Result<bool> {
+    file.seek(SeekFrom::Start(HEAD as u64))?;
+    let mut sum = XxHash3_128::new();
+    let mut block = vec![0; BLOCK];
+    loop {
+        match file.read(&mut block)? {
+            0 => return Ok(sum.finish_128() == checksum),
+            read => sum.write(&block[..read]),
+        }
+    }
+}
+
+/// A mapped file, and a lock on it that lasts as long.
+struct Mapped {
+    map: Mmap,
+    _lock: Option<File>,
+}
+
+impl AsRef<[u8]> for Mapped {
+    fn as_ref(&self) -> &[u8] {
+        &self.map
+    }
+}
+
+/// Maps the sections of a file, and keeps its lock until all of them are dropped. None if its
+/// table is not one.
+pub(super) fn map(file: &File, lock: Option<File>) -> io::Result<Option<Vec<Bytes>>> {
+    // SAFETY: the pages are never written to, neither through this mapping, which is read-only,
+    // nor in the file: programs of this project write a file once, before it has its name, and
+    // its owner has no right to write to it.
+    #[allow(unsafe_code, reason = "mapping a file")]
+    let map = unsafe { Mmap::map(file)? };
+    let bytes = Bytes::from_owner(Mapped { map, _lock: lock });
+    Ok(sections(&bytes))
+}
+
+fn sections(bytes: &Bytes) -> Option<Vec<Bytes>> {
+    let number = |at: usize| {
+        let word = bytes.get(at..at.checked_add(8)?)?;
+        usize::try_from(u64::from_ne_bytes(word.try_into().ok()?)).ok()
+    };
+    let count = number(HEAD)?;
+    (0..count)
+        .map(|section| {
+            let entry = HEAD + 8 + section.checked_mul(16)?;
+            let (start, length) = (number(entry)?, number(entry + 8)?);
+            let end = start.checked_add(length)?;
+            (end <= bytes.len()).then(|| bytes.slice(start..end))
+        })
+        .collect()
+}

@@ -1,0 +1,108 @@
+//! Making room: the scenes that were used longest ago are removed, unless they are mapped.
+
+use std::collections::HashSet;
+use std::fs::{self, File};
+use std::io;
+use std::time::SystemTime;
+
+use super::container;
+use super::folder::{ASIDE, SceneFolder, names_of_textures};
+use super::text;
+
+/// A scene that may be removed.
+struct Scene {
+    name: String,
+    bytes: u64,
+    used: SystemTime,
+}
+
+impl SceneFolder {
+    /// Removes what crashed writers left, and scenes until the rest is within the limit, but
+    /// never the one of the name `keep` nor any that is mapped. The caller holds the folder's
+    /// lock.
+    pub(super) fn make_room(&self, keep: &str) -> io::Result<()> {
+        let (mut total, mut scenes, mut textures) = (0, Vec::<Scene>::new(), Vec::new());
+        let mut notes = Vec::new();
+        for entry in fs::read_dir(&self.dir)? {
+            let entry = entry?;
+            // Gone meanwhile: a note that was replaced, or a file aside.
+            let Ok(facts) = entry.metadata() else {
+                continue;
+            };
+            let file = entry.file_name().to_string_lossy().into_owned();
+            if file.starts_with(ASIDE) {
+                if File::open(entry.path()).is_ok_and(|file| file.try_lock().is_ok()) {
+                    let _ = fs::remove_file(entry.path());
+                }
+                continue;
+            }
+            let Some((name, kind)) = file.split_once('.') else {
+                continue;
+            };
+            total += facts.len();
+            let used = facts.modified()?;
+            match kind {
+                "scene" => scenes.push(Scene {
+                    name: name.to_owned(),
+                    bytes: facts.len(),
+                    used,
+                }),
+                "texture" => textures.push((name.to_owned(), facts.len())),
+                _ if kind.ends_with(".checked") => notes.push((name.to_owned(), used, file)),
+                _ => {}
+            }
+        }
+        if total <= self.limit {
+            return Ok(());
+        }
+        for scene in &mut scenes {
+            let of_it = notes.iter().filter(|(name, ..)| *name == scene.name);
+            scene.used = of_it
+                .map(|(_, used, _)| *used)
+                .fold(scene.used, SystemTime::max);
+        }
+        scenes.sort_by_key(|scene| scene.used);
+        let mut left: Vec<&str> = scenes.iter().map(|scene| &*scene.name).collect();
+        let mut candidates = scenes.iter().filter(|scene| scene.name != keep);
+        loop {
+            // Textures that no scene needs go first.
+            let needed = self.textures_of(&left);
+            textures.retain(|(name, bytes)| {
+                let stays = needed.contains(name);
+                if !stays && fs::remove_file(self.texture(name)).is_ok() {
+                    total -= bytes;
+                }
+                stays
+            });
+            let Some(scene) = candidates.next().filter(|_| total > self.limit) else {
+                return Ok(());
+            };
+            let path = self.scene(&scene.name);
+            if !File::open(&path).is_ok_and(|file| file.try_lock().is_ok()) {
+                continue;
+            }
+            fs::remove_file(&path)?;
+            total -= scene.bytes;
+            left.retain(|name| *name != scene.name);
+            let _ = fs::remove_file(self.dir.join(format!("{}.lock", scene.name)));
+            for (.., note) in notes.iter().filter(|(name, ..)| *name == scene.name) {
+                let _ = fs::remove_file(self.dir.join(note));
+            }
+        }
+    }
+
+    /// Names of the textures of scenes. One that cannot be read has none: it is compiled anew
+    /// when it is needed.
+    fn textures_of(&self, scenes: &[&str]) -> HashSet<String> {
+        let sections = |name: &&str| {
+            let file = File::open(self.scene(name)).ok()?;
+            container::map(&file, None).ok()?
+        };
+        let all = scenes.iter().filter_map(sections);
+        all.flat_map(|sections| {
+            let names = names_of_textures(&sections).iter();
+            names.map(|name| text(name).to_owned()).collect::<Vec<_>>()
+        })
+        .collect()
+    }
+}

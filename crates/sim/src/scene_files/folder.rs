@@ -1,0 +1,411 @@
+//! The folder of scene files: who may write there, what of it is trusted, and its locks.
+
+use std::fs::{self, DirBuilder, File, OpenOptions, Permissions};
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+use bytes::Bytes;
+use rustix::fs::{OFlags, Timespec, Timestamps, UTIME_NOW, futimens};
+
+use super::container;
+use super::{Name, Obtained, Preparation, digits, layout, text};
+use crate::mujoco::Model;
+use crate::render::{Prepared, PreparedBytes, digest_of_texture};
+
+/// Bytes of files that are kept unless `$ROLLOUT_SCENES_GIB` says otherwise.
+const LIMIT_GIB: u64 = 16;
+/// Rights of a file that is never written to again.
+const READ_ONLY: u32 = 0o444;
+/// Rights of others to write.
+const OTHERS_WRITE: u32 = 0o022;
+/// The administrator, whose files everybody may trust.
+const ROOT: u32 = 0;
+/// Begins names of files that are being written.
+pub(super) const ASIDE: &str = ".aside-";
+/// Sections of a scene file before its meshes.
+const TEXTURES: usize = 0;
+const STRUCTURE: usize = 1;
+const ARRAYS: usize = 2;
+const MESHES: usize = 3;
+
+/// Why scenes are not kept in files.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneFileError {
+    /// A file or folder cannot be read or written.
+    #[error(
+        "{doing} {} failed ({source}); choose another folder with ROLLOUT_SCENES, or none with \
+         ROLLOUT_SCENES=off", path.display()
+    )]
+    File {
+        /// What was done to it.
+        doing: &'static str,
+        /// Which one.
+        path: PathBuf,
+        /// How it failed.
+        #[source]
+        source: io::Error,
+    },
+    /// Somebody else could change the files.
+    #[error(
+        "{} belongs to user {owner} and has mode {mode:o}; it must belong to this user or root, \
+         and nobody else may write to it: correct that, or choose another folder with \
+         ROLLOUT_SCENES", path.display()
+    )]
+    Untrusted {
+        /// The folder.
+        path: PathBuf,
+        /// Number of the user that owns it.
+        owner: u32,
+        /// Its rights.
+        mode: u32,
+    },
+    /// MuJoCo's arrays do not lie as this program assumes.
+    #[error("this build of MuJoCo lays its models out in another way")]
+    Layout,
+}
+
+/// A folder of scene files.
+#[derive(Debug)]
+pub struct SceneFolder {
+    pub(super) dir: PathBuf,
+    /// Bytes that files may take together.
+    pub(super) limit: u64,
+    /// Number of this process's user.
+    pub(super) user: u32,
+    /// See [`layout`].
+    pub(super) layout: String,
+    /// Bytes after which the disk is full, in tests.
+    #[cfg(test)]
+    pub(super) room: std::sync::atomic::AtomicU64,
+}
+
+/// An opened file that is trusted by its rights, and has a head of its name and length.
+struct Opened {
+    file: File,
+    checksum: u128,
+    /// Facts that change when the file does.
+    stamp: String,
+}
+
+impl SceneFolder {
+    /// A folder, which is made when the first scene is kept there.
+    pub fn new(dir: &Path) -> Self {
+        let gib = std::env::var("ROLLOUT_SCENES_GIB").ok();
+        let gib = gib.and_then(|text| text.parse().ok()).unwrap_or(LIMIT_GIB);
+        Self {
+            dir: std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()),
+            limit: gib << 30,
+            user: rustix::process::geteuid().as_raw(),
+            layout: layout(),
+            #[cfg(test)]
+            room: std::sync::atomic::AtomicU64::new(u64::MAX),
+        }
+    }
+
+    /// Makes the folder, or checks that it is trusted. It need not be writable: another user
+    /// may have filled it.
+    ///
+    /// # Errors
+    /// If it cannot be made, or is not to be trusted.
+    pub fn check(&self) -> Result<(), SceneFileError> {
+        if self.is_there()? {
+            return Ok(());
+        }
+        let made = DirBuilder::new()
+            .recursive(true)
+            .mode(0o700)
+            .create(&self.dir);
+        made.map_err(|source| failure("making", &self.dir, source))?;
+        self.is_there().map(drop)
+    }
+
+    /// Maps a scene. None if it is not there, or not whole.
+    ///
+    /// # Errors
+    /// If the folder is not to be trusted, or a file cannot be read.
+    pub(super) fn load(&self, name: &Name) -> Result<Option<Obtained>, SceneFileError> {
+        if !self.is_there()? {
+            return Ok(None);
+        }
+        let path = self.scene(text(name));
+        let Some(scene) = self.open(&path, name)? else {
+            return Ok(None);
+        };
+        let failed = |source| failure("reading", &path, source);
+        // Held for as long as the scene is mapped. Without locks it may be removed
+        // meanwhile, and stays mapped.
+        let _ = scene.file.lock_shared();
+        if scene.file.metadata().map_err(failed)?.nlink() == 0 {
+            return Ok(None);
+        }
+        let lock = scene.file.try_clone().map_err(failed)?;
+        let Some(sections) = container::map(&scene.file, Some(lock)).map_err(failed)? else {
+            return Ok(None);
+        };
+        let mut unchecked = vec![(scene.file, scene.checksum)];
+        let mut stamps = scene.stamp;
+        let mut textures = Vec::new();
+        for texture in names_of_textures(&sections) {
+            let path = self.texture(text(texture));
+            let Some(opened) = self.open(&path, texture)? else {
+                return Ok(None);
+            };
+            stamps += &opened.stamp;
+            let mapped = container::map(&opened.file, None);
+            textures.push(mapped.map_err(|source| failure("reading", &path, source))?);
+            unchecked.push((opened.file, opened.checksum));
+        }
+        if !self.was_checked(name, &stamps) {
+            for (file, checksum) in &unchecked {
+                if !container::has_checksum(file, *checksum).map_err(failed)? {
+                    return Ok(None);
+                }
+            }
+            self.note_check(name, &stamps);
+        }
+        Ok(assemble(&sections, textures))
+    }
+
+    /// Writes a scene, and its textures that are not there yet; removes others for which there
+    /// is no room.
+    ///
+    /// # Errors
+    /// If files cannot be written; nothing half is left under a file's name.
+    pub(super) fn store(
+        &self,
+        name: &Name,
+        model: &Model,
+        prepared: &Prepared,
+    ) -> Result<(), SceneFileError> {
+        let image = model.image().ok_or(SceneFileError::Layout)?;
+        let _lock = self.lock("store.lock")?;
+        let mut names = Vec::new();
+        for (texture, [largest, smaller]) in model.textures().zip(prepared.textures()) {
+            let digest = digest_of_texture(&texture, largest);
+            let mut hash = twox_hash::XxHash3_128::new();
+            hash.write(self.layout.as_bytes());
+            hash.write(&digest.to_le_bytes());
+            let name = digits(&hash.finish_128().to_be_bytes());
+            let path = self.texture(text(&name));
+            if !self.is_whole(&path, &name)? {
+                self.write(&path, &name, &[vec![largest], vec![smaller]])?;
+            }
+            names.extend(name);
+        }
+        let meshes: Vec<Vec<u8>> = prepared.meshes().collect();
+        let mut sections = vec![
+            vec![names.as_slice()],
+            vec![image.structure.as_slice()],
+            image.arrays.to_vec(),
+        ];
+        sections.extend(meshes.iter().map(|mesh| vec![mesh.as_slice()]));
+        self.write(&self.scene(text(name)), name, &sections)?;
+        self.make_room(text(name))
+            .map_err(|source| failure("making room in", &self.dir, source))
+    }
+
+    /// Waits for a lock of this name; dropping the file releases it.
+    pub(super) fn lock(&self, name: &str) -> Result<File, SceneFileError> {
+        self.check()?;
+        let path = self.dir.join(name);
+        let file = OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .mode(0o600)
+            .custom_flags(no_links())
+            .open(&path)
+            .map_err(|source| failure("writing", &path, source))?;
+        // A file system without locks has no scene files that are removed while others read
+        // them, since removing takes a lock; and two that write one scene write the same.
+        let _ = file.lock();
+        Ok(file)
+    }
+
+    pub(super) fn scene(&self, name: &str) -> PathBuf {
+        self.dir.join(format!("{name}.scene"))
+    }
+
+    pub(super) fn texture(&self, name: &str) -> PathBuf {
+        self.dir.join(format!("{name}.texture"))
+    }
+
+    /// Returns true if the folder is there and trusted, false if it is not there.
+    fn is_there(&self) -> Result<bool, SceneFileError> {
+        let facts = match fs::metadata(&self.dir) {
+            Ok(facts) => facts,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+            Err(error) => return Err(failure("reading", &self.dir, error)),
+        };
+        match self.trusts(&facts) {
+            true => Ok(true),
+            false => Err(SceneFileError::Untrusted {
+                path: self.dir.clone(),
+                owner: facts.uid(),
+                mode: facts.mode() & 0o7777,
+            }),
+        }
+    }
+
+    fn trusts(&self, facts: &fs::Metadata) -> bool {
+        [self.user, ROOT].contains(&facts.uid()) && facts.mode() & OTHERS_WRITE == 0
+    }
+
+    /// Opens a file; none if it is not there, not trusted, or not as long as it was written.
+    fn open(&self, path: &Path, name: &Name) -> Result<Option<Opened>, SceneFileError> {
+        let options = OpenOptions::new()
+            .read(true)
+            .custom_flags(no_links())
+            .open(path);
+        let file = match options {
+            Ok(file) => file,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(failure("reading", path, error)),
+        };
+        let failed = |source| failure("reading", path, source);
+        let facts = file.metadata().map_err(failed)?;
+        if !(facts.is_file() && self.trusts(&facts)) {
+            return Ok(None);
+        }
+        let checksum = container::read_head(&file, name, facts.len()).map_err(failed)?;
+        Ok(checksum.map(|checksum| Opened {
+            stamp: format!(
+                "{} {} {} {}.{:09} {}.{:09}\n",
+                text(name),
+                facts.ino(),
+                facts.len(),
+                facts.mtime(),
+                facts.mtime_nsec(),
+                facts.ctime(),
+                facts.ctime_nsec()
+            ),
+            checksum,
+            file,
+        }))
+    }
+
+    fn is_whole(&self, path: &Path, name: &Name) -> Result<bool, SceneFileError> {
+        let Some(Opened { file, checksum, .. }) = self.open(path, name)? else {
+            return Ok(false);
+        };
+        container::has_checksum(&file, checksum).map_err(|source| failure("reading", path, source))
+    }
+
+    /// Writes a file aside, and gives it its name and rights once it is on the disk.
+    fn write(
+        &self,
+        path: &Path,
+        name: &Name,
+        sections: &[Vec<&[u8]>],
+    ) -> Result<(), SceneFileError> {
+        let written = (|| {
+            let mut aside = tempfile::Builder::new()
+                .prefix(ASIDE)
+                .tempfile_in(&self.dir)?;
+            // Released when this process ends in whatever way: whoever gets it may remove it.
+            let _ = aside.as_file().try_lock();
+            let out = aside.as_file_mut();
+            #[cfg(test)]
+            let out = &mut super::tests::Disk {
+                file: out,
+                room: &self.room,
+            };
+            container::write(out, name, sections)?;
+            // Some file systems only say now that they are full.
+            aside.as_file().sync_data()?;
+            aside
+                .as_file()
+                .set_permissions(Permissions::from_mode(READ_ONLY))?;
+            aside.persist(path).map_err(|error| error.error).map(drop)
+        })();
+        written.map_err(|source| failure("writing", path, source))
+    }
+
+    /// Returns true if these files, as they are now, were checked since this machine started;
+    /// marks them as used.
+    fn was_checked(&self, name: &Name, stamps: &str) -> bool {
+        let Some(note) = self.note(name) else {
+            return false;
+        };
+        if fs::read_to_string(&note).is_ok_and(|noted| noted == stamps) {
+            // The last use decides which scene is removed first. Others' folders are read only.
+            if let Ok(file) = OpenOptions::new().write(true).open(note) {
+                let now = Timespec {
+                    tv_sec: 0,
+                    tv_nsec: UTIME_NOW,
+                };
+                let _ = futimens(
+                    &file,
+                    &Timestamps {
+                        last_access: now,
+                        last_modification: now,
+                    },
+                );
+            }
+            return true;
+        }
+        false
+    }
+
+    /// Without a note they are checked again the next time.
+    fn note_check(&self, name: &Name, stamps: &str) {
+        let Some(note) = self.note(name) else {
+            return;
+        };
+        let written = (|| {
+            let aside = tempfile::Builder::new()
+                .prefix(ASIDE)
+                .tempfile_in(&self.dir)?;
+            fs::write(aside.path(), stamps)?;
+            aside.persist(note).map_err(|error| error.error)
+        })();
+        drop(written);
+    }
+
+    /// What was checked by this machine since it started; another that shares the folder has
+    /// notes of its own.
+    fn note(&self, name: &Name) -> Option<PathBuf> {
+        let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
+        let file = format!("{}.{}.checked", text(name), boot.trim());
+        Some(self.dir.join(file))
+    }
+}
+
+/// Names of the textures of a scene, of its sections.
+pub(super) fn names_of_textures(sections: &[Bytes]) -> &[Name] {
+    let names = sections.get(TEXTURES).map_or(&[][..], |names| names);
+    names.as_chunks().0
+}
+
+/// Makes a scene of mapped sections; none if they are of no scene.
+fn assemble(sections: &[Bytes], textures: Vec<Option<Vec<Bytes>>>) -> Option<Obtained> {
+    let (structure, arrays) = (sections.get(STRUCTURE)?, sections.get(ARRAYS)?);
+    // SAFETY: written by `store`, of the same layout since the name says so, and not changed
+    // since, as the checksum shows.
+    #[allow(unsafe_code, reason = "a model of mapped arrays")]
+    let model = unsafe { Model::of_image(structure, arrays.clone())? };
+    let textures = textures
+        .into_iter()
+        .map(|sections| <[Bytes; 2]>::try_from(sections?).ok());
+    Some(Obtained {
+        model,
+        prepared: Preparation::Kept(PreparedBytes {
+            meshes: sections[MESHES..].to_vec(),
+            textures: textures.collect::<Option<_>>()?,
+        }),
+    })
+}
+
+fn failure(doing: &'static str, path: &Path, source: io::Error) -> SceneFileError {
+    SceneFileError::File {
+        doing,
+        path: path.to_owned(),
+        source,
+    }
+}
+
+/// A link in place of a file could lead to one that changes.
+fn no_links() -> i32 {
+    OFlags::NOFOLLOW.bits() as i32
+}

@@ -1,0 +1,365 @@
+//! Files under everything that can happen to them; each scene that comes out of it moves and
+//! looks as one that was compiled.
+
+use std::fs::{self, File, Permissions};
+use std::io::{self, Seek, SeekFrom, Write};
+use std::os::unix::fs::{PermissionsExt, chown};
+use std::path::{Path, PathBuf};
+use std::sync::Barrier;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+
+use tempfile::TempDir;
+
+use super::*;
+use crate::mujoco::{Data, ObjectKind};
+use crate::render::{Canvas, Drawer, View};
+
+const NAME: Name = [b'a'; NAME_DIGITS];
+const OTHER: Name = [b'b'; NAME_DIGITS];
+
+/// A file on a disk that gets full.
+pub(super) struct Disk<'a> {
+    pub(super) file: &'a mut File,
+    /// Bytes that it still has room for.
+    pub(super) room: &'a AtomicU64,
+}
+
+impl Write for Disk<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let room = self.room.load(Ordering::Relaxed);
+        let written = bytes.len().min(room as usize);
+        if written < bytes.len() && written == 0 {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        self.room.store(room - written as u64, Ordering::Relaxed);
+        self.file.write(&bytes[..written])
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Seek for Disk<'_> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
+    }
+}
+
+/// Meshes that collide and fall, textures of three kinds, and what is drawn without either.
+/// `size` tells scenes apart that have one texture in common.
+fn compile(size: f64) -> Result<Model, SimError> {
+    Model::compile(&format!(
+        r#"<mujoco><asset>
+          <mesh name="wedge" vertex="0 0 0  .3 0 0  0 .3 0  0 0 .3"/>
+          <texture name="tiles" type="2d" builtin="checker" width="40" height="24" rgb1="1 0 0"/>
+          <texture name="own" type="cube" builtin="gradient" width="8" height="8"
+            rgb1="{size} 1 0" rgb2="0 0 1"/>
+          <texture name="sky" type="skybox" builtin="gradient" width="16" height="16"/>
+          <material name="tiles" texture="tiles" texrepeat="3 3"/>
+          <material name="own" texture="own"/>
+        </asset><worldbody>
+          <light pos="0 0 3" castshadow="false"/>
+          <camera name="front" pos="0 -1.5 .7" xyaxes="1 0 0 0 .3 1"/>
+          <geom type="plane" size="1 1 .1" material="tiles"/>
+          <body pos="0 0 .5"><freejoint/><geom type="mesh" mesh="wedge" material="own"/></body>
+          <body pos=".1 0 1"><freejoint/><geom type="box" size="{size} .1 .1"/></body>
+        </worldbody></mujoco>"#
+    ))
+}
+
+/// Positions after half a second, and what is then seen.
+fn behaviour(obtained: Obtained) -> (Vec<f64>, Vec<u8>) {
+    let Obtained {
+        model: shared,
+        prepared,
+    } = obtained;
+    let mut model = shared.share();
+    let mut data = Data::new(&model).expect("a state");
+    for _ in 0..250 {
+        data.step1(&model);
+        data.step2(&model);
+    }
+    let prepared = |model: &Model| match prepared {
+        Preparation::Kept(bytes) => Prepared::of_bytes(model, &bytes).map(Arc::new),
+        Preparation::Made(prepared) => Ok(prepared),
+        Preparation::Missing => Prepared::of(model).map(Arc::new),
+    };
+    let size = [64, 48];
+    let mut canvas = Canvas::new(&Drawer::Software, &mut model, prepared, size).expect("a canvas");
+    let view = View {
+        camera: model.id(ObjectKind::Camera, "front").expect("a camera"),
+        model: &model,
+        data: &mut data,
+        size,
+    };
+    let frame = canvas.draw(view).expect("a frame");
+    (data.qpos(&model).to_vec(), frame)
+}
+
+struct Fixture {
+    /// Keeps the folder.
+    _aside: TempDir,
+    folder: SceneFolder,
+    wanted: (Vec<f64>, Vec<u8>),
+}
+
+impl Fixture {
+    fn new() -> Self {
+        let aside = tempfile::tempdir().expect("a folder");
+        Self {
+            folder: SceneFolder::new(&aside.path().join("scenes")),
+            _aside: aside,
+            wanted: behaviour(Obtained::of(compile(0.1).expect("a model"))),
+        }
+    }
+
+    /// Obtains the scene, which behaves as it should, and returns whether it was compiled for
+    /// that, and whether it is mapped.
+    fn obtain(&self) -> (bool, bool) {
+        let mut compiled = false;
+        let obtained = self.folder.obtain(&NAME, || {
+            compiled = true;
+            compile(0.1)
+        });
+        let obtained = obtained.expect("a scene");
+        let mapped = matches!(obtained.prepared, Preparation::Kept(_));
+        assert!(behaviour(obtained) == self.wanted, "it behaves otherwise");
+        (compiled, mapped)
+    }
+
+    fn files(&self, ending: &str) -> Vec<PathBuf> {
+        let entries = fs::read_dir(&self.folder.dir).into_iter().flatten();
+        let mut files: Vec<_> = entries
+            .map(|entry| entry.expect("an entry").path())
+            .collect();
+        files.retain(|file| file.to_string_lossy().ends_with(ending));
+        files
+    }
+
+    fn aside(&self) -> usize {
+        let entries = fs::read_dir(&self.folder.dir).into_iter().flatten();
+        let names = entries.map(|entry| entry.expect("an entry").file_name());
+        names
+            .filter(|name| name.to_string_lossy().starts_with(folder::ASIDE))
+            .count()
+    }
+}
+
+/// Changes a file as nobody may: in place, or by cutting it short.
+fn tamper(file: &Path, change: impl FnOnce(&mut Vec<u8>)) {
+    let mut bytes = fs::read(file).expect("read");
+    change(&mut bytes);
+    fs::remove_file(file).expect("removed");
+    fs::write(file, bytes).expect("written");
+    fs::set_permissions(file, Permissions::from_mode(0o444)).expect("read only");
+}
+
+#[test]
+fn a_scene_is_compiled_once_and_moves_and_looks_the_same_from_its_file() {
+    let fixture = Fixture::new();
+    assert_eq!(fixture.obtain(), (true, true));
+    assert_eq!(fixture.obtain(), (false, true));
+    for file in fixture
+        .files(".scene")
+        .iter()
+        .chain(&fixture.files(".texture"))
+    {
+        let mode = fs::metadata(file).expect("there").permissions().mode();
+        assert_eq!(mode & 0o7777, 0o444, "{}", file.display());
+    }
+    let [compiled, kept] = [compile(0.1).expect("a model"), {
+        let kept = fixture.folder.obtain(&NAME, || unreachable!("kept"));
+        kept.expect("a scene").model
+    }];
+    for (one, other) in compiled.arrays().iter().zip(&kept.arrays()) {
+        assert!(one.values == other.values, "{}", one.name);
+    }
+}
+
+#[test]
+fn writers_that_begin_together_compile_once() {
+    let fixture = Fixture::new();
+    let (compiled, ready) = (AtomicUsize::new(0), Barrier::new(4));
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                ready.wait();
+                let kept = fixture.folder.obtain(&NAME, || {
+                    compiled.fetch_add(1, Ordering::Relaxed);
+                    compile(0.1)
+                });
+                assert!(behaviour(kept.expect("a scene")) == fixture.wanted);
+            });
+        }
+    });
+    assert_eq!(compiled.into_inner(), 1);
+}
+
+#[test]
+fn a_disk_that_is_full_at_any_point_leaves_nothing_half() {
+    let fixture = Fixture::new();
+    let mut full_at = 0;
+    loop {
+        fixture.folder.room.store(full_at, Ordering::Relaxed);
+        let (compiled, mapped) = fixture.obtain();
+        assert!(compiled, "{full_at} bytes are no scene");
+        assert_eq!(fixture.aside(), 0, "full at {full_at}");
+        if mapped {
+            break;
+        }
+        assert!(fixture.files(".scene").is_empty(), "full at {full_at}");
+        full_at += 6000;
+    }
+    assert!(full_at > 12_000, "it was full {full_at} bytes at the most");
+    let said = SceneFolder::take_problem().expect("a problem");
+    assert!(
+        said.contains(".texture") && said.contains("ROLLOUT_SCENES=off"),
+        "{said}"
+    );
+    assert_eq!(SceneFolder::take_problem(), None, "said twice");
+    assert_eq!(fixture.obtain(), (false, true));
+}
+
+#[test]
+fn what_a_crashed_writer_left_is_not_read_and_goes() {
+    let fixture = Fixture::new();
+    fixture.obtain();
+    let whole = fs::read(&fixture.files(".scene")[0]).expect("read");
+    for length in [0, 40, whole.len() / 2, whole.len()] {
+        fs::remove_dir_all(&fixture.folder.dir).expect("removed");
+        fixture.folder.check().expect("a folder");
+        let left = fixture.folder.dir.join(format!("{}left", folder::ASIDE));
+        fs::write(left, &whole[..length]).expect("written");
+        assert_eq!(fixture.obtain(), (true, true), "{length} bytes");
+        assert_eq!(fixture.aside(), 0, "{length} bytes");
+    }
+}
+
+#[test]
+fn a_file_that_is_cut_or_changed_is_compiled_anew() {
+    let fixture = Fixture::new();
+    fixture.obtain();
+    let mut files = fixture.files(".scene");
+    files.extend(fixture.files(".texture"));
+    assert_eq!(files.len(), 4);
+    for file in files {
+        let length = fs::metadata(&file).expect("there").len() as usize;
+        for cut in [0, 20, 100, length - 1] {
+            tamper(&file, |bytes| bytes.truncate(cut));
+            assert_eq!(
+                fixture.obtain(),
+                (true, true),
+                "{cut} of {}",
+                file.display()
+            );
+        }
+        for at in [0, 17, 50, 70, 90, length / 2, length - 1] {
+            tamper(&file, |bytes| bytes[at] ^= 1);
+            assert_eq!(fixture.obtain(), (true, true), "{at} in {}", file.display());
+        }
+        fs::remove_file(&file).expect("removed");
+        assert_eq!(fixture.obtain(), (true, true), "{} removed", file.display());
+    }
+    assert_eq!(fixture.obtain(), (false, true));
+}
+
+#[test]
+fn a_file_is_checked_once_and_again_after_it_or_the_machine_changed() {
+    let fixture = Fixture::new();
+    fixture.obtain();
+    let [note] = &fixture.files(".checked")[..] else {
+        panic!("one note");
+    };
+    let noted = fs::read_to_string(note).expect("read");
+    assert_eq!(noted.lines().count(), 4);
+    fs::remove_file(note).expect("removed");
+    assert_eq!(fixture.obtain(), (false, true));
+    assert_eq!(fs::read_to_string(note).expect("read"), noted);
+}
+
+#[test]
+fn a_folder_that_cannot_be_made_costs_memory_and_is_said() {
+    let mut fixture = Fixture::new();
+    // Nobody, root neither, makes folders there, as in a folder that is read only.
+    fixture.folder.dir = "/proc/rollout-scenes".into();
+    assert_eq!(fixture.obtain(), (true, false));
+    let error = fixture.folder.check().expect_err("no folder").to_string();
+    assert!(
+        error.starts_with("making /proc/rollout-scenes failed"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_folder_that_others_own_or_may_write_to_is_not_used() {
+    let mut fixture = Fixture::new();
+    fixture.obtain();
+    let dir = fixture.folder.dir.clone();
+    fs::set_permissions(&dir, Permissions::from_mode(0o777)).expect("rights");
+    assert_eq!(fixture.obtain(), (true, false));
+    let error = fixture.folder.check().expect_err("writable").to_string();
+    assert!(error.contains("has mode 777"), "{error}");
+    fs::set_permissions(&dir, Permissions::from_mode(0o700)).expect("rights");
+    assert_eq!(fixture.obtain(), (false, true));
+    match fixture.folder.user {
+        0 => chown(&dir, Some(12_345), None).expect("another owner"),
+        user => fixture.folder.user = user + 1,
+    }
+    assert_eq!(fixture.obtain(), (true, false));
+    let error = fixture.folder.check().expect_err("another's").to_string();
+    assert!(error.contains("belongs to user"), "{error}");
+}
+
+#[test]
+fn a_file_that_others_may_write_to_is_replaced() {
+    let fixture = Fixture::new();
+    fixture.obtain();
+    let scene = &fixture.files(".scene")[0];
+    fs::set_permissions(scene, Permissions::from_mode(0o666)).expect("rights");
+    assert_eq!(fixture.obtain(), (true, true));
+    assert_eq!(fixture.obtain(), (false, true));
+}
+
+#[test]
+fn another_program_has_other_textures() {
+    let mut fixture = Fixture::new();
+    fixture.obtain();
+    let before = fixture.files(".texture");
+    fixture.folder.layout += "another";
+    // Its scenes have other names, too: this stands for one.
+    let obtained = fixture.folder.obtain(&OTHER, || compile(0.1));
+    assert!(behaviour(obtained.expect("a scene")) == fixture.wanted);
+    assert_eq!(fixture.files(".texture").len(), 2 * before.len());
+    assert_eq!(fixture.obtain(), (false, true));
+}
+
+#[test]
+fn room_is_made_by_the_oldest_scene_that_is_not_mapped() {
+    let mut fixture = Fixture::new();
+    let keep = |fixture: &Fixture, name, size| {
+        let kept = fixture.folder.obtain(name, || compile(size));
+        kept.expect("a scene")
+    };
+    let first = keep(&fixture, &NAME, 0.1);
+    fixture.folder.limit = 0;
+    let names = |fixture: &Fixture| -> Vec<String> {
+        let files = fixture.files(".scene").into_iter();
+        let mut names: Vec<_> = files
+            .map(|file| file.file_stem().expect("a name").to_string_lossy()[..1].to_owned())
+            .collect();
+        names.sort();
+        names
+    };
+    drop(keep(&fixture, &OTHER, 0.2));
+    assert_eq!(names(&fixture), ["a", "b"], "one is mapped, one is new");
+    drop(keep(&fixture, &[b'c'; NAME_DIGITS], 0.3));
+    assert_eq!(names(&fixture), ["a", "c"], "nobody maps the second");
+    // Of three textures a scene has one of its own.
+    assert_eq!(fixture.files(".texture").len(), 4);
+    assert!(behaviour(first) == fixture.wanted);
+    drop(keep(&fixture, &[b'd'; NAME_DIGITS], 0.4));
+    assert_eq!(names(&fixture), ["d"]);
+    assert_eq!(fixture.files(".checked").len(), 1);
+    assert_eq!(fixture.obtain(), (true, true), "it was removed");
+}

@@ -1,0 +1,359 @@
+//! Memory and start of slots whose scenes lie in files: fills a folder of scene files, then
+//! measures slots that map them. `cargo xtask bench scenes` calls it.
+
+use std::io::{BufRead, BufReader, Write, stdin};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::time::Instant;
+use std::{env, fs};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Parser;
+use protocol::{ManifestRow, Realisation, RolloutId, TaskRef};
+use scene::pack::LIBERO;
+use scene::{AssetPack, Sources, TaskFiles};
+use serde::{Deserialize, Serialize};
+use sim::{CameraRequest, ObservationRequest, Renderer, SceneFolder, Simulator, SimulatorConfig};
+use tests::files::open_pack;
+
+/// As many as a slot of a worker keeps.
+const CACHED_SCENES: usize = 2;
+/// Control steps after which a slot's memory is looked at.
+const STEPS: usize = 10;
+const SIDE: u32 = 256;
+const MIB: f64 = (1 << 20) as f64;
+const PYTHON: &str = "
+import sys, time
+import rollout_libero
+start = time.perf_counter()
+rollout_libero.Environment(sys.argv[1])
+print(time.perf_counter() - start)
+";
+
+/// Measure slots whose scenes lie in files.
+#[derive(Parser)]
+struct Arguments {
+    /// Tasks, separated by commas. [default: all 40]
+    #[arg(long, value_delimiter = ',')]
+    tasks: Vec<TaskRef>,
+    /// `libero`, `primitives`, or the path of a LIBERO assets folder.
+    #[arg(long, default_value = LIBERO)]
+    assets: String,
+    /// Slots that use all scenes in turn.
+    #[arg(long, default_value_t = 64)]
+    slots: usize,
+    /// Folder of the scene files, or `off`. [default: an empty one, removed at the end]
+    #[arg(long)]
+    scenes: Option<PathBuf>,
+    /// Folder of the sources.
+    #[arg(long)]
+    sources: Option<PathBuf>,
+    /// An interpreter with `rollout_libero`, to time its environments. [default: none is]
+    #[arg(long)]
+    python: Option<PathBuf>,
+    /// Is a slot.
+    #[arg(long, hide = true)]
+    slot: bool,
+}
+
+/// What a slot says of a scene.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+struct Begun {
+    /// Until the rollout's first state was there, s.
+    secs: f64,
+}
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    match arguments.slot {
+        true => be_a_slot(&arguments),
+        false => measure(&arguments),
+    }
+}
+
+/// Begins a rollout of each task that it is told, draws it, moves, and says how long the
+/// beginning took.
+fn be_a_slot(arguments: &Arguments) -> Result<()> {
+    if let Some(scenes) = &arguments.scenes {
+        SceneFolder::choose(scenes.as_os_str());
+    }
+    let dir = arguments.sources.clone();
+    let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
+    let pack = AssetPack::open(&arguments.assets, &sources)?;
+    let mut simulator = Simulator::new(SimulatorConfig {
+        sources: sources.clone(),
+        pack: pack.clone(),
+        renderer: Renderer::Software,
+        cached_scenes: CACHED_SCENES,
+    });
+    // As a worker's slot, before it is given rollouts.
+    simulator.fingerprint()?;
+    for task in stdin().lock().lines() {
+        let task: TaskRef = task?.parse()?;
+        // As a worker does before it gives a slot a task.
+        pack.provide_with_bar(&[TaskFiles::of_task(&sources, task)])?;
+        let start = Instant::now();
+        let row = ManifestRow::new(RolloutId::clean(task, 0), 0, 0, Default::default());
+        let mut episode = simulator.begin(&row, Realisation::Matched)?;
+        let secs = start.elapsed().as_secs_f64();
+        let request = ObservationRequest {
+            cameras: ["agentview", "robot0_eye_in_hand"]
+                .map(|name| CameraRequest {
+                    name: name.to_owned(),
+                    width: SIDE,
+                    height: SIDE,
+                })
+                .to_vec(),
+            privileged: false,
+        };
+        println!("{}", serde_json::to_string(&Begun { secs })?);
+        for step in 0..STEPS {
+            episode.observe(&request)?;
+            episode.step(&worker::measure::open_loop::smooth_action(step))?;
+        }
+        println!("moved");
+    }
+    if let Some(problem) = SceneFolder::take_problem() {
+        bail!(problem);
+    }
+    Ok(())
+}
+
+/// A slot's process.
+struct Slot {
+    child: Child,
+    tell: Option<ChildStdin>,
+    said: BufReader<ChildStdout>,
+}
+
+impl Slot {
+    fn start(arguments: &Arguments, scenes: &Path) -> Result<Self> {
+        let mut command = Command::new(env::current_exe()?);
+        command.args(["--slot", "--assets", &arguments.assets]);
+        command.arg("--scenes").arg(scenes);
+        if let Some(sources) = &arguments.sources {
+            command.arg("--sources").arg(sources);
+        }
+        command.stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = command.spawn().context("start a slot")?;
+        let said = BufReader::new(child.stdout.take().expect("piped"));
+        Ok(Self {
+            tell: child.stdin.take(),
+            said,
+            child,
+        })
+    }
+
+    /// Has it begin a task.
+    fn tell(&mut self, task: TaskRef) -> Result<()> {
+        let tell = self.tell.as_mut().context("it was told to end")?;
+        writeln!(tell, "{task}").context("tell a slot its task")
+    }
+
+    fn begun(&mut self) -> Result<Begun> {
+        Ok(serde_json::from_str(&self.line()?)?)
+    }
+
+    /// Waits until it has moved.
+    fn moved(&mut self) -> Result<()> {
+        ensure!(
+            self.line()?.trim() == "moved",
+            "the slot said something else"
+        );
+        Ok(())
+    }
+
+    fn line(&mut self) -> Result<String> {
+        let mut line = String::new();
+        match self.said.read_line(&mut line)? {
+            0 => bail!("a slot ended early; what it complained about is above"),
+            _ => Ok(line),
+        }
+    }
+
+    fn memory(&self) -> Result<Memory> {
+        let read = |file: &str, fields: &[&str]| -> Result<f64> {
+            let path = format!("/proc/{}/{file}", self.child.id());
+            let text = fs::read_to_string(&path).with_context(|| format!("read {path}"))?;
+            let kib = |field: &&str| -> Result<f64> {
+                let line = text.lines().find_map(|line| line.strip_prefix(*field));
+                let line = line.with_context(|| format!("find {field} in {path}"))?;
+                Ok(line.split_whitespace().next().unwrap_or_default().parse()?)
+            };
+            Ok(fields.iter().map(kib).sum::<Result<f64>>()? / 1024.0)
+        };
+        let tables = read("status", &["VmPTE:"])?;
+        Ok(Memory {
+            resident: read("smaps_rollup", &["Rss:"])?,
+            alone: read("smaps_rollup", &["Private_Clean:", "Private_Dirty:"])? + tables,
+            proportional: read("smaps_rollup", &["Pss:"])? + tables,
+        })
+    }
+
+    fn end(mut self) -> Result<()> {
+        self.tell = None;
+        ensure!(self.child.wait()?.success(), "a slot failed");
+        Ok(())
+    }
+}
+
+/// Memory of a process, MiB.
+struct Memory {
+    resident: f64,
+    /// What no other process shares, with its page tables.
+    alone: f64,
+    /// What it shares is divided among those that do; with its page tables.
+    proportional: f64,
+}
+
+fn measure(arguments: &Arguments) -> Result<()> {
+    let dir = arguments.sources.clone();
+    let sources = Sources::open(&dir.unwrap_or_else(Sources::default_dir))?;
+    let tasks = match &arguments.tasks[..] {
+        [] => TaskRef::all().collect(),
+        tasks => tasks.to_vec(),
+    };
+    open_pack(&arguments.assets, &sources, tasks.iter().copied())?;
+    let empty = tempfile::tempdir().context("make a folder for scene files")?;
+    let scenes = arguments.scenes.clone();
+    let scenes = scenes.unwrap_or_else(|| empty.path().to_owned());
+    println!(
+        "{} tasks, assets {}, {} cores, scene files in {}",
+        tasks.len(),
+        arguments.assets,
+        std::thread::available_parallelism()?,
+        scenes.display()
+    );
+    let start = || Slot::start(arguments, &scenes);
+
+    let row =
+        |what: &str, value: String, target: &str| println!("{what:<48} {value:>22}  {target}");
+    row("", "measured".to_owned(), "target");
+    let first = each(start()?, &tasks)?;
+    row("scene ready, first time: median, most", in_ms(&first), "");
+    let kept = files_in(&scenes).unwrap_or_default();
+    row(
+        "scene files together",
+        format!("{:.0} MiB", kept as f64 / MIB),
+        "",
+    );
+    let ready = each(start()?, &tasks)?;
+    row(
+        "scene ready, file there: median, most",
+        in_ms(&ready),
+        "<= 30 ms",
+    );
+
+    let mut starts = Vec::new();
+    for task in &tasks {
+        let clock = Instant::now();
+        let mut slot = start()?;
+        slot.tell(*task)?;
+        slot.begun()?;
+        starts.push(clock.elapsed().as_secs_f64());
+        slot.moved()?;
+        slot.end()?;
+    }
+    row(
+        "slot started to its first rollout: median, most",
+        in_ms(&starts),
+        "<= 500 ms",
+    );
+
+    let (mut alone, mut resident) = (Vec::new(), Vec::new());
+    for task in &tasks {
+        let mut both = [start()?, start()?];
+        for slot in &mut both {
+            slot.tell(*task)?;
+            slot.begun()?;
+            slot.moved()?;
+        }
+        let memory = both[1].memory()?;
+        alone.push(memory.alone);
+        resident.push(memory.resident);
+        both.into_iter().try_for_each(Slot::end)?;
+    }
+    row(
+        "a further slot, one scene, not shared: most",
+        format!("{:.1} MiB", most(&alone)),
+        "<= 40 MiB",
+    );
+    row(
+        "  resident: most",
+        format!("{:.1} MiB", most(&resident)),
+        "",
+    );
+
+    let mut slots = (0..arguments.slots)
+        .map(|_| start())
+        .collect::<Result<Vec<_>>>()?;
+    let mut together = Vec::new();
+    for turn in 0..tasks.len() {
+        for (at, slot) in slots.iter_mut().enumerate() {
+            slot.tell(tasks[(at + turn) % tasks.len()])?;
+        }
+        for slot in &mut slots {
+            slot.begun()?;
+            slot.moved()?;
+        }
+        let all = slots.iter().map(Slot::memory).collect::<Result<Vec<_>>>()?;
+        together.push(all.iter().map(|memory| memory.proportional).sum::<f64>());
+    }
+    slots.into_iter().try_for_each(Slot::end)?;
+    row(
+        &format!("{} slots, all scenes in turn: most", arguments.slots),
+        format!("{:.0} MiB", most(&together)),
+        "<= 8192 MiB",
+    );
+
+    if let Some(python) = &arguments.python {
+        let mut environments = Vec::new();
+        for task in &tasks {
+            let mut command = Command::new(python);
+            command.args(["-c", PYTHON, &task.to_string()]);
+            command.env("ROLLOUT_SCENES", &scenes);
+            command.env("ROLLOUT_ASSETS", &arguments.assets);
+            command.env("ROLLOUT_SOURCES", sources.dir());
+            let output = command.stderr(Stdio::inherit()).output();
+            let output = output.with_context(|| format!("run {}", python.display()))?;
+            ensure!(output.status.success(), "Python failed");
+            let secs = String::from_utf8(output.stdout)?;
+            environments.push(secs.trim().parse::<f64>()?);
+        }
+        row(
+            "first Environment in Python: median, most",
+            in_ms(&environments),
+            "<= 200 ms",
+        );
+    }
+    Ok(())
+}
+
+/// Begins all tasks in one slot, one after the other, and returns how long each took, s.
+fn each(mut slot: Slot, tasks: &[TaskRef]) -> Result<Vec<f64>> {
+    let mut times = Vec::new();
+    for task in tasks {
+        slot.tell(*task)?;
+        times.push(slot.begun()?.secs);
+        slot.moved()?;
+    }
+    slot.end()?;
+    Ok(times)
+}
+
+fn files_in(folder: &Path) -> Result<u64> {
+    let sizes = fs::read_dir(folder)?.map(|entry| Ok(entry?.metadata()?.len()));
+    sizes.sum()
+}
+
+/// Median and most of seconds.
+fn in_ms(secs: &[f64]) -> String {
+    let mut sorted = secs.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let median = sorted.get(sorted.len() / 2).copied().unwrap_or_default();
+    format!("{:.0}, {:.0} ms", median * 1e3, most(secs) * 1e3)
+}
+
+fn most(values: &[f64]) -> f64 {
+    values.iter().copied().fold(0.0, f64::max)
+}
