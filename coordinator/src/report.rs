@@ -4,7 +4,7 @@
 //! attempts they took.
 
 use paired::{Outcome, Record};
-use protocol::{CampaignSpec, ManifestRow, RolloutId, Rollouts, UnknownName};
+use protocol::{CampaignSpec, Directions, ManifestRow, RolloutId, Rollouts, UnknownName};
 use queue::read::{Campaign, RecordRow, SetupRow, View};
 use report::{
     BeyondRange, Derived, EarlyStop, Origin, Purpose, Quarantined, Setups, Subject, counted,
@@ -63,6 +63,10 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         published_nominal: None,
         published_by_suite: Vec::new(),
         reported_nominal: None,
+        directions: match &spec.rollouts {
+            Rollouts::Design(design) => design.directions,
+            _ => Directions::default(),
+        },
         setups: Setups::default(),
         derived: derived(view, campaign, spec.rollouts).await?,
         early_stop: early_stop(view, campaign).await?,

@@ -292,8 +292,7 @@ fn a_report_is_short_and_in_sentences_unless_all_of_it_is_asked_for() {
     for part in [
         "nominal camera lighting robot sensor actuation language simultaneous L1 ",
         "under simultaneous perturbation, ",
-        "Of the single axes, ",
-        "Of 400 configurations at L3 with all their outcomes, ",
+        "At L3, ",
         "`--full` prints the paired measures",
         "`--table FILE.csv` the outcomes",
     ] {

@@ -8,8 +8,9 @@
 //! add up exactly.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
-use paired::{Bootstrap, Interval, NoInterval, intervals_of_many};
+use paired::{Bootstrap, Interval, NoInterval, intervals_of_many, max_t};
 use protocol::{Axis, AxisSet, TaskRef};
 use serde::{Deserialize, Serialize};
 
@@ -69,6 +70,10 @@ pub struct Estimate {
     pub ci95: Option<Interval>,
     /// Why the interval is absent; absent where it is not.
     pub no_interval: Option<NoInterval>,
+    /// The interval that holds together with those of all others of its kind, 95 %
+    /// ([`max_t`]): of Möbius interactions, Shapley values, or pairs. Absent of success and
+    /// sizes, and where `ci95` is.
+    pub simultaneous_ci95: Option<Interval>,
 }
 
 /// Success by subset, and what it says of the axes. All values are differences
@@ -150,9 +155,16 @@ impl Interactions {
                 value: numerator as f64 / denominator as f64,
                 ci95: interval.ok(),
                 no_interval: interval.err(),
+                simultaneous_ci95: None,
             }
         };
-        let mut estimates = point.all().zip(intervals).map(estimate);
+        let mut estimates: Vec<Estimate> = point.all().zip(intervals).map(estimate).collect();
+        let deviations = deviations(&clusters, &subsets, &estimates);
+        for family in point.families() {
+            let own = &deviations[family.clone()];
+            hold_together(&mut estimates[family], own, bootstrap);
+        }
+        let mut estimates = estimates.into_iter();
         let success = subsets.iter().copied().zip(estimates.by_ref()).collect();
         let not_empty = subsets.iter().copied().filter(|set| !set.is_empty());
         let moebius = not_empty.zip(estimates.by_ref()).collect();
@@ -170,6 +182,37 @@ impl Interactions {
             shapley,
             pairs,
         })
+    }
+}
+
+/// How far each task's contribution is from its expectation, a row per estimate: with N the
+/// task's numerator and m its denominator, N − θ·m over the mean m. Rows sum to 0.
+fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -> Vec<Vec<f64>> {
+    let tasks = clusters.len() as f64;
+    let mean = clusters.iter().map(|task| task.n).sum::<i64>() as f64 / tasks;
+    let mut rows = vec![Vec::with_capacity(clusters.len()); estimates.len()];
+    for task in clusters {
+        let numerators = Numerators::of(subsets, &task.successes);
+        let values = rows.iter_mut().zip(estimates).zip(numerators.all());
+        for ((row, estimate), (numerator, scale)) in values {
+            let own = numerator as f64 / scale as f64;
+            row.push((own - estimate.value * task.n as f64) / mean);
+        }
+    }
+    rows
+}
+
+/// Gives estimates intervals that hold together.
+fn hold_together(estimates: &mut [Estimate], deviations: &[Vec<f64>], bootstrap: &Bootstrap) {
+    let Some(critical) = max_t(deviations, bootstrap) else {
+        return;
+    };
+    for (estimate, row) in estimates.iter_mut().zip(deviations) {
+        let tasks = row.len() as f64;
+        let squares: f64 = row.iter().map(|it| it * it).sum();
+        let half = critical * (squares / (tasks * (tasks - 1.0))).sqrt();
+        let interval = [estimate.value - half, estimate.value + half];
+        estimate.simultaneous_ci95 = estimate.ci95.map(|_| interval);
     }
 }
 
@@ -272,6 +315,15 @@ impl Numerators {
                 .map(|(_, coefficient)| coefficient)
                 .collect(),
         }
+    }
+
+    /// Where in [`Self::all`] those are that hold together: Möbius interactions, Shapley
+    /// values, pairs.
+    fn families(&self) -> [Range<usize>; 3] {
+        let moebius = self.success.len()..self.success.len() + self.moebius.len();
+        let shapley = moebius.end + self.sizes.len();
+        let pairs = shapley + self.shapley.len();
+        [moebius, shapley..pairs, pairs..pairs + self.pairs.len()]
     }
 
     /// All of them in order, each with its denominator if there is one

@@ -11,6 +11,8 @@ use std::collections::BTreeMap;
 use paired::{Cell, Estimate, Interval, Options, report};
 use protocol::Level;
 
+// Tests use the rest.
+#[allow(dead_code)]
 #[path = "../tests/simulated/mod.rs"]
 mod simulated;
 
@@ -22,7 +24,7 @@ const CAMPAIGNS: u64 = 1000;
 const SIZES: [(usize, usize); 4] = [(5, 1), (10, 1), (20, 2), (40, 4)];
 /// Tasks, or directions, over which a truth is averaged.
 const ALL_TASKS: usize = 2000;
-const ALL_DIRECTIONS: u16 = 200;
+const ALL_DIRECTIONS: u16 = 2000;
 const TARGETS: [&str; 3] = ["these", "new tasks", "new both"];
 
 /// How often intervals were made, and held the truth.

@@ -120,6 +120,7 @@ impl Comparison {
             let cell = (record.replicate, id.level(), id.condition());
             cells.entry(cell).or_default().push(Pair {
                 task: id.task(),
+                number: id.config().unwrap_or(record.init_id),
                 a: record.outcome,
                 b: other.outcome,
             });

@@ -25,13 +25,16 @@ pub fn comparison_table(comparison: &Comparison, bootstrap: &Bootstrap) -> Strin
         separate(&mut text);
         push_wrapped(&mut text, "worst and best A - B: ", &bounds.join("; "));
     }
+    push_further(&mut text, comparison);
     separate(&mut text);
     push_legend(&mut text, &legend(comparison, bootstrap));
     text
 }
 
 fn heads() -> (String, Vec<String>) {
-    let heads = ["n", "A %", "B %", "A - B", "95 %", "A only", "B only", "p"];
+    let heads = [
+        "n", "A %", "B %", "A - B", "95 %", "A only", "B only", "Holm p",
+    ];
     (String::new(), heads.map(str::to_owned).to_vec())
 }
 
@@ -60,6 +63,34 @@ fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
         above = Some(cell);
     }
     rows
+}
+
+/// Intervals for further targets, equivalence, and how many tasks differ.
+fn push_further(text: &mut String, comparison: &Comparison) {
+    let heads = ["directions", "all rows", "5 pts p", "tasks A:B"];
+    let mut rows = vec![(String::new(), heads.map(str::to_owned).to_vec())];
+    let first = comparison.cells.iter().filter(|cell| cell.replicate == 0);
+    for (cell, it) in first.filter_map(|cell| Some((cell, cell.difference.as_ref()?))) {
+        let interval = |ends: Option<[f64; 2]>| {
+            let ends = ends.map(|ends| ends.map(|end| format!("{:+.1}", 100.0 * end)));
+            ends.map_or_else(
+                || NOTHING.to_owned(),
+                |[low, high]| format!("[{low}, {high}]"),
+            )
+        };
+        let values = vec![
+            interval(it.estimate.new_tasks_and_directions),
+            interval(it.simultaneous_ci95),
+            it.equivalence_p.map_or_else(|| NOTHING.to_owned(), p_value),
+            format!("{}:{}", it.profile.a_better, it.profile.b_better),
+        ];
+        rows.push((cell.name(), values));
+    }
+    if rows.len() > 1 {
+        separate(text);
+        text.push_str("A - B for further targets\n");
+        push_columns(text, &rows);
+    }
 }
 
 /// Of no rollout.
@@ -92,7 +123,7 @@ fn values(it: &Difference) -> Vec<String> {
         interval,
         it.a_only.to_string(),
         it.b_only.to_string(),
-        p_value(it.mcnemar_p),
+        p_value(it.holm_p),
     ]
 }
 
@@ -131,9 +162,24 @@ fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, 
     );
     add("A only, B only", "rollouts that only one of them solves");
     add(
-        "p",
-        "exact two-sided McNemar test of A only against B only; of many rows some are small by \
-         chance",
+        "Holm p",
+        "exact two-sided sign-flip test of A - B over tasks, corrected for the rows of the table",
+    );
+    add(
+        "directions",
+        "95 % interval about new tasks and new directions (of nominal, initial states)",
+    );
+    add(
+        "all rows",
+        "intervals about new tasks that hold together with 95 %",
+    );
+    add(
+        "5 pts p",
+        "test that A and B differ by more than 5 points: if small, they are equivalent",
+    );
+    add(
+        "tasks A:B",
+        "tasks in which A, and in which B, succeeds more often",
     );
     if comparison.cells.iter().any(|cell| cell.bounds.is_some()) {
         add(

@@ -1,12 +1,18 @@
 //! How two policies, A and B, differ over the same rollouts: success rates, the
 //! rollouts that only one of them solves, and how sure that is.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use protocol::TaskRef;
+use protocol::{Directions, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::{Bootstrap, Interval};
+use crate::inference::defined;
+use crate::inference::equivalence::equivalence_p;
+use crate::inference::estimate::{Estimate, Scale};
+use crate::inference::multiplicity::{holm, max_t};
+use crate::inference::sample::{Row, Sample};
+use crate::inference::sign_flip::sign_flip_p;
 use crate::interval::{MIN_TASKS, NoInterval, shown};
 use crate::mcnemar::mcnemar_exact;
 use crate::outcomes::Outcome;
@@ -16,6 +22,8 @@ use crate::outcomes::Outcome;
 pub struct Pair {
     /// Its task: the cluster that the bootstrap draws.
     pub task: TaskRef,
+    /// Its configuration, or initial state if it is nominal.
+    pub number: u16,
     /// How it ended for A.
     pub a: Outcome,
     /// How it ended for B.
@@ -51,6 +59,37 @@ pub struct Difference {
     pub neither: u64,
     /// Exact two-sided McNemar test of `a_only` against `b_only`.
     pub mcnemar_p: f64,
+    /// The difference with an interval for each target of inference. New directions are
+    /// those of perturbed rollouts; of nominal ones, initial states.
+    pub estimate: Estimate,
+    /// Exact two-sided sign-flip p-value over tasks.
+    pub sign_flip_p: f64,
+    /// The same after Holm's correction for the rows of the comparison.
+    pub holm_p: f64,
+    /// Interval that holds together with those of all other rows, 95 %.
+    pub simultaneous_ci95: Option<Interval>,
+    /// p-value of the difference being beyond ±5 points, see
+    /// [`equivalence_p`](crate::equivalence_p).
+    pub equivalence_p: Option<f64>,
+    /// Task by task.
+    pub profile: Profile,
+}
+
+/// How tasks compare.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Profile {
+    /// A − B in each task.
+    pub tasks: BTreeMap<TaskRef, f64>,
+    /// Tasks in which A succeeds more often.
+    pub a_better: u64,
+    /// Tasks in which B does.
+    pub b_better: u64,
+    /// Probability that A does better than B in a task drawn at random, an equal task
+    /// counting half, with intervals: the probability of improvement over tasks.
+    ///
+    /// Source: R. Agarwal et al., Deep reinforcement learning at the edge of the
+    /// statistical precipice, NeurIPS 2021.
+    pub improvement: Estimate,
 }
 
 /// Lowest and highest difference over every outcome that quarantined rollouts
@@ -116,12 +155,15 @@ impl Difference {
                 intervals[*member] = Some(interval);
             }
         }
-        let each = clusters.iter().zip(intervals);
-        each.map(|(clusters, interval)| Self::new(clusters, interval))
-            .collect()
+        let each = sets.iter().zip(&clusters).zip(intervals);
+        let mut differences: Vec<Option<Self>> = each
+            .map(|((pairs, clusters), interval)| Self::new(pairs, clusters, interval))
+            .collect();
+        together(&mut differences, bootstrap);
+        differences
     }
 
-    fn new(clusters: &[Tally], interval: Option<Interval>) -> Option<Self> {
+    fn new(pairs: &[Pair], clusters: &[Tally], interval: Option<Interval>) -> Option<Self> {
         let mut total = Tally::default();
         for task in clusters {
             total.both += task.both;
@@ -133,7 +175,16 @@ impl Difference {
             return None;
         }
         let interval = shown(clusters.len(), interval);
+        let net = |task: &Tally| task.a_only as i64 - task.b_only as i64;
+        let sign_flip_p = sign_flip_p(&clusters.iter().map(net).collect::<Vec<_>>());
+        let estimate = estimate(pairs)?;
         Some(Self {
+            equivalence_p: equivalence_p(&estimate),
+            estimate,
+            sign_flip_p,
+            holm_p: sign_flip_p,
+            simultaneous_ci95: None,
+            profile: Profile::of(pairs)?,
             n: total.n(),
             tasks: clusters.len() as u64,
             s_a: total.rate(total.both + total.a_only),
@@ -177,7 +228,7 @@ impl DifferenceBounds {
 /// order.
 fn of_tasks(pairs: &[Pair]) -> Vec<Tally> {
     let mut tasks: BTreeMap<TaskRef, Tally> = BTreeMap::new();
-    for Pair { task, a, b } in pairs {
+    for Pair { task, a, b, .. } in pairs {
         if let (Some(a), Some(b)) = (a.success(), b.success()) {
             tasks.entry(*task).or_default().add(a, b);
         }
@@ -194,4 +245,105 @@ fn drawn(clusters: &[Tally], draws: &[u32]) -> f64 {
         n += times * task.n() as f64;
     }
     net / n
+}
+
+/// Both outcomes as a row: 1, A − B.
+fn rows(pairs: &[Pair]) -> Vec<Row> {
+    let rows = pairs.iter().filter_map(|pair| {
+        let number = |outcome: Outcome| Some(f64::from(u8::from(outcome.success()?)));
+        Some(Row {
+            task: pair.task,
+            direction: pair.number,
+            values: vec![1.0, number(pair.a)? - number(pair.b)?],
+        })
+    });
+    rows.collect()
+}
+
+fn estimate(pairs: &[Pair]) -> Option<Estimate> {
+    let rows = rows(pairs);
+    let sample = Sample::new(&rows, Directions::Shared)?;
+    Estimate::of(&sample, Scale::Difference, &|sums| sums[1] / sums[0])
+}
+
+impl Profile {
+    fn of(pairs: &[Pair]) -> Option<Self> {
+        let mut sums: BTreeMap<TaskRef, [f64; 2]> = BTreeMap::new();
+        for row in rows(pairs) {
+            let sum = sums.entry(row.task).or_default();
+            sum[0] += row.values[0];
+            sum[1] += row.values[1];
+        }
+        let tasks: BTreeMap<TaskRef, f64> = sums
+            .into_iter()
+            .map(|(task, [n, net])| (task, net / n))
+            .collect();
+        let better = |sign: f64| {
+            tasks
+                .values()
+                .filter(|change| **change * sign > 0.0)
+                .count()
+        };
+        let rows: Vec<Row> = tasks
+            .iter()
+            .map(|(&task, &change)| Row {
+                task,
+                direction: 0,
+                values: vec![
+                    1.0,
+                    if change == 0.0 {
+                        0.5
+                    } else {
+                        f64::from(u8::from(change > 0.0))
+                    },
+                ],
+            })
+            .collect();
+        let sample = Sample::new(&rows, Directions::Own)?;
+        let improvement = Estimate::of(&sample, Scale::Share, &|sums| sums[1] / sums[0]);
+        Some(Self {
+            a_better: better(1.0) as u64,
+            b_better: better(-1.0) as u64,
+            improvement: defined(improvement),
+            tasks,
+        })
+    }
+}
+
+/// Corrects the rows of a comparison for one another: Holm's p-values and max-t intervals.
+fn together(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
+    let mut made: Vec<&mut Difference> = differences.iter_mut().flatten().collect();
+    let p_values: Vec<f64> = made.iter().map(|it| it.sign_flip_p).collect();
+    for (difference, p) in made.iter_mut().zip(holm(&p_values)) {
+        difference.holm_p = p;
+    }
+    let tasks: BTreeSet<TaskRef> = made
+        .iter()
+        .flat_map(|it| it.profile.tasks.keys().copied())
+        .collect();
+    // Of tasks with equally many rollouts, the pseudo-value is the task's own difference
+    // less the mean of its suite's.
+    let pseudo = made.iter().map(|difference| {
+        let of = &difference.profile.tasks;
+        let mean = |suite| {
+            let own = of.iter().filter(|(task, _)| task.suite() == suite);
+            let own: Vec<f64> = own.map(|(_, change)| *change).collect();
+            own.iter().sum::<f64>() / own.len() as f64
+        };
+        let value = |task: &TaskRef| {
+            of.get(task)
+                .map_or(0.0, |change| change - mean(task.suite()))
+        };
+        tasks.iter().map(value).collect::<Vec<f64>>()
+    });
+    let Some(critical) = max_t(&pseudo.collect::<Vec<_>>(), bootstrap) else {
+        return;
+    };
+    for difference in made {
+        difference.simultaneous_ci95 = difference.estimate.standard_error.map(|error| {
+            let half = critical * error;
+            let value = difference.difference;
+            [(value - half).max(-1.0), (value + half).min(1.0)]
+        });
+    }
 }

@@ -218,14 +218,14 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
         (
             Hypothesis::Emergent,
             "failures emerge",
-            "R_e",
+            "fail only simultaneously",
             inference.paired.r_e,
             excess.excess.r_e,
         ),
         (
             Hypothesis::Compensated,
             "failures are compensated",
-            "R_c",
+            "succeed simultaneously although an axis alone makes them fail",
             inference.paired.r_c,
             excess.excess.r_c,
         ),
@@ -237,9 +237,10 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
         .iter()
         .filter(|(hypothesis, .., excess)| is_shown(*hypothesis, excess));
     let parts: Vec<String> = shown
-        .map(|(_, what, name, measure, excess)| {
+        .map(|(_, what, which, measure, excess)| {
             format!(
-                "{what} beyond chance: {name} is {} %, {} points{} above the noise floor",
+                "{what} beyond chance: {} % of configurations {which}, {} points{} above the noise \
+                 floor",
                 percent(Some(measure.value)),
                 percent(Some(excess.value)),
                 spread(excess)
@@ -248,8 +249,8 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
         .collect();
     let sentence = match parts.as_slice() {
         [] => format!(
-            "At {level}, simultaneity is not shown to change more outcomes than chance does: R_e is \
-             {} points{} and R_c {} points{} from the noise floor.",
+            "At {level}, simultaneity is not shown to change more outcomes than chance does: emergent \
+             failures are {} points{}, compensated successes {} points{} from the noise floor.",
             points(excess.excess.r_e.value),
             spread(&excess.excess.r_e),
             points(excess.excess.r_c.value),
@@ -275,26 +276,25 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
     let claims = p < FINDING_ALPHA && i.value < 0.0;
     let sentence = match claims {
         true => format!(
-            "At {level}, failures emerge: I is {} points{}, and chance without any effect of an axis \
-             can only raise I.",
-            points(i.value),
-            spread(i)
+            "At {level}, failures emerge: more configurations fail only simultaneously than succeed \
+             only so, by {} points{}, and chance without any effect of an axis does the opposite.",
+            percent(Some(-i.value)),
+            spread(&i.negated())
         ),
         false => {
             let r_d = percent(Some(inference.paired.r_d.value));
             let bound = flips(cell, report).map_or_else(String::new, |(of, flips)| {
-                let [r_d, i] = chance_bounds(flips, cell.alone.len());
+                let [r_d, _] = chance_bounds(flips, cell.alone.len());
                 format!(
-                    " {of} in {} %, and chance of that size can make R_d up to {} % and I up to {} \
-                     points by itself.",
+                    " {of} in {} %, and chance of that size can change up to {} % by itself.",
                     percent(Some(flips)),
                     percent(Some(r_d)),
-                    points(i)
                 )
             });
             format!(
-                "At {level}, simultaneity changes {r_d} % of outcomes (R_d); the share that is chance is \
-                 unknown without a placebo (`--levels L0,{level}`).{bound}"
+                "At {level}, {r_d} % of configurations end otherwise simultaneously than under the axes \
+                 alone; how many of them by chance is unknown without a placebo (`--levels \
+                 L0,{level}`).{bound}"
             )
         }
     };

@@ -5,6 +5,7 @@ use protocol::Suite;
 use serde::{Deserialize, Serialize};
 
 use crate::count::Count;
+use crate::inference::student_t::upper_tail;
 
 /// Largest difference that passes, as a fraction: 5 points. Source: section 6
 /// of the protocol.
@@ -27,6 +28,10 @@ pub struct Gate {
     pub difference: Option<f64>,
     /// How it came out.
     pub verdict: GateVerdict,
+    /// p-value of the policy's rate on these tasks being beyond [`GATE_TOLERANCE`] of
+    /// `published`, which is taken as exact: if small, reproduction is shown and not only
+    /// not refuted. Absent where no task has two nominal rollouts, or none of them vary.
+    pub equivalence_p: Option<f64>,
 }
 
 /// How the gate came out.
@@ -79,7 +84,26 @@ impl Gate {
             nominal,
             difference,
             verdict,
+            equivalence_p: None,
         }
+    }
+
+    /// The gate with its equivalence test, from the nominal rollouts of each task: two
+    /// one-sided t tests with the variance within tasks, Σ_t (n_t/n)²·p_t(1 − p_t)/(n_t − 1).
+    pub(crate) fn with_tasks(mut self, tasks: &[Count]) -> Self {
+        let n: u64 = tasks.iter().map(|task| task.n).sum();
+        let variance = tasks.iter().map(|task| {
+            let rate = task.rate().unwrap_or_default();
+            let weight = task.n as f64 / n as f64;
+            weight * weight * rate * (1.0 - rate) / (task.n as f64 - 1.0)
+        });
+        let error = variance.sum::<f64>().sqrt();
+        let is_enough = tasks.iter().all(|task| task.n > 1) && error > 0.0;
+        self.equivalence_p = self.difference.filter(|_| is_enough).map(|difference| {
+            let df = (n - tasks.len() as u64) as f64;
+            upper_tail((GATE_TOLERANCE - difference.abs()) / error, df)
+        });
+        self
     }
 }
 
@@ -104,6 +128,25 @@ mod tests {
     fn some_of_the_rollouts_decide_nothing() {
         check(0.95, 1999, 1999, GateVerdict::Undecided);
         check(0.95, 0, 0, GateVerdict::Undecided);
+    }
+
+    /// Two tasks of 50 states: the rate is 90 %, its standard error 2.9 points.
+    #[test]
+    fn being_within_the_tolerance_is_not_equivalence() {
+        let tasks = [50, 40].map(|successes| Count { successes, n: 50 });
+        let nominal = Count {
+            successes: 90,
+            n: 100,
+        };
+        let p = |published| {
+            Gate::new(published, nominal)
+                .with_tasks(&tasks)
+                .equivalence_p
+        };
+        let (at, near) = (p(0.90).expect("varies"), p(0.94).expect("varies"));
+        // SciPy: stats.t.sf(0.05 / (0.2 * 0.8 / 49 / 4) ** 0.5, 98).
+        assert!((at - 0.042_0).abs() < 5e-4, "{at}");
+        assert!(near > 0.3, "{near}");
     }
 
     /// 500 rollouts of one suite were never enough.

@@ -2,6 +2,7 @@
 //! inference, matched losses, predictions of independence, and what exceeds the noise
 //! floor. The paper's own measures and intervals are in `measures`.
 
+pub(crate) mod components;
 pub(crate) mod direction;
 pub(crate) mod equivalence;
 pub(crate) mod estimate;
@@ -13,7 +14,7 @@ pub(crate) mod sample;
 pub(crate) mod sign_flip;
 pub(crate) mod student_t;
 
-use protocol::Level;
+use protocol::{Directions, Level};
 use serde::{Deserialize, Serialize};
 
 use crate::inference::direction::DirectionTest;
@@ -21,7 +22,6 @@ use crate::inference::estimate::Estimate;
 use crate::inference::floor::Excess;
 use crate::inference::loss::{Loss, Losses};
 use crate::inference::paired::{Eligible, PairedEstimates, Relative};
-use crate::inference::sample::Directions;
 use crate::outcomes::Matched;
 
 /// Everything inferred of one level of one replicate.
@@ -40,7 +40,7 @@ pub struct Inference {
     /// states; empty without them.
     pub losses: Losses,
     /// The test of simultaneous success by direction; absent where directions are not
-    /// shared.
+    /// shared, and of the placebo.
     pub directions: Option<DirectionTest>,
     /// The noise floor, and what exceeds it; absent without a placebo, and of the placebo
     /// itself.
@@ -64,7 +64,10 @@ impl Inference {
             i_sign_flip_p: paired::i_sign_flip_p(matched),
             relative: Relative::of(matched, directions),
             losses: Loss::of_each(matched, directions),
-            directions: DirectionTest::of(matched, directions),
+            directions: match is_placebo {
+                true => None,
+                false => DirectionTest::of(matched, directions),
+            },
             excess: placebo.and_then(|placebo| Excess::of(matched, placebo, directions)),
         })
     }

@@ -2,8 +2,9 @@
 //! hand: a line for each that is printed, and for no other.
 
 use crate::bootstrap::Bootstrap;
+use crate::inference_table;
 use crate::interval::{MIN_TASKS, NoInterval};
-use crate::report::Report;
+use crate::report::{Cell, Report};
 use crate::text::push_legend;
 
 /// The legend of the tables of some reports, for a terminal of 80 columns;
@@ -28,7 +29,7 @@ pub fn legend(reports: &[&Report]) -> String {
         );
         add(
             "S_indep",
-            "product of the axes' success rates: expected of axes that act independently",
+            "product of the axes' success rates, which counts nominal failures once per axis",
         );
         add(
             "S_conj",
@@ -42,7 +43,10 @@ pub fn legend(reports: &[&Report]) -> String {
             "D",
             "how far the axes' failures coincide in the same configurations",
         );
-        add("I", "net effect of simultaneity: below 0, failures emerge");
+        add(
+            "I",
+            "net effect of simultaneity; chance alone makes it positive, see the floor",
+        );
         add(
             "b emergent",
             "every axis alone succeeds, the simultaneous rollout fails",
@@ -75,6 +79,10 @@ pub fn legend(reports: &[&Report]) -> String {
             "range over every outcome that quarantined rollouts could have had",
         );
     }
+    let all: Vec<&Cell> = cells().collect();
+    for (symbol, meaning) in inference_table::meanings(&all) {
+        entries.push((symbol, meaning.to_owned()));
+    }
     let replication = reports.iter().flat_map(|report| &report.replication);
     let changes = replication.flat_map(|replication| replication.changes.values());
     let measures = cells().flat_map(|cell| cell.paired.iter().chain(&cell.solvable));
@@ -102,7 +110,7 @@ pub(crate) fn of_intervals(
     let mut entries = vec![(
         "95 %",
         format!(
-            "interval: {} resamplings of whole tasks",
+            "interval about new tasks: {} resamplings of whole tasks",
             bootstrap.replicates
         ),
     )];

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use protocol::{Axis, AxisSet, Condition, Level, Suite};
+use protocol::{Axis, AxisSet, Condition, Directions, Level, Suite, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
@@ -13,7 +13,7 @@ use crate::design::{PairedDesign, minimum_detectable_effect, task_correlation};
 use crate::findings::{Finding, findings};
 use crate::gate::{Gate, SuiteGate};
 use crate::inference::Inference;
-use crate::inference::sample::Directions;
+use crate::inference::components::Components;
 use crate::measures::{Configuration, Measures};
 use crate::outcomes::{DuplicateRecord, Matched, Outcome, Record, Records};
 use crate::replication::Replication;
@@ -55,6 +55,8 @@ pub struct Report {
     pub cells: Vec<Cell>,
     /// Each further replicate against the first.
     pub replication: Vec<Replication>,
+    /// Where variance comes from, by level; empty without replicates.
+    pub components: Vec<Components>,
     /// What it says in words, see [`findings`].
     pub findings: Vec<Finding>,
     /// Quarantined rollouts, in no rate: `ID` or `ID#rK`.
@@ -206,15 +208,19 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
     let later = later.map(|&replicate| Replication::of(records, replicate, &options.bootstrap));
     let mut report = Report {
         findings: Vec::new(),
+        components: Components::of_each(records.configurations()),
         notes: options.notes.clone(),
         axes: records.axes().collect(),
-        gate: options.published_nominal.map(|rate| Gate::new(rate, first)),
+        gate: options
+            .published_nominal
+            .map(|rate| Gate::new(rate, first).with_tasks(&nominal_by_task(records, None))),
         suite_gates: options
             .published_by_suite
             .iter()
             .map(|&(suite, published)| SuiteGate {
                 suite,
-                gate: Gate::of_suite(published, nominal_of_suite(records, suite)),
+                gate: Gate::of_suite(published, nominal_of_suite(records, suite))
+                    .with_tasks(&nominal_by_task(records, Some(suite))),
             })
             .collect(),
         nominal,
@@ -247,14 +253,23 @@ fn nominal(records: &Records, replicate: u32) -> Option<Nominal> {
 
 /// Nominal rollouts of one suite in replicate 0.
 fn nominal_of_suite(records: &Records, suite: Suite) -> Count {
-    let mut count = Count::default();
+    let tasks = nominal_by_task(records, Some(suite));
+    tasks.iter().fold(Count::default(), |sum, task| Count {
+        successes: sum.successes + task.successes,
+        n: sum.n + task.n,
+    })
+}
+
+/// Nominal rollouts of each task in replicate 0, of one suite or all.
+fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
+    let mut tasks: BTreeMap<TaskRef, Count> = BTreeMap::new();
     for (&(replicate, id), &outcome) in &records.outcomes {
-        let is_nominal = id.condition() == Condition::Clean;
-        if replicate == 0 && is_nominal && id.task().suite() == suite {
-            count.add(outcome);
+        let is_nominal = replicate == 0 && id.condition() == Condition::Clean;
+        if is_nominal && suite.is_none_or(|suite| id.task().suite() == suite) {
+            tasks.entry(id.task()).or_default().add(outcome);
         }
     }
-    count
+    tasks.into_values().collect()
 }
 
 /// The cell of all configurations of one level and replicate.

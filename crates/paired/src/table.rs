@@ -11,6 +11,8 @@ use crate::count::Count;
 use crate::gate::{
     GATE_ROLLOUTS, GATE_ROLLOUTS_OF_A_SUITE, GATE_TOLERANCE, Gate, GateVerdict, SuiteGate,
 };
+use crate::inference::components::Components;
+use crate::inference_table::push_inference;
 use crate::measures::Measures;
 use crate::report::{Cell, Gap, Nominal, NominalSource, Report};
 use crate::text::{
@@ -55,6 +57,7 @@ pub fn table(report: &Report) -> String {
             for cells in cells.chunks(PAIRED_CELLS) {
                 push_paired(&mut text, cells, &of);
             }
+            push_inference(&mut text, &cells, &of);
         }
         push_gaps(&mut text, &cells);
     }
@@ -122,8 +125,17 @@ fn gate_line(of: &str, gate: &Gate, rollouts: u64, remedy: &str) -> String {
         ),
     };
     let difference = gate.difference.map_or_else(|| NOTHING.to_owned(), points);
+    let equivalence = match gate.equivalence_p {
+        Some(p) if p < 0.05 => format!("; the rate is certainly within it (p = {})", p_value(p)),
+        Some(p) if gate.verdict == GateVerdict::Passed => format!(
+            "; the rate is not certainly within it (p = {}): more nominal rollouts would tell",
+            p_value(p)
+        ),
+        _ => String::new(),
+    };
     format!(
-        "reproduction gate{of}: {difference} points from the published {} %, tolerance {:.0}: {verdict}",
+        "reproduction gate{of}: {difference} points from the published {} %, tolerance {:.0}: \
+         {verdict}{equivalence}",
         percent(Some(gate.published)),
         100.0 * GATE_TOLERANCE
     )
@@ -349,6 +361,35 @@ fn push_replication(text: &mut String, report: &Report) {
             percent(flips.rate()),
             flips.flipped,
             flips.compared,
+        );
+        push_wrapped(text, "", &line);
+    }
+    for components in &report.components {
+        let Components {
+            level,
+            replicates,
+            tasks,
+            configurations,
+            replicate,
+            ..
+        } = components;
+        let total = tasks + configurations + replicate;
+        if total <= 0.0 {
+            continue;
+        }
+        let share = |part: &f64| format!("{:.0} %", 100.0 * part / total);
+        let effect = components.design_effect;
+        let effect = effect.map_or_else(String::new, |it| format!("; design effect {it:.1}"));
+        let line = format!(
+            "variance of S_sim at {level}, {replicates} replicates: {} between tasks, {} between \
+             configurations, {} chance{effect}; standard error {} points, {} with one more replicate, \
+             {} with ten more configurations of every task",
+            share(tasks),
+            share(configurations),
+            share(replicate),
+            rate(components.standard_error),
+            rate(components.one_more_replicate),
+            rate(components.ten_more_configurations),
         );
         push_wrapped(text, "", &line);
     }

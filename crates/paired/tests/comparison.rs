@@ -26,6 +26,7 @@ fn pairs(outcomes: &[(Outcome, Outcome)]) -> Vec<Pair> {
     let of = outcomes.iter().enumerate();
     of.map(|(index, &(a, b))| Pair {
         task: task(index),
+        number: 0,
         a,
         b,
     })
@@ -274,6 +275,7 @@ fn outcomes() -> impl Strategy<Value = Vec<Pair>> {
         let of = drawn.into_iter();
         of.map(|(index, a, b)| Pair {
             task: task(index),
+            number: 0,
             a: known(a),
             b: known(b),
         })
@@ -322,7 +324,15 @@ proptest! {
         let bootstrap = Bootstrap { replicates: 60, seed: 1 };
         let alone = Difference::of_each(std::slice::from_ref(&pairs), &bootstrap);
         let among = Difference::of_each(&[other, pairs], &bootstrap);
-        prop_assert_eq!(&alone[0], &among[1]);
+        // Corrections for other rows depend on them.
+        let by_itself = |it: &Option<Difference>| {
+            it.clone().map(|it| Difference {
+                holm_p: it.sign_flip_p,
+                simultaneous_ci95: None,
+                ..it
+            })
+        };
+        prop_assert_eq!(by_itself(&alone[0]), by_itself(&among[1]));
     }
 
     #[test]

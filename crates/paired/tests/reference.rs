@@ -116,8 +116,9 @@ fn pairs(data_set: &Value) -> Vec<Pair> {
         let digits: Vec<u32> = text.chars().filter_map(|c| c.to_digit(4)).collect();
         assert_eq!(digits.len(), text.len(), "{text}");
         let success = |bit: u32| Outcome::from(bit == 1);
-        digits.into_iter().map(move |bits| Pair {
+        (0..).zip(digits).map(move |(number, bits)| Pair {
             task,
+            number,
             a: success(bits & 1),
             b: success(bits >> 1),
         })

@@ -8,7 +8,17 @@ use serde::Deserialize;
 
 /// An instant: milliseconds since the Unix epoch, UTC.
 #[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, sqlx_macros::Type,
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Deserialize,
+    sqlx_macros::Type,
 )]
 #[sqlx(transparent)]
 pub struct UnixMillis(pub i64);

@@ -18,7 +18,17 @@ pub struct CampaignId(pub i64);
 
 /// Row number of a job: one rollout × replicate of one campaign.
 #[derive(
-    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, sqlx_macros::Type,
+    Clone,
+    Copy,
+    Debug,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    Deserialize,
+    sqlx_macros::Type,
 )]
 #[sqlx(transparent)]
 pub struct JobId(pub i64);
@@ -31,7 +41,17 @@ pub struct PolicyId(pub i64);
 /// How many times a job has been leased; 0 before the first lease, only ever
 /// rises. A fact about an attempt, whose name is its `AttemptId`.
 #[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, sqlx_macros::Type,
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Deserialize,
+    sqlx_macros::Type,
 )]
 #[sqlx(transparent)]
 pub struct AttemptNumber(pub u32);

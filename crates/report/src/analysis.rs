@@ -50,9 +50,9 @@ impl Analysis {
         };
         let mut records = Records::new(counted.as_deref().unwrap_or(&subject.records))?;
         let mut notes = warnings::of_subject(&subject);
-        if let Some(warning) = sequential.as_ref().and_then(Sequential::warning) {
-            notes.insert(0, warning);
-        }
+        let warning = sequential.as_ref().and_then(Sequential::warning);
+        let is_interim = warning.is_some();
+        notes.splice(0..0, warning);
         let findings = Findings::of(&subject).unwrap_or_else(|error| {
             notes.push(error.to_string());
             None
@@ -64,9 +64,13 @@ impl Analysis {
                 published_nominal: subject.published_nominal,
                 published_by_suite: subject.published_by_suite.clone(),
                 reported_nominal: subject.reported_nominal,
+                directions: subject.directions,
                 ..Options::default()
             },
         );
+        if let Some(sequential) = sequential.as_ref().filter(|_| is_interim) {
+            report.findings = sequential.findings();
+        }
         if subject.derived.is_some() {
             records = Records::default();
             report = Report {
@@ -74,6 +78,8 @@ impl Analysis {
                 nominal: Vec::new(),
                 cells: Vec::new(),
                 replication: Vec::new(),
+                components: Vec::new(),
+                findings: Vec::new(),
                 ..report
             };
         }

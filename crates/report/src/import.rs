@@ -11,7 +11,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use paired::{Count, Outcome, Record};
-use protocol::{Condition, JsonError, Level, RolloutId, Suite};
+use protocol::{Condition, Directions, JsonError, Level, RolloutId, Suite};
 use protocol::{MAX_ROWS, Realisation};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
@@ -181,6 +181,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         fingerprints: None,
         provenances: Vec::new(),
         published_nominal: about.published_nominal,
+        directions: Directions::default(),
         published_by_suite: Vec::new(),
         reported_nominal: about.nominal,
         setups: Setups::default(),

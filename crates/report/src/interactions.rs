@@ -173,7 +173,8 @@ impl AxisInteractions {
              Nominal success and all interactions add up to simultaneous success. A share is an \
              axis's Shapley value: its effect, averaged over all orders in which axes can be added. \
              Of a pair, the Shapley interaction index is how much one axis changes the effect of the \
-             other; below 0 they do more harm together. In brackets, 95 % intervals.",
+             other; below 0 they do more harm together. In brackets, 95 % intervals; those of all \
+             shares hold together, so do those of all pairs, and of all effects of subsets.",
         );
         text
     }
@@ -252,7 +253,8 @@ fn rate(estimate: &Estimate) -> String {
 
 /// `-12.3 [-20.1, -4.0]`, in a terminal's letters.
 fn change(estimate: &Estimate) -> String {
-    let interval = points_interval(estimate.ci95, estimate.no_interval);
+    let interval = estimate.simultaneous_ci95.or(estimate.ci95);
+    let interval = points_interval(interval, estimate.no_interval);
     format!("{}{interval}", points(estimate.value)).replace('−', "-")
 }
 

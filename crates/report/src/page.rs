@@ -5,6 +5,7 @@ mod differences;
 mod explanation;
 mod findings;
 mod how_far;
+mod inference;
 mod methods;
 mod panels;
 mod sequential;
@@ -76,6 +77,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
                 (tables::paired(document))
             }
         }
+        (inference::tables(document))
         (sequential::of_campaigns(document))
         (figure("Success under each axis alone, and under simultaneous perturbation by all of them.",
             per_level(figures::heat_map)))

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use paired::{CampaignLook, DuplicateRecord, Outcome, Records, push_wrapped};
+use paired::{CampaignLook, DuplicateRecord, Finding, FindingKind, Outcome, Records, push_wrapped};
 use protocol::{Level, Measure, StopRule, Strata};
 use serde::Serialize;
 
@@ -90,6 +90,30 @@ impl Sequential {
         }))
     }
 
+    /// What can be said at any look, in place of the findings of a fixed sample: intervals
+    /// of simultaneous success and its net effect over the campaign's configurations.
+    pub(crate) fn findings(&self) -> Vec<Finding> {
+        let levels = self.levels.iter().filter_map(|(&level, measures)| {
+            let [success, net] = [Measure::SSim, Measure::I].map(|it| measures.get(&it));
+            let one = |value: f64| format!("{:.1}", 100.0 * value);
+            let [[low, high], [least, most]] = [*success?, *net?].map(|ends| ends.map(one));
+            Some(Finding {
+                kind: FindingKind::Simultaneity,
+                level: Some(level),
+                claims: false,
+                holm_p: None,
+                sentence: format!(
+                    "At {level}, {low} to {high} % of the campaign's {} configurations succeed \
+                     simultaneously, and the net effect of simultaneity on them is {least} to {most} \
+                     points: these confidence sequences hold at any look, and say nothing of new \
+                     tasks.",
+                    self.configurations
+                ),
+            })
+        });
+        levels.collect()
+    }
+
     /// What a reader must know first; nothing where every configuration counts.
     pub(crate) fn warning(&self) -> Option<String> {
         if self.has_stopped {
@@ -98,7 +122,8 @@ impl Sequential {
             return Some(format!(
                 "{}; figures are of these {} configurations, and their bootstrap intervals and \
                  p-values are not valid, because they hold for one look that was settled \
-                 beforehand: use the confidence sequences",
+                 beforehand: use the confidence sequences. A measure at which the rule `excludes` a \
+                 value is overstated by such an end, and rates weight suites by what was drawn",
                 stopped_in_words(configurations, &self.rule.to_string(), rollouts),
                 self.used
             ));

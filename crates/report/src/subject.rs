@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use attempt::{Fingerprints, Provenance};
 use paired::{CampaignLook, Count, Record};
-use protocol::{Explanation, Realisation, RolloutId, Stop, Suite, Thresholds};
+use protocol::{Directions, Explanation, Realisation, RolloutId, Stop, Suite, Thresholds};
 use serde::{Deserialize, Serialize};
 
 /// One policy's outcomes under one set of circumstances.
@@ -42,6 +42,9 @@ pub struct Subject {
     pub published_by_suite: Vec<(Suite, f64)>,
     /// Nominal successes as published elsewhere.
     pub reported_nominal: Option<Count>,
+    /// How its directions were assigned to configurations.
+    #[serde(default)]
+    pub directions: Directions,
     /// What the policy was given to do; empty where that is not known.
     #[serde(default)]
     pub setups: Setups,

@@ -24,6 +24,11 @@ fn minus(text: String) -> String {
     }
 }
 
+/// A sentence with proper minus signs before its numbers.
+pub(crate) fn minus_signs(sentence: &str) -> String {
+    sentence.replace(" -", " −").replace("(-", "(−")
+}
+
 /// ` [9.8, 17.8]`, or why there is none: ` (too few tasks)`.
 pub(crate) fn rate_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
     interval_of(percent, interval, why)

@@ -3,17 +3,16 @@
 
 use std::collections::BTreeMap;
 
-use protocol::TaskRef;
+use protocol::{Directions, TaskRef};
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
-use crate::inference::sample::Directions;
 use crate::outcomes::Matched;
 
 /// Permutations that are drawn; the smallest p-value is 1 / (this + 1).
-const PERMUTATIONS: u32 = 3999;
+const PERMUTATIONS: u32 = 1999;
 
 /// Simultaneous success by direction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,42 +50,50 @@ impl DirectionTest {
             return None;
         }
         let place = |number: u16| numbers.binary_search(&number).expect("one of the numbers");
-        let mut tasks: Vec<(Vec<usize>, Vec<bool>)> = tasks
-            .into_values()
-            .map(|it| {
-                it.into_iter()
-                    .map(|(c, success)| (place(c), success))
-                    .unzip()
-            })
-            .collect();
+        let successes = tasks.values().flatten().filter(|(_, success)| *success);
+        let trials: usize = tasks.values().map(Vec::len).sum();
+        // Σ (n − s)² / n and Σ s² / n differ by a constant: the rarer outcome is permuted.
+        let rarer = 2 * successes.count() <= trials;
         let mut sizes = vec![0.0; numbers.len()];
-        for (places, _) in &tasks {
-            places.iter().for_each(|&at| sizes[at] += 1.0);
-        }
-        let successes = |tasks: &[(Vec<usize>, Vec<bool>)]| {
-            let mut successes = vec![0.0; sizes.len()];
-            for (places, outcomes) in tasks {
-                for (&at, &success) in places.iter().zip(outcomes) {
-                    successes[at] += f64::from(u8::from(success));
-                }
+        let mut rare = vec![0.0; numbers.len()];
+        // Per task, the places of its directions, and how many have the rarer outcome.
+        let mut places: Vec<(Vec<usize>, usize)> = Vec::new();
+        for outcomes in tasks.values() {
+            let of_task = outcomes.iter().map(|(number, _)| place(*number));
+            places.push((
+                of_task.clone().collect(),
+                outcomes
+                    .iter()
+                    .filter(|(_, success)| *success == rarer)
+                    .count(),
+            ));
+            for (at, (_, success)) in of_task.zip(outcomes) {
+                sizes[at] += 1.0;
+                rare[at] += f64::from(u8::from(*success == rarer));
             }
-            successes
-        };
-        let spread = |successes: &[f64]| -> f64 {
-            let squares = successes.iter().zip(&sizes);
+        }
+        let spread = |rare: &[f64]| -> f64 {
+            let squares = rare.iter().zip(&sizes);
             squares.map(|(sum, n)| sum * sum / n).sum()
         };
-        let observed = successes(&tasks);
-        let rates = observed.iter().zip(&sizes).map(|(sum, n)| sum / n);
+        let least = spread(&rare) - 1e-9;
+        let rates = rare.iter().zip(&sizes).map(|(sum, n)| match rarer {
+            true => sum / n,
+            false => 1.0 - sum / n,
+        });
         let rates = numbers.iter().copied().zip(rates).collect();
-        let least = spread(&observed) - 1e-9;
         let mut rng = ChaCha12Rng::seed_from_u64(Bootstrap::default().seed);
         let mut as_far = 0_u32;
         for _ in 0..PERMUTATIONS {
-            for (_, outcomes) in &mut tasks {
-                shuffle(outcomes, &mut rng);
+            rare.fill(0.0);
+            for (places, count) in &mut places {
+                for drawn in 0..*count {
+                    let left = places.len() - drawn;
+                    places.swap(drawn, drawn + below(left, &mut rng));
+                    rare[places[drawn]] += 1.0;
+                }
             }
-            as_far += u32::from(spread(&successes(&tasks)) >= least);
+            as_far += u32::from(spread(&rare) >= least);
         }
         let p = f64::from(as_far + 1) / f64::from(PERMUTATIONS + 1);
         Some(Self { rates, p })
@@ -102,10 +109,7 @@ impl DirectionTest {
     }
 }
 
-/// Fisher and Yates' shuffle.
-fn shuffle(outcomes: &mut [bool], rng: &mut ChaCha12Rng) {
-    for last in (1..outcomes.len()).rev() {
-        let wide = u64::from(rng.next_u32()) * (last as u64 + 1);
-        outcomes.swap(last, (wide >> 32) as usize);
-    }
+/// Uniform in 0..`end`.
+fn below(end: usize, rng: &mut ChaCha12Rng) -> usize {
+    (u64::from(rng.next_u32()) * end as u64 >> 32) as usize
 }

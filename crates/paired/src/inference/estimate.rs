@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Interval;
-use crate::inference::sample::{Sample, Variance};
+use crate::inference::sample::{NO_VARIANCE, Sample, Variance};
 use crate::inference::student_t::{two_sided_quantile, two_sided_tail};
 
 /// Fewest tasks that give an interval by Student's t. The command
@@ -13,8 +13,6 @@ pub const FEWEST_TASKS: usize = 5;
 
 /// Error probability of an interval.
 const ALPHA: f64 = 0.05;
-/// Variances up to this are rounding errors of equal values.
-const NO_VARIANCE: f64 = 1e-24;
 
 /// A figure, a fraction, and its 95 % intervals, one for each population that it can be
 /// about. Each is absent where the data do not allow it: fewer than [`FEWEST_TASKS`]
@@ -49,7 +47,7 @@ pub(crate) enum Scale {
 impl Estimate {
     /// A statistic of some rows, a function of their sums; none where it is undefined.
     pub(crate) fn of(
-        sample: &Sample<'_>,
+        sample: &Sample,
         scale: Scale,
         statistic: &dyn Fn(&[f64]) -> f64,
     ) -> Option<Self> {
@@ -80,6 +78,18 @@ impl Estimate {
             standard_error: spread.map(|variance| variance.value.sqrt()),
             df: spread.map(|variance| variance.df),
         })
+    }
+
+    /// The same of the figure with the other sign.
+    pub(crate) fn negated(&self) -> Self {
+        let flip = |interval: Option<Interval>| interval.map(|[low, high]| [-high, -low]);
+        Self {
+            value: -self.value,
+            these_tasks: flip(self.these_tasks),
+            new_tasks: flip(self.new_tasks),
+            new_tasks_and_directions: flip(self.new_tasks_and_directions),
+            ..*self
+        }
     }
 
     /// Two-sided p-value, for new tasks, of the figure being 0; absent without a standard

@@ -7,11 +7,11 @@
 
 use std::collections::BTreeMap;
 
-use protocol::TaskRef;
+use protocol::{Directions, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::inference::estimate::{Estimate, Scale};
-use crate::inference::sample::{Directions, Row, Sample};
+use crate::inference::sample::{Row, Sample};
 use crate::inference::share;
 use crate::outcomes::Matched;
 

@@ -3,11 +3,11 @@
 
 use std::collections::BTreeMap;
 
-use protocol::TaskRef;
+use protocol::{Directions, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::inference::estimate::{Estimate, Scale};
-use crate::inference::sample::{Directions, Row, Sample};
+use crate::inference::sample::{Row, Sample};
 use crate::inference::sign_flip::sign_flip_p;
 use crate::inference::{defined, share};
 use crate::measures::Configuration;

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use protocol::TaskRef;
+use protocol::{Directions, Suite, TaskRef};
 
 /// One configuration: what is added up of it.
 #[derive(Clone, Debug)]
@@ -16,23 +16,38 @@ pub(crate) struct Row {
     pub(crate) values: Vec<f64>,
 }
 
-/// How directions are assigned to configurations.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Directions {
-    /// Configuration c of every task shares its directions, as in the paper.
-    #[default]
-    Shared,
-    /// Every task has directions of its own, so that new tasks are new directions too.
-    Own,
-}
+/// Variances up to this are rounding errors of equal values.
+pub(crate) const NO_VARIANCE: f64 = 1e-24;
 
 /// Rows, grouped once.
 #[derive(Clone, Debug)]
-pub(crate) struct Sample<'a> {
-    rows: &'a [Row],
-    directions: Directions,
+pub(crate) struct Sample {
+    rows: usize,
     sums: Vec<f64>,
     tasks: BTreeSet<TaskRef>,
+    directions: Directions,
+    tasks_in_suites: Vec<Stratum>,
+    rows_in_suites: Vec<Stratum>,
+    rows_in_tasks: Vec<Stratum>,
+    by_direction: Stratum,
+}
+
+/// Groups of which one at a time is left out.
+#[derive(Clone, Debug)]
+struct Stratum {
+    /// The sums of each group.
+    groups: Vec<Vec<f64>>,
+    /// The sums of all.
+    whole: Vec<f64>,
+}
+
+impl Stratum {
+    fn new(groups: Vec<Vec<f64>>) -> Self {
+        Self {
+            whole: sums(groups.iter()),
+            groups,
+        }
+    }
 }
 
 /// A variance and its degrees of freedom.
@@ -51,15 +66,37 @@ pub(crate) struct Variances {
     pub(crate) new_tasks_and_directions: Option<Variance>,
 }
 
-impl<'a> Sample<'a> {
+impl Sample {
     /// None of no row.
-    pub(crate) fn new(rows: &'a [Row], directions: Directions) -> Option<Self> {
-        let columns = rows.first()?.values.len();
+    pub(crate) fn new(rows: &[Row], directions: Directions) -> Option<Self> {
+        if rows.is_empty() {
+            return None;
+        }
+        let in_suites = tasks_in_suites(rows);
+        let values = |row: &&Row| row.values.clone();
+        let total = |task: &Vec<&Row>| sums(task.iter().map(|row| &row.values));
+        let tasks_in_suites = in_suites.iter();
+        let tasks_in_suites =
+            tasks_in_suites.map(|tasks| Stratum::new(tasks.iter().map(total).collect()));
+        let rows_in_suites = in_suites.iter();
+        let rows_in_suites =
+            rows_in_suites.map(|tasks| Stratum::new(tasks.iter().flatten().map(values).collect()));
+        let rows_in_tasks = in_suites.iter().flatten();
+        let rows_in_tasks =
+            rows_in_tasks.map(|task| Stratum::new(task.iter().map(values).collect()));
+        let mut by_direction: BTreeMap<u16, Vec<&Row>> = BTreeMap::new();
+        for row in rows {
+            by_direction.entry(row.direction).or_default().push(row);
+        }
         Some(Self {
-            rows,
-            directions,
-            sums: sums(rows.iter(), columns),
+            rows: rows.len(),
+            sums: sums(rows.iter().map(|row| &row.values)),
             tasks: rows.iter().map(|row| row.task).collect(),
+            directions,
+            tasks_in_suites: tasks_in_suites.collect(),
+            rows_in_suites: rows_in_suites.collect(),
+            rows_in_tasks: rows_in_tasks.collect(),
+            by_direction: Stratum::new(by_direction.values().map(total).collect()),
         })
     }
 
@@ -72,7 +109,7 @@ impl<'a> Sample<'a> {
     }
 
     pub(crate) fn rows(&self) -> usize {
-        self.rows.len()
+        self.rows
     }
 
     /// The variances of a statistic: a function of sums that does not change when all of
@@ -91,13 +128,14 @@ impl<'a> Sample<'a> {
     /// Economic Statistics 29 (2011), 238–249 (crossed clusters); F. E. Satterthwaite,
     /// Biometrics Bulletin 2 (1946), 110–114.
     pub(crate) fn variances(&self, statistic: &dyn Fn(&[f64]) -> f64) -> Variances {
-        let tasks = self.jackknife(statistic, &self.tasks_in_suites());
-        let within = self.jackknife(statistic, &self.rows_in_tasks());
+        let tasks = self.jackknife(statistic, &self.tasks_in_suites);
+        let within = self.jackknife(statistic, &self.rows_in_tasks);
         let both = match self.directions {
             Directions::Own => tasks,
             Directions::Shared => tasks.and_then(|tasks| {
-                let directions = self.jackknife(statistic, &[self.by_direction()])?;
-                let cells = self.jackknife(statistic, &self.rows_in_suites())?;
+                let directions =
+                    self.jackknife(statistic, std::slice::from_ref(&self.by_direction))?;
+                let cells = self.jackknife(statistic, &self.rows_in_suites)?;
                 Some(crossed(tasks, directions, cells))
             }),
         };
@@ -108,36 +146,13 @@ impl<'a> Sample<'a> {
         }
     }
 
-    /// How far the statistic moves when a task is left out, times −(G − 1), in the order
-    /// of the tasks: the mean of these pseudo-values' squares over G is the variance.
-    pub(crate) fn pseudo_values(
-        &self,
-        statistic: &dyn Fn(&[f64]) -> f64,
-    ) -> BTreeMap<TaskRef, f64> {
-        let mut pseudo = BTreeMap::new();
-        for stratum in self.tasks_in_suites() {
-            let groups = stratum.len() as f64;
-            let without: Vec<f64> = self.without_each(statistic, &stratum);
-            let mean = without.iter().sum::<f64>() / groups;
-            for (group, value) in stratum.iter().zip(without) {
-                let task = self.rows[group[0]].task;
-                pseudo.insert(task, (groups - 1.0).max(1.0) * (mean - value));
-            }
-        }
-        pseudo
-    }
-
     /// Σ_h (G_h − 1)/G_h · Σ_i (θ_(hi) − θ̄_h)², G_h groups in stratum h, with
     /// Σ_h (G_h − 1) degrees of freedom. None where a stratum has one group.
-    fn jackknife(
-        &self,
-        statistic: &dyn Fn(&[f64]) -> f64,
-        strata: &[Vec<Vec<usize>>],
-    ) -> Option<Variance> {
+    fn jackknife(&self, statistic: &dyn Fn(&[f64]) -> f64, strata: &[Stratum]) -> Option<Variance> {
         let (mut value, mut df) = (0.0, 0.0);
         for stratum in strata {
-            let groups = stratum.len() as f64;
-            if stratum.len() < 2 {
+            let groups = stratum.groups.len() as f64;
+            if stratum.groups.len() < 2 {
                 return None;
             }
             let without = self.without_each(statistic, stratum);
@@ -151,61 +166,18 @@ impl<'a> Sample<'a> {
 
     /// The statistic without each group of a stratum; the others of that stratum stand in
     /// for it, so that strata keep their weights.
-    fn without_each(&self, statistic: &dyn Fn(&[f64]) -> f64, stratum: &[Vec<usize>]) -> Vec<f64> {
-        let columns = self.sums.len();
-        let of_groups: Vec<Vec<f64>> = stratum
-            .iter()
-            .map(|group| sums(group.iter().map(|&row| &self.rows[row]), columns))
-            .collect();
-        let mut whole = vec![0.0; columns];
-        for group in &of_groups {
-            add(&mut whole, group, 1.0);
-        }
-        let groups = stratum.len() as f64;
-        let stand_in = groups / (groups - 1.0).max(1.0);
-        let without = of_groups.iter().map(|group| {
-            let mut rest = self.sums.clone();
-            for ((rest, whole), group) in rest.iter_mut().zip(&whole).zip(group) {
-                *rest += (whole - group) * stand_in - whole;
+    fn without_each(&self, statistic: &dyn Fn(&[f64]) -> f64, stratum: &Stratum) -> Vec<f64> {
+        let groups = stratum.groups.len() as f64;
+        let stand_in = groups / (groups - 1.0);
+        let mut rest = self.sums.clone();
+        let without = stratum.groups.iter().map(|group| {
+            let columns = self.sums.iter().zip(&stratum.whole).zip(group);
+            for (rest, ((sum, whole), group)) in rest.iter_mut().zip(columns) {
+                *rest = sum + (whole - group) * stand_in - whole;
             }
             statistic(&rest)
         });
         without.collect()
-    }
-
-    /// Tasks in strata of suites; in one stratum where a suite has a single task.
-    fn tasks_in_suites(&self) -> Vec<Vec<Vec<usize>>> {
-        let mut suites: BTreeMap<_, BTreeMap<TaskRef, Vec<usize>>> = BTreeMap::new();
-        for (index, row) in self.rows.iter().enumerate() {
-            let tasks = suites.entry(row.task.suite()).or_default();
-            tasks.entry(row.task).or_default().push(index);
-        }
-        let of_suites = suites
-            .into_values()
-            .map(|tasks| tasks.into_values().collect());
-        merged_if_single(of_suites.collect())
-    }
-
-    fn rows_in_suites(&self) -> Vec<Vec<Vec<usize>>> {
-        let tasks = self.tasks_in_suites().into_iter();
-        let rows =
-            tasks.map(|stratum| stratum.into_iter().flatten().map(|row| vec![row]).collect());
-        rows.collect()
-    }
-
-    fn rows_in_tasks(&self) -> Vec<Vec<Vec<usize>>> {
-        let tasks = self.tasks_in_suites().into_iter().flatten();
-        tasks
-            .map(|task| task.into_iter().map(|row| vec![row]).collect())
-            .collect()
-    }
-
-    fn by_direction(&self) -> Vec<Vec<usize>> {
-        let mut directions: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
-        for (index, row) in self.rows.iter().enumerate() {
-            directions.entry(row.direction).or_default().push(index);
-        }
-        directions.into_values().collect()
     }
 }
 
@@ -214,31 +186,38 @@ fn crossed(tasks: Variance, directions: Variance, cells: Variance) -> Variance {
     let value = (tasks.value + directions.value - cells.value)
         .max(tasks.value)
         .max(directions.value);
-    let parts = tasks.value.powi(2) / tasks.df + directions.value.powi(2) / directions.df;
-    let df = match parts > 0.0 {
-        true => (tasks.value + directions.value).powi(2) / parts,
+    let part = |of: Variance| of.value.powi(2) / of.df;
+    let df = match value > NO_VARIANCE {
+        true => value.powi(2) / (part(tasks) + part(directions) + part(cells)),
         false => tasks.df.min(directions.df),
     };
     Variance { value, df }
 }
 
-fn merged_if_single<T>(strata: Vec<Vec<T>>) -> Vec<Vec<T>> {
-    match strata.iter().any(|groups| groups.len() < 2) {
+/// The rows of tasks, in strata of suites; in one stratum where a suite has a single task.
+fn tasks_in_suites(rows: &[Row]) -> Vec<Vec<Vec<&Row>>> {
+    let mut suites: BTreeMap<Suite, BTreeMap<TaskRef, Vec<&Row>>> = BTreeMap::new();
+    for row in rows {
+        let tasks = suites.entry(row.task.suite()).or_default();
+        tasks.entry(row.task).or_default().push(row);
+    }
+    let strata: Vec<Vec<Vec<&Row>>> = suites
+        .into_values()
+        .map(|tasks| tasks.into_values().collect())
+        .collect();
+    match strata.iter().any(|tasks| tasks.len() < 2) {
         true => vec![strata.into_iter().flatten().collect()],
         false => strata,
     }
 }
 
-fn sums<'a>(rows: impl Iterator<Item = &'a Row>, columns: usize) -> Vec<f64> {
-    let mut total = vec![0.0; columns];
+fn sums<'a>(rows: impl Iterator<Item = &'a Vec<f64>>) -> Vec<f64> {
+    let mut total = Vec::new();
     for row in rows {
-        add(&mut total, &row.values, 1.0);
+        total.resize(row.len(), 0.0);
+        for (total, value) in total.iter_mut().zip(row) {
+            *total += value;
+        }
     }
     total
-}
-
-fn add(total: &mut [f64], values: &[f64], times: f64) {
-    for (total, value) in total.iter_mut().zip(values) {
-        *total += times * value;
-    }
 }

@@ -1,7 +1,7 @@
 //! Student's t distribution: quantiles for intervals, tails for tests.
 
-/// Halvings in which a quantile is found: enough for doubles.
-const BISECTIONS: u32 = 200;
+/// Steps of Newton's method, at most: few are taken, except with one degree of freedom.
+const MOST_STEPS: u32 = 100;
 /// Terms of the continued fraction, at most.
 const TERMS: u32 = 500;
 /// Relative error at which the continued fraction is taken to have converged.
@@ -25,20 +25,21 @@ pub(crate) fn upper_tail(t: f64, df: f64) -> f64 {
     if t >= 0.0 { half } else { 1.0 - half }
 }
 
-/// The t that |T| exceeds with probability `alpha`.
+/// The t that |T| exceeds with probability `alpha`, by Newton's method from 0: the tail is
+/// convex there, so that every step stays below the root.
 pub(crate) fn two_sided_quantile(alpha: f64, df: f64) -> f64 {
-    let (mut low, mut high) = (0.0, 1.0);
-    while two_sided_tail(high, df) > alpha {
-        high *= 2.0;
-    }
-    for _ in 0..BISECTIONS {
-        let middle = f64::midpoint(low, high);
-        match two_sided_tail(middle, df) > alpha {
-            true => low = middle,
-            false => high = middle,
+    let ln_constant =
+        ln_gamma((df + 1.0) / 2.0) - ln_gamma(df / 2.0) - 0.5 * (df * std::f64::consts::PI).ln();
+    let mut t = 0.0;
+    for _ in 0..MOST_STEPS {
+        let density = (ln_constant - (df + 1.0) / 2.0 * (t * t / df).ln_1p()).exp();
+        let step = (two_sided_tail(t, df) - alpha) / (2.0 * density);
+        t += step;
+        if step.abs() <= 1e-14 * t {
+            break;
         }
     }
-    high
+    t
 }
 
 /// I_x(a, b), by Lentz's evaluation of its continued fraction, on the side of the mean

@@ -1,8 +1,8 @@
 //! Statements on `motion`: which rollouts are left to be filmed, and from what.
 
-use sqlx::types::Text;
 use attempt::{AttemptId, Pin};
 use sqlx::SqliteConnection;
+use sqlx::types::Text;
 
 use super::{Doing, StoreError};
 use crate::ids::{CampaignId, CampaignName, JobId};

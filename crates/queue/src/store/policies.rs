@@ -1,8 +1,8 @@
 //! Statements on `policy`: the health of each policy at each endpoint.
 
-use sqlx::types::Text;
 use attempt::AttemptId;
 use sqlx::SqliteConnection;
+use sqlx::types::Text;
 
 use super::{Doing, StoreError};
 use crate::clock::UnixMillis;

@@ -88,7 +88,7 @@ fn cells(comparison: &Comparison) -> Markup {
         "A − B points",
         &only_a,
         &only_b,
-        "McNemar p",
+        "Holm p",
     ];
     let cells = comparison.statistics.cells.iter();
     let cells: Vec<&ComparedCell> = cells.filter(|cell| cell.replicate == 0).collect();
@@ -120,7 +120,7 @@ fn row(cell: &ComparedCell) -> Vec<Markup> {
         of(|it| difference(it.difference, it.difference_ci95, it.no_interval)),
         of(|it| plain(it.a_only)),
         of(|it| plain(it.b_only)),
-        of(|it| plain(words::p_value(it.mcnemar_p))),
+        of(|it| plain(words::p_value(it.holm_p))),
     ]
 }
 
@@ -136,8 +136,8 @@ fn explanation() -> Markup {
             "n: rollouts with an outcome of both policies, replicate 0; every figure is over these. \
             A is the policy that is named first. In brackets, 95 % intervals that resample whole \
             tasks, both policies of a task together. Only: rollouts that one policy alone solves. \
-            McNemar p: exact two-sided test of the one count against the other; of many rows, some \
-            are small by chance. Worst to best: over every outcome that quarantined rollouts could \
+            Holm p: exact two-sided sign-flip test over tasks, corrected for the rows of the table. \
+            Worst to best: over every outcome that quarantined rollouts could \
             have had."
         }
     }

@@ -2,15 +2,12 @@
 //! and what it shows, in words.
 
 use maud::{Markup, html};
-use paired::{Cell, Measures};
+use paired::Finding;
 
 use crate::analysis::Analysis;
 use crate::document::Document;
 use crate::subject::Origin;
 use crate::words;
-
-/// Below this p-value, b and c are said to differ.
-const SIGNIFICANT: f64 = 0.05;
 
 pub(super) fn subtitle(document: &Document) -> Markup {
     let rollouts = document.analyses.iter().map(|analysis| {
@@ -82,7 +79,14 @@ pub(super) fn warnings(document: &Document) -> Markup {
 pub(super) fn sentence(warning: &str) -> Markup {
     let mut letters = warning.chars();
     let first = letters.next().map(|c| c.to_uppercase().to_string());
-    let text = format!("{}{}.", first.unwrap_or_default(), letters.as_str());
+    in_code(&format!(
+        "{}{}.",
+        first.unwrap_or_default(),
+        letters.as_str()
+    ))
+}
+
+fn in_code(text: &str) -> Markup {
     html! {
         @for (index, part) in text.split('`').enumerate() {
             @if index % 2 == 1 { code { (part) } } @else { (part) }
@@ -90,22 +94,27 @@ pub(super) fn sentence(warning: &str) -> Markup {
     }
 }
 
+/// The findings of each policy: three sentences first, those about the last level, then
+/// all others.
 pub(super) fn in_words(document: &Document) -> Markup {
-    let cells: Vec<(&Analysis, &Cell, &Measures)> = document
-        .analyses
-        .iter()
-        .flat_map(|analysis| {
-            let cells = analysis.cells();
-            cells.filter_map(move |cell| Some((analysis, cell, cell.paired.as_ref()?)))
-        })
-        .collect();
+    let said = document.analyses.iter().map(|analysis| {
+        let findings = &analysis.report.findings;
+        let last = findings.last().and_then(|finding| finding.level);
+        let is_first = |finding: &&Finding| finding.level.is_none() || finding.level == last;
+        let (first, others): (Vec<&Finding>, Vec<&Finding>) = findings.iter().partition(is_first);
+        (analysis, first, others)
+    });
+    let said: Vec<_> = said.filter(|(_, first, _)| !first.is_empty()).collect();
+    let several = document.analyses.len() > 1;
     html! {
-        @if !cells.is_empty() {
+        @if !said.is_empty() {
             section {
                 h2 { "What it shows" }
-                ul.findings.many[document.analyses.len() > 1] {
-                    @for (analysis, cell, measures) in cells {
-                        (finding(&format!("{}, {}", analysis.label, cell.level), cell, measures))
+                @for (analysis, first, others) in said {
+                    @if several { h3 { (analysis.label) } }
+                    @for finding in first { p { (finding_in_words(finding)) } }
+                    @if !others.is_empty() {
+                        ul.findings { @for finding in others { li { (finding_in_words(finding)) } } }
                     }
                 }
             }
@@ -113,31 +122,10 @@ pub(super) fn in_words(document: &Document) -> Markup {
     }
 }
 
-fn finding(what: &str, cell: &Cell, m: &Measures) -> Markup {
-    let net = match (m.mcnemar_p < SIGNIFICANT, m.i < 0.0) {
-        (false, _) => "neither direction outweighs the other by more than chance would",
-        (true, true) => "failures emerge more often than they are compensated",
-        (true, false) => "failures are compensated more often than they emerge",
-    };
+/// A claim of an effect is bold.
+fn finding_in_words(finding: &Finding) -> Markup {
+    let sentence = words::minus_signs(&finding.sentence);
     html! {
-        li {
-            strong { (what) } ": of " (m.n)
-            @if cell.completeness.complete < cell.completeness.expected {
-                " complete configurations out of " (cell.completeness.expected)
-            } @else { " configurations" }
-            ", "
-            // A nought is nothing to warn of.
-            span class=[(m.b > 0).then_some("emergent")] {
-                (m.b) @if m.b == 1 { " fails" } @else { " fail" }
-                " only under simultaneous perturbation"
-            }
-            " and "
-            span class=[(m.c > 0).then_some("compensated")] {
-                (m.c) @if m.c == 1 { " succeeds" } @else { " succeed" }
-                " although an axis alone makes them fail"
-            }
-            ". Net effect " (words::points(m.i)) " points" (words::points_interval(m.i_ci95, m.no_interval))
-            "; " (net) " (p = " (words::p_value(m.mcnemar_p)) ")."
-        }
+        @if finding.claims { strong { (in_code(&sentence)) } } @else { (in_code(&sentence)) }
     }
 }

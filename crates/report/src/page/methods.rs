@@ -29,14 +29,16 @@ pub(super) fn methods(document: &Document) -> Markup {
                     outcomes are compared configuration by configuration. S_indep is the product of \
                     the axes' success rates, S_conj the share of configurations that succeed under \
                     every axis alone, S_sim the success rate under simultaneous perturbation; \
-                    D = S_conj − S_indep, I = S_sim − S_conj. P-values are of McNemar's exact \
-                    two-sided test. "
+                    D = S_conj − S_indep, I = S_sim − S_conj. McNemar's exact test takes rollouts \
+                    as independent; sign-flip tests take tasks as independent, and sentences rest \
+                    on these, at 1 % after Holm's correction. Intervals for each target are \
+                    jackknives over tasks, directions and configurations with Student's t. "
                 } @else {
                     "This campaign goes on with configurations of another one: the same initial \
                     states, and perturbations drawn from the same seeds. "
                 }
                 @if let Some(bootstrap) = bootstrap {
-                    "Intervals are 95 % percentile intervals of " (bootstrap.replicates)
+                    "The paper's intervals, about new tasks under these directions, are 95 % percentile intervals of " (bootstrap.replicates)
                     " bootstrap replicates that resample whole tasks (ChaCha12, seed "
                     (bootstrap.seed) "). Fewer than "
                     (MIN_TASKS) " tasks get no interval (“too few tasks”), because it would be too narrow: of \

@@ -57,6 +57,7 @@ fn is_of_campaign(axes: AxisSet) -> bool {
 fn whole() -> Subject {
     Subject {
         records: records(|_, _| true),
+        directions: protocol::Directions::default(),
         reported_nominal: None,
         published_nominal: None,
         published_by_suite: Vec::new(),
@@ -82,6 +83,7 @@ fn explaining() -> Subject {
             purpose: Purpose::Explanation(explanation),
             records: records(|_, axes| is_of_campaign(axes)),
         }),
+        directions: protocol::Directions::default(),
         reported_nominal: None,
         published_nominal: None,
         published_by_suite: Vec::new(),

@@ -51,6 +51,7 @@ fn measuring(source: &Subject, by: Vec<Record>, max_radius: f64) -> Subject {
         }),
         published_nominal: None,
         published_by_suite: Vec::new(),
+        directions: protocol::Directions::default(),
         reported_nominal: None,
         ..source.clone()
     }

@@ -84,6 +84,7 @@ pub(crate) fn broken() -> Subject {
         ],
         published_nominal: Some(0.9),
         published_by_suite: Vec::new(),
+        directions: protocol::Directions::default(),
         reported_nominal: Some(Count {
             successes: 100,
             n: 2000,

@@ -1,0 +1,189 @@
+//! How sure the figures are, and about what: intervals for each target, what exceeds the
+//! noise floor, and losses against matched nominal rollouts.
+
+use maud::{Markup, html};
+use paired::{Cell, Estimate, Inference, Simultaneity};
+
+use crate::document::Document;
+use crate::page::tables::table;
+use crate::words::{p_value, percent, points};
+
+/// The tables; nothing without a complete configuration.
+pub(super) fn tables(document: &Document) -> Markup {
+    let cells: Vec<(&str, &Cell, &Inference)> = document
+        .analyses
+        .iter()
+        .flat_map(|analysis| {
+            let cells = analysis.cells();
+            cells.filter_map(|cell| Some((analysis.label.as_str(), cell, cell.inference.as_ref()?)))
+        })
+        .collect();
+    html! {
+        @if !cells.is_empty() {
+            section {
+                h2 { "How sure, and about what" }
+                (targets(&cells))
+                (floor(&cells))
+                (losses(&cells))
+            }
+        }
+    }
+}
+
+type Cells<'a> = [(&'a str, &'a Cell, &'a Inference)];
+
+/// A measure with an interval for each target.
+fn targets(cells: &Cells<'_>) -> Markup {
+    let heads = [
+        "policy",
+        "level",
+        "measure.",
+        "value",
+        "these tasks and directions",
+        "new tasks",
+        "new tasks and directions",
+    ];
+    let mut rows = Vec::new();
+    for (policy, cell, it) in cells {
+        let mut add = |name: &str, estimate: Option<&Estimate>, is_share: bool| {
+            if let Some(estimate) = estimate {
+                let number = if is_share { percent } else { points };
+                let ends = |interval: Option<[f64; 2]>| spread(number, interval);
+                rows.push(vec![
+                    text(policy),
+                    text(cell.level),
+                    text(name),
+                    text(number(estimate.value)),
+                    ends(estimate.these_tasks),
+                    ends(estimate.new_tasks),
+                    ends(estimate.new_tasks_and_directions),
+                ]);
+            }
+        };
+        add("S_sim", Some(&it.paired.s_sim), true);
+        add("R_d", Some(&it.paired.r_d), true);
+        add("I", Some(&it.paired.i), false);
+        add("b / S_conj", it.eligible.emergent.as_ref(), true);
+        add("c / (1 − S_conj)", it.eligible.compensated.as_ref(), true);
+        let relative = it.relative.as_ref();
+        add("nominal, matched", relative.map(|it| &it.nominal), true);
+        add(
+            "relative independence",
+            relative.map(|it| &it.prediction),
+            true,
+        );
+        add("S_sim − relative", relative.map(|it| &it.difference), false);
+    }
+    html! {
+        (table("Intervals for each target", &heads, rows))
+        p.muted {
+            "95 % intervals, and what they are about. These tasks and directions: other initial \
+            states and the chance of rollouts would change the figure so much. New tasks: other \
+            tasks of the same suites, under the same directions. New tasks and directions: other \
+            directions too; all tasks share the direction of configuration c. Relative \
+            independence is nominal × Π (axis / nominal), which S_indep would be if it counted \
+            nominal failures once."
+        }
+    }
+}
+
+/// The noise floor and what exceeds it.
+fn floor(cells: &Cells<'_>) -> Markup {
+    let heads = [
+        "policy",
+        "level",
+        "measure.",
+        "level's",
+        "floor",
+        "above the floor",
+        "new tasks",
+    ];
+    let mut rows = Vec::new();
+    for (policy, cell, it) in cells {
+        let Some(excess) = &it.excess else { continue };
+        let paired = &it.paired;
+        let measures: [(&str, &Estimate, fn(&Simultaneity) -> &Estimate); 4] = [
+            ("R_e", &paired.r_e, |it| &it.r_e),
+            ("R_c", &paired.r_c, |it| &it.r_c),
+            ("R_d", &paired.r_d, |it| &it.r_d),
+            ("I", &paired.i, |it| &it.i),
+        ];
+        for (name, measure, of) in measures {
+            let above = of(&excess.excess);
+            rows.push(vec![
+                text(policy),
+                text(cell.level),
+                text(name),
+                text(percent(measure.value)),
+                text(percent(of(&excess.floor).value)),
+                text(points(above.value)),
+                spread(points, above.new_tasks),
+            ]);
+        }
+    }
+    html! {
+        @if !rows.is_empty() {
+            (table("What exceeds the noise floor", &heads, rows))
+            p.muted {
+                "The floor is what the measures come to at the placebo level L0, where nothing \
+                perceptible is done; it is averaged over which of a configuration's rollouts is \
+                taken for the simultaneous one."
+            }
+        }
+    }
+}
+
+/// What each condition costs.
+fn losses(cells: &Cells<'_>) -> Markup {
+    let heads = [
+        "policy",
+        "level",
+        "condition.",
+        "n",
+        "nominal %",
+        "success %",
+        "loss points",
+        "new tasks",
+        "Holm p",
+        "beyond 5, p",
+    ];
+    let mut rows = Vec::new();
+    for (policy, cell, it) in cells {
+        for (condition, loss) in &it.losses {
+            rows.push(vec![
+                text(policy),
+                text(cell.level),
+                text(condition.label()),
+                text(loss.n),
+                text(percent(loss.nominal.value)),
+                text(percent(loss.success.value)),
+                text(percent(loss.loss.value)),
+                spread(percent, loss.loss.new_tasks),
+                text(p_value(loss.holm_p)),
+                text(loss.equivalence_p.map_or_else(|| "–".to_owned(), p_value)),
+            ]);
+        }
+    }
+    html! {
+        @if !rows.is_empty() {
+            (table("Loss against matched nominal rollouts", &heads, rows))
+            p.muted {
+                "Loss: nominal success less success, over the same initial states. Holm p: exact \
+                sign-flip test over tasks, corrected for the conditions of the level. Beyond 5, p: \
+                test that the loss exceeds 5 points either way; if it is small, the condition costs \
+                nothing worth 5 points."
+            }
+        }
+    }
+}
+
+fn spread(number: fn(f64) -> String, interval: Option<[f64; 2]>) -> Markup {
+    text(interval.map_or_else(
+        || "–".to_owned(),
+        |[low, high]| format!("{} to {}", number(low), number(high)),
+    ))
+}
+
+fn text(value: impl ToString) -> Markup {
+    html! { (value.to_string()) }
+}

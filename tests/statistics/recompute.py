@@ -1,0 +1,379 @@
+"""Recomputes what reports infer, with NumPy and SciPy only, and compares.
+
+    python3 recompute.py campaigns.json
+
+The file has a list of {"name", "levels", "report"}: `levels` has, per level, a row per
+configuration, [suite, task, config, nominal or null, [each axis alone], simultaneous], and
+`report` is the report's JSON. Prints how many figures agree; fails naming each that does
+not. Shares no code with the crate; the formulas are those of docs/REPORT.md.
+"""
+
+import json
+import sys
+
+import numpy as np
+from scipy.stats import t as student
+
+AXES = ["camera", "lighting", "robot", "sensor", "actuation", "language"]
+ALPHA = 0.05
+MARGIN = 0.05
+FINDING_ALPHA = 0.01
+FEWEST_TASKS = 5
+PERMUTATIONS = 1999
+TOLERANCE = 1e-9
+
+
+def grouped(labels):
+    """Rows of each label, as indices."""
+    order = {}
+    for row, label in enumerate(labels):
+        order.setdefault(label, []).append(row)
+    return order
+
+
+class Sample:
+    """Rows of numbers, with the groups that a jackknife leaves out."""
+
+    def __init__(self, keys, values):
+        self.x = np.array(values, dtype=float)
+        suites = [suite for suite, _, _ in keys]
+        tasks = [(suite, task) for suite, task, _ in keys]
+        if any(len({t for t, s in zip(tasks, suites) if s == suite}) < 2 for suite in set(suites)):
+            suites = [0] * len(keys)
+        rows = [[[row] for row in rows] for rows in grouped(suites).values()]
+        of_suites = [
+            list(grouped_rows(tasks, rows).values()) for rows in grouped(suites).values()
+        ]
+        self.tasks = len(set(tasks))
+        self.in_task = self.leave_out([[[row] for row in rows] for rows in grouped(tasks).values()])
+        self.by_task = self.leave_out(of_suites)
+        self.by_row = self.leave_out(rows)
+        by_direction = grouped(config for _, _, config in keys)
+        self.by_direction = self.leave_out([list(by_direction.values())])
+
+    def leave_out(self, strata):
+        """The sums without each group, and the weight of each stratum's squares."""
+        if any(len(groups) < 2 for groups in strata):
+            return None
+        total, parts = self.x.sum(axis=0), []
+        for groups in strata:
+            g = len(groups)
+            sums = np.array([self.x[rows].sum(axis=0) for rows in groups])
+            whole = sums.sum(axis=0)
+            parts.append((total - whole + (whole - sums) * g / (g - 1)).T)
+        sizes = np.array([len(groups) for groups in strata])
+        return np.concatenate(parts, axis=1), sizes
+
+    def jackknife(self, f, left_out):
+        if left_out is None:
+            return None
+        sums, sizes = left_out
+        theta = f(sums)
+        starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+        means = np.add.reduceat(theta, starts) / sizes
+        squares = np.add.reduceat((theta - np.repeat(means, sizes)) ** 2, starts)
+        variance = float(((sizes - 1) / sizes * squares).sum())
+        return (variance, int((sizes - 1).sum())) if np.isfinite(variance) else None
+
+    def estimate(self, f, is_share):
+        with np.errstate(all="ignore"):
+            value = float(f(self.x.sum(axis=0)))
+            if not np.isfinite(value):
+                return None
+            within = self.jackknife(f, self.in_task)
+            new = self.jackknife(f, self.by_task)
+            directions = self.jackknife(f, self.by_direction)
+            rows = self.jackknife(f, self.by_row)
+        both = None
+        if new and directions and rows:
+            variance = max(new[0] + directions[0] - rows[0], new[0], directions[0])
+            parts = sum(v**2 / df for v, df in (new, directions, rows))
+            df = variance**2 / parts if variance > 1e-24 else min(new[1], directions[1])
+            both = (variance, df)
+        if self.tasks < FEWEST_TASKS:
+            new = both = None
+        ends = wilson if is_share else around
+        has_spread = new is not None and new[0] > 1e-24
+        return {
+            "value": value,
+            "these_tasks": ends(value, within, len(self.x)),
+            "new_tasks": ends(value, new, self.tasks),
+            "new_tasks_and_directions": ends(value, both, self.tasks),
+            "standard_error": new[0] ** 0.5 if has_spread else None,
+            "df": float(new[1]) if has_spread else None,
+        }
+
+
+def grouped_rows(labels, rows):
+    groups = {}
+    for row in rows:
+        groups.setdefault(labels[row], []).append(row)
+    return groups
+
+
+def around(value, variance, _):
+    if variance is None or variance[0] <= 1e-24:
+        return None
+    half = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5
+    return [max(value - half, -1.0), min(value + half, 1.0)]
+
+
+def wilson(p, variance, units):
+    if variance is None:
+        return None
+    z = student.isf(ALPHA / 2, variance[1])
+    if 0 < p < 1:
+        if variance[0] <= 1e-24:
+            return None
+        n = p * (1 - p) / variance[0]
+    else:
+        n = units
+    # The roots of (p - q)^2 = z^2 q (1 - q) / n.
+    a, b, c = 1 + z * z / n, -(2 * p + z * z / n), p * p
+    root = max(b * b - 4 * a * c, 0) ** 0.5
+    return [max((-b - root) / (2 * a), 0.0), min((-b + root) / (2 * a), 1.0)]
+
+
+def sign_flip(net):
+    """P(|sum of signs times net| >= |observed|), by convolution."""
+    distribution = np.ones(1)
+    for change in net:
+        kernel = np.zeros(2 * abs(change) + 1)
+        kernel[0] += 0.5
+        kernel[-1] += 0.5
+        distribution = np.convolve(distribution, kernel)
+    reach = len(distribution) // 2
+    far = np.abs(np.arange(-reach, reach + 1)) >= abs(sum(net))
+    return float(distribution[far].sum())
+
+
+def holm(p):
+    p = np.array(p, dtype=float)
+    order = np.argsort(p, kind="stable")
+    stepped = np.minimum(p[order] * (len(p) - np.arange(len(p))), 1)
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.maximum.accumulate(stepped)
+    return adjusted.tolist()
+
+
+def two_sided(estimate):
+    if estimate["standard_error"] is None:
+        return None
+    return float(2 * student.sf(abs(estimate["value"]) / estimate["standard_error"], estimate["df"]))
+
+
+def equivalence(estimate):
+    if estimate["standard_error"] is None:
+        return None
+    near = (MARGIN - abs(estimate["value"])) / estimate["standard_error"]
+    return float(student.sf(near, estimate["df"]))
+
+
+def net_by_task(keys, change):
+    net = {}
+    for (suite, task, _), value in zip(keys, change):
+        net[suite, task] = net.get((suite, task), 0) + int(value)
+    return list(net.values())
+
+
+def loss(keys, nominal, success):
+    sample = Sample(keys, np.column_stack([np.ones(len(keys)), nominal, success]))
+    difference = sample.estimate(lambda s: (s[1] - s[2]) / s[0], False)
+    return {
+        "n": len(keys),
+        "nominal": sample.estimate(lambda s: s[1] / s[0], True),
+        "success": sample.estimate(lambda s: s[2] / s[0], True),
+        "loss": difference,
+        "nominal_only": int(((nominal == 1) & (success == 0)).sum()),
+        "condition_only": int(((nominal == 0) & (success == 1)).sum()),
+        "sign_flip_p": sign_flip(net_by_task(keys, nominal - success)),
+        "equivalence_p": equivalence(difference),
+    }
+
+
+def excess(keys, y, placebo):
+    """`placebo` is (keys, outcomes), the last column simultaneous."""
+    rows = {}
+    for key, outcomes in zip(keys, y):
+        alone = outcomes[:-1].all()
+        rows[key] = [1, alone and not outcomes[-1], not alone and outcomes[-1], 0, 0, 0]
+    for key, outcomes in zip(*placebo):
+        m, chosen = len(outcomes), []
+        # Every rollout in turn is the simultaneous one.
+        for at in range(m):
+            alone = np.delete(outcomes, at).all()
+            chosen.append([alone and not outcomes[at], not alone and outcomes[at]])
+        row = rows.setdefault(key, [0] * 6)
+        row[3:] = [1, *np.mean(np.array(chosen, dtype=float), axis=0)]
+    sample = Sample(list(rows), list(rows.values()))
+
+    def four(of, is_share):
+        weights = {"r_e": (1, 0), "r_c": (0, 1), "r_d": (1, 1), "i": (-1, 1)}
+        return {
+            name: sample.estimate(lambda s, w=w: of(s, *w), is_share and name != "i")
+            for name, w in weights.items()
+        }
+
+    floor = lambda s, e, c: (e * s[4] + c * s[5]) / s[3]
+    return {
+        "n": len(y),
+        "placebo": len(placebo[1]),
+        "floor": four(floor, True),
+        "excess": four(lambda s, e, c: (e * s[1] + c * s[2]) / s[0] - floor(s, e, c), False),
+    }
+
+
+def directions(keys, simultaneous):
+    """Rates by direction, and the p-value by permutations of its own."""
+    rng = np.random.default_rng(1)
+    configs = np.array([config for _, _, config in keys])
+    tasks = np.unique([suite * 100 + task for suite, task, _ in keys], return_inverse=True)[1]
+    names = np.unique(configs)
+    weights = (configs[:, None] == names).astype(float)
+    sizes = weights.sum(axis=0)
+
+    def spread(y):
+        return ((y @ weights) ** 2 / sizes).sum(axis=-1)
+
+    shuffled = np.tile(simultaneous, (PERMUTATIONS, 1))
+    for task in range(tasks.max() + 1):
+        columns = np.flatnonzero(tasks == task)
+        shuffled[:, columns] = rng.permuted(shuffled[:, columns], axis=1)
+    far = (spread(shuffled) >= spread(simultaneous) - 1e-9).sum()
+    rates = simultaneous @ weights / sizes
+    return dict(zip(map(str, names.tolist()), rates.tolist())), (far + 1) / (PERMUTATIONS + 1)
+
+
+def inference(rows, placebo):
+    keys = [tuple(row[:3]) for row in rows]
+    alone = np.array([row[4] for row in rows], dtype=float)
+    sim = np.array([row[5] for row in rows], dtype=float)
+    conj = alone.all(axis=1).astype(float)
+    e, c = conj * (1 - sim), (1 - conj) * sim
+    columns = np.column_stack([np.ones(len(rows)), conj, sim, e, c, alone])
+    sample = Sample(keys, columns)
+    indep = lambda s: np.prod(s[5:] / s[0], axis=0)
+    of = sample.estimate
+    result = {
+        "paired": {
+            "s_indep": of(indep, True),
+            "s_conj": of(lambda s: s[1] / s[0], True),
+            "s_sim": of(lambda s: s[2] / s[0], True),
+            "d": of(lambda s: s[1] / s[0] - indep(s), False),
+            "i": of(lambda s: (s[2] - s[1]) / s[0], False),
+            "r_e": of(lambda s: s[3] / s[0], True),
+            "r_c": of(lambda s: s[4] / s[0], True),
+            "r_d": of(lambda s: (s[3] + s[4]) / s[0], True),
+        },
+        "eligible": {
+            "emergent": of(lambda s: s[3] / s[1], True),
+            "compensated": of(lambda s: s[4] / (s[0] - s[1]), True),
+        },
+        "i_sign_flip_p": sign_flip(net_by_task(keys, sim - conj)),
+        "relative": None,
+        "losses": {},
+    }
+    if rows[0][3] is not None:
+        nominal = np.array([row[3] for row in rows], dtype=float)
+        sample = Sample(keys, np.column_stack([columns, nominal]))
+        predicted = lambda s: s[-1] / s[0] * np.prod(s[5:-1] / s[-1], axis=0)
+        result["relative"] = {
+            "n": len(rows),
+            "nominal": sample.estimate(lambda s: s[-1] / s[0], True),
+            "prediction": sample.estimate(predicted, False),
+            "difference": sample.estimate(lambda s: s[2] / s[0] - predicted(s), False),
+        }
+        conditions = dict(zip(AXES, alone.T)) | {"combination": sim}
+        losses = {name: loss(keys, nominal, y) for name, y in conditions.items()}
+        for one, p in zip(losses.values(), holm([one["sign_flip_p"] for one in losses.values()])):
+            one["holm_p"] = p
+        result["losses"] = losses
+    if placebo is not None:
+        stacked = lambda rows: np.array([row[4] + [row[5]] for row in rows], dtype=float)
+        of_placebo = ([tuple(row[:3]) for row in placebo], stacked(placebo))
+        result["excess"] = excess(keys, stacked(rows), of_placebo)
+    else:
+        result["excess"] = None
+    return result, keys, sim
+
+
+class Comparison:
+    def __init__(self):
+        self.agreed, self.wrong = 0, []
+
+    def check(self, where, ours, theirs, tolerance=TOLERANCE):
+        if isinstance(ours, dict):
+            for name, value in ours.items():
+                self.check(f"{where}.{name}", value, theirs[name], tolerance)
+        elif isinstance(ours, list) and isinstance(theirs, list):
+            for at, (a, b) in enumerate(zip(ours, theirs, strict=True)):
+                self.check(f"{where}[{at}]", a, b, tolerance)
+        elif ours is None or theirs is None or isinstance(ours, (bool, list)):
+            self.count(where, ours, theirs, ours == theirs)
+        else:
+            self.count(where, ours, theirs, abs(ours - theirs) <= tolerance * max(1, abs(ours)))
+
+    def count(self, where, ours, theirs, agrees):
+        self.agreed += agrees
+        if not agrees:
+            self.wrong.append(f"{where}: {ours} here, {theirs} in the report")
+
+
+def claims(cells):
+    """Which findings about simultaneity and directions claim an effect, by level."""
+    tested = {}
+    for level, cell in cells.items():
+        if level == "L0":
+            continue
+        found = cell["inference"]
+        if found["excess"]:
+            for name in ["r_e", "r_c"]:
+                one = found["excess"]["excess"][name]
+                p = two_sided(one)
+                tested[level, name] = (1.0 if p is None else p, one["value"] > 0)
+        else:
+            tested[level, "i"] = (found["i_sign_flip_p"], found["paired"]["i"]["value"] < 0)
+        if found["directions"]:
+            tested[level, "directions"] = (found["directions"]["p"], True)
+    adjusted = holm([p for p, _ in tested.values()])
+    return {
+        (level, "directions" if name == "directions" else "simultaneity")
+        for ((level, name), (_, is_right)), p in zip(tested.items(), adjusted)
+        if p < FINDING_ALPHA and is_right
+    }
+
+
+def compare(campaign, comparison):
+    name, levels = campaign["name"], campaign["levels"]
+    cells = {cell["level"]: cell for cell in campaign["report"]["cells"]}
+    for level, rows in levels.items():
+        placebo = levels.get("L0") if level != "L0" else None
+        ours, keys, sim = inference(rows, placebo)
+        theirs = cells[level]["inference"]
+        comparison.check(f"{name} {level}", ours, theirs)
+        if theirs["directions"] is not None:
+            rates, p = directions(keys, sim)
+            comparison.check(f"{name} {level} directions", rates, theirs["directions"]["rates"])
+            # Both are shares of 1,999 permutations.
+            error = 5 * (2 * max(p * (1 - p), 1e-3) / PERMUTATIONS) ** 0.5
+            comparison.check(f"{name} {level} directions p", p, theirs["directions"]["p"], error)
+    kinds = {"simultaneity", "directions"}
+    said = campaign["report"]["findings"]
+    said = {(it["level"], it["kind"]) for it in said if it["claims"] and it["kind"] in kinds}
+    comparison.count(f"{name} claims", claims(cells), said, claims(cells) == said)
+
+
+def main():
+    comparison = Comparison()
+    with open(sys.argv[1]) as file:
+        campaigns = json.load(file)
+    for campaign in campaigns:
+        compare(campaign, comparison)
+    for line in comparison.wrong[:20]:
+        print(line, file=sys.stderr)
+    print(f"{comparison.agreed} figures of {len(campaigns)} campaigns agree")
+    if comparison.wrong:
+        sys.exit(f"{len(comparison.wrong)} figures differ")
+
+
+main()
