@@ -18,6 +18,8 @@ const SUBSTEP_SECS: f64 = 0.002;
 const STEP_RAD: f64 = 0.15;
 /// m per step at which the fingers travel.
 const FINGER_STEP_M: f64 = 0.01;
+/// How far apart fingers stay that hold something, m.
+const HOLDING_M: f64 = 0.02;
 /// Objects nearer than this to the grip point can be held, m.
 const REACH_M: f64 = 0.08;
 
@@ -167,6 +169,9 @@ impl KinematicScene {
             self.slippery -= 1;
         } else if shut {
             self.held = self.between_fingers();
+            if self.held.is_some() {
+                self.state.gripper_opening = HOLDING_M;
+            }
         }
     }
 

@@ -84,7 +84,11 @@ impl Expert {
     fn unstuck(&mut self, world: &World, command: Command) -> Command {
         let travels = command.pace >= 1.0;
         let is_far = !command.hand.is_near(world, FAR_M, FAR_RAD);
-        self.far_steps = if travels && is_far { self.far_steps + 1 } else { 0 };
+        self.far_steps = if travels && is_far {
+            self.far_steps + 1
+        } else {
+            0
+        };
         if self.far_steps >= PATIENCE_STEPS && self.motion.is_stuck() {
             (self.far_steps, self.backing_steps) = (0, BACKING_STEPS);
         }
@@ -164,6 +168,68 @@ mod tests {
         assert_eq!(actions, episode(250));
         assert_eq!(actions.len(), 250);
         assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
+    }
+
+    /// Whether the bowl comes to its plate in so many steps, where `meddle` changes every action
+    /// that is not the expert's own, by the step's number.
+    fn ends(steps: u32, meddle: impl Fn(u32, Action) -> Option<Action>) -> bool {
+        let (mut scene, mut expert) = (scene(), Expert::default());
+        (0..steps).any(|step| {
+            let action = expert.act(&scene.state).expect("an action");
+            let other = meddle(step, action);
+            if other.is_some() {
+                expert.interrupt();
+            }
+            scene.apply(other.unwrap_or(action));
+            let world = scene.world();
+            goal::plan(&world).expect("a plan").is_empty() && world.opening > motion::OPEN_M
+        })
+    }
+
+    #[test]
+    fn what_it_does_follows_from_what_it_sees_alone() {
+        // Told at every step that it was not its own, it keeps no phase.
+        assert!(ends(250, |_, action| Some(action)));
+    }
+
+    #[test]
+    fn a_hand_that_something_else_held_back_moved_or_emptied_ends_all_the_same() {
+        let still = |gripper| move |_: Action| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, gripper];
+        let aside = |_: Action| [0.6, -0.6, 0.3, 0.0, 0.0, 0.0, 1.0];
+        let meddlers: [&dyn Fn(Action) -> Action; 3] = [&still(-1.0), &still(1.0), &aside];
+        for (number, meddler) in meddlers.iter().enumerate() {
+            for first in (10..120).step_by(10) {
+                let meddled = first..first + 12;
+                let ended = ends(300, |step, action| {
+                    meddled.contains(&step).then(|| meddler(action))
+                });
+                assert!(ended, "meddler {number} from step {first} on");
+            }
+        }
+    }
+
+    #[test]
+    fn a_hand_that_holds_the_object_is_not_told_to_open_above_another_grasp() {
+        let (mut scene, mut expert) = (scene(), Expert::default());
+        for _ in 0..200 {
+            if scene.state.entities[0].pos[2] > 0.05 {
+                break;
+            }
+            let action = expert.act(&scene.state).expect("an action");
+            scene.apply(action);
+        }
+        assert!(scene.state.entities[0].pos[2] > 0.05, "it lifts the bowl");
+        // Another one's grasp: this expert has seen none of it.
+        let mut newcomer = Expert::default();
+        for _ in 0..4 {
+            newcomer.interrupt();
+            let action = newcomer.act(&scene.state).expect("an action");
+            scene.apply([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+            if action[6] > 0.0 {
+                return;
+            }
+        }
+        panic!("it opens");
     }
 
     #[test]

@@ -308,14 +308,11 @@ impl Motion {
         between && self.finger_still_steps >= AT_REST_STEPS
     }
 
-    /// Whether fingers at a grasp should close: they are open, or on their way.
+    /// Whether fingers at a grasp should close: they are open, or on their way, or stopped just
+    /// now.
     pub(crate) fn may_close(&self, world: &World) -> bool {
-        world.opening > OPEN_M || self.fingers_close()
-    }
-
-    /// Whether the fingers are moving towards each other.
-    fn fingers_close(&self) -> bool {
-        self.opened < -STILL_M
+        let stops = self.opened < STILL_M && self.finger_still_steps < AT_REST_STEPS;
+        world.opening > OPEN_M || stops
     }
 
     /// For how many steps the fingers have not moved against each other.
