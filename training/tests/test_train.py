@@ -65,11 +65,11 @@ def test_a_library_keeps_episodes_apart_and_finds_new_shards(tmp_path: Path) -> 
 
 def test_in_a_full_device_later_frames_take_the_place_of_others(tmp_path: Path) -> None:
     fill(tmp_path, 2)
-    library = Library([tmp_path], 10, 100, [1.0] * 4, CPU)
+    library = Library([tmp_path], 14, 100, [1.0] * 4, CPU)
     torch.manual_seed(0)
     library.refresh()
-    assert library.training.count == 10
-    seen = library.training.batch(torch.arange(10)).pictures[:, 0, 0, 0, 0].unique().tolist()
+    assert library.training.count == 14
+    seen = library.training.batch(torch.arange(14)).pictures[:, 0, 0, 0, 0].unique().tolist()
     assert min(seen) < 10 <= max(seen)
 
 

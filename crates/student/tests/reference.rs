@@ -12,8 +12,17 @@ const TOLERANCE: f32 = 1e-4;
 #[test]
 fn answers_are_pytorchs() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let path = folder.join("tests/reference/queries.safetensors");
-    let bytes = fs::read(&path).expect("queries");
+    let references = fs::read_dir(folder.join("tests/reference")).expect("references");
+    let mut count = 0;
+    for reference in references {
+        check(folder, &reference.expect("a reference").path());
+        count += 1;
+    }
+    assert!(count > 0, "no reference");
+}
+
+fn check(folder: &Path, path: &Path) {
+    let bytes = fs::read(path).expect("queries");
     let (_, header) = SafeTensors::read_metadata(&bytes).expect("a header");
     let metadata = header.metadata().clone().expect("metadata");
     let instructions: Vec<String> =

@@ -123,13 +123,13 @@ fn a_tensor_too_many_is_named() {
 #[test]
 fn another_format_is_named() {
     let refusal = spoilt(|weights| {
-        let format = "rollout-student/2".to_owned();
+        let format = "rollout-student/3".to_owned();
         weights.metadata.insert("format".to_owned(), format);
     });
     assert_eq!(
         refusal.to_string(),
-        "the weights file's metadata gives \"rollout-student/2\" as its format; this program reads \
-         \"rollout-student/1\": give weights that were exported for it"
+        "the weights file's metadata gives \"rollout-student/3\" as its format; this program reads \
+         \"rollout-student/2\": give weights that were exported for it"
     );
     let refusal = spoilt(|weights| weights.metadata.clear());
     assert!(
