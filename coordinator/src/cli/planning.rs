@@ -16,7 +16,7 @@ use super::command::{CommandError, Connection, usage};
 /// The assumed outcomes where none are named.
 const STUDENT: &str = "the student's published ones (examples/student)";
 /// The R_d of a placebo of which nothing is known, a fraction.
-const ASSUMED_FLOOR: f64 = 0.05;
+const ASSUMED_FLOOR: f64 = 0.115;
 
 /// The smallest differences that a campaign can show, as `--json` has them.
 #[derive(Debug, Serialize)]
