@@ -88,7 +88,8 @@ def check(arguments: argparse.Namespace) -> None:
             kept = rollout_libero.VectorEnvironment(name, 1, arguments.assets, cameras=())
             ended = list(pool.map(lambda state: rollout(name, state, arguments), states))
             kept.close()
-            failed = [state for state, (success, _) in zip(states, ended, strict=True) if not success]
+            solves = zip(states, ended, strict=True)
+            failed = [state for state, (success, _) in solves if not success]
             solved += len(ended) - len(failed)
             median = int(np.median([steps for _, steps in ended]))
             shown = f"   not {failed}" if failed else ""

@@ -83,8 +83,8 @@ class Tally:
         with self._lock:
             seconds = time.monotonic() - self._begun
             ended = list(self._ended)
-        alone = [(_suite(task), success) for task, driver, success in ended if driver == Driver.STUDENT]
-        guided = [(_suite(task), success) for task, driver, success in ended if driver != Driver.STUDENT]
+        alone = [(_suite(task), done) for task, who, done in ended if who == Driver.STUDENT]
+        guided = [(_suite(task), done) for task, who, done in ended if who != Driver.STUDENT]
         parts = [
             f"{seconds:4.0f} s",
             f"{self.steps:,} steps ({self.steps / seconds:,.0f}/s)",
@@ -390,7 +390,8 @@ def tasks_of_environments(
         # Whose turn it is: the one furthest behind its share.
         given[np.argmax(shares / np.maximum(given, 1))] += 1
     # Spread, so that groups get alike shares of each.
-    return [task for turn in range(int(given.max())) for task in np.flatnonzero(given > turn).tolist()]
+    turns = [np.flatnonzero(given > turn).tolist() for turn in range(int(given.max()))]
+    return [task for turn in turns for task in turn]
 
 
 def compile_scenes(tasks: Iterable[int], assets: str, threads: int) -> None:

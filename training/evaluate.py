@@ -73,7 +73,8 @@ def evaluate(arguments: argparse.Namespace) -> None:
         over = terminated | truncated
         for index in np.flatnonzero(over & (left > 0)).tolist():
             state = info["init_state"][index]
-            ended[names[index]].append((-1 if state is None else int(state), bool(terminated[index])))
+            number = -1 if state is None else int(state)
+            ended[names[index]].append((number, bool(terminated[index])))
         left -= over
     env.close()
     report(arguments, ended, time.monotonic() - begun)

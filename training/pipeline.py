@@ -77,7 +77,8 @@ def teach(arguments: argparse.Namespace) -> None:
     end = time.monotonic() + 60 * arguments.minutes - LEAVE_SECONDS
     arguments.data.mkdir(parents=True, exist_ok=True)
     # The trainer looks for shards in all rounds that there may be.
-    folders = [arguments.data / f"round_{at:02}_{process}" for at in range(40) for process in range(8)]
+    numbers = [f"{at:02}_{process}" for at in range(40) for process in range(8)]
+    folders = [arguments.data / f"round_{number}" for number in numbers]
     trainer = subprocess.Popen(
         python(
             "train", "--data", *folders, "--run", arguments.data / "run",

@@ -29,11 +29,12 @@ pub enum Builtin {
 
 impl Builtin {
     /// Every built-in policy.
-    pub const ALL: [Self; 4] = [
+    pub const ALL: [Self; 5] = [
         Self::Noop,
         Self::Expert,
         Self::Student(Weights::Plain),
         Self::Student(Weights::Randomised),
+        Self::Student(Weights::Libero),
     ];
 
     /// The name after `builtin:`.

@@ -305,7 +305,7 @@ mod tests {
         check("a b=builtin:noop", "letters, digits");
         check(
             "x=builtin:nope",
-            "noop, expert, student, student-randomised",
+            "noop, expert, student, student-randomised, student-libero",
         );
         check("x=http://host:1", "grpc://HOST:PORT");
         check("x=ws://host", "ws://HOST:PORT");

@@ -85,6 +85,9 @@ pub const PLAIN: &[u8] = include_bytes!("../weights/student.safetensors");
 /// Weights that were taught in randomly perturbed scenes.
 pub const RANDOMISED: &[u8] = include_bytes!("../weights/student-randomised.safetensors");
 
+/// Weights that were taught on LIBERO's own assets, in unperturbed scenes.
+pub const LIBERO: &[u8] = include_bytes!("../weights/student-libero.safetensors");
+
 pub use error::{QueryError, WeightsError};
 pub use network::Network;
 pub use product::Products;

@@ -25,10 +25,12 @@ const STATE: [StateField; 3] = [
 /// The weights that the program brings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weights {
-    /// Taught in unperturbed scenes.
+    /// Taught in unperturbed scenes of the built-in assets.
     Plain,
-    /// Taught in randomly perturbed scenes.
+    /// Taught in randomly perturbed scenes of the built-in assets.
     Randomised,
+    /// Taught in unperturbed scenes of LIBERO's own assets.
+    Libero,
 }
 
 impl Weights {
@@ -37,6 +39,15 @@ impl Weights {
         match self {
             Self::Plain => "student",
             Self::Randomised => "student-randomised",
+            Self::Libero => "student-libero",
+        }
+    }
+
+    /// The asset pack that they were taught on, as provenance names it.
+    fn taught_on(self) -> &'static str {
+        match self {
+            Self::Plain | Self::Randomised => "primitives",
+            Self::Libero => "libero",
         }
     }
 
@@ -44,9 +55,11 @@ impl Weights {
     pub(crate) fn network(self) -> &'static Arc<Network> {
         static PLAIN: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::PLAIN));
         static RANDOMISED: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::RANDOMISED));
+        static LIBERO: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::LIBERO));
         match self {
             Self::Plain => &PLAIN,
             Self::Randomised => &RANDOMISED,
+            Self::Libero => &LIBERO,
         }
     }
 }
@@ -94,13 +107,12 @@ pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
     Ok(policy(Arc::new(network), checkpoint))
 }
 
-/// The policy with weights that the program brings. They were taught on the built-in
-/// assets.
+/// The policy with weights that the program brings.
 pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     let mut policy = policy(Arc::clone(weights.network()), checkpoint);
     policy.described.settings = vec![Setting {
         name: TAUGHT_ON.to_owned(),
-        value: "primitives".to_owned(),
+        value: weights.taught_on().to_owned(),
     }];
     policy
 }
@@ -193,6 +205,8 @@ fn reading<const N: usize>(observation: &Observation, at: usize) -> Result<[f64;
 mod tests {
     use proto::policy::{Image, ResetRequest, StateReading};
 
+    use std::collections::BTreeSet;
+
     use super::*;
 
     /// A grey scene with the hand above the table, as the description asks for it.
@@ -266,22 +280,27 @@ mod tests {
 
     #[test]
     fn the_shipped_weights_say_what_they_were_taught_on() {
-        for weights in [Weights::Plain, Weights::Randomised] {
+        for (weights, pack) in [
+            (Weights::Plain, "primitives"),
+            (Weights::Randomised, "primitives"),
+            (Weights::Libero, "libero"),
+        ] {
             let described = shipped_policy(weights, "builtin".to_owned()).described;
             let [setting] = &described.settings[..] else {
                 panic!("one setting: {:?}", described.settings);
             };
             assert_eq!(setting.name, TAUGHT_ON);
-            assert_eq!(setting.value, "primitives");
+            assert_eq!(setting.value, pack);
         }
     }
 
     #[test]
-    fn both_sets_of_weights_are_networks_with_names_of_their_own() {
-        let both = [Weights::Plain, Weights::Randomised];
-        for weights in both {
+    fn all_weights_are_networks_with_names_of_their_own() {
+        let all = [Weights::Plain, Weights::Randomised, Weights::Libero];
+        for weights in all {
             assert_eq!(weights.network().name(), weights.name());
         }
-        assert_ne!(both[0].network().digest(), both[1].network().digest());
+        let digests: BTreeSet<&str> = all.iter().map(|it| it.network().digest()).collect();
+        assert_eq!(digests.len(), all.len());
     }
 }
