@@ -15,7 +15,7 @@ use super::command::{CommandError, Connection, usage};
 
 /// The assumed outcomes where none are named.
 const STUDENT: &str = "the student's published ones (examples/student)";
-/// The R_d of a placebo of which nothing is known, a fraction.
+/// The R_d of a placebo level that was not run: the student's (`examples/student_floor`), a fraction.
 const ASSUMED_FLOOR: f64 = 0.115;
 
 /// The smallest differences that a campaign can show, as `--json` has them.
