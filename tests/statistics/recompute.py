@@ -92,7 +92,7 @@ class Sample:
             both = (variance, df)
         if self.tasks < FEWEST_TASKS:
             new = both = None
-        ends = wilson if is_share else around
+        ends = around_log if is_share == "product" else wilson if is_share else around
         has_spread = new is not None and new[0] > 1e-24
         return {
             "value": value,
@@ -116,6 +116,13 @@ def around(value, variance, _):
         return None
     half = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5
     return [max(value - half, -1.0), min(value + half, 1.0)]
+
+
+def around_log(value, variance, _):
+    if variance is None or variance[0] <= 1e-24 or value <= 0:
+        return None
+    log = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5 / value
+    return [np.exp(np.log(value) - log), min(np.exp(np.log(value) + log), 1.0)]
 
 
 def wilson(p, variance, units):
@@ -256,7 +263,7 @@ def inference(rows, placebo):
     of = sample.estimate
     result = {
         "paired": {
-            "s_indep": of(indep, True),
+            "s_indep": of(indep, "product"),
             "s_conj": of(lambda s: s[1] / s[0], True),
             "s_sim": of(lambda s: s[2] / s[0], True),
             "d": of(lambda s: s[1] / s[0] - indep(s), False),

@@ -40,6 +40,8 @@ pub(crate) enum Scale {
     /// A share, by Wilson's score interval of as many independent outcomes as have this
     /// variance.
     Share,
+    /// A product of shares, ± t standard errors of its logarithm: it is skewed.
+    Product,
     /// A difference, ± t standard errors.
     Difference,
 }
@@ -62,6 +64,7 @@ impl Estimate {
             let variance = variance?;
             match scale {
                 Scale::Share => wilson(value, variance, units as f64),
+                Scale::Product => around_logarithm(value, variance),
                 Scale::Difference => around(value, variance),
             }
         };
@@ -113,6 +116,21 @@ fn around(
     }
     let half = two_sided_quantile(ALPHA, df) * variance.sqrt();
     Some([(value - half).max(-1.0), (value + half).min(1.0)])
+}
+
+/// value · exp(±t·√V / value); none without spread or of 0.
+fn around_logarithm(
+    value: f64,
+    Variance {
+        value: variance,
+        df,
+    }: Variance,
+) -> Option<Interval> {
+    if variance <= NO_VARIANCE || value <= 0.0 {
+        return None;
+    }
+    let factor = (two_sided_quantile(ALPHA, df) * variance.sqrt() / value).exp();
+    Some([value / factor, (value * factor).min(1.0)])
 }
 
 /// Wilson's score interval of a share with the effective number of outcomes

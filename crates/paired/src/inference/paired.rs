@@ -109,7 +109,7 @@ impl PairedEstimates {
             defined(Estimate::of(&sample, scale, statistic))
         };
         Some(Self {
-            s_indep: of(Scale::Share, &product),
+            s_indep: of(Scale::Product, &product),
             s_conj: of(Scale::Share, &share(CONJUNCTION, N)),
             s_sim: of(Scale::Share, &share(SIMULTANEOUS, N)),
             d: of(Scale::Difference, &|s| s[CONJUNCTION] / s[N] - product(s)),
