@@ -61,8 +61,8 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
     for said in [
         "A strong at http://127.0.0.1:50051, campaign a",
         "B weak at http://127.0.0.1:50051, campaign b",
-        // Ten tasks: all of A's, none of B's.
-        "simultaneous 10 100.0 0.0 +100.0 no spread 10 0 0.002",
+        // Ten tasks: all of A's, none of B's. Two of 1,024 sign-flips, times four conditions.
+        "simultaneous 10 100.0 0.0 +100.0 no spread 10 0 0.008",
         "nominal 10 100.0 100.0 +0.0 no spread 0 0 1.000",
         "left out: 40 rollouts that only A has, 0 rollouts that only B has",
         "above 0, A succeeds more often",

@@ -237,7 +237,7 @@ async fn a_placebo_is_planned_counted_and_listed_by_its_level() {
         "{words}"
     );
     assert!(
-        words.contains("above a floor of 5.0 % over 10 configurations"),
+        words.contains("above a floor of 11.5 % over 10 configurations"),
         "{words}"
     );
     assert!(
