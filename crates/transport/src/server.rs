@@ -50,7 +50,7 @@ pub struct ServerArguments {
     pub insecure: bool,
     /// Lets every user of this machine in where it listens to this machine alone and without
     /// tokens; by default only the user that started it, and root
-    #[arg(long)]
+    #[arg(long, hide_short_help = true)]
     pub insecure_loopback: bool,
 }
 

@@ -34,12 +34,15 @@ pub(super) struct Open {
 }
 
 impl Open {
+    /// Opens a data folder, as a coordinator that starts does. Its attempts are not named as
+    /// those of an earlier start: names are random, and never given twice.
     pub(super) async fn in_folder(data: &Path) -> Open {
+        let starts = u64::from(data.join(DATABASE_FILE).exists());
         let coordinator = Coordinator::open(Config {
             data: data.to_owned(),
             timing: Timing::default(),
             clock: Arc::new(ManualClock::at(NOW)),
-            rng: ChaCha8Rng::seed_from_u64(SEED),
+            rng: ChaCha8Rng::seed_from_u64(SEED + starts),
             security: Security::loopback(),
             min_free_bytes: 0,
             storage: None,
