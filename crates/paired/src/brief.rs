@@ -4,7 +4,7 @@
 use protocol::Condition;
 
 use crate::count::Count;
-use crate::findings::{Finding, FindingKind};
+use crate::finding::{Finding, FindingKind};
 use crate::report::{Cell, Report};
 use crate::table::gate_lines;
 use crate::text::{NOTHING, listed, percent, push_columns, push_wrapped, separate};

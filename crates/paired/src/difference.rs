@@ -7,8 +7,8 @@ use protocol::{Directions, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::{Bootstrap, Interval};
-use crate::inference::defined;
 use crate::inference::equivalence::equivalence_p;
+use crate::inference::estimate::defined;
 use crate::inference::estimate::{Estimate, Scale};
 use crate::inference::multiplicity::{holm, max_t};
 use crate::inference::sample::{Row, Sample};

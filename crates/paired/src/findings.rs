@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 
 use protocol::{Condition, Level};
-use serde::{Deserialize, Serialize};
 
+use crate::finding::{Finding, FindingKind};
 use crate::inference::estimate::Estimate;
 use crate::inference::floor::chance_bounds;
 use crate::inference::loss::Loss;
@@ -20,35 +20,6 @@ pub const FINDING_ALPHA: f64 = 0.01;
 
 /// Equivalence is claimed where its p-value is below this.
 const EQUIVALENCE_ALPHA: f64 = 0.05;
-
-/// What a finding is about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FindingKind {
-    /// Success, nominal and simultaneous.
-    Success,
-    /// What single axes cost.
-    Cost,
-    /// What simultaneity changes beyond chance.
-    Simultaneity,
-    /// How success depends on the direction.
-    Directions,
-}
-
-/// A sentence of a report.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Finding {
-    /// What it is about.
-    pub kind: FindingKind,
-    /// Of which level; absent of success, which is of all levels.
-    pub level: Option<Level>,
-    /// Whether it claims an effect.
-    pub claims: bool,
-    /// The smallest corrected p-value that it rests on; absent where it rests on none.
-    pub holm_p: Option<f64>,
-    /// The sentence.
-    pub sentence: String,
-}
 
 /// The findings of a report's replicate 0: success, then level by level costs,
 /// simultaneity, and directions where success depends on them.

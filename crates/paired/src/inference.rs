@@ -18,7 +18,6 @@ use protocol::{Directions, Level};
 use serde::{Deserialize, Serialize};
 
 use crate::inference::direction::DirectionTest;
-use crate::inference::estimate::Estimate;
 use crate::inference::floor::Excess;
 use crate::inference::loss::{Loss, Losses};
 use crate::inference::paired::{Eligible, PairedEstimates, Relative};
@@ -71,14 +70,4 @@ impl Inference {
             excess: placebo.and_then(|placebo| Excess::of(matched, placebo, directions)),
         })
     }
-}
-
-/// A share: column `part` of column `whole`.
-pub(crate) fn share(part: usize, whole: usize) -> impl Fn(&[f64]) -> f64 {
-    move |sums| sums[part] / sums[whole]
-}
-
-/// An estimate that is defined because the rows are not empty.
-pub(crate) fn defined(estimate: Option<Estimate>) -> Estimate {
-    estimate.expect("a share of at least one configuration is defined")
 }

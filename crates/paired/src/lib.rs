@@ -19,6 +19,8 @@ mod comparison_table;
 mod count;
 mod design;
 mod difference;
+mod evaluate;
+mod finding;
 mod findings;
 mod gate;
 mod inference;
@@ -43,7 +45,9 @@ pub use comparison_table::comparison_table;
 pub use count::Count;
 pub use design::{PairedDesign, minimum_detectable_effect, task_correlation};
 pub use difference::{Difference, DifferenceBounds, Pair, Profile};
-pub use findings::{FINDING_ALPHA, Finding, FindingKind, findings};
+pub use evaluate::{report, report_of};
+pub use finding::{Finding, FindingKind};
+pub use findings::{FINDING_ALPHA, findings};
 pub use gate::{
     GATE_ROLLOUTS, GATE_ROLLOUTS_OF_A_SUITE, GATE_TOLERANCE, Gate, GateVerdict, SuiteGate,
 };
@@ -64,9 +68,7 @@ pub use measures::{Configuration, Measures};
 pub use outcomes::{DuplicateRecord, Matched, Outcome, Record, Records, Transition};
 pub use planning::{Against, Assumed, Detectable, Planned};
 pub use replication::{Change, Flips, Replication};
-pub use report::{
-    Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis, report, report_of,
-};
+pub use report::{Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis};
 pub use sequential::{
     CampaignLook, ComparedLook, Drawn, Look, NotInOneOrder, NotInOrder, Order, RateInterval,
     SEQUENTIAL_ALPHA, SequentialDifference, SequentialMeasures, Unit, compared_looks, drawn_order,

@@ -11,12 +11,10 @@ use crate::light::EyeLight;
 use crate::model::Model;
 use crate::picture::{Pass, Picture, Workspace};
 use crate::scene::{Geom, Scene, Shape};
+use crate::shade::MAX_SIDE;
 use crate::visible::{SAMPLES, Visible};
 use crate::window::Window;
 use crate::{glass, mirror};
-
-/// Longest side of a frame, pixels.
-pub(crate) const MAX_SIDE: usize = 4096;
 
 /// What one camera's frames are drawn on, and what is kept from each to the
 /// next. It draws the same whatever it drew before; a camera with a canvas of its

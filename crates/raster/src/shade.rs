@@ -1,7 +1,6 @@
 //! From what is visible to colours: every triangle that is seen in a pixel is
 //! coloured once, at the pixel's centre, for all samples that it has there.
 
-use crate::canvas::MAX_SIDE;
 use crate::clip::VARYING;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES};
@@ -22,6 +21,8 @@ pub(crate) struct Fragment {
     surface: u32,
 }
 
+/// Longest side of a frame, pixels.
+pub(crate) const MAX_SIDE: usize = 4096;
 /// Bits of a column or a row, which are less than [`MAX_SIDE`].
 const SIDE_BITS: u32 = MAX_SIDE.ilog2();
 const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;

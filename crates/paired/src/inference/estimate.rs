@@ -161,3 +161,13 @@ fn wilson(
     let half = (t2 * (p * (1.0 - p) / n + t2 / (4.0 * n * n))).sqrt() / (1.0 + t2 / n);
     Some([(centre - half).max(0.0), (centre + half).min(1.0)])
 }
+
+/// A share: column `part` of column `whole`.
+pub(crate) fn share(part: usize, whole: usize) -> impl Fn(&[f64]) -> f64 {
+    move |sums| sums[part] / sums[whole]
+}
+
+/// An estimate that is defined because the rows are not empty.
+pub(crate) fn defined(estimate: Option<Estimate>) -> Estimate {
+    estimate.expect("a share of at least one configuration is defined")
+}

@@ -10,9 +10,8 @@ use std::collections::BTreeMap;
 use protocol::{Directions, TaskRef};
 use serde::{Deserialize, Serialize};
 
-use crate::inference::estimate::{Estimate, Scale};
+use crate::inference::estimate::{Estimate, Scale, share};
 use crate::inference::sample::{Row, Sample};
-use crate::inference::share;
 use crate::outcomes::Matched;
 
 /// The four measures that simultaneity is judged by.

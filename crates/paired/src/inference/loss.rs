@@ -6,10 +6,9 @@ use protocol::{Condition, Directions, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::inference::equivalence::equivalence_p;
-use crate::inference::estimate::{Estimate, Scale};
+use crate::inference::estimate::{Estimate, Scale, share};
 use crate::inference::multiplicity::holm;
 use crate::inference::sample::{Row, Sample};
-use crate::inference::share;
 use crate::inference::sign_flip::sign_flip_p;
 use crate::outcomes::Matched;
 

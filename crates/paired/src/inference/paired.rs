@@ -6,10 +6,10 @@ use std::collections::BTreeMap;
 use protocol::{Directions, TaskRef};
 use serde::{Deserialize, Serialize};
 
-use crate::inference::estimate::{Estimate, Scale};
+use crate::inference::estimate::{Estimate, Scale, defined, share};
 use crate::inference::sample::{Row, Sample};
 use crate::inference::sign_flip::sign_flip_p;
-use crate::inference::{defined, share};
+
 use crate::measures::Configuration;
 use crate::outcomes::Matched;
 
