@@ -3,7 +3,8 @@
 fn main() {
     println!("cargo:rerun-if-env-changed=MUJOCO_DYNAMIC_LINK_DIR");
     let folder = std::env::var_os("MUJOCO_DYNAMIC_LINK_DIR").map(std::path::PathBuf::from);
-    // Where the link leads: a program outlives this checkout.
+    // The canonical path of the folder, not the link: a program outlives this
+    // checkout.
     if let Some(folder) = folder.and_then(|folder| folder.canonicalize().ok()) {
         println!("cargo:rustc-link-arg=-Wl,-rpath,{}", folder.display());
     }

@@ -1,5 +1,5 @@
-//! What the gateway asks of whatever answers for a route. Responsible for the
-//! trait and for what can go wrong behind it; one module per kind of back-end.
+//! Interface between the gateway and the back-end of a route. Responsible for
+//! the trait and for the errors of a back-end; one module per kind of back-end.
 
 use std::{fmt, time::Duration};
 
@@ -22,7 +22,8 @@ mod shown;
 pub mod vla_eval;
 pub mod websocket;
 
-/// Where a gateway's user says which policy server is meant.
+/// Names, in messages, of the settings with which a gateway's user addresses a
+/// policy server.
 pub(crate) const SETTINGS: Settings = Settings {
     address: "its route",
     authority: "`ca` of the policy",
@@ -34,7 +35,7 @@ pub(crate) const SETTINGS: Settings = Settings {
 /// caller's name of the route and means nothing to a back-end.
 #[tonic::async_trait]
 pub trait Backend: fmt::Display + Send + Sync {
-    /// What the policy is and wants to see, with the checkpoint for `suite` if
+    /// Describes the policy and its inputs, with the checkpoint for `suite` if
     /// it has several. Speaks [`proto::PROTOCOL_VERSION`].
     ///
     /// # Errors
@@ -84,7 +85,7 @@ pub enum BackendError {
     Unreachable {
         /// host:port.
         address: String,
-        /// What is there instead.
+        /// Cause found at that address.
         trouble: Box<Trouble>,
     },
     /// It does not let this gateway in.
@@ -95,15 +96,15 @@ pub enum BackendError {
     Barred {
         /// host:port.
         address: String,
-        /// What it answered.
+        /// Answer of the server.
         reason: String,
     },
     /// It is out, and only a probe goes through.
     #[error("{backend} {cause}; it is tried again in {:.1} s", retry_in.as_secs_f64())]
     Out {
-        /// As configured.
+        /// Back-end as configured.
         backend: String,
-        /// Why.
+        /// Reason for which it is out.
         cause: Cause,
         /// Until the next attempt.
         retry_in: Duration,
@@ -119,9 +120,9 @@ pub enum BackendError {
     /// An error that says more of the server than of the query.
     #[error("{backend} is out, because it {cause}")]
     Sick {
-        /// As configured.
+        /// Back-end as configured.
         backend: String,
-        /// What is wrong with it.
+        /// Reason for which it is out.
         cause: Cause,
     },
     /// It describes itself as nothing that can be run.
@@ -129,7 +130,7 @@ pub enum BackendError {
     Description {
         /// The policy's own name.
         policy: String,
-        /// What is wrong.
+        /// Fault of the description.
         fault: DescriptionFault,
     },
     /// It describes itself otherwise than before, or than its replicas.
@@ -144,7 +145,7 @@ pub enum BackendError {
     /// It answered nonsense.
     #[error("{fault}")]
     Nonsense {
-        /// What is wrong.
+        /// Fault of the answer.
         fault: ActionFault,
     },
     /// Too many queries wait for it.
@@ -181,7 +182,7 @@ pub enum BackendError {
     Refused {
         /// host:port.
         address: String,
-        /// What it answered.
+        /// Answer of the server.
         status: Box<Status>,
     },
     /// It serves something that cannot be run as it is meant.

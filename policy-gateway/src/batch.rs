@@ -1,8 +1,5 @@
-//! Which queries go to a server together, and when. Pure: the time is passed
-//! in. [`batcher`] carries it out.
-//!
-//! A full batch goes as soon as the server has room for one more; what is less
-//! goes when the server has nothing to do and its oldest query has waited.
+//! Selection of the queries that go to a server together, and of the time.
+//! Pure: the time is passed in. [`batcher`] carries it out.
 
 use std::{
     collections::VecDeque,
@@ -27,7 +24,7 @@ pub struct Queue<T> {
     under_way: usize,
 }
 
-/// What to do now.
+/// Next action of a batcher.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Next<T> {
     /// Send these, and say [`Queue::done`] when they are answered.
@@ -70,7 +67,7 @@ impl<T> Queue<T> {
         self.waiting.drain(..).map(|(_, query)| query).collect()
     }
 
-    /// What to do at `now` with batches of at most `size`.
+    /// Returns the next action at `now` with batches of at most `size`.
     pub fn next(&mut self, size: usize, now: Instant) -> Next<T> {
         let size = size.max(1);
         let Some((oldest, _)) = self.waiting.front() else {

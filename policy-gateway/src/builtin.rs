@@ -16,7 +16,7 @@ pub(crate) use instance::Policy;
 pub use instance::{Action, BuiltinPolicy};
 pub use student::Weights;
 
-/// Which built-in policy.
+/// Built-in policy by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Builtin {
     /// Stands still: see [`noop`].

@@ -68,9 +68,9 @@ impl Config {
 /// replicas.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RouteSpec {
-    /// What a request's `policy` says.
+    /// Name of the route, as in the `policy` of requests.
     pub name: RouteName,
-    /// What answers.
+    /// Servers that answer, by checkpoint.
     pub checkpoints: CheckpointSpecs,
     /// How queries reach a server.
     pub batching: Batching,
@@ -78,11 +78,12 @@ pub struct RouteSpec {
     pub answer_within: Duration,
     /// How to get into its servers.
     pub access: AccessFiles,
-    /// Where what its only server is asked and answers is recorded.
+    /// Destination for recordings of the queries and answers of its only
+    /// server.
     pub record: Option<RecordInto>,
 }
 
-/// What a policy's servers want to see, and how they are known.
+/// Files that authenticate a policy's servers and the gateway to each other.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct AccessFiles {
     /// Certificate authority of servers over TLS, PEM.
@@ -150,8 +151,8 @@ pub enum Batching {
 }
 
 impl Batching {
-    /// What goes with every result of a policy that takes batches of
-    /// `batch_size`.
+    /// Returns the batch mode that goes with every result of a policy that
+    /// takes batches of `batch_size`.
     pub fn describe(self, batch_size: usize) -> String {
         match self {
             Self::Deterministic => "deterministic".to_owned(),
@@ -226,8 +227,8 @@ impl FromStr for RouteSpec {
     }
 }
 
-/// What answers for a route: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]`, the
-/// same with `https://` over TLS, `ws://HOST:PORT` (`wss://` over TLS),
+/// Back-end of a route: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]`, the same
+/// with `https://` over TLS, `ws://HOST:PORT` (`wss://` over TLS),
 /// `vla-eval://HOST:PORT` (`vla-evals://` over TLS), `student:FILE`, or
 /// `replay:FOLDER`.
 #[derive(Clone, Debug, PartialEq, Eq)]

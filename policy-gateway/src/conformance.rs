@@ -92,9 +92,9 @@ impl fmt::Display for Point {
 /// How a server does on one point.
 #[derive(Clone, Debug)]
 pub struct Finding {
-    /// What was checked.
+    /// Point that was checked.
     pub point: Point,
-    /// Whether it is true.
+    /// Result of the check.
     pub verdict: Verdict,
 }
 
@@ -139,7 +139,7 @@ pub async fn check(
 /// Examines one point, by comparison with an episode of [`SEED`].
 ///
 /// # Errors
-/// What the server answered where the point asks for actions.
+/// If the server answers with a status where the point asks for actions.
 async fn examine(
     point: Point,
     probe: &Probe,

@@ -30,8 +30,8 @@ pub const PROBE_PATIENCE: Duration = Duration::from_secs(60);
 pub const SAME_ERROR_TASKS: usize = 3;
 /// Characters of an error that are compared.
 const COMPARED_CHARS: usize = 160;
-/// What the errors of an accelerator look like from which only a new process
-/// recovers: the words of CUDA, cuBLAS, cuDNN, HIP and PyTorch.
+/// Words of errors of an accelerator from which only a new process recovers:
+/// those of CUDA, cuBLAS, cuDNN, HIP and PyTorch.
 const BROKEN_WORDS: [&str; 8] = [
     "cuda error",
     "cuda runtime error",
@@ -43,7 +43,7 @@ const BROKEN_WORDS: [&str; 8] = [
     "out of memory",
 ];
 
-/// What wants to go to a server.
+/// Call that is about to go to a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Call<'a> {
     /// A description, which belongs to no episode.
@@ -52,7 +52,7 @@ pub enum Call<'a> {
     Of(&'a str),
 }
 
-/// What a server answered to.
+/// Kind of call that a server answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answered {
     /// Anything but a query of an episode.

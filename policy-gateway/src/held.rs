@@ -8,7 +8,7 @@ use tokio::sync::{Semaphore, SemaphorePermit};
 /// Observations held at once, bytes: 682 of two 256 × 256 frames, which is more
 /// than ten machines of 64 slots ask about together.
 pub const MAX_HELD_BYTES: usize = 256 << 20;
-/// What a query counts at least: many without frames are held in check, too.
+/// Bytes that a query counts at least: many without frames are limited, too.
 pub const MIN_QUERY_BYTES: usize = 64 << 10;
 
 /// Counts the observations of queries that wait for their answers.

@@ -99,7 +99,7 @@ pub enum RunError {
     /// An address that cannot be used, or a listener that failed.
     #[error("serve policies: the listening socket failed ({problem})")]
     Socket {
-        /// What the system said.
+        /// Error of the system.
         problem: String,
     },
     /// A certificate that is no use.

@@ -17,7 +17,7 @@ const SAMPLES: usize = 32;
 /// Answers without which nothing is known of a server's pace.
 const MIN_SAMPLES: usize = 8;
 
-/// What a server has answered lately.
+/// Recent answers of a server.
 #[derive(Debug, Default)]
 pub struct Pace {
     /// Calls with queries that are sent and not ended.

@@ -75,7 +75,7 @@ impl Writer {
     /// Adds a pair; returns the bytes that it took.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// If the file cannot be written.
     pub fn add(&mut self, pair: &Pair) -> io::Result<u64> {
         Ok(self.message(&pair.query)? + self.message(&pair.answer)?)
     }
@@ -83,7 +83,7 @@ impl Writer {
     /// Gives the file its name.
     ///
     /// # Errors
-    /// When something is not on the disk; then it has none.
+    /// If not everything is on the disk; the file then has no final name.
     pub fn finish(mut self) -> io::Result<PathBuf> {
         self.file.flush()?;
         self.file.get_ref().sync_all()?;
@@ -94,7 +94,8 @@ impl Writer {
 
     /// Removes what was written.
     pub fn discard(self) {
-        // What cannot be removed stays as what it is called: partial.
+        // A file that cannot be removed keeps its name, which says that it is
+        // partial.
         drop(std::fs::remove_file(self.partial()));
     }
 
@@ -114,7 +115,7 @@ impl Writer {
 pub struct Reader {
     path: PathBuf,
     file: BufReader<File>,
-    /// What the policy said of itself.
+    /// Policy's description of itself.
     pub described: DescribeResponse,
     /// The episode.
     pub reset: ResetRequest,
@@ -124,7 +125,7 @@ impl Reader {
     /// Opens a recording.
     ///
     /// # Errors
-    /// When it cannot be read, or is none.
+    /// If the file cannot be read, or is no recording.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let mut reader = Self {
             path: path.to_owned(),
@@ -196,7 +197,8 @@ impl Reader {
 /// The recordings of a folder, by name.
 ///
 /// # Errors
-/// When it cannot be read, or holds none, or more than [`MAX_FILES`].
+/// If the folder cannot be read, holds no recording, or more than
+/// [`MAX_FILES`].
 pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     let entries = std::fs::read_dir(folder).map_err(|source| io_error(folder, source))?;
     let mut files = vec![];

@@ -1,7 +1,7 @@
-//! What is wrong with a policy server that keeps the protocol and scores nothing:
-//! what `policy-gateway compare` and `policy-gateway doctor` run. Both ask servers
-//! about situations, made up or recorded, and judge by the answers alone: [`compare`]
-//! finds what one server's pipeline does otherwise than another's, [`doctor`] the
+//! Comparison and diagnosis of policy servers that keep the protocol and score
+//! nothing: the commands `policy-gateway compare` and `policy-gateway doctor`. Both
+//! ask servers about situations, made up or recorded, and judge by the answers alone:
+//! [`compare`] finds the differences between two servers' pipelines, [`doctor`] the
 //! usual mistakes of one.
 //!
 //! [`situation`] is what is shown, [`made_up`] and [`recorded`] are where it comes

@@ -106,7 +106,7 @@ impl Route {
         })
     }
 
-    /// What a request's `policy` says.
+    /// Name of the route, as in the `policy` of requests.
     pub fn name(&self) -> &RouteName {
         &self.name
     }
@@ -121,8 +121,8 @@ impl Route {
         self.retired.store(true, Ordering::Relaxed);
     }
 
-    /// Is what `spec` says from now on, for new sessions. Replicas that stay
-    /// keep their connections; what checkpoints were agreed on is forgotten.
+    /// Applies `spec` to new sessions. Replicas that stay keep their
+    /// connections; the checkpoints agreed on are forgotten.
     ///
     /// # Errors
     /// See [`UnusableBackend`]; then nothing changes.

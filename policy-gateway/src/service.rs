@@ -51,8 +51,7 @@ impl Gateway {
         })
     }
 
-    /// Is what `config` says from now on, for new sessions; those that are open
-    /// go on where they are.
+    /// Applies `config` to new sessions; open sessions go on where they are.
     ///
     /// # Errors
     /// See [`UnusableBackend`]; then routes before it may have changed already.

@@ -1,5 +1,5 @@
-//! What acts in a rollout, and what it is asked and answers. Responsible for
-//! nothing but the seam: policies behind a connection are `policy`'s, recordings
+//! Actors of rollouts, with their queries and answers. Responsible for nothing
+//! but the interface: policies behind a connection are `policy`'s, recordings
 //! `single`'s.
 
 use std::path::PathBuf;
@@ -47,7 +47,7 @@ pub enum PolicyError {
         policy: String,
         /// The campaign's endpoint.
         endpoint: String,
-        /// What is wrong with it.
+        /// Fault of the description.
         fault: DescriptionFault,
     },
     /// It answered, and the answer cannot be executed.
@@ -133,9 +133,9 @@ pub struct PolicySession<'a> {
     pub deadline: Duration,
 }
 
-/// What acts in rollouts: a policy behind a connection, or a recording.
+/// Source of a rollout's actions: a policy behind a connection, or a recording.
 pub trait Actor {
-    /// What it is and wants to see.
+    /// Describes the actor and its inputs.
     ///
     /// # Errors
     /// If it does not answer, speaks another version, or describes something

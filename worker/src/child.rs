@@ -1,5 +1,5 @@
-//! What a parent needs to know of its children: how they are started, how it is
-//! connected with them, and what their ends mean.
+//! Child processes as their parent sees them: how they are started and
+//! connected, and what their ends mean.
 
 use std::ffi::OsString;
 use std::io;

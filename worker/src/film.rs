@@ -38,7 +38,7 @@ pub struct Config {
     pub seed: u64,
 }
 
-/// What came of it.
+/// Numbers of videos made and missing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Filmed {
     /// Videos that the coordinator has now.
@@ -59,7 +59,7 @@ pub enum FilmError {
     /// It says no.
     #[error("ask the coordinator at {url} what to film: {}", answer(status))]
     Refused {
-        /// Where it is.
+        /// URL of the coordinator.
         url: String,
         /// Its answer.
         status: Box<Status>,
@@ -69,7 +69,7 @@ pub enum FilmError {
 /// A rollout to film.
 struct Filmable {
     attempt: AttemptId,
-    /// What it is, for people.
+    /// Name of the rollout in messages.
     label: String,
     row: ManifestRow,
     realisation: Realisation,
@@ -125,7 +125,7 @@ pub fn run(
         }))
 }
 
-/// What the threads share.
+/// State that the threads share.
 struct Filming<'a> {
     config: &'a Config,
     handle: &'a Handle,

@@ -30,9 +30,9 @@ pub(crate) enum FilmingError {
     /// The file cannot be written.
     #[error("write {}", path.display())]
     Write {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What happened.
+        /// Error of the system.
         #[source]
         source: io::Error,
     },
@@ -47,9 +47,9 @@ pub(crate) enum FilmingError {
 /// A rollout to simulate again.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Replay<'a> {
-    /// What was simulated.
+    /// Row that was simulated.
     pub(crate) row: &'a ManifestRow,
-    /// Where the perturbation's random elements came from.
+    /// Source of the perturbation's random elements.
     pub(crate) realisation: Realisation,
     /// The actions that the robot executed.
     pub(crate) actions: &'a [Action],
@@ -132,9 +132,10 @@ pub(crate) fn watch_again(
     }
 }
 
-/// What a policy sees that asks for both cameras at [`PANE_SIDE`]: left and right
-/// of a video. To a policy that asks for another size, the sensor's corruption
-/// is of that size; it grows with the picture, and its noise has other values.
+/// Renders both cameras at [`PANE_SIDE`] as a policy would see them: left and
+/// right of a video. To a policy that asks for another size, the sensor's
+/// corruption is of that size; it grows with the picture, and its noise has other
+/// values.
 pub(crate) fn observe_both(episode: &mut Episode<'_>) -> Result<[Frame; 2], SimError> {
     let camera = |name: &str| CameraRequest {
         name: name.to_owned(),

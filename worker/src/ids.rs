@@ -54,8 +54,8 @@ pub fn host_name() -> String {
         .unwrap_or_else(|| "unknown-host".to_owned())
 }
 
-/// What tells this machine from others, the same for every worker on it, in a container or
-/// not, whenever it is started; empty if nothing does.
+/// Returns an identifier of this machine, the same for every worker on it, in a container
+/// or not, whenever it is started; empty if there is none.
 ///
 /// It is made from the kernel's boot id, which all containers of a machine share and no
 /// other machine has. `/etc/machine-id` will not do: containers have their image's or
@@ -66,7 +66,7 @@ pub fn machine() -> String {
     let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
     match boot.trim() {
         "" => String::new(),
-        // What is told of a machine leads nowhere else.
+        // The digest keeps the boot id itself private.
         boot => hex(&Sha256::digest(format!("rollout machine {boot}")))[..32].to_owned(),
     }
 }

@@ -34,9 +34,9 @@ pub enum MeasureError {
     /// The kernel does not say how much memory there is, or is used.
     #[error("find `{field}` in {}", file.display())]
     Memory {
-        /// What should stand there.
+        /// Field that is missing.
         field: &'static str,
-        /// Where.
+        /// File without the field.
         file: PathBuf,
     },
     /// A slot's process cannot be started.
@@ -51,7 +51,7 @@ pub enum MeasureError {
     /// A slot's process ended before it had counted.
     #[error("measure with slot {slot}: its process {end}; what it complained about is above")]
     Ended {
-        /// Which slot, from 0.
+        /// Number of the slot, from 0.
         slot: usize,
         /// How it ended.
         end: String,
@@ -67,7 +67,7 @@ pub enum MeasureError {
     /// Parent and slot cannot talk to each other, or the table cannot be printed.
     #[error("read or write what is measured")]
     Talk(#[from] io::Error),
-    /// What is measured cannot be simulated or drawn.
+    /// The measured task cannot be simulated or drawn.
     #[error(transparent)]
     Rollout(#[from] RolloutError),
 }

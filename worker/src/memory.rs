@@ -14,7 +14,7 @@ pub(crate) struct OomKills {
     machine: Option<u64>,
 }
 
-/// What the counters say about a SIGKILL between two readings.
+/// Cause of a SIGKILL, by the counters before and after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
     /// The kernel killed in our control group: its memory limit was reached.
@@ -43,7 +43,7 @@ impl OomKills {
         }
     }
 
-    /// What happened since an earlier reading.
+    /// Compares with an earlier reading.
     pub(crate) fn since(self, earlier: Self) -> Verdict {
         let rose = |now: Option<u64>, before: Option<u64>| Some(now? > before?);
         match (
@@ -79,7 +79,7 @@ impl Verdict {
     }
 }
 
-/// Where the counter of a control group is: in the unified hierarchy, and in the
+/// File of a control group's counter: in the unified hierarchy, and in the
 /// memory hierarchy before it.
 const GROUP_COUNTERS: [&str; 2] = ["memory.events", "memory.oom_control"];
 

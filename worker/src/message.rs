@@ -1,6 +1,6 @@
-//! What the parent process and a slot's process say to each other: one JSON
-//! value per line, commands one way and events the other, over the socket that
-//! is the slot's standard input. Videos go by file, so that lines stay short.
+//! Messages between the parent process and a slot's process: one JSON value per
+//! line, commands one way and events the other, over the socket that is the
+//! slot's standard input. Videos go by file, so that lines stay short.
 //!
 //! Everything that is said about a rollout names its attempt: an event that
 //! crossed a command on its way is about an attempt that is no longer in hand.
@@ -61,9 +61,9 @@ pub enum SlotCommand {
 pub struct Assignment {
     /// Names this attempt at it.
     pub attempt: AttemptId,
-    /// What to simulate.
+    /// Row to simulate.
     pub row: ManifestRow,
-    /// Where the perturbation's random elements come from.
+    /// Source of the perturbation's random elements.
     pub realisation: Realisation,
     /// The policy's name at its endpoint.
     pub policy: String,
@@ -84,7 +84,7 @@ pub struct Assignment {
 /// A video that is wanted.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VideoRequest {
-    /// Where to write it.
+    /// Path of the file to write.
     pub file: PathBuf,
     /// Of which rollouts.
     pub of: VideoOf,
@@ -133,14 +133,14 @@ pub enum SlotEvent {
     },
     /// Something about the rollout in hand.
     Rollout {
-        /// Which attempt at it.
+        /// Identifier of the attempt.
         attempt: AttemptId,
-        /// What.
+        /// Event of the rollout.
         event: RolloutEvent,
     },
 }
 
-/// What a slot says about a rollout.
+/// Event of a rollout, as a slot reports it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutEvent {
@@ -163,9 +163,9 @@ pub enum RolloutEvent {
 /// A rollout's result and where it came from, as far as the slot knows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finished {
-    /// What came out.
+    /// Result of the rollout.
     pub result: RolloutResult,
-    /// Which simulator, scene and policy it came out of.
+    /// Simulator, scene and policy that produced it.
     pub evidence: Evidence,
     /// How the robot moved.
     pub motion: Motion,
@@ -173,7 +173,7 @@ pub struct Finished {
     pub is_filmed_next: bool,
 }
 
-/// Which simulator, scene and policy a result came out of. Digests are SHA-256,
+/// Simulator, scene and policy that produced a result. Digests are SHA-256,
 /// hex.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
@@ -200,7 +200,8 @@ pub struct Evidence {
     pub policy_privileged: bool,
     /// Whether it gets the canonical instruction under every condition.
     pub policy_canonical_only: bool,
-    /// What its server resolved, by name, with `horizon` and `execute`.
+    /// Settings that its server resolved, by name, with `horizon` and
+    /// `execute`.
     pub policy_settings: BTreeMap<String, String>,
     /// How a gateway asks it: "single" unless one says otherwise.
     pub batch_mode: String,
@@ -209,13 +210,13 @@ pub struct Evidence {
 /// Why a rollout has no result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Failure {
-    /// Whose fault it was.
+    /// Party at fault.
     pub kind: FailureKind,
     /// In words, with the names that are needed to look further.
     pub error: String,
 }
 
-/// Whose fault it was that a rollout has no result.
+/// Party at fault when a rollout has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FailureKind {

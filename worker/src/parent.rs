@@ -17,7 +17,7 @@ use crate::message::MAX_LINE_BYTES;
 #[derive(Debug)]
 pub struct Parent(UnixStream);
 
-/// What the parent says, until it closes its side.
+/// Messages of the parent, until it closes its side.
 #[derive(Debug)]
 pub struct FromParent<T> {
     stream: BufReader<UnixStream>,
@@ -44,7 +44,8 @@ impl Parent {
         (&self.0).write_all(&line)
     }
 
-    /// What the parent says from now on. To be read in one place.
+    /// Returns the parent's messages from now on. They must be read in one
+    /// place.
     ///
     /// # Errors
     /// If this process has too many open files.

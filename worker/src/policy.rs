@@ -44,14 +44,15 @@ pub struct PolicyClient {
     peer: Peer,
 }
 
-/// Where the user of a campaign's policy says which one is meant.
+/// Names, in messages, of the settings with which a campaign's user addresses a
+/// policy.
 pub const OF_A_CAMPAIGN: Settings = Settings {
     address: "the campaign's endpoint",
     authority: "the worker's --ca",
     clear: "http://",
     encrypted: "https://",
 };
-/// Where the user of a policy for one rollout does.
+/// Names, in messages, of the settings with which the user of one rollout does.
 pub const OF_ONE_ROLLOUT: Settings = Settings {
     address: "--endpoint",
     authority: "--ca",
@@ -216,7 +217,7 @@ impl Actor for PolicyClient {
     }
 }
 
-/// What a policy is asked with.
+/// Builds a query to a policy.
 pub fn infer_request(
     session: PolicySession<'_>,
     query_index: u32,

@@ -1,6 +1,6 @@
-//! What the perturbations of a configuration look like, before a campaign is
-//! run: one picture of axes × levels, a sheet of the ten presets of each axis,
-//! and the end-effector's paths under actuation. No policy takes part.
+//! Previews of a configuration's perturbations, before a campaign is run: one
+//! picture of axes × levels, a sheet of the ten presets of each axis, and the
+//! end-effector's paths under actuation. No policy takes part.
 
 mod paths;
 mod request;
@@ -32,9 +32,9 @@ pub enum PreviewError {
     /// A picture could not be written.
     #[error("write {}: {problem}", path.display())]
     Write {
-        /// Where to.
+        /// Path of the picture.
         path: PathBuf,
-        /// Why not.
+        /// Reason of the failure.
         problem: String,
     },
 }
@@ -128,8 +128,8 @@ fn presets_sheet(
     Ok(sheet.finish())
 }
 
-/// What the policy would first see; for the actuation axis, what it would see
-/// after a fixed motion.
+/// Renders the policy's first view; for the actuation axis, its view after a
+/// fixed motion.
 fn picture(
     simulator: &mut Simulator,
     request: &Request,

@@ -54,15 +54,15 @@ pub enum RescueError {
     /// A file cannot be written.
     #[error("write {}", path.display())]
     Write {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What happened.
+        /// Error of the system.
         #[source]
         source: std::io::Error,
     },
 }
 
-/// What `rescue.json` holds. Steps are control steps of the policy, from 0.
+/// Content of `rescue.json`. Steps are control steps of the policy, from 0.
 #[derive(Debug, Serialize)]
 pub struct Rescue {
     /// The rollout that fails.
@@ -75,7 +75,7 @@ pub struct Rescue {
     pub max_steps: u32,
     /// The steps at which it looked and could have been saved.
     pub looks: Vec<u32>,
-    /// What was tried, by step.
+    /// Attempts to save it, by step.
     pub tried: Vec<Tried>,
     /// The last step at which lifting the perturbations saves it and the placebo does not;
     /// none if nothing that was tried does.
@@ -93,7 +93,7 @@ pub struct Rescue {
 /// One attempt to save it.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Tried {
-    /// Where the perturbations were lifted.
+    /// Step at which the perturbations were lifted.
     pub lifted_at: u32,
     /// Whether the policy then reached the goal.
     pub success: bool,

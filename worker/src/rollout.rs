@@ -55,9 +55,9 @@ pub enum RolloutError {
     /// The simulator failed.
     #[error("simulate {title}")]
     Simulator {
-        /// Which rollout.
+        /// Name of the rollout.
         title: String,
-        /// What happened.
+        /// Error of the simulator.
         #[source]
         source: SimError,
     },
@@ -202,18 +202,18 @@ struct Run<'a> {
     assignment: &'a Assignment,
     /// The step from which it goes on, if it does.
     resumed: Option<Resumed<'a>>,
-    /// What messages call it.
+    /// Name of the rollout in messages.
     title: String,
     description: &'a Description,
     actor: &'a mut dyn Actor,
     watcher: &'a mut dyn Watcher,
-    /// What the robot was told: the rollout can be simulated again.
+    /// Actions that the robot was told: the rollout can be simulated again.
     executed: Vec<Action>,
-    /// Where the end-effector was, tenths of a millimetre.
+    /// End-effector positions, tenths of a millimetre.
     path: Vec<[i16; 3]>,
     clipped_actions: u32,
     queries: u32,
-    /// Where its time has gone so far.
+    /// Time spent so far, by part.
     parts: Parts,
     goal: GoalProgress,
     first_frame_digest: String,
@@ -371,7 +371,8 @@ fn carry_on(verdict: ControlFlow<()>) -> Result<(), RolloutError> {
     }
 }
 
-/// What the policy's server resolved, with how much of each answer was executed.
+/// Returns the settings that the policy's server resolved, with how much of each
+/// answer was executed.
 fn settings(description: &Description) -> BTreeMap<String, String> {
     let given = description.about.settings.iter();
     given
@@ -383,7 +384,7 @@ fn settings(description: &Description) -> BTreeMap<String, String> {
         .collect()
 }
 
-/// Where the end-effector is, in tenths of a millimetre.
+/// Returns the end-effector's position, in tenths of a millimetre.
 fn whereabouts(episode: &mut Episode<'_>) -> [i16; 3] {
     const TENTHS_OF_MM_PER_M: f64 = 10_000.0;
     let position = episode.environment().robot_state().eef_pos;

@@ -33,7 +33,7 @@ use error::write_error;
 pub use own_task::OwnTask;
 pub use recorded::RecordedActions;
 
-/// What to do, and what to keep of it.
+/// Rollout to simulate, and the files to keep of it.
 pub struct Request<'a> {
     /// The rollout.
     pub assignment: &'a Assignment,
@@ -41,11 +41,11 @@ pub struct Request<'a> {
     pub files: Option<TaskFiles>,
     /// Whether to draw the first and the last picture of both cameras.
     pub draw: bool,
-    /// Where everything is written.
+    /// Output folder.
     pub output: &'a Path,
 }
 
-/// What `result.json` holds.
+/// Content of `result.json`.
 #[derive(Debug, Serialize)]
 struct ResultFile<'a> {
     /// The files that stood in for those of the row's task.

@@ -94,9 +94,10 @@ pub fn warn_of_scene_files() {
     }
 }
 
-/// What ends a service signals all of its processes, and the rollout in hand
-/// is to be finished: the parent decides. A handler of tokio's stays installed
-/// for good, also without its listener and its runtime.
+/// Ignores SIGTERM and SIGINT: a service manager signals all processes of a
+/// service, and the parent decides whether the rollout in hand is finished. A
+/// handler of tokio's stays installed for good, also without its listener and
+/// its runtime.
 fn leave_signals_to_the_parent() -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
@@ -107,9 +108,9 @@ fn leave_signals_to_the_parent() -> io::Result<()> {
     Ok(())
 }
 
-/// Where memory runs out, the kernel is to take a slot, which is replaced, and
-/// not its parent or a coordinator on the same machine. Where that is not
-/// allowed, nothing else is lost.
+/// Asks the kernel to kill a slot first if memory runs out: a slot is replaced,
+/// its parent or a coordinator on the same machine is not. If the kernel
+/// refuses, nothing else is lost.
 pub(crate) fn die_first() {
     let _ = fs::write("/proc/self/oom_score_adj", OOM_SCORE_ADJ);
 }

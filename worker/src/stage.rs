@@ -1,4 +1,4 @@
-//! Where rollouts take place: a simulator, and whose task it simulates.
+//! Stage of a rollout: a simulator, and the task that it simulates.
 
 use std::borrow::Cow;
 
@@ -9,7 +9,7 @@ use sim::{Episode, SimError, Simulator};
 
 use crate::actor::Description;
 
-/// Where rollouts take place: a simulator, and the files of the task.
+/// Simulator of a rollout, and the files of the task.
 pub struct Stage<'a> {
     simulator: &'a mut Simulator,
     /// In place of those of the row's task.
@@ -46,8 +46,8 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// What draws, by its own name, and the fingerprint, which is of its pictures
-    /// too; both empty where they are not needed.
+    /// Returns the renderer's own name and the fingerprint, which covers its
+    /// pictures too; both empty if they are not needed.
     pub(crate) fn drawing(&mut self, draws: bool) -> Result<(String, String), SimError> {
         if !draws && !self.always_names_renderer {
             return Ok(Default::default());
@@ -83,7 +83,7 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// What messages call a rollout here.
+    /// Returns the name of a rollout in messages.
     pub(crate) fn title(&self, row: &ManifestRow) -> String {
         match &self.files {
             None => row.id.to_string(),

@@ -1,6 +1,6 @@
-//! What the gateway adds to a query's latency: the same open loop of queries at
-//! a fixed rate, directly and through the gateway in turn. The server answers
-//! at once and takes no batches, so that nothing waits on purpose.
+//! Latency that the gateway adds to a query: the same open loop of queries at a
+//! fixed rate, directly and through the gateway in turn. The server answers at
+//! once and takes no batches, so that nothing waits on purpose.
 
 use std::{
     thread,

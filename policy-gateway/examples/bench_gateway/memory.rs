@@ -1,5 +1,5 @@
-//! What memory the gateway takes while more queries wait than it takes, at a
-//! server that answers none.
+//! Memory use of the gateway while more queries wait than it accepts, in front
+//! of a server that answers none.
 
 use std::time::Duration;
 

@@ -21,23 +21,23 @@ pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 /// How soon the kernel notices a host that vanished without a word.
 const TCP_KEEPALIVE: Duration = Duration::from_secs(15);
 
-/// Where a policy server listens, and which of its policies is meant:
-/// `grpc://HOST:PORT`, or `https://HOST:PORT` over TLS, and `/POLICY` behind it.
+/// Address of a policy server, with the name of one of its policies:
+/// `grpc://HOST:PORT`, or `https://HOST:PORT` over TLS, followed by `/POLICY`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GrpcAddress {
     /// `host:port`.
     pub authority: String,
-    /// Empty: the only one there.
+    /// Name of the policy; empty selects the only one there.
     pub policy: String,
     /// Over TLS.
     pub encrypted: bool,
 }
 
 impl GrpcAddress {
-    /// What is called there.
+    /// Returns the gRPC endpoint of the address.
     ///
     /// # Errors
-    /// When the address is none.
+    /// If the address is not a valid URI.
     pub fn endpoint(&self) -> Result<Endpoint, AddressError> {
         let scheme = if self.encrypted { "https" } else { "http" };
         let endpoint = Endpoint::from_shared(format!("{scheme}://{}", self.authority));

@@ -4,7 +4,7 @@
 use rmpv::{Value, ValueRef, decode::read_value_ref, encode::write_value};
 use thiserror::Error;
 
-/// What the keys of an array's map are.
+/// Type of the keys in an array's map.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Keys {
     /// Bytes, as openpi writes them.
@@ -72,7 +72,7 @@ pub(super) fn read(bytes: &[u8]) -> Option<ValueRef<'_>> {
 /// Reads an array of floating-point numbers.
 ///
 /// # Errors
-/// When it is none.
+/// If the value is no array of floating-point numbers.
 pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
     let shape = lookup(value, "shape").and_then(as_shape);
     let dtype = lookup(value, "dtype").and_then(as_text);

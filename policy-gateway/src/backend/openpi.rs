@@ -176,7 +176,8 @@ async fn ask(connection: &mut Connection, message: Vec<u8>) -> Result<Vec<u8>, B
     answered(connection.receive().await?)
 }
 
-/// What a server raised comes as text; then it closes the connection.
+/// Returns the answer's bytes. A server sends its exception as text, then
+/// closes the connection.
 fn answered(received: Received) -> Result<Vec<u8>, BackendError> {
     match received {
         Received::Binary(bytes) => Ok(bytes),
@@ -192,7 +193,7 @@ fn last_chars(text: &str) -> String {
     text.chars().skip(skipped).collect()
 }
 
-/// What is known of any such server. Its metadata are whatever its training
+/// Describes any such server. Its metadata are whatever its training
 /// configuration says; replicas must say the same.
 fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
     let digest = Sha256::digest(metadata);

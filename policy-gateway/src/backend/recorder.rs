@@ -21,7 +21,7 @@ pub const ENDED_AFTER: Duration = Duration::from_secs(120);
 /// observations.
 pub const DEFAULT_MAX_BYTES: u64 = 16 << 30;
 
-/// Where recordings go.
+/// Destination of recordings.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordInto {
     /// An existing folder.

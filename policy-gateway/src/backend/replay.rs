@@ -24,7 +24,7 @@ use crate::{
     sessions::{MAX_SESSIONS, SessionTable},
 };
 
-/// What a result says of a policy that was replayed.
+/// Batch mode in the results of a replayed policy.
 const BATCH_MODE: &str = "replayed from a recording";
 
 /// Recordings of one policy.
@@ -152,7 +152,7 @@ impl RecordedEpisode {
         Ok(Self { path, steps })
     }
 
-    /// What was answered to the observation of this digest.
+    /// Returns the recorded answer to the observation of this digest.
     fn answer(&self, query_index: u32, shown: [u8; 32]) -> Option<&InferResponse> {
         let step = self.steps.iter().find(|it| it.query_index == query_index)?;
         (step.digest == shown).then_some(&step.answer)
@@ -175,7 +175,7 @@ fn policy(error: &dyn fmt::Display) -> BackendError {
     }
 }
 
-/// What differs between an observation and the recorded one, in words.
+/// Describes the first difference between an observation and the recorded one.
 fn difference(path: &Path, query_index: u32, now: &Observation) -> Result<String, RecordingError> {
     let mut reader = Reader::open(path)?;
     let mut pairs = 0;

@@ -1,5 +1,5 @@
-//! What of an observation a server of another protocol is shown: frames turned
-//! upright, and readings.
+//! Observations for servers of other protocols: frames turned upright, and
+//! robot readings.
 
 use proto::policy::{CameraRequest, Observation, StateField};
 

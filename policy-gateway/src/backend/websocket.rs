@@ -34,7 +34,7 @@ pub(super) struct Schemes {
     pub(super) encrypted: &'static str,
 }
 
-/// Where a server listens.
+/// Host and port of a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
     /// `host:port`.
@@ -189,7 +189,8 @@ impl Server {
         }
     }
 
-    /// What is there in the server's place.
+    /// Returns the error for a server that is absent, with the service found at
+    /// its address.
     async fn absent(&self) -> BackendError {
         BackendError::Unreachable {
             address: self.place.authority.clone(),

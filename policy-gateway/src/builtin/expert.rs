@@ -6,8 +6,8 @@ use protocol::{Entity, EntityKind, Predicate, Privileged};
 
 use super::instance::{Action, BuiltinPolicy};
 
-/// What the expert declares: no cameras, no robot readings, privileged state,
-/// one action per query.
+/// Returns the expert's description: no cameras, no robot readings, privileged
+/// state, one action per query.
 pub fn describe() -> DescribeResponse {
     DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,

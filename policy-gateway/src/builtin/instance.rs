@@ -1,4 +1,4 @@
-//! What every built-in policy is to the gateway.
+//! Interface between the gateway and every built-in policy.
 
 use proto::policy::{DescribeResponse, Observation, ResetRequest};
 
@@ -8,7 +8,7 @@ pub type Action = [f32; 7];
 
 /// A policy that runs inside the gateway.
 pub(crate) struct Policy {
-    /// What it is and wants to see.
+    /// Description of the policy and of its inputs.
     pub(crate) described: DescribeResponse,
     pub(crate) start: Start,
 }

@@ -15,7 +15,7 @@ use thiserror::Error;
 
 use super::instance::{Action, BuiltinPolicy, Policy};
 
-/// What it reads of the robot, in this order.
+/// Robot readings that the student takes, in this order.
 const STATE: [StateField; 3] = [
     StateField::EefPos,
     StateField::EefRotation,
@@ -74,17 +74,17 @@ pub enum WeightsFileError {
     /// Nothing to read.
     #[error("read {path:?}: give the path of weights that training/export.py wrote")]
     Unreadable {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: std::io::Error,
     },
     /// Something else than weights of this network.
     #[error("use {path:?}")]
     Wrong {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// Fault of the weights.
         source: WeightsError,
     },
 }

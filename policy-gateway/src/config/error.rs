@@ -22,27 +22,27 @@ pub enum ConfigError {
     /// A file that cannot be read.
     #[error("read {path:?}: give the path of a gateway's configuration, as in docs/POLICIES.md")]
     Unreadable {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: std::io::Error,
     },
     /// A file that is no configuration.
     #[error("read line {line} of {path:?} as a gateway's configuration: {problem}")]
     Toml {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
         /// Its line, from 1.
         line: usize,
-        /// What is wrong there.
+        /// Problem on that line.
         problem: String,
     },
     /// Something in a file that cannot be meant.
     #[error("use {path:?}")]
     InFile {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What.
+        /// Error in the file.
         source: Box<ConfigError>,
     },
     /// No replica to answer.

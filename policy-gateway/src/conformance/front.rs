@@ -14,7 +14,7 @@ use crate::{
 
 /// Such a gateway, until dropped.
 pub struct Front {
-    /// Where it listens.
+    /// Listening address.
     pub address: SocketAddr,
     _task: JoinSet<()>,
 }
@@ -23,7 +23,7 @@ impl Front {
     /// Starts a gateway in front of the server at `url`.
     ///
     /// # Errors
-    /// When the address or what is needed to get in is no use.
+    /// If the address or the access files cannot be used.
     pub async fn start(url: &str, access: AccessFiles) -> Result<Self, FrontError> {
         let backend: BackendSpec = url.parse()?;
         let route = RouteSpec {

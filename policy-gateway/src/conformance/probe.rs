@@ -26,7 +26,8 @@ use crate::{
     http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
 };
 
-/// Where the user of a check says which server is meant.
+/// Names, in messages, of the settings with which the user of a check addresses
+/// a server.
 const SETTINGS: Settings = Settings {
     address: "the URL",
     authority: "--ca",
@@ -43,7 +44,7 @@ pub enum QueryOrder {
     Backward,
 }
 
-/// What one episode brought.
+/// Answers of one episode.
 #[derive(Clone, Debug)]
 pub struct EpisodeAnswers {
     /// By query index.
@@ -116,7 +117,7 @@ impl Probe {
         })
     }
 
-    /// What the policy says of itself.
+    /// Returns the policy's description of itself.
     pub fn described(&self) -> &DescribeResponse {
         &self.described
     }
@@ -159,7 +160,7 @@ impl Probe {
     /// Plays one episode.
     ///
     /// # Errors
-    /// What the server answered instead.
+    /// If the server answers with a status instead of actions.
     pub async fn episode(
         &self,
         name: &str,
@@ -189,7 +190,7 @@ impl Probe {
     /// Plays one episode, asking everything twice: first and second answers.
     ///
     /// # Errors
-    /// What the server answered instead.
+    /// If the server answers with a status instead of actions.
     pub async fn retries(
         &self,
         seed: u64,
@@ -206,7 +207,7 @@ impl Probe {
     /// Plays two episodes in turns: the first one's answers.
     ///
     /// # Errors
-    /// What the server answered instead.
+    /// If the server answers with a status instead of actions.
     pub async fn interleaved(&self, seed: u64, other: u64) -> Result<Vec<InferResponse>, Status> {
         self.reset("mine", seed).await?;
         self.reset("other's", other).await?;
@@ -222,7 +223,7 @@ impl Probe {
     /// session.
     ///
     /// # Errors
-    /// What the server answered instead.
+    /// If the server answers with a status instead of actions.
     pub async fn restarted(&self, seed: u64, other: u64) -> Result<Vec<InferResponse>, Status> {
         self.reset("restarted", other).await?;
         for query_index in 0..QUERIES / 2 {
@@ -238,7 +239,7 @@ impl Probe {
     /// which the first has `seed`: that one's answers.
     ///
     /// # Errors
-    /// What the server answered instead.
+    /// If the server answers with a status instead of actions.
     pub async fn batched(&self, seed: u64) -> Result<Vec<InferResponse>, Status> {
         let size = self.described.max_batch.min(MAX_BATCH_QUERIES as u32);
         let names: Vec<_> = (0..size).map(|at| format!("in a batch {at}")).collect();
@@ -282,7 +283,7 @@ impl Probe {
     /// Plays so many episodes at once: the time they took, and each query's.
     ///
     /// # Errors
-    /// What the server answered instead.
+    /// If the server answers with a status instead of actions.
     pub async fn side_by_side(
         &self,
         concurrency: u32,

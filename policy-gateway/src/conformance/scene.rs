@@ -25,7 +25,8 @@ pub const TASKS: [(&str, &str); 4] = [
     ),
 ];
 
-/// What to do in a suite; in one that is unknown, what is done in the first.
+/// Returns the instruction of a suite's task; of the first one's for an unknown
+/// suite.
 pub fn instruction(suite: &str) -> &'static str {
     let task = TASKS.iter().find(|(known, _)| *known == suite);
     task.unwrap_or(&TASKS[0]).1

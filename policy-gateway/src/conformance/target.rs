@@ -1,4 +1,4 @@
-//! What is checked, and why it cannot be.
+//! Target of a check, and the reasons for which it cannot be checked.
 
 use thiserror::Error;
 use tonic::Status;
@@ -9,16 +9,16 @@ use super::front::FrontError;
 /// Queries of one probing episode.
 pub const QUERIES: u32 = 5;
 
-/// What to check.
+/// Server and policy to check.
 #[derive(Clone, Debug)]
 pub struct Target {
     /// `http://HOST:PORT` or `grpc://HOST:PORT`.
     pub url: String,
-    /// Which policy there; empty: the only one.
+    /// Name of the policy; empty selects the only one.
     pub policy: String,
     /// The suite whose task is made up, one of [`scene::TASKS`].
     pub suite: String,
-    /// How to get in.
+    /// Credentials of the client.
     pub access: Access,
 }
 
@@ -43,7 +43,7 @@ pub enum ConformanceError {
     Connect {
         /// As given.
         url: String,
-        /// What is there instead.
+        /// Cause found at that address.
         trouble: Box<Trouble>,
     },
     /// No gateway can stand in front of it.
@@ -54,7 +54,7 @@ pub enum ConformanceError {
     Describe {
         /// As given.
         url: String,
-        /// What it answered.
+        /// Answer of the server.
         status: Box<Status>,
     },
     /// It answers no query.
@@ -62,7 +62,7 @@ pub enum ConformanceError {
     Episode {
         /// As given.
         url: String,
-        /// What it answered.
+        /// Answer of the server.
         status: Box<Status>,
     },
 }

@@ -19,17 +19,17 @@ pub const BATCH_TOLERANCE: f32 = 1e-3;
 pub enum Verdict {
     /// Well.
     Pass {
-        /// What to know all the same; may be empty.
+        /// Remark about the result; may be empty.
         note: String,
     },
     /// Not as the protocol says.
     Fail {
-        /// What was seen.
+        /// Observed violation.
         reason: String,
     },
     /// The point does not apply.
     Skip {
-        /// Why not.
+        /// Reason for which it does not apply.
         reason: String,
     },
 }

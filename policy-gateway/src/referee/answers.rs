@@ -1,4 +1,4 @@
-//! What a server answered to all situations, as numbers. Pure.
+//! Answers of a server to all situations, as numbers. Pure.
 
 use super::server::Action;
 

@@ -13,7 +13,7 @@ pub const REPEATABLE: f64 = BATCH_TOLERANCE as f64;
 /// Situations that it is looked for in.
 const SITUATIONS: usize = 3;
 
-/// What a server's answers depend on beside what it is shown.
+/// Variation of a server's answers to one observation.
 #[derive(Clone, Copy, Debug)]
 pub struct Chance {
     /// Largest difference between two answers to the same question.
@@ -26,7 +26,7 @@ impl Chance {
     /// Asks a server again, and with another seed; `answers` are those of [`SEED`].
     ///
     /// # Errors
-    /// When it does not answer with actions.
+    /// If the server does not answer with actions.
     pub async fn of(panel: &Panel, side: Side, answers: &Answers) -> Result<Self, RefereeError> {
         let again = panel.ask(side, &[], SITUATIONS, |_| vec![SEED]).await?;
         let other = panel.ask(side, &[], SITUATIONS, |_| vec![SEED + 1]).await?;

@@ -127,7 +127,7 @@ impl Doctor {
     /// Looks at a server, telling `say` each line; true if nothing is wrong.
     ///
     /// # Errors
-    /// When it cannot be judged.
+    /// If the server cannot be judged.
     pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
         let access = self.shown.access()?;
         let recorded = self.shown.recorded()?;

@@ -22,14 +22,14 @@ use super::{
 const AVERAGED: usize = 8;
 /// Standard errors of a mean within which two means are the same.
 const ERRORS: f64 = 2.5;
-/// What another size may leave of a difference.
+/// Share of a difference that may remain under another frame size.
 const LEFT_OF_SIZE: f64 = 0.4;
 /// Differences below this share of how much an answer varies are those of rounding.
 const ROUNDING: f64 = 0.02;
 /// Seeds that programs have as their default.
 const USUAL_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];
 
-/// What came of a comparison.
+/// Result of a comparison.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
     /// In what the descriptions differ.
@@ -105,7 +105,7 @@ pub async fn compare(
     })
 }
 
-/// What two servers do otherwise with the seed, whatever they are shown.
+/// Finds differences in how two servers use the seed, whatever they are shown.
 fn of_chance(panel: &Panel, chances: [Chance; 2]) -> Vec<Difference> {
     let sides = [(Side::A, "A"), (Side::B, "B")].into_iter().zip(chances);
     for ((side, letter), chance) in sides {
@@ -147,7 +147,8 @@ async fn paired(
         panel,
         seeds: &seeds,
         floor: [REPEATABLE; 7],
-        // Where noise differs, nothing that is shown makes it the same.
+        // Different noise cannot be made the same by a change to the
+        // observations.
         together: !random,
     };
     let as_they_come = fit(&both.a, &both.b, &course.floor);
@@ -284,8 +285,9 @@ fn floor(both: &Both, chances: [Chance; 2]) -> Limit {
     })
 }
 
-/// What is said where nothing makes the answers alike. No two libraries scale a
-/// frame to the same bits: a size need not take all of the difference away.
+/// Returns the differences to report if no explanation makes the answers alike.
+/// No two libraries scale a frame to the same bits: a size need not take all of
+/// the difference away.
 fn not_explained(both: &Both, apart: Apart, closest: &Explanation) -> Vec<Difference> {
     let norm = |it: &Limit| it.iter().map(|it| it * it).sum::<f64>().sqrt();
     let as_they_come = fit(&both.a, &both.b, &[f64::INFINITY; 7]).left;

@@ -6,7 +6,7 @@ use serde::Serialize;
 /// One thing that two descriptions say differently.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct DescriptionDifference {
-    /// What it is about, for example "cameras".
+    /// Field of the description, for example "cameras".
     pub what: String,
     /// As the first one says.
     pub a: String,

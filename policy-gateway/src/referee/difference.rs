@@ -21,7 +21,7 @@ pub const NUMBERS: [&str; 7] = [
     "gripper",
 ];
 
-/// What two servers do otherwise.
+/// Kind of a difference between two servers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[expect(missing_docs, reason = "the words below say it")]
@@ -59,7 +59,7 @@ impl Kind {
         }
     }
 
-    /// What it usually means, and what to look at.
+    /// Returns its usual meaning, with a hint on the part to compare.
     pub fn meaning(self) -> &'static str {
         match self {
             Self::FrameOrientation => {
@@ -116,9 +116,9 @@ impl Kind {
 /// A named difference.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Difference {
-    /// What it is.
+    /// Kind of the difference.
     pub kind: Kind,
-    /// What was seen, with the numbers. A and B are the servers.
+    /// Observation, with the numbers. A and B are the servers.
     pub text: String,
 }
 
@@ -135,11 +135,12 @@ impl Difference {
 pub struct Apart {
     /// Largest difference.
     pub before: f64,
-    /// Which number of an action that is.
+    /// Index of the number within an action.
     pub at: usize,
 }
 
-/// What an explanation consists of, in the order of a policy's pipeline.
+/// Returns the differences of an explanation, in the order of a policy's
+/// pipeline.
 pub fn explained(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
     let mut differences = shown(explanation);
     differences.extend(of_actions(&explanation.fit));
@@ -185,7 +186,8 @@ pub fn size(number: f64) -> String {
     }
 }
 
-/// What is shown otherwise in the closest attempt at an explanation.
+/// Describes the changes to observations in the closest attempt at an
+/// explanation.
 pub fn attempt(explanation: &Explanation) -> String {
     let shown = explanation.shown.iter();
     let shown: Vec<String> = shown

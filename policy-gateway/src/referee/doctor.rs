@@ -83,13 +83,13 @@ impl fmt::Display for Point {
 /// How a server does on one point.
 #[derive(Clone, Debug)]
 pub struct Finding {
-    /// What was looked at.
+    /// Point that was examined.
     pub point: Point,
-    /// What was seen.
+    /// Result of the examination.
     pub verdict: Verdict,
 }
 
-/// What to measure a server by.
+/// Limits and amounts for the examination of a server.
 #[derive(Clone, Copy, Debug)]
 pub struct Measures {
     /// Within which a gateway wants an answer.

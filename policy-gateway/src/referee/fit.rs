@@ -10,7 +10,7 @@ pub const GRIPPER: usize = 6;
 /// that does not follow the other one.
 const LEAST_SCALE: f64 = 1e-3;
 
-/// What becomes of one number of an action.
+/// Map of one number of an action.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Map {
     /// Nothing.
@@ -75,7 +75,8 @@ impl Map {
         }
     }
 
-    /// What has to be believed for it: an affine map has two parameters.
+    /// Number of assumptions that the map needs: an affine map has two
+    /// parameters.
     fn cost(self) -> u32 {
         match self {
             Self::Same => 0,
@@ -97,14 +98,15 @@ pub struct Fit {
     pub shift: i32,
     /// By number of an action.
     pub maps: [Map; 7],
-    /// What is left between them, root mean square, by number of an action.
+    /// Remaining difference between them, root mean square, by number of an
+    /// action.
     pub left: Action,
     /// Whether what is left is within the limit.
     pub explains: bool,
 }
 
 impl Fit {
-    /// What has to be believed for it.
+    /// Number of assumptions that the fit needs.
     pub fn cost(&self) -> u32 {
         let maps: u32 = self.maps.iter().map(|map| map.cost()).sum();
         maps + u32::from(self.shift != 0)
@@ -123,7 +125,7 @@ impl Fit {
             .all(|(left, limit)| left <= limit)
     }
 
-    /// What is left in all, in units of the limit.
+    /// Norm of the remaining difference, in units of the limit.
     pub fn remainder(&self, limit: &Limit) -> f64 {
         let shares = self.left.iter().zip(limit);
         shares
@@ -189,7 +191,7 @@ fn at_shift(one: &Answers, other: &Answers, shift: i32, limit: &Limit) -> Fit {
     fit
 }
 
-/// What a map leaves between pairs of numbers, root mean square.
+/// Remaining difference between pairs of numbers after a map, root mean square.
 fn left(numbers: &[(f64, f64)], map: Map) -> f64 {
     let squares = numbers.iter().map(|(a, b)| (map.of(*a) - b).powi(2));
     (squares.sum::<f64>() / numbers.len().max(1) as f64).sqrt()

@@ -1,6 +1,6 @@
-//! What the numbers of a policy's state may stand for: the forms in which the
-//! field's policies are told a pose, and those of the same width that are taken
-//! for one another. Pure.
+//! Layouts of a policy's state: the forms in which the field's policies are
+//! told a pose, and those of the same width that are taken for one another.
+//! Pure.
 
 use std::fmt;
 
@@ -87,7 +87,7 @@ pub fn others(fields: &[StateField], of_other: &[StateField]) -> Vec<Vec<Part>> 
     different
 }
 
-/// What is taken for a part: as many numbers.
+/// Returns the parts of the same width that are mistaken for a part.
 fn alternatives(part: Part) -> &'static [Part] {
     match part {
         Field(EefAxisAngle) => &[

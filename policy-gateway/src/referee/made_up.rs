@@ -14,7 +14,8 @@ use crate::conformance::scene;
 pub const COUNT: usize = 8;
 /// Side of the frames, pixels: LIBERO's.
 const SIDE: usize = 256;
-/// The one whose most colourful thing fills much of the frames, as before a grasp.
+/// Index of the situation whose most colourful thing fills much of the frames, as
+/// before a grasp.
 const CLOSE_UP: usize = 5;
 
 /// Situations of a suite, with frames of these cameras.
@@ -166,7 +167,7 @@ fn things(chance: &mut Chance, at: usize) -> Vec<Thing> {
     things
 }
 
-/// What a camera sees: a lit table with grain and spots, and things on it.
+/// Draws a camera's frame: a lit table with grain and spots, and things on it.
 fn frame(camera: &str, at: usize) -> Image {
     let name = camera
         .bytes()

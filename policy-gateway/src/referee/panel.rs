@@ -16,7 +16,7 @@ pub const SEED: u64 = 4_711;
 /// their chunks to themselves: an answer alone would show one action of them.
 const HELD_QUERIES: u32 = 4;
 
-/// Which of the two.
+/// One of the two servers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
     /// The first one named.
@@ -67,7 +67,7 @@ impl Panel {
         })
     }
 
-    /// What a server says of itself.
+    /// Returns a server's description of itself.
     pub fn described(&self, side: Side) -> &DescribeResponse {
         &self.server(side).described
     }
@@ -85,7 +85,7 @@ impl Panel {
         self.situations.len()
     }
 
-    /// What can be changed in what a server is shown.
+    /// Returns the changes that can be made to a server's observations.
     pub fn variants(&self, side: Side) -> Vec<Variant> {
         let other = match side {
             Side::A => Side::B,
@@ -104,7 +104,7 @@ impl Panel {
     /// with each of `seeds(situation)`.
     ///
     /// # Errors
-    /// When it does not answer with actions.
+    /// If the server does not answer with actions.
     pub async fn ask(
         &self,
         side: Side,

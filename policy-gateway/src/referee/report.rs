@@ -1,4 +1,4 @@
-//! What is printed: lines for a terminal of 80 columns, and JSON, which docs/JSON.md
+//! Printed reports: lines for a terminal of 80 columns, and JSON, which docs/JSON.md
 //! documents.
 
 use proto::policy::DescribeResponse;

@@ -1,6 +1,6 @@
-//! Which of the usual differences between two pipelines makes one server answer as
-//! the other does. Responsible for the order: what needs least to be believed comes
-//! first.
+//! Search for the usual differences between two pipelines that make one server
+//! answer as the other does. Responsible for the order: the explanation with the
+//! fewest assumptions comes first.
 
 use super::{
     answers::Answers,
@@ -12,14 +12,15 @@ use super::{
 
 /// Differences in what servers are shown that are found together.
 const MOST_TOGETHER: usize = 3;
-/// What a change must take away of what is left to be taken for a part of the
-/// explanation.
+/// Largest share of the remaining difference that a change may leave to count
+/// as part of the explanation.
 const PROGRESS: f64 = 0.75;
 
-/// What an explanation may leave of a difference; more is another difference.
+/// Largest share of a difference that an explanation may leave; more is another
+/// difference.
 const LEFT: f64 = 0.1;
 
-/// What both servers are asked with.
+/// Setup of a search: the servers, the situations and the seeds.
 pub struct Course<'a> {
     /// The servers and the situations.
     pub panel: &'a Panel,
@@ -34,7 +35,8 @@ pub struct Course<'a> {
 /// Changes to what is shown, and a map of the actions.
 #[derive(Clone, Debug)]
 pub struct Explanation {
-    /// What is shown to whom otherwise, so that the answers are alike.
+    /// Changes to the observations of either server that make the answers
+    /// alike.
     pub shown: Vec<(Side, Variant)>,
     /// From A's actions to B's.
     pub fit: Fit,
@@ -46,7 +48,7 @@ impl Explanation {
     }
 }
 
-/// What came of a search.
+/// Result of a search.
 #[derive(Clone, Debug)]
 pub enum Found {
     /// This makes them alike.
@@ -92,7 +94,8 @@ impl Course<'_> {
         Ok(Found::Explained(explained))
     }
 
-    /// What is no difference any more beside one of this size.
+    /// Returns the largest remainder that counts as none beside a difference of
+    /// this size.
     fn limit(&self, apart: Limit) -> Limit {
         std::array::from_fn(|at| self.floor[at].max(LEFT * apart[at]))
     }

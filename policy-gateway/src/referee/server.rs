@@ -31,7 +31,7 @@ pub type Action = [f64; 7];
 pub struct Server {
     /// As given.
     pub url: String,
-    /// What it says of itself.
+    /// Description of the policy, in the server's words.
     pub described: DescribeResponse,
     backend: Arc<dyn Backend>,
     /// Sessions opened so far.
@@ -59,7 +59,7 @@ impl Server {
     /// Asks the server of a route what it is.
     ///
     /// # Errors
-    /// When it cannot be reached, or describes what cannot be.
+    /// If the server cannot be reached, or its description is invalid.
     pub async fn connect(
         spec: &BackendSpec,
         access: &Access,
@@ -110,7 +110,7 @@ impl Server {
     /// Checks that an answer is a chunk of actions, and returns them.
     ///
     /// # Errors
-    /// When it is none.
+    /// If the answer is no chunk of actions.
     pub fn actions(&self, response: &InferResponse) -> Result<Vec<Action>, ActionFault> {
         let actions = policy_protocol::actions(response, self.described.horizon)?;
         Ok(actions.iter().map(|it| it.map(f64::from)).collect())
@@ -193,7 +193,7 @@ pub enum RefereeError {
     Answer {
         /// As given.
         url: String,
-        /// What it said.
+        /// Error of the server or of the connection.
         problem: String,
     },
     /// It describes itself as nothing that can be run.
@@ -201,7 +201,7 @@ pub enum RefereeError {
     Description {
         /// As given.
         url: String,
-        /// What is wrong.
+        /// Fault of the description.
         fault: DescriptionFault,
     },
     /// It answers no actions.
@@ -209,7 +209,7 @@ pub enum RefereeError {
     Nonsense {
         /// As given.
         url: String,
-        /// What is wrong.
+        /// Fault of the answer.
         fault: ActionFault,
     },
     /// The recordings lack something.
@@ -220,7 +220,7 @@ pub enum RefereeError {
     Lacking {
         /// As given.
         url: String,
-        /// What.
+        /// Missing input.
         missing: String,
     },
 }

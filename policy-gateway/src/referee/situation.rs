@@ -10,7 +10,7 @@ use thiserror::Error;
 use super::pose::{self, Quaternion};
 use crate::backend::openpi::frame::resize;
 
-/// What can be seen and read at one moment of an episode.
+/// Frames and readings at one moment of an episode.
 #[derive(Clone, Debug, Default)]
 pub struct Situation {
     /// Suite of the episode.
@@ -25,16 +25,17 @@ pub struct Situation {
     pub privileged: Option<PrivilegedState>,
 }
 
-/// What a server wants and a situation does not have.
+/// Input that a server wants and a situation does not have.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{0}")]
 pub struct Missing(pub String);
 
 impl Situation {
-    /// What a server of this description is shown.
+    /// Returns the observation for a server of this description.
     ///
     /// # Errors
-    /// When it asks for something that is not there and cannot be derived.
+    /// If the server asks for something that is not there and cannot be
+    /// derived.
     pub fn observation(&self, described: &DescribeResponse) -> Result<Observation, Missing> {
         let mut observation = Observation::default();
         for camera in &described.cameras {

@@ -44,29 +44,29 @@ pub enum Turn {
     Right,
 }
 
-/// Which of the two quaternions of an orientation.
+/// Rule that selects one of the two quaternions of an orientation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SignRule {
     /// The other one, always.
     Other,
-    /// The one whose w is not below 0.
+    /// The quaternion whose w is not below 0.
     PositiveW,
 }
 
-/// What a variant is about.
+/// Subject of a variant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Topic {
     /// Frames turned over.
     Orientation,
     /// Frames in another resolution.
     Size,
-    /// Which camera is which.
+    /// Assignment of the cameras.
     Cameras,
     /// Channels of a frame.
     Colours,
     /// The sign of quaternions.
     Sign,
-    /// What the robot's numbers mean.
+    /// Meaning of the robot's numbers.
     State,
 }
 
@@ -112,7 +112,7 @@ impl Variant {
         variants
     }
 
-    /// What it is about.
+    /// Returns the subject of the variant.
     pub fn topic(&self) -> Topic {
         match self {
             Self::Turned(..) => Topic::Orientation,
@@ -259,7 +259,7 @@ impl SignRule {
 }
 
 impl fmt::Display for Variant {
-    /// What was done to the observation: "its frames turned by 180°".
+    /// Writes the change to the observation: "its frames turned by 180°".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Turned(turn, only) => {

@@ -37,7 +37,7 @@ pub enum RouteError {
         replica: String,
         /// Index of the query in its session.
         query_index: u32,
-        /// What is wrong.
+        /// Fault of the answer.
         #[source]
         source: ActionFault,
     },

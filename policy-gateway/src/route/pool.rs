@@ -22,7 +22,8 @@ pub struct Pool {
     suite: String,
     replicas: Vec<Arc<Replica>>,
     batching: Batching,
-    /// What the first replica to answer said, which the others must say, too.
+    /// Description by the first replica to answer, with which the others must
+    /// agree.
     agreed: Mutex<Option<Agreed>>,
     sessions_given: AtomicU64,
     /// Sessions whose Reset is under way.
@@ -141,9 +142,9 @@ impl Pool {
         self.replicas.iter().max_by_key(rank)
     }
 
-    /// The one with the fewest queries under way that is not out; of several,
-    /// one that knows the session, and then the one whose last new session is
-    /// longest ago. If all are out, the first answers why.
+    /// Returns the replica with the fewest queries under way that is not out;
+    /// of several, one that knows the session, and then the one whose last new
+    /// session is longest ago. If all are out, the first answers why.
     fn idlest(
         &self,
         session: &str,
@@ -162,7 +163,8 @@ impl Pool {
     /// one said.
     ///
     /// # Errors
-    /// When it does not answer, cannot be right, or says something else.
+    /// If the replica does not answer, describes itself wrongly, or differs
+    /// from the first.
     pub async fn describe(
         &self,
         replica: &Replica,

@@ -55,7 +55,7 @@ pub struct Replica {
     health: Mutex<Health>,
     /// Queries under way.
     load: AtomicUsize,
-    /// When it was last given a session, counted in sessions given.
+    /// Number of the last session given to it, counted in sessions given.
     last_given: AtomicU64,
 }
 
@@ -119,7 +119,7 @@ impl Replica {
         self.load.load(Ordering::Relaxed)
     }
 
-    /// When it was last given a session.
+    /// Number of the last session given to it.
     pub fn last_given(&self) -> u64 {
         self.last_given.load(Ordering::Relaxed)
     }
@@ -167,7 +167,7 @@ impl Replica {
     /// expected.
     ///
     /// # Errors
-    /// When it does not answer, or with something that cannot be used.
+    /// If the replica does not answer, or its answer cannot be used.
     pub async fn describe(
         &self,
         call: Call<'_>,
@@ -196,7 +196,7 @@ impl Replica {
     /// Starts an episode.
     ///
     /// # Errors
-    /// When it does not answer, or refuses.
+    /// If the replica does not answer, or refuses.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
         let session = request.session.clone();
         self.in_time(Call::Of(&session), self.backend.reset(request))
@@ -216,8 +216,8 @@ impl Replica {
     /// most `horizon`.
     ///
     /// # Errors
-    /// When it does not answer, or its answer is no chunk of actions (see
-    /// [`policy_protocol::actions`]).
+    /// If the replica does not answer, or its answer is no chunk of actions
+    /// (see [`policy_protocol::actions`]).
     pub async fn infer(
         &self,
         request: InferRequest,

@@ -1,5 +1,5 @@
-//! What becomes of a policy's answers: kept for retries, and refused when they
-//! are no actions. The servers here are deliberately wrong ones.
+//! Treatment of a policy's answers: kept for retries, and refused when they are
+//! no actions. The servers here are deliberately wrong ones.
 
 use std::sync::{
     Arc,

@@ -21,7 +21,7 @@ use crate::support::{chunk, describe, description, infer, reloadable, reset, ser
 
 /// Largest batch of the simulated server.
 const LARGEST: u32 = 4;
-/// What one batch of it takes.
+/// Time that the server takes for one batch.
 const BATCH_TIME: Duration = Duration::from_millis(5);
 
 /// A simulated server of fixed speed. It answers the number in a session's

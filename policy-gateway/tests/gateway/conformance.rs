@@ -47,7 +47,7 @@ where
     assert_eq!(found, expected);
 }
 
-/// What a well-behaved policy answers: a function of seed and query alone.
+/// Answers as a well-behaved policy does: a function of seed and query alone.
 fn proper(query: &Query) -> Result<InferResponse, Status> {
     let seed = query
         .seed

@@ -27,7 +27,7 @@ const PATCHES: usize = 32;
 /// Actions that it computes beyond its horizon, for those that skip some.
 const BEYOND: usize = 4;
 
-/// What its network is given.
+/// Input of the policy's network.
 pub(crate) struct Seen {
     pub(crate) frames: Vec<Image>,
     pub(crate) state: Vec<f64>,
@@ -37,7 +37,7 @@ pub(crate) struct Seen {
     pub(crate) asked_before: u64,
 }
 
-/// What is done to a network's actions.
+/// Change to a network's actions.
 type Finish = dyn Fn(&mut Vec<Action>) + Send + Sync;
 
 /// The policy, and what it does before and after its network.

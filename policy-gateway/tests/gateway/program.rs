@@ -22,7 +22,7 @@ pub(crate) fn program(arguments: &[&str]) -> Command {
     command
 }
 
-/// What the program's first line says after "listening on".
+/// Returns the text after "listening on" in the program's first line.
 pub(crate) fn listening(child: &mut Child) -> String {
     let mut line = String::new();
     let stdout = child.stdout.as_mut().expect("stdout is piped");

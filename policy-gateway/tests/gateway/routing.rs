@@ -1,4 +1,4 @@
-//! Which policy answers, and what a gateway says of itself.
+//! Routing of requests to policies, and the gateway's description of itself.
 
 use policy_gateway::{builtin::noop::NOOP_ACTION, check::MAX_BATCH_QUERIES};
 use proto::policy::{

@@ -155,7 +155,7 @@ async fn the_end_of_an_episode_reaches_its_server_and_closes_its_session() {
         }
         all.sort();
         assert_eq!(all, ["begin one", "begin two", "end one", "end two"]);
-        // Who does not know the call is as healthy as before.
+        // A server that does not know the call counts as healthy as before.
         client.reset(reset("x", "one")).await.expect("an episode");
         client.infer(infer("x", "one", 0)).await.expect("an answer");
         drop(client);

@@ -174,7 +174,7 @@ pub(crate) fn chunk(actions: &[f32], action_width: u32) -> InferResponse {
     }
 }
 
-/// What a scripted policy is asked.
+/// Query to a scripted policy.
 pub(crate) struct Query {
     /// Of the session's Reset, if there was one.
     pub(crate) seed: Option<u64>,

@@ -26,7 +26,7 @@ use tonic::{Code, Status, transport::Channel};
 
 use crate::support::{Running, describe, gateway, infer, reloadable, reset};
 
-/// What a server does when it is asked something.
+/// Reaction of a server to a message.
 #[derive(Clone)]
 enum Answer {
     Message(Vec<u8>),
@@ -35,7 +35,7 @@ enum Answer {
     Nothing,
 }
 
-/// What a server noticed.
+/// Event that a server noticed.
 #[derive(Debug, PartialEq)]
 enum Noticed {
     /// A connection, with its `Authorization`.
@@ -73,7 +73,7 @@ impl Server {
                         drop(note.send(Noticed::Connected(shown)));
                         Ok(response)
                     };
-                    // What looks around after a failure speaks no WebSocket.
+                    // The probe after a failure does not speak WebSocket.
                     if let Ok(socket) = accept_hdr_async(stream, see).await {
                         serve(socket, &*answer, &notices).await;
                         drop(notices.send(Noticed::Gone));

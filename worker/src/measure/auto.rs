@@ -22,7 +22,7 @@ const ROUNDS: usize = 2;
 pub struct Chosen {
     /// How many.
     pub slots: NonZeroUsize,
-    /// What was measured and what limits it, in one line.
+    /// Measurement and the limit that applies, in one line.
     pub why: String,
 }
 

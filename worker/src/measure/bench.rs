@@ -10,10 +10,10 @@ use super::together::{Measured, Slots};
 use super::{MeasureError, cores, room};
 use crate::child::SlotProgram;
 
-/// What is measured.
+/// Plan of a measurement.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// What the slots simulate, in words.
+    /// Description of the simulated task.
     pub title: String,
     /// Numbers of slots; none for 1, 2, 4, … and those that should keep all cores
     /// busy, once and twice.
@@ -102,7 +102,7 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
     Ok(())
 }
 
-/// What stands for the policy, over lines of at most 80 columns.
+/// Describes the stand-in for the policy, in lines of at most 80 columns.
 fn policy(secs: f64) -> String {
     match secs {
         0.0 => "The policy takes no time here. Slots that wait for a real one leave cores idle,\n\
@@ -131,7 +131,7 @@ fn line(row: &Measured) -> String {
     )
 }
 
-/// What the machine computes with, for readers of the figures.
+/// Returns the processor's model name, for readers of the figures.
 fn processor() -> String {
     let about = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = about

@@ -1,4 +1,4 @@
-//! Which number of slots: pure.
+//! Choice of the number of slots. Pure.
 
 use std::collections::BTreeSet;
 
@@ -11,7 +11,7 @@ pub(super) const ENOUGH: f64 = 0.95;
 /// and for tasks whose scenes are larger than the measured one.
 const SHARE: f64 = 0.8;
 
-/// What so many slots did together.
+/// Combined throughput of a number of slots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Throughput {
     /// How many.

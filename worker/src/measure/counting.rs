@@ -27,7 +27,7 @@ use crate::stage::Stage;
 /// next one, which loads its initial state and settles.
 const ROLLOUT_STEPS: u32 = 120;
 
-/// What a measured slot tells its parent, one JSON value per line.
+/// Message of a measured slot to its parent, one JSON value per line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Said {
@@ -40,7 +40,7 @@ pub(super) enum Said {
     Counted(Count),
 }
 
-/// What a slot did.
+/// Work of one slot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Count {
     /// How long it took, seconds.
@@ -49,7 +49,7 @@ pub(super) struct Count {
     pub(super) steps: u32,
     /// Frames drawn.
     pub(super) frames: u32,
-    /// What the process then used.
+    /// Memory use of the process at the end.
     pub(super) memory: SlotMemory,
 }
 
@@ -64,9 +64,9 @@ pub(super) struct SlotMemory {
     pub(super) own: u64,
     /// Of it, pages of files, which all slots share: programs, libraries, scenes.
     pub(super) files: u64,
-    /// What the one compiled scene takes of `own`.
+    /// Share of `own` that the one compiled scene takes.
     pub(super) scene: u64,
-    /// What it takes of `files`.
+    /// Share of `files` that the scene takes.
     pub(super) scene_files: u64,
 }
 
@@ -229,7 +229,7 @@ impl Watcher for Counter {
 }
 
 impl SlotMemory {
-    /// What this process uses, without what its scene takes.
+    /// Reads the memory use of this process, without that of its scene.
     fn now() -> Result<Self, MeasureError> {
         let read = |file: &'static str, fields: &[&'static str]| {
             let file = Path::new(file);

@@ -27,7 +27,7 @@ const FILES_PER_SLOT: u64 = 4;
 /// Open files of everything else: libraries, the coordinator, videos on their way.
 const OTHER_FILES: u64 = 128;
 
-/// What there is for slots.
+/// Resources of the machine for slots.
 #[derive(Clone, Copy, Debug)]
 struct Machine {
     cores: usize,

@@ -13,7 +13,7 @@ use crate::policy::POLICY_CALL_DEADLINE;
 
 /// Side of a frame, pixels.
 const FRAME: u32 = 256;
-/// What the published policies read of the robot.
+/// Robot readings that the published policies take.
 const STATE: [StateField; 3] = [
     StateField::EefPos,
     StateField::EefAxisAngle,

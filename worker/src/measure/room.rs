@@ -7,9 +7,9 @@ use std::path::Path;
 use super::MeasureError;
 use crate::memory::group_folders;
 
-/// What a control group's files are called, in the unified hierarchy and in the
-/// memory hierarchy before it: the limit, what is used, and, of that, what the
-/// kernel takes back first (in `memory.stat`).
+/// File names of a control group, in the unified hierarchy and in the memory
+/// hierarchy before it: the limit, the memory in use, and the part of it that
+/// the kernel takes back first (in `memory.stat`).
 const FILES: [(&str, &str, &str); 2] = [
     ("memory.max", "memory.current", "inactive_file "),
     (
@@ -45,7 +45,7 @@ fn available_below(root: &Path) -> Result<u64, MeasureError> {
     Ok(left.fold(machine, u64::min))
 }
 
-/// What a control group may still take; none without a limit.
+/// Returns the bytes that a control group may still take; none without a limit.
 fn left_in(group: &Path) -> Option<u64> {
     let number = |file: &str| -> Option<u64> {
         let text = fs::read_to_string(group.join(file)).ok()?;

@@ -23,7 +23,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 pub(super) struct Slots {
     program: SlotProgram,
     running: Vec<Running>,
-    /// What draws in the first one, by its own name.
+    /// Renderer of the first slot, by its own name.
     renderer: String,
     kills_before: OomKills,
     tell: Sender<(usize, Heard)>,
@@ -41,7 +41,7 @@ enum Heard {
     End,
 }
 
-/// What so many slots did together.
+/// Combined figures of a number of slots.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Measured {
     /// Control steps.
@@ -70,7 +70,7 @@ impl Slots {
         }
     }
 
-    /// What draws, by its own name; empty before there is a slot.
+    /// Returns the renderer's own name; empty before there is a slot.
     pub(super) fn renderer(&self) -> &str {
         &self.renderer
     }
@@ -121,7 +121,7 @@ impl Slots {
         let child = Command::new(&self.program.program)
             .args(&self.program.arguments)
             .stdin(theirs)
-            // What native libraries print is no part of this program's output.
+            // Output of native libraries is no part of this program's output.
             .stdout(io::stderr().as_fd().try_clone_to_owned()?)
             .spawn()
             .map_err(|source| MeasureError::Start {
@@ -206,7 +206,7 @@ impl Measured {
         }
     }
 
-    /// What a slot of a campaign takes: it keeps `scenes` compiled scenes, and one was
+    /// Memory of a slot of a campaign: it keeps `scenes` compiled scenes, and one was
     /// measured.
     pub(super) fn per_slot(&self, scenes: usize) -> PerSlot {
         let further = (scenes as u64).saturating_sub(1);

@@ -1,4 +1,5 @@
-//! What is previewed: rows of the protocol, and the motion that shows actuation.
+//! Requests for previews: rows of the protocol, and the motion that shows
+//! actuation.
 
 use protocol::{
     Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef, presets,
@@ -9,7 +10,7 @@ pub(super) const LEVELS: [Level; 3] = [Level::L1, Level::L2, Level::L3];
 /// Control steps of the fixed motion that shows the actuation axis.
 pub(super) const MOTION_STEPS: usize = 40;
 
-/// What to preview.
+/// Selection of the previews.
 pub struct Request {
     /// The task.
     pub task: TaskRef,
@@ -17,7 +18,7 @@ pub struct Request {
     pub config: u16,
     /// Severity of the sheets.
     pub level: Level,
-    /// Where random elements come from.
+    /// Source of random elements.
     pub realisation: Realisation,
 }
 

@@ -1,5 +1,5 @@
-//! Which looks of a policy to try next, to find the last at which lifting the
-//! perturbations still saves a rollout. Pure.
+//! Order in which a policy's looks are tried, to find the last at which lifting
+//! the perturbations still saves a rollout. Pure.
 
 use std::collections::BTreeMap;
 
@@ -7,15 +7,15 @@ use std::collections::BTreeMap;
 /// saved later than one that is not is noticed among these.
 const SPREAD: usize = 8;
 
-/// What is known of a failing rollout: at which of its looks, from 0, lifting the
-/// perturbations saves it. Lifting them after the last look does not.
+/// Results so far for a failing rollout: at which of its looks, from 0, lifting
+/// the perturbations saves it. Lifting them after the last look does not.
 #[derive(Clone, Debug)]
 pub(super) struct Search {
     looks: usize,
     tried: BTreeMap<usize, bool>,
 }
 
-/// What was found.
+/// Result of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Found {
     /// Nowhere that was tried, the first look included.
@@ -55,7 +55,7 @@ impl Search {
         })
     }
 
-    /// What is found once nothing is left to try.
+    /// Returns the result once nothing is left to try.
     pub(super) fn found(&self) -> Found {
         match self.last_saved() {
             None => Found::NeverSaved,

@@ -10,7 +10,7 @@ use crate::single::tests::{Looking, assignment, simulator, sources};
 const SIDE: u32 = 64;
 const STEPS: u32 = 12;
 
-/// What a policy saw, and where the hand was.
+/// Observations of a policy, and the path of the hand.
 struct Seen {
     pictures: Vec<[Vec<u8>; 2]>,
     instruction_is_canonical: bool,

@@ -16,7 +16,7 @@ use super::trace::Trace;
 use crate::filming::observe_both;
 use crate::rollout::{Step, Watcher};
 
-/// What is captured of one rollout.
+/// Trace and pictures of one rollout.
 pub(super) struct Capture {
     draw: bool,
     trace: Trace,

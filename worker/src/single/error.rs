@@ -1,4 +1,4 @@
-//! What can go wrong with `worker rollout`.
+//! Errors of `worker rollout`.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ pub enum SingleError {
     Recorded {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Problem of the file.
         problem: String,
     },
     /// The policy cannot be called.
@@ -44,9 +44,9 @@ pub enum SingleError {
     /// A file cannot be written.
     #[error("write {}", path.display())]
     Write {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What happened.
+        /// Error of the system.
         #[source]
         source: io::Error,
     },

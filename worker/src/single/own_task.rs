@@ -17,7 +17,7 @@ pub struct OwnTask {
     pub bddl: PathBuf,
     /// The `.pruned_init` file.
     pub init: PathBuf,
-    /// Which of its states.
+    /// Index of the initial state, from 0.
     pub init_id: u16,
     /// The policy's instruction; none: the BDDL file's.
     pub instruction: Option<String>,
@@ -29,7 +29,7 @@ pub struct OwnTask {
 }
 
 impl OwnTask {
-    /// Where it is.
+    /// Returns the paths of the task's files.
     pub fn files(&self) -> TaskFiles {
         TaskFiles {
             bddl: self.bddl.clone(),

@@ -242,7 +242,7 @@ fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
 pub(crate) struct Looking {
     pub(crate) side: u32,
     pub(crate) seen: Vec<wire::Observation>,
-    /// What it was told, one a reset.
+    /// Instructions received, one a reset.
     pub(crate) instructions: Vec<String>,
 }
 
@@ -287,7 +287,7 @@ impl Actor for Looking {
     }
 }
 
-/// What is to be seen of one rollout.
+/// Pictures and film of one rollout.
 struct Seen {
     /// By the policy, of both cameras, at every query.
     by_policy: Vec<[Vec<u8>; 2]>,

@@ -1,4 +1,4 @@
-//! What a rollout did, step by step, as NumPy reads it. With n control steps of
+//! Trace of a rollout, step by step, as NumPy reads it. With n control steps of
 //! the policy and a goal of g predicates, `trace.npz` holds:
 //!
 //! | array | shape | what |

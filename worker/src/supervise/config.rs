@@ -1,4 +1,4 @@
-//! What a worker is, and what the coordinator wants of it.
+//! Configuration of a worker, and the coordinator's requirements.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -12,7 +12,7 @@ use crate::assets::Provider;
 use crate::child::SlotProgram;
 use crate::ids::WorkerId;
 
-/// What a worker is.
+/// Configuration of a worker.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// URL of the coordinator.
@@ -29,7 +29,7 @@ pub struct Config {
     pub provider: Option<Provider>,
     /// Tasks that the asset pack cannot show, and that are not claimed.
     pub lacking_tasks: Vec<TaskRef>,
-    /// Where policies are, whatever the leases say.
+    /// Endpoint of the policies, which overrides that of the leases.
     pub policy_endpoint: Option<String>,
     /// How long rollouts in flight may take once the worker is asked to end.
     pub drain: Option<Duration>,
@@ -48,7 +48,7 @@ pub struct Identity {
     pub worker: WorkerId,
     /// The machine's name.
     pub host: String,
-    /// What tells the machine from others; empty if nothing does.
+    /// Identifier of the machine; empty if there is none.
     pub machine: String,
     /// The asset pack's name.
     pub asset_pack: String,

@@ -30,7 +30,7 @@ pub(crate) enum Ending {
 #[derive(Debug)]
 pub(crate) struct Delivery {
     pub(crate) attempt: AttemptId,
-    /// What ended, for people.
+    /// Name of the rollout in messages.
     pub(crate) label: String,
     pub(crate) realisation: Realisation,
     pub(crate) identity: Identity,

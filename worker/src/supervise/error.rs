@@ -19,7 +19,7 @@ pub enum SuperviseError {
     /// The coordinator refused this worker.
     #[error("register with the coordinator at {url}: {answer}")]
     Refused {
-        /// Where it is.
+        /// URL of the coordinator.
         url: String,
         /// Why, in its words.
         answer: String,
@@ -30,9 +30,9 @@ pub enum SuperviseError {
     /// A lease has no name.
     #[error("take a lease of the coordinator at {url}")]
     Lease {
-        /// Where it is.
+        /// URL of the coordinator.
         url: String,
-        /// What is wrong with the name.
+        /// Fault of the name.
         #[source]
         source: AttemptIdError,
     },
@@ -45,11 +45,11 @@ pub enum SuperviseError {
          `{registered}`; start one worker for each renderer"
     )]
     Renderers {
-        /// Which slot, from 0.
+        /// Number of the slot, from 0.
         slot: usize,
-        /// What draws there.
+        /// Renderer of the slot.
         renderer: String,
-        /// What drew in the slot that was ready first.
+        /// Renderer of the slot that was ready first.
         registered: String,
     },
     /// The machine has nothing left for another process.
@@ -67,7 +67,7 @@ pub enum SuperviseError {
          finishing a rollout; the last one {end}"
     )]
     Slot {
-        /// Which slot, from 0.
+        /// Number of the slot, from 0.
         slot: usize,
         /// How it ended.
         end: String,

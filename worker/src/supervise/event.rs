@@ -1,4 +1,4 @@
-//! What happens to a worker.
+//! Events of a worker.
 
 use attempt::AttemptId;
 use proto::coordinator::{ClaimResponse, HeartbeatResponse, RegisterResponse};
@@ -41,13 +41,13 @@ impl From<String> for ProcessEnd {
 /// One life of one slot's process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ProcessKey {
-    /// Which slot, from 0.
+    /// Number of the slot, from 0.
     pub(crate) slot: usize,
-    /// Which of its processes, from 1.
+    /// Number of the process within the slot, from 1.
     pub(crate) life: u64,
 }
 
-/// What happens to a worker.
+/// Event of a worker.
 #[derive(Debug)]
 pub(crate) enum Event {
     /// Time has passed.

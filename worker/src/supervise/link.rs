@@ -40,7 +40,8 @@ const CHUNK_BYTES: usize = 256 << 10;
 /// The largest video that is sent, bytes: far above any rollout's.
 const MAX_VIDEO_BYTES: u64 = 256 << 20;
 
-/// Where a worker's user says which coordinator is meant.
+/// Names, in messages, of the settings with which a worker's user addresses a
+/// coordinator.
 const SETTINGS: Settings = Settings {
     address: "--connect",
     authority: "--ca",
@@ -237,7 +238,7 @@ impl Link {
                 self.state.has_answered.store(true, Ordering::Relaxed);
                 Ok(answer)
             }
-            // What was found when the outage began is told already.
+            // The diagnosis made when the outage began is reported already.
             Err(status) if self.lock_outage().is_some() && self.has_answered() => {
                 let may_pass = may_succeed_later(&status);
                 Err(Failed { status, may_pass })

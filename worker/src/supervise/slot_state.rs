@@ -1,4 +1,4 @@
-//! What a slot is doing, and what is to be done about it: pure. Executing the
+//! State of a slot, and the decisions that follow from it. Pure: executing the
 //! decisions is the supervisor's business.
 //!
 //! A slot is a process, a piece of work, and the video of it, and each has a life
@@ -31,7 +31,7 @@ pub(crate) enum Mode {
     Draining,
     /// It has given up its rollouts and only delivers, until then at the latest.
     Abandoning {
-        /// When it goes, delivered or not.
+        /// Time at which it goes, delivered or not.
         until: Instant,
     },
 }
@@ -46,7 +46,7 @@ pub(crate) enum ProcessState {
     },
     /// It is not ready yet.
     Starting {
-        /// When it is killed if it still is not.
+        /// Time at which it is killed if it is still not ready.
         deadline: Instant,
     },
     /// It takes commands.
@@ -66,7 +66,7 @@ pub(crate) enum Work {
     Preparing { attempt: AttemptId },
     /// A rollout is being simulated.
     Running {
-        /// Which attempt at it.
+        /// Attempt at the rollout.
         attempt: AttemptId,
         /// Control steps done.
         control_steps: u32,
@@ -75,21 +75,21 @@ pub(crate) enum Work {
     },
     /// The process was killed under a rollout that stood still.
     Stuck {
-        /// Which attempt at it.
+        /// Attempt at the rollout.
         attempt: AttemptId,
         /// Control steps done.
         control_steps: u32,
     },
     /// The lease was lost; the process has been asked to abandon the rollout.
     Abandoning {
-        /// Which attempt at it.
+        /// Attempt at the rollout.
         attempt: AttemptId,
         /// When the process is killed if it has not.
         deadline: Instant,
     },
     /// The end of the rollout is being reported to the coordinator.
     Delivering {
-        /// Which attempt at it.
+        /// Attempt at the rollout.
         attempt: AttemptId,
         /// Control steps done.
         control_steps: u32,
@@ -130,7 +130,7 @@ pub(crate) enum ResultState {
     Unwanted,
 }
 
-/// What is to be done about a video now.
+/// Next action on a video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum VideoDecision {
     /// Send it.
@@ -141,7 +141,7 @@ pub(crate) enum VideoDecision {
     Abandon(AttemptId),
 }
 
-/// What the end of a slot's process cost.
+/// Work lost with the end of a slot's process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Loss {
     /// The attempt that was under way, to be delivered, and whose fault it was.
@@ -159,7 +159,7 @@ pub(crate) struct SlotState {
     restarts: Backoff,
 }
 
-/// What is to be done about a slot now.
+/// Next action on a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Decision {
     /// Start its process.
@@ -194,7 +194,8 @@ impl SlotState {
         }
     }
 
-    /// What time asks for. The caller does it and writes down that it did.
+    /// Returns the action that is due. The caller does it and writes down that
+    /// it did.
     pub(crate) fn decide(
         &self,
         mode: Mode,

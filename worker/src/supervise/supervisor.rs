@@ -85,7 +85,7 @@ pub(super) struct Supervisor {
     fetches: Backoff,
     /// No job is claimed before: assets could not be fetched.
     claims_from: Instant,
-    /// What the coordinator last said about having no work.
+    /// Coordinator's last reason for having no work.
     idle_reason: String,
     events: mpsc::Sender<Event>,
     calls: JoinSet<()>,
@@ -154,7 +154,7 @@ impl Supervisor {
                 () = task::yield_now(), if has_more_to_start => Event::Tick,
                 _ = ticks.tick() => Event::Tick,
                 _ = heartbeats.tick() => Event::HeartbeatDue,
-                // What finished tasks had to say they have said.
+                // Finished tasks have already sent their events.
                 Some(ended) = self.calls.join_next() => match panicked(ended) {
                     Some(event) => event,
                     None => continue,
@@ -456,7 +456,7 @@ impl Supervisor {
         let state = &mut self.slots[slot].state;
         let loss = state.ended(now);
         if state.cannot_start() {
-            // What it printed last stands above.
+            // Its last output stands above.
             let end = end.how.clone();
             self.stop(SuperviseError::Slot { slot, end });
         } else {
@@ -474,7 +474,7 @@ impl Supervisor {
         }
     }
 
-    /// Where a slot puts a video.
+    /// Returns the path at which a slot writes a video.
     fn video_file(&self, attempt: AttemptId) -> PathBuf {
         self.config.scratch.join(format!("{attempt}.mp4"))
     }
@@ -698,7 +698,7 @@ mod tests {
     async fn a_call_that_panics_ends_the_worker_with_an_error_that_says_so() {
         let (events, inbox) = mpsc::channel(8);
         let mut supervisor = supervisor(events);
-        // What it was to deliver never is: its lease would be renewed for ever.
+        // Its delivery never happens: its lease would be renewed for ever.
         supervisor.calls.spawn(async { panic!("a defect") });
         let (_requests, shutdown) = mpsc::channel(1);
         let serving = supervisor.serve(inbox, shutdown);

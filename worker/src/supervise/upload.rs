@@ -23,7 +23,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 pub(crate) struct Upload {
     pub(crate) attempt: AttemptId,
     pub(crate) file: PathBuf,
-    /// What was filmed, for people.
+    /// Name of the rollout in messages.
     pub(crate) label: String,
 }
 

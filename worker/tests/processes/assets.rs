@@ -149,7 +149,7 @@ fn a_pack_without_files_is_libero_and_says_what_it_will_fetch() {
     }
     assert!(listed.lines().all(|line| line.len() <= 120), "{listed}");
 
-    // Where there is no network, a first use says what to do.
+    // Without a network, a first use says what to do.
     let wheels = folder.path().join("wheels");
     let failed = Command::new(env!("CARGO_BIN_EXE_worker"))
         .args(["preview", "--suite", "libero_object", "--task", "1"])

@@ -35,7 +35,7 @@ async fn a_drain_finishes_the_rollout_in_hand_and_begins_no_other() {
     }
     let (worker, coordinator, policy) = busy_worker().await;
     coordinator.lease(lease(2, "still", &policy.url()));
-    // What ends a service often signals all of its processes.
+    // A service manager often signals all processes of a service.
     for slot in worker.slots() {
         signal(slot, "TERM");
     }

@@ -1,4 +1,4 @@
-//! What a machine is found to be worth, by `worker bench` and `--slots auto`.
+//! Number of slots that suits a machine, by `worker bench` and `--slots auto`.
 
 use std::thread::{available_parallelism, sleep};
 use std::time::Duration;

@@ -26,7 +26,7 @@ use crate::worker_process::attempt_id;
 /// Longest wait for something that a test expects.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What a coordinator was told, in order.
+/// Message to a coordinator.
 #[derive(Clone, Debug)]
 pub(crate) enum Told {
     Registered(Box<RegisterRequest>),
@@ -66,7 +66,7 @@ struct State {
     claims_taken_back: u32,
     /// Answers to claims that get lost on their way.
     answers_to_lose: u32,
-    /// What claims got whose answers were lost.
+    /// Leases granted to claims whose answers were lost.
     leased: HashMap<String, Lease>,
     stop_leasing: String,
     refuses_artifacts: bool,
@@ -242,7 +242,7 @@ impl ScriptedCoordinator {
         .await;
     }
 
-    /// What it was told so far.
+    /// Returns all messages so far, in order.
     pub(crate) fn everything_told(&self) -> Vec<Told> {
         self.service.state.lock().expect("unpoisoned").told.clone()
     }

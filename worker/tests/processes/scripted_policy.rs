@@ -21,7 +21,7 @@ pub(crate) const FRAME_SIDE: u32 = 64;
 /// Actions per answer, of which all are executed.
 pub(crate) const HORIZON: u32 = 8;
 
-/// What the policies were asked.
+/// Requests that the policies received.
 #[derive(Debug, Default)]
 pub(crate) struct Asked {
     pub resets: Vec<ResetRequest>,

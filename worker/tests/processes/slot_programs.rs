@@ -15,8 +15,8 @@ fn slot_program(folder: &Path, script: &str) -> String {
     program.to_str().expect("UTF-8").to_owned()
 }
 
-/// Of a shell: says that it is ready, reads commands, and knows their attempts.
-/// What is printed to `&0` goes to the parent.
+/// Shell functions of a slot: it says that it is ready, reads commands, and
+/// knows their attempts. Output to `&0` goes to the parent.
 const SHELL_SLOT: &str = r#"
 say() { printf '%s\n' "$1" >&0; }
 say '{"ready": {"renderer": "shell", "fingerprint": "ff"}}'

@@ -1,4 +1,4 @@
-//! Where an openpi server listens, as written in a route.
+//! Address of an openpi server, as written in a route.
 
 use std::{fmt, str::FromStr};
 
@@ -18,11 +18,11 @@ pub const DEFAULT_EXECUTE: u32 = 5;
 /// Most that an address may say.
 pub const MAX_EXECUTE: u32 = 100;
 
-/// Where such a server listens: `ws://HOST:PORT` or `wss://HOST:PORT`, with
+/// Address of an openpi server: `ws://HOST:PORT` or `wss://HOST:PORT`, with
 /// `?execute=N` for more or fewer actions per query than openpi's client.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OpenpiAddress {
-    /// Where that is.
+    /// Host, port and encryption.
     pub place: Place,
     /// Actions executed of every chunk.
     pub execute: u32,

@@ -1,4 +1,4 @@
-//! Where a vla-eval model server listens, as written in a route.
+//! Address of a vla-eval model server, as written in a route.
 
 use std::{fmt, str::FromStr};
 
@@ -18,12 +18,12 @@ pub const DEFAULT_EXECUTE: u32 = 1;
 /// Most that an address may say.
 pub const MAX_EXECUTE: u32 = 100;
 
-/// Where such a server listens: `vla-eval://HOST:PORT` or, over TLS,
-/// `vla-evals://HOST:PORT`, with `?NAME=VALUE&…` for what is not as the server
-/// and vla-eval's LIBERO benchmark agree on by themselves.
+/// Address of a vla-eval model server: `vla-eval://HOST:PORT` or, over TLS,
+/// `vla-evals://HOST:PORT`, with `?NAME=VALUE&…` for settings other than those
+/// that the server and vla-eval's LIBERO benchmark agree on by themselves.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct VlaEvalAddress {
-    /// Where that is.
+    /// Host, port and encryption.
     pub place: Place,
     /// `execute=N`: actions executed of every answer.
     pub execute: u32,

@@ -1,6 +1,7 @@
-//! What a vla-eval server says of itself, and what follows for its episodes:
-//! what it is shown, and whether it can be run at all. Responsible for the part
-//! of vla-eval's orchestrator and LIBERO benchmark that decides this. Pure.
+//! HELLO of a vla-eval server, and its consequences for an episode: the
+//! observations to send, and whether the server can be run at all. Responsible
+//! for the part of vla-eval's orchestrator and LIBERO benchmark that decides
+//! this. Pure.
 
 use proto::policy::{DescribeResponse, Language, Setting, StateField};
 use rmpv::{Value, ValueRef};
@@ -22,8 +23,8 @@ const STATE: [StateField; 4] = [
     StateField::EefRotation,
     StateField::GripperPos,
 ];
-/// What vla-eval's LIBERO benchmark does not know, it leaves alone; of what it
-/// knows, these belong to the campaign here.
+/// Parameters of vla-eval's LIBERO benchmark that belong to the campaign here.
+/// The benchmark ignores parameters that it does not know.
 const OF_THE_CAMPAIGN: [&str; 4] = ["seed", "env_seed", "max_steps", "num_steps_wait"];
 /// Bytes of a setting's value that are recorded; the whole HELLO is in its digest.
 const RECORDED_BYTES: usize = 512;

@@ -43,7 +43,7 @@ pub(super) fn message(kind: Kind, payload: Value, number: u64, time: f64) -> Vec
     ]))
 }
 
-/// What a client says first.
+/// Builds the client's first message.
 pub(super) fn hello() -> Value {
     map([
         ("harness_version", HARNESS_VERSION.into()),
@@ -52,8 +52,8 @@ pub(super) fn hello() -> Value {
     ])
 }
 
-/// What a server is told of a task. That it is the nth of its suite, from the
-/// mth initial state, is left out: no policy should know.
+/// Builds the task of an episode. Its number in the suite and the number of its
+/// initial state are left out: no policy should know them.
 pub(super) fn task(suite: &str, instruction: &str) -> Value {
     let task = map([("name", instruction.into()), ("suite", suite.into())]);
     map([("task", task)])
@@ -144,7 +144,7 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
     let mut actions = numbers[..count * width].to_vec();
     if width == ACTION_WIDTH {
         let grippers = actions.iter_mut().skip(width - 1).step_by(width);
-        // What is no number stays what it is, for the checks to name.
+        // Numbers that are not finite stay as they are: the checks report them.
         for gripper in grippers.filter(|it| it.is_finite()) {
             *gripper = if *gripper < 0.0 { -1.0 } else { 1.0 };
         }
@@ -193,13 +193,13 @@ pub enum AnswerError {
         /// Of the observation.
         asked: u64,
     },
-    /// What the policy raised.
+    /// Error raised by the policy.
     #[error("{0}")]
     Policy(
         /// The server's words.
         String,
     ),
-    /// What it raised when the episode began, which has no other answer.
+    /// Error raised when the episode began, for which there is no other answer.
     #[error("{0}")]
     Start(
         /// The server's words.

@@ -7,7 +7,7 @@ const NO_ROTATION: f64 = 1e-8;
 /// `states`: position (m), the hand's axis times angle (rad, rounded to single
 /// precision as there) and fingers (m).
 ///
-/// Where `flips`, a quaternion with negative w is replaced by its antipode, so
+/// If `flips`, a quaternion with negative w is replaced by its antipode, so
 /// that the angle is at most π; else it is up to 2π, as in robosuite.
 pub(super) fn states(
     position: [f64; 3],

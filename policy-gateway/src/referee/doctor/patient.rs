@@ -27,7 +27,7 @@ pub(super) struct Patient<'a> {
     pub(super) latencies: Vec<Duration>,
 }
 
-/// What it answered to all situations.
+/// Answers of the server to all situations.
 #[derive(Default)]
 pub(super) struct Answered {
     /// Answers.

@@ -13,7 +13,7 @@ use crate::{
 
 /// Numbers that differ by less are the same.
 const SAME: f64 = 1e-6;
-/// What a server may keep of an episode, bytes: less is a log, or its allocator's
+/// Bytes that a server may keep of an episode: less is a log, or its allocator's
 /// business.
 const KEPT_BYTES: u64 = 200 << 10;
 /// How much slower a later third of the episodes must be, and by how much in all, to

@@ -171,7 +171,8 @@ impl Supervisor {
         }
     }
 
-    /// What a slot has to do for a lease. The error reads after "failed to …".
+    /// Builds a slot's assignment from a lease. The error reads after "failed
+    /// to …".
     fn assignment(&self, attempt: AttemptId, lease: Lease) -> Result<Assignment, String> {
         let row: protocol::ManifestRow =
             serde_json::from_str(&lease.manifest_row).map_err(|error| {
