@@ -18,20 +18,20 @@ use crate::{glass, mirror};
 /// Longest side of a frame, pixels.
 pub(crate) const MAX_SIDE: usize = 4096;
 
-/// What one camera's frames are drawn on, and what is kept from each to the
-/// next. It draws the same whatever it drew before; a camera with a canvas of its
-/// own is drawn fastest.
+/// Drawing surface of one camera, and the state that is kept between its frames. The
+/// result does not depend on earlier frames; a camera with a canvas of its own is drawn
+/// fastest.
 #[derive(Default)]
 pub struct Canvas {
     picture: Picture,
     backdrop: Backdrop,
-    /// Where the last frame differs from the backdrop.
+    /// Window in which the last frame differs from the backdrop.
     dirty: Option<Window>,
     rgb: Vec<u8>,
 }
 
-/// What no frame keeps for the next: a thread has one for all its canvases, so that
-/// many cameras need little memory.
+/// Buffers that no frame keeps for the next: a thread has one set for all its canvases,
+/// so that many cameras need little memory.
 #[derive(Default)]
 struct Scratch {
     reflection: Picture,
