@@ -33,7 +33,7 @@ const NUDGE_DAMPING: f64 = 1e-9;
 /// The camera on the hand.
 const WRIST_CAMERA: &str = "robot0_eye_in_hand";
 
-/// What identifies a rollout's circumstances; each is hexadecimal SHA-256.
+/// Digests that identify a rollout's circumstances; each is hexadecimal SHA-256.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Digests {
     /// Of the composed scene, fixtures placed.
@@ -226,7 +226,7 @@ impl<'a> Episode<'a> {
         })
     }
 
-    /// What identifies the rollout's circumstances.
+    /// Digests of the rollout's circumstances.
     pub fn digests(&self) -> &Digests {
         &self.digests
     }
