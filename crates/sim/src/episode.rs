@@ -288,9 +288,9 @@ impl<'a> Episode<'a> {
         }
     }
 
-    /// What the policy sees now, every perturbation included. Draws only what is
-    /// asked for. Of a camera and a size the pixels depend on the control step
-    /// alone, however often and at whatever sizes the scene was looked at before.
+    /// Returns the policy's current observation, every perturbation included. Draws only
+    /// the requested frames. The pixels of a camera at a size depend on the control step
+    /// alone, however often and at whatever sizes the scene was drawn before.
     pub fn observe(&mut self, request: &ObservationRequest) -> Result<Observation, SimError> {
         let mut frames = Vec::with_capacity(request.cameras.len());
         for camera in &request.cameras {
