@@ -1,6 +1,6 @@
-//! Where to take hold of an object: across its narrow side if the hand spans
-//! it, else at its rim. Pure geometry of bounding boxes; the few categories
-//! whose box misleads are in [`KNOBS`].
+//! Choice of a grasp: across the object's narrow side if the hand spans it, else at its
+//! rim. Pure geometry of bounding boxes; the few categories whose box misleads are in
+//! [`KNOBS`].
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -31,20 +31,22 @@ const ROUND_RATIO: f64 = 1.12;
 const OFF_CENTRE: [f64; 5] = [0.0, 0.25, -0.25, 0.5, -0.5];
 /// How far an open finger reaches out from the grip point, m.
 const FINGER_REACH_M: f64 = 0.058;
-/// What is as bad as how much turning of the hand: a closing direction a
-/// quarter turn away from a place's wish, rad; a part of the hand in the way,
-/// rad; a finger in a wall, an arm stretched too far, and a rim point on the
-/// low side of a tilted body, rad per m.
+/// Penalties of a grasp, expressed as turning of the hand: a closing direction a quarter
+/// turn away from a place's wish, rad; a part of the hand in the way, rad; a finger in a
+/// wall, an arm stretched too far, and a rim point on the low side of a tilted body, rad
+/// per m.
 const ASKEW_WEIGHT: f64 = 3.0;
 const COLLISION_WEIGHT: f64 = 4.0;
 const WALL_WEIGHT: f64 = 140.0;
 const STRETCH_WEIGHT: f64 = 60.0;
 const TILT_WEIGHT: f64 = 150.0;
 
-/// What the hand's distance from a grasp is worth, rad per m, up to the second number, m.
+/// Penalty on the hand's distance from a grasp, rad per m, and the distance at which it
+/// is capped, m.
 const AWAY_WEIGHT: f64 = 6.0;
 const AWAY_M: f64 = 0.15;
-/// What changing one's mind costs, rad, and how far two grasps that count as one may be apart.
+/// Penalty on a change of grasp, rad, and the distances within which two grasps count as
+/// one.
 const FICKLE_COST: f64 = 0.5;
 const ALIKE_M: f64 = 0.02;
 const ALIKE_RAD: f64 = 0.3;
@@ -99,11 +101,11 @@ pub(crate) struct Grasp {
     pub(crate) offset: Vec3,
     /// Closing direction, rad from the world's x axis.
     pub(crate) closing: f64,
-    /// What is wrong with it wherever the object is: its share of the rank.
+    /// Part of the rank that does not depend on the object's place, rad.
     strain: f64,
 }
 
-/// What the place that an object is taken to asks of the grasp.
+/// Requirement of the object's destination on the grasp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Wish {
     Any,
@@ -113,14 +115,13 @@ pub(crate) enum Wish {
     Handle,
 }
 
-/// What a grasp is for.
+/// Purpose of a grasp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Purpose<'a> {
     pub(crate) wish: Wish,
-    /// Where the object's origin is taken to, seen from above, and its lowest
-    /// point.
+    /// Destination of the object's origin, seen from above, and of its lowest point.
     pub(crate) destination: Vec3,
-    /// The object or fixture that is there, which the hand may touch.
+    /// Object or fixture at the destination, which the hand may touch.
     pub(crate) owner: &'a str,
 }
 

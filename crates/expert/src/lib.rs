@@ -38,16 +38,16 @@ const STEP_M: f64 = 0.05;
 /// The scripted manipulator in one rollout. A clone goes on as the original would.
 #[derive(Clone, Debug, Default)]
 pub struct Expert {
-    /// What is left to do; none before the first observation.
+    /// Remaining skills; `None` before the first observation.
     plan: Option<VecDeque<Skill>>,
     motion: Motion,
-    /// As seen in the first observation, when the hand is at rest.
+    /// Position of the shoulder, from the first observation, when the hand is at rest.
     shoulder: Option<Vec3>,
-    /// For how many steps, all its own, the hand has been far from where it should travel.
+    /// Consecutive steps of its own for which the hand has been far from its target.
     far_steps: u32,
     /// Steps left of the way back from where the hand was stuck.
     backing_steps: u32,
-    /// Whether something else has driven the robot since the last action.
+    /// True if something else has driven the robot since the last action.
     is_interrupted: bool,
 }
 

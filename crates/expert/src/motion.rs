@@ -16,7 +16,7 @@ use crate::world::{Entity, Solid, World};
 /// gripper (-1 open, 1 closed), each in -1..1.
 pub type Action = [f32; 7];
 
-/// What one unit of action asks for: m and rad (LIBERO's OSC_POSE settings).
+/// Size of one unit of action: m and rad (LIBERO's OSC_POSE settings).
 const UNIT_M: f64 = 0.05;
 const UNIT_RAD: f64 = 0.5;
 /// Stiffens the position spring. The controller is critically damped at one;
@@ -112,14 +112,14 @@ pub(crate) fn tilted(quat: Quat, ahead: Vec3, angle: f64) -> Quat {
     Quat::turn(down.cross(ahead), angle).after(quat)
 }
 
-/// What the fingers should do.
+/// Target state of the fingers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Fingers {
     Open,
     Close,
 }
 
-/// What a skill wants now.
+/// Command of a skill for the current step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Command {
     pub(crate) hand: HandPose,
@@ -159,7 +159,7 @@ fn saturate(v: Vec3, limit: f64) -> Vec3 {
     }
 }
 
-/// What the hand takes along, or goes for, on its way.
+/// Load of the hand on its way, or the object that it goes for.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Errand<'a> {
     /// Nothing; its own lowest part is that far below the grip point, m.
@@ -188,9 +188,9 @@ impl Errand<'_> {
     }
 }
 
-/// Where to steer now in order to reach `goal` without running into anything:
-/// out from under what is overhead, straight up until everything on the way is
-/// cleared, then across, then down.
+/// Returns the point to steer to now in order to reach `goal` without running into
+/// anything: out from under overhead obstacles, straight up until everything on the way
+/// is cleared, then across, then down.
 pub(crate) fn detour(world: &World, goal: Vec3, errand: Errand) -> Vec3 {
     let aside = (goal - world.grip).horizontal_norm();
     if aside < ARRIVAL_M {
@@ -261,7 +261,7 @@ pub(crate) struct Motion {
     finger_still_steps: u32,
     /// How much the fingers have opened in the last step, m.
     opened: f64,
-    /// Where the hand was in the last steps, the latest last.
+    /// Positions of the hand in the last steps, the latest last.
     trail: [Vec3; TRAIL_STEPS],
 }
 

@@ -1,5 +1,5 @@
-//! Where an object belongs: what a goal predicate's target means for the hand
-//! that carries something there. Not responsible for how it gets there.
+//! Destination of an object: the meaning of a goal predicate's target for the hand that
+//! carries something there. The way there is planned elsewhere.
 
 use crate::geometry::{Vec3, footprint};
 use crate::grasp::Wish;
@@ -33,8 +33,8 @@ pub(crate) struct Place {
     pub(crate) relation: Relation,
     /// Object or region.
     pub(crate) target: String,
-    /// Which side of the target's middle, where two objects share it: -1, 0
-    /// for the middle itself, 1.
+    /// Side of the target's middle, if two objects share it: -1, 0 for the middle itself,
+    /// 1.
     pub(crate) slot: f64,
 }
 
@@ -44,13 +44,13 @@ pub(crate) enum Relation {
     In,
 }
 
-/// A place, resolved to where things are now. Points are where the object's
-/// origin belongs, seen from above; heights are those of its lowest point.
+/// A place, resolved to the current poses. Points are destinations of the object's
+/// origin, seen from above; heights are those of its lowest point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spot {
-    /// Where the way in begins.
+    /// Start of the way in.
     pub(crate) gate: Vec3,
-    /// Where it ends.
+    /// End of the way in.
     pub(crate) rest: Vec3,
     entry: Entry,
     floor: f64,
@@ -149,10 +149,10 @@ impl Place {
         })
     }
 
-    /// What the place asks of the grasp.
+    /// Requirement of the place on the grasp.
     ///
     /// # Errors
-    /// Names a target that the scene lacks.
+    /// If the scene lacks the target, which the message names.
     pub(crate) fn wish(&self, world: &World) -> Result<Wish, String> {
         let target = world.entity(&self.target)?;
         if self.relation == Relation::On {
@@ -171,7 +171,7 @@ impl Place {
 }
 
 impl Spot {
-    /// Where the grip point must be for the held object to be at `point`.
+    /// Position of the grip point that puts the held object at `point`.
     pub(crate) fn hand_for(world: &World, object: &Entity, point: Vec3) -> Vec3 {
         let up = point.z - object.bottom();
         (world.grip + point - object.pos).at_height(world.grip.z + up)
@@ -198,7 +198,7 @@ impl Spot {
         }
     }
 
-    /// Which way the hand leaves.
+    /// Direction in which the hand leaves.
     pub(crate) fn way_out(&self) -> Vec3 {
         match self.entry {
             Entry::Onto | Entry::Into => Vec3::UP,

@@ -1,8 +1,7 @@
-//! What is moved without being carried: drawers, the stove's knob, the
-//! microwave's door, and flat things that are pushed along. Each is a short
-//! sequence of stages, whose poses follow the mechanism as it moves. Where the
-//! movable part of a fixture is cannot be seen from boxes, so that the few
-//! figures of LIBERO's fixture models that are needed stand here.
+//! Manipulation without carrying: drawers, the stove's knob, the microwave's door, and
+//! flat things that are pushed along. Each is a short sequence of stages, whose poses
+//! follow the mechanism as it moves. Boxes do not show the movable part of a fixture, so
+//! the few figures of LIBERO's fixture models that are needed are given here.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -15,8 +14,8 @@ use crate::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
 
 /// A drawer counts as open beyond this.
 pub(crate) const OPEN_M: f64 = -0.14;
-/// Where a drawer is let go when it is to count as open, and where when it only has to take something in: less far, to leave room for
-/// the hand beneath. It runs on a little.
+/// Positions at which a drawer is let go: to count as open, and to take something in,
+/// which is less far, to leave room for the hand beneath. The drawer runs on a little.
 pub(crate) const DRAWER_OPEN_M: f64 = -0.155;
 pub(crate) const DRAWER_AJAR_M: f64 = -0.118;
 /// A drawer counts as closed above 0: a position that is safely so.
@@ -33,8 +32,8 @@ const KNOB_DEPTH_M: f64 = 0.018;
 /// origin, m.
 const HINGE: Vec3 = Vec3::new(-0.1725, -0.088, 0.0);
 const DOOR_TOP_M: f64 = 0.188;
-/// Where the hand pushes: from the hinge along the door, below its top (so
-/// that the palm passes above the handle), and in front of its middle, m.
+/// Contact point of the hand: from the hinge along the door, below its top (so that the
+/// palm passes above the handle), and in front of its middle, m.
 const DOOR_REACH_M: f64 = 0.17;
 const DOOR_DEPTH_M: f64 = 0.05;
 const DOOR_FRONT_M: f64 = 0.044;
@@ -68,12 +67,12 @@ const DRAG_DONE_M: f64 = 0.012;
 /// since a light plate is thrown off by a jerk.
 const DRAG_LEAD_M: f64 = 0.05;
 
-/// What to do.
+/// Task of a routine.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Deed {
     /// Open the drawer that has this region in it, to this position, m.
     PullDrawer { region: String, to: f64 },
-    /// Close it.
+    /// Close the drawer of this region.
     PushDrawer { region: String },
     /// Turn this stove on.
     TurnKnob { stove: String },
@@ -119,7 +118,6 @@ impl Routine {
         }
     }
 
-    /// What it does.
     pub(crate) fn deed(&self) -> &Deed {
         &self.deed
     }

@@ -84,11 +84,11 @@ struct Hold {
     quat: Quat,
     /// Object's centre from the grip point when the fingers had closed.
     object_from_grip: Vec3,
-    /// Where the fingers closed.
+    /// Position at which the fingers closed.
     lifted_from: Vec3,
 }
 
-/// What to do with a phase after looking at the world.
+/// Decision of a phase after looking at the world.
 enum Next {
     Stay(Command),
     Go(Phase),
@@ -358,7 +358,7 @@ impl Transfer {
 }
 
 impl Grip {
-    /// Where the hand must be to hold the object as it lies now.
+    /// Pose in which the hand holds the object as it lies now.
     fn hand(&self, object: &Entity) -> HandPose {
         HandPose {
             pos: object.centre + self.grasp.offset,

@@ -159,7 +159,7 @@ impl World {
             .filter(move |n| n.starts_with(&prefix))
     }
 
-    /// Where the grip point is when the arm is at rest.
+    /// Position of the grip point when the arm is at rest.
     pub(crate) fn rest(&self) -> Vec3 {
         self.shoulder - SHOULDER_FROM_REST
     }
@@ -364,7 +364,7 @@ fn drawer(cabinet: &Entity, region: &Entity, out: Vec3) -> [Solid; 2] {
 /// Paths are looked at every few centimetres: a number beyond all measure would
 /// keep this busy for minutes.
 fn within(values: &[f64], largest: f64, owner: &str, field: &str) -> Result<(), String> {
-    // What is no number is within nothing.
+    // NaN is within no bound.
     let is_within = |value: &f64| value.abs() <= largest;
     match values.iter().find(|value| !is_within(value)) {
         Some(value) => Err(format!(

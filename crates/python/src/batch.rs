@@ -26,7 +26,7 @@ const READINGS: [(&str, usize); 7] = [
     ("gripper_vel", 2),
 ];
 
-/// Which control steps of a chunk are drawn.
+/// Control steps of a chunk that are drawn.
 #[derive(Clone, Copy, PartialEq)]
 enum Render {
     None,
@@ -56,19 +56,19 @@ struct View<'a> {
     mirrored: bool,
 }
 
-/// What one environment does: it begins, or takes at most `limit` of its actions.
+/// Work of one environment: it begins, or takes at most `limit` of its actions.
 struct Task<'a> {
     state: &'a Guarded<State>,
     start: Option<Start>,
     actions: &'a [[f64; WIDTH]],
     limit: usize,
-    /// Of each step, whether the expert drives and the action is added to its own; none
-    /// where it is not asked.
+    /// Per step: true if the expert drives and the action is added to its own; `None` if
+    /// the expert is not asked.
     expert: Option<&'a [bool]>,
     done: Done<'a>,
 }
 
-/// Where what it did is written: the rows of one environment.
+/// Output buffers of the work: the rows of one environment.
 struct Done<'a> {
     steps: &'a mut u32,
     success: &'a mut bool,

@@ -1,4 +1,4 @@
-//! What at most one thread computes with at a time.
+//! Value that at most one thread uses at a time.
 
 use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 

@@ -38,10 +38,10 @@ pub(crate) struct Simulation {
     pub(crate) state: Guarded<State>,
 }
 
-/// What one thread at a time computes with.
+/// State that one thread at a time computes with.
 pub(crate) struct State {
     pub(crate) environment: Environment,
-    /// Of the rollout, if it was begun as one.
+    /// Conditions of the rollout, if it was begun as one.
     pub(crate) conditions: Option<Conditions>,
     /// Asked at every step since the rollout began, if it is asked at all.
     expert: Expert,
@@ -96,8 +96,8 @@ impl State {
         self.expert.clone_from(&snapshot.expert);
     }
 
-    /// What the scripted expert would do now. It remembers its queries of a rollout, and
-    /// answers well if it is asked at every control step.
+    /// Action of the scripted expert in the current state. It remembers its queries of a
+    /// rollout, and answers well if it is asked at every control step.
     pub(crate) fn expert_action(&mut self) -> PyResult<[f64; WIDTH]> {
         let seen = self.environment.privileged().map_err(simulation)?;
         let action = self
@@ -169,7 +169,7 @@ impl Simulation {
         })
     }
 
-    /// What draws.
+    /// Renderer of the frames: `software`, `gl` or `gl:N`.
     #[getter]
     fn renderer(&self) -> String {
         self.renderer.to_string()

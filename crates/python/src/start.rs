@@ -1,4 +1,4 @@
-//! Where a rollout begins.
+//! Starting point of a rollout.
 
 use protocol::numpy::LegacyRng;
 use protocol::{ManifestRow, Realisation};
@@ -10,11 +10,11 @@ use sim::{Conditions, Environment, ReadyScene, Reset};
 
 use crate::error::simulation;
 
-/// Where a rollout begins.
+/// Starting point of a rollout.
 pub(crate) enum Start {
-    /// As a row of a manifest says.
+    /// Circumstances of a manifest's row.
     Row(Box<ManifestRow>),
-    /// Where LIBERO's samplers place everything.
+    /// Placement by LIBERO's samplers.
     Sampled(Sampled),
 }
 
@@ -26,13 +26,14 @@ pub(crate) struct Sampled {
     sampled: u32,
     /// Control steps without action.
     settle_steps: u32,
-    /// Whose perturbations act; its initial state does not, and fixtures stay where
+    /// Row whose perturbations act; its initial state does not, and fixtures stay where
     /// campaigns have them.
     #[serde(default)]
     perturbed: Option<Box<ManifestRow>>,
 }
 
-/// What an environment that is constructed, seeded and reset has sampled of its joints.
+/// Rounds of joint samples that an environment draws when it is constructed, seeded and
+/// reset.
 const JOINT_SAMPLER_ROUNDS: u32 = 2;
 
 impl Start {

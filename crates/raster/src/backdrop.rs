@@ -17,22 +17,22 @@ const LONGEST_REST: u16 = 256;
 /// Frames after which a geom that rests is worth drawing everything anew.
 const WORTH_ADDING: u16 = 8;
 
-/// What a frame can start from.
+/// Starting point of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Start {
-    /// Nothing is known to rest.
+    /// Draw everything: no geom is known to rest.
     Anew,
-    /// Draw what rests, and keep that.
+    /// Draw the resting geoms and keep their picture.
     Keep,
-    /// What was kept still holds.
+    /// Reuse the kept picture, which still holds.
     Kept,
 }
 
-/// Which geoms rest, and a picture of them.
+/// Tracks the geoms that rest, and keeps a picture of them.
 #[derive(Default)]
 pub(crate) struct Backdrop {
     last: Option<(Scene, [usize; 2])>,
-    /// Of each geom the frames that it has rested, and must.
+    /// Per geom: frames that it has rested, and frames that it must rest.
     rested: Vec<u16>,
     needed: Vec<u16>,
     /// Whether it is in the picture.

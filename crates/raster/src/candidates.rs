@@ -1,4 +1,4 @@
-//! Which triangles of a cluster may cover a sample: those that face the camera
+//! Selects the triangles of a cluster that may cover a sample: those that face the camera
 //! and do not lie between samples.
 
 use crate::drawing::Drawing;
@@ -120,8 +120,8 @@ fn column_of(row: I) -> I {
     (I::splat(0x8d) >> ((row & I::splat(3)) << 1i32)) & I::splat(3)
 }
 
-/// Which of eight triangles cover a sample, of those that are small. Columns and rows
-/// are the first and the last that they may cover.
+/// Mask of the small triangles, of eight, that cover a sample. Columns and rows are the
+/// first and the last that they may cover.
 #[inline(always)]
 fn small_covers(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
     let splat = |value: i32| I::splat(value);

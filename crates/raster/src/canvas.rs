@@ -23,13 +23,13 @@ use crate::{glass, mirror};
 pub struct Canvas {
     picture: Picture,
     backdrop: Backdrop,
-    /// Where the last frame differs from the backdrop.
+    /// Window in which the last frame differs from the backdrop.
     dirty: Option<Window>,
     rgb: Vec<u8>,
 }
 
-/// What no frame keeps for the next: a thread has one for all its canvases, so that
-/// many cameras need little memory.
+/// Buffers that no frame keeps for the next: a thread has one set for all its canvases,
+/// so that many cameras need little memory.
 #[derive(Default)]
 struct Scratch {
     reflection: Picture,

@@ -11,7 +11,7 @@ pub(crate) struct ClippedCorner<V> {
     /// Place in the picture, pixels, and depth.
     pub(crate) window: [f32; 3],
     pub(crate) over_w: f32,
-    /// What was cut along, not divided by w.
+    /// Interpolated values, not divided by w.
     pub(crate) values: V,
 }
 
@@ -41,9 +41,9 @@ pub(crate) struct Cut {
 /// How much varies over a triangle.
 pub(crate) const VARYING: usize = LANES;
 
-/// What varies over a triangle, as a corner has it.
+/// Values that vary over a triangle, as held by one corner.
 pub(crate) trait Values: Copy + Default {
-    /// So far from one corner's towards another's.
+    /// Interpolates towards another corner's values by this share.
     fn toward(self, other: Self, share: f32) -> Self;
 }
 
@@ -84,7 +84,7 @@ const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
 /// another where a side touches.
 const MOST_CORNERS: usize = 3 + SIDES + 2;
 
-/// What is left of a triangle.
+/// Remainder of a triangle after clipping.
 pub(crate) struct Polygon<V> {
     corners: [ClippedCorner<V>; MOST_CORNERS],
     count: usize,

@@ -1,9 +1,9 @@
-//! What cannot be drawn, and why.
+//! Errors of models and of frames.
 
-/// Why something is no part of a model.
+/// Reason why data is not accepted into a model.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum ModelError {
-    /// A texture whose numbers do not fit one another.
+    /// Texture dimensions do not fit one another.
     #[error(
         "a texture of {width} × {height} texels with {channels} channels does not fit {bytes} \
          bytes: give 3 or 4 bytes a texel, 1 to 16384 texels a side, and cubes as one square or six"
@@ -18,10 +18,10 @@ pub enum ModelError {
         /// Bytes that were given.
         bytes: usize,
     },
-    /// Bytes that no mesh or texture was written as.
+    /// Bytes of no prepared mesh or texture.
     #[error("these bytes are of no prepared mesh or texture: prepare it again")]
     Bytes,
-    /// Shapes of no pieces.
+    /// Shapes without pieces.
     #[error(
         "shapes of {slices} slices, {stacks} stacks and {quads} quads cannot be made: give 3 to 512 slices, 4 to 512 stacks and 1 to 64 quads"
     )]
@@ -35,10 +35,10 @@ pub enum ModelError {
     },
 }
 
-/// Why a frame cannot be drawn.
+/// Reason why a frame cannot be drawn.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum DrawError {
-    /// A frame without pixels, or with too many.
+    /// Frame without pixels, or with too many.
     #[error("a frame of {width} × {height} pixels cannot be drawn: give 1 to 4096 a side")]
     Size {
         /// Pixels.
@@ -46,34 +46,34 @@ pub enum DrawError {
         /// Pixels.
         height: usize,
     },
-    /// A camera that sees no space.
+    /// Camera that sees no space.
     #[error("the camera's {what} is {value}: {needed}")]
     Camera {
-        /// Which of its numbers.
+        /// Name of the invalid camera parameter.
         what: &'static str,
-        /// That number.
+        /// Value of the parameter.
         value: f32,
-        /// What it must be.
+        /// Requirement that the value violates.
         needed: &'static str,
     },
-    /// A thing that names what the model does not have.
+    /// Geom that refers to a mesh, plane or texture that the model does not have.
     #[error("geom {geom} names {what} {index}, and the model has {count}")]
     Missing {
-        /// Which thing, in drawing order.
+        /// Index of the geom, in drawing order.
         geom: usize,
-        /// Of which kind: mesh, plane or texture.
+        /// Kind of the missing item: mesh, plane or texture.
         what: &'static str,
-        /// Its number.
+        /// Index of the missing item.
         index: usize,
-        /// How many there are.
+        /// Number of such items in the model.
         count: usize,
     },
-    /// A texture without the bytes that it was made from.
+    /// Source bytes of a texture that have another length.
     #[error(
         "texture {texture} was made from {needed} bytes, and {given} are given: give the same ones"
     )]
     Texels {
-        /// Its place in the model.
+        /// Index of the texture in the model.
         texture: usize,
         /// Bytes that were given.
         given: usize,

@@ -7,21 +7,21 @@ use crate::positions::SUBPIXELS;
 use crate::setup::Setup;
 use crate::visible::{BLOCK, Layer, PART, Ranks, Record, SAMPLES, Visible};
 
-/// Where the samples of two pixels side by side are, in lattice points from the
-/// first one's corner.
+/// Sample positions of two pixels side by side, in lattice points from the first one's
+/// corner.
 const LANE_X: [i32; LANES] = [3, 7, 1, 5, 11, 15, 9, 13];
 const LANE_Y: [i32; LANES] = [1, 3, 5, 7, 1, 3, 5, 7];
-/// The same of the first, in pixels along x and y.
+/// Position of the first pixel's first sample, in pixels along x and y.
 pub(crate) const FIRST_SAMPLE: [f32; 2] = [0.375, 0.125];
 /// Parts of a pixel from one lattice point to the next.
 const LATTICE: i32 = 32;
 const POINTS_PER_PIXEL: i32 = SUBPIXELS / LATTICE;
 
-/// What multiplies by the lattice points of a pair of pixels, and of a row.
+/// Shifts that multiply by the lattice points of a pair of pixels, and of a row.
 const PAIR_SHIFT: i32 = (2 * POINTS_PER_PIXEL).ilog2() as i32;
 const ROW_SHIFT: i32 = POINTS_PER_PIXEL.ilog2() as i32;
 
-/// Where the parts of a block are, in lattice points from its corner, and in pixels.
+/// Offsets of the parts of a block, in lattice points from its corner, and in pixels.
 const PART_X: [i32; LANES] = [0, 64, 0, 64, 0, 64, 0, 64];
 const PART_Y: [i32; LANES] = [0, 0, 32, 32, 64, 64, 96, 96];
 /// Triangles that reach into more pairs of pixels than this are filled part by part.

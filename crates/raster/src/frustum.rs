@@ -1,16 +1,16 @@
-//! What a camera sees of space, and which balls lie in it.
+//! View frustum of a camera, and tests of balls against it.
 
 use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::matrix::Vec3;
 
-/// The sides of what the camera sees, in a mesh's frame.
+/// Sides of the view frustum, in a mesh's frame.
 pub(crate) struct Frustum {
     sides: [[f32; 4]; 6],
     lengths: [f32; 6],
-    /// Those of the whole picture, exactly.
+    /// Sides of the whole picture, exactly.
     frame: [[f32; 4]; 6],
-    /// Whether the camera sees without perspective.
+    /// True if the camera sees without perspective.
     pub(crate) orthographic: bool,
 }
 

@@ -1,5 +1,5 @@
-//! What one can see through: blended over what is behind it, the near things
-//! first, and then all of them again the far ones first, as MuJoCo does.
+//! Translucent geoms: blended over the geoms behind them, first from near to far, and
+//! then all of them again from far to near, as MuJoCo does.
 
 use crate::drawing::Drawing;
 use crate::instance::{self, Instance, View, is_behind, is_plane};

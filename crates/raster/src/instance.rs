@@ -13,11 +13,11 @@ use crate::window::Window;
 pub(crate) struct View {
     pub(crate) projection: Matrix,
     pub(crate) world_to_eye: Matrix,
-    /// Where the camera is, world frame.
+    /// Position of the camera, world frame.
     pub(crate) head: Vec3,
-    /// Whether left and right are swapped, as in a mirror.
+    /// True if left and right are swapped, as in a mirror.
     pub(crate) mirrored: bool,
-    /// What lies beyond this plane of clip space is cut off.
+    /// Plane of clip space beyond which geometry is cut off.
     pub(crate) clip: Option<[f32; 4]>,
     pub(crate) orthographic: bool,
     pub(crate) far: f32,
@@ -46,8 +46,8 @@ impl View {
         }
     }
 
-    /// What a mirror through `pos` with this normal shows, and nothing on this
-    /// side of it.
+    /// View in a mirror through `pos` with this normal; nothing on this side of the
+    /// mirror is shown.
     pub(crate) fn in_mirror(&self, pos: Vec3, normal: Vec3) -> Self {
         let plane = [
             -normal[0],
@@ -85,12 +85,12 @@ impl View {
     }
 }
 
-/// Where a texture lies on what is drawn.
+/// Mapping of a texture onto an instance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Mapping {
-    /// Nowhere.
+    /// No texture.
     None,
-    /// Flat, where the mesh's corners say.
+    /// Flat, at the texture coordinates of the mesh's corners.
     Corners,
     /// Flat, over x and y, scaled so.
     Flat([f32; 2]),
@@ -110,10 +110,10 @@ pub(crate) struct Instance {
     pub(crate) to_clip: Matrix,
     /// Inverse of the upper left of `to_eye`, row by row.
     pub(crate) normals: [f32; 9],
-    /// Where the eye is in the mesh's frame, or where it looks to if it is
+    /// Position of the eye in the mesh's frame, or the viewing direction if the eye is
     /// infinitely far away.
     pub(crate) eye: Vec3,
-    /// Whether the front of a triangle shows its corners counter-clockwise.
+    /// True if the front of a triangle shows its corners counter-clockwise.
     pub(crate) counter_clockwise: bool,
     /// Whether the other side of its triangles is drawn than shows to an eye
     /// outside.
@@ -129,9 +129,9 @@ pub(crate) struct Instance {
     /// Distance of its far end, for drawing first what is near and does not reach
     /// behind others.
     pub(crate) distance: f32,
-    /// Its place in the order in which OpenGL would draw.
+    /// Position in the order in which OpenGL would draw.
     pub(crate) rank: u32,
-    /// Where it became visible, at most.
+    /// Upper bound of the window in which it became visible.
     pub(crate) window: Option<Window>,
 }
 
@@ -254,7 +254,7 @@ impl Instance {
                 normals[3 * row] * v[0] + normals[3 * row + 1] * v[1] + normals[3 * row + 2] * v[2]
             })
         };
-        // What is no number hides nothing.
+        // A NaN eye hides nothing.
         let eye = match (inverse, view.orthographic) {
             (None, _) => [f32::NAN; 3],
             (_, true) => back([0.0, 0.0, -1.0]),

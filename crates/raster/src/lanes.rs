@@ -83,7 +83,7 @@ impl Not for Mask {
     }
 }
 
-/// What [`F`] can do beside arithmetic.
+/// Operations of [`F`] beside arithmetic.
 pub(crate) trait Floats: Sized {
     fn load(from: &[f32]) -> Self;
     fn store(self, to: &mut [f32]);
@@ -177,7 +177,7 @@ impl Floats for F {
     }
 }
 
-/// What [`I`] can do beside arithmetic.
+/// Operations of [`I`] beside arithmetic.
 pub(crate) trait Ints: Sized {
     fn store(self, to: &mut [i32]);
     fn load_unsigned(from: &[u32]) -> Self;

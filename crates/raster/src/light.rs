@@ -14,10 +14,11 @@ const AMBIENT_WITHOUT_LIGHTS: f32 = 0.3;
 /// Largest exponent of a highlight.
 const MOST_SHININESS: f32 = 128.0;
 
-/// A light as an eye has it.
+/// A light in the eye's frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct EyeLight {
-    /// Where it is; or of a directional one where its light comes from.
+    /// Position of the light; for a directional one, the direction that its light comes
+    /// from.
     place: Vec3,
     cone: Option<Cone>,
     is_directional: bool,
@@ -89,15 +90,15 @@ impl EyeLight {
     }
 }
 
-/// What an instance's material makes of the lights.
+/// Lights combined with an instance's material.
 #[derive(Debug, Clone)]
 pub(crate) struct Shading<'a> {
     lights: &'a [EyeLight],
-    /// What it shows without any.
+    /// Colour without any light.
     base: Vec3,
     products: [[Vec3; 3]; MOST_LIGHTS],
-    /// Whether a light adds only its ambient part to corners that face away from it. Its
-    /// numbers must be finite for that, since infinity times zero is not zero.
+    /// True per light if it adds only its ambient part to corners that face away from it.
+    /// Its numbers must be finite for that, since infinity times zero is not zero.
     is_tame: [bool; MOST_LIGHTS],
     shininess: f32,
 }
@@ -210,7 +211,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
         } else {
             (facing, facing)
         };
-        // None of it is seen: nothing is added.
+        // Highlights that are not visible add nothing.
         let highlight = if products[2] == [0.0; 3] {
             zero
         } else if has_highlights || attenuation.is_some() {

@@ -21,16 +21,17 @@ const FACING_WEIGHT: f32 = 0.35;
 /// A corner of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Corner {
-    /// Where it is.
+    /// Position, mesh frame.
     pub pos: [f32; 3],
-    /// Where its face looks to; of any length.
+    /// Direction of the face's normal, of any length.
     pub normal: [f32; 3],
-    /// Where it lies on a texture.
+    /// Texture coordinates.
     pub st: [f32; 2],
 }
 
 impl Corner {
-    /// Equal where everything is, zeros of both signs told apart.
+    /// Bit patterns of all fields, by which corners are compared; zeros of both signs
+    /// differ.
     fn bits(&self) -> [u32; 8] {
         let ([x, y, z], [nx, ny, nz], [s, t]) = (self.pos, self.normal, self.st);
         [x, y, z, nx, ny, nz, s, t].map(f32::to_bits)
@@ -349,7 +350,7 @@ impl Mesh {
         counts.sum()
     }
 
-    /// Where a position of a cluster is.
+    /// Returns a position of a cluster.
     pub(crate) fn position(&self, cluster: &Cluster, id: u8) -> Vec3 {
         let at = cluster.first_position as usize + usize::from(id);
         [self.xs[at], self.ys[at], self.zs[at]]

@@ -1,6 +1,6 @@
-//! The one face that mirrors: a plane, or a box's upper side. MuJoCo draws the
-//! mirrored scene where the face is and adds the face's own colour; here it is
-//! drawn only where the face is visible in the end.
+//! Reflections in a single mirror face: a plane, or a box's upper side. MuJoCo draws the
+//! mirrored scene in place of the face and adds the face's own colour; here it is drawn
+//! only for samples at which the face is finally visible.
 
 use crate::glass;
 use crate::instance::{self, View, is_behind, is_plane};
@@ -89,10 +89,10 @@ pub(crate) fn add(
     Some(face.window)
 }
 
-/// Where the face that mirrors is visible.
+/// Visible samples of the mirror face.
 struct Face {
     window: Window,
-    /// Pixels and bits of their samples.
+    /// Pixel indices, each with the bits of its samples.
     pixels: Vec<(usize, u8)>,
 }
 

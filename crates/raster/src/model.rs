@@ -1,4 +1,4 @@
-//! What is prepared once and shared by all canvases that draw it.
+//! Meshes and textures that are prepared once and shared by all canvases that draw them.
 
 use std::sync::Arc;
 

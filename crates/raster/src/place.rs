@@ -6,11 +6,11 @@ use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::mesh::{Cluster, Mesh};
 use crate::positions::{EightPositions, FURTHEST, SUBPIXELS};
 
-/// What is known of a cluster once its positions are in the picture.
+/// Extent of a cluster once its positions are in the picture.
 pub(crate) struct Placed {
-    /// Whether any is beyond a side of what the camera sees.
+    /// True if any position lies beyond a side of the view frustum.
     pub(crate) beyond: bool,
-    /// Whether all of it lies beside the window.
+    /// True if the whole cluster lies beside the window.
     pub(crate) outside: bool,
 }
 

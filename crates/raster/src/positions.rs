@@ -78,14 +78,14 @@ impl Positions {
 }
 
 impl EightTriangles {
-    /// Where corners are in parts of a pixel: x of each corner, and y.
+    /// Snapped corners in parts of a pixel: x of each corner, and y.
     #[inline(always)]
     pub(crate) fn snapped(&self) -> ([I; 3], [I; 3]) {
         let of = |column: usize| self.ints(column);
         (of(SNAPPED), of(SNAPPED + 1))
     }
 
-    /// Where they are in pixels, before they were snapped, and their depths.
+    /// Corners in pixels before they were snapped, and their depths.
     #[inline(always)]
     pub(crate) fn exact(&self) -> [[F; 3]; 3] {
         let Self([a, b, c]) = self;

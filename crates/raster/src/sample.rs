@@ -12,7 +12,7 @@ const CHANNELS: usize = 4;
 /// From 8 bits to 0 to 1.
 const OVER_255: f32 = 1.0 / 255.0;
 
-/// Where eight places are on a texture; on a cube, in which direction.
+/// Eight places on a texture; on a cube, eight directions.
 #[derive(Clone, Copy)]
 pub(crate) struct Place {
     pub(crate) at: [F; 3],
@@ -355,7 +355,7 @@ fn texel_and_share(at: F, size: I, is_power_of_two: bool) -> (I, F) {
     (texel, place - floor)
 }
 
-/// Where directions meet a cube.
+/// Intersections of directions with a cube.
 struct Face {
     number: I,
     s: F,
@@ -455,8 +455,8 @@ struct EdgePlace<'a> {
     shares: [f32; 2],
 }
 
-/// What is seen there: the neighbouring faces' texels over the edge, and in a
-/// corner only the three that meet.
+/// Blends the texels of the neighbouring faces beyond the edge; in a corner only the
+/// three that meet.
 #[inline(never)]
 fn over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
     let side = at.level.width as i32;

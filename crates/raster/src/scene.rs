@@ -1,80 +1,80 @@
-//! What is drawn: things with poses and materials, lights, and a camera, as
-//! MuJoCo's abstract scene (`mjvScene`) has them for one frame. Lengths are
-//! metres; orientations are matrices, row by row; colours are 0 to 1.
+//! Scene description: geoms with poses and materials, lights, and a camera, as in
+//! MuJoCo's abstract scene (`mjvScene`) for one frame. Lengths are metres; orientations
+//! are row-major rotation matrices; colours are 0 to 1.
 
-/// What a thing is shaped like. Meshes, planes and textures are named by their
-/// place in the [`Model`](crate::Model).
+/// Shape of a geom. Meshes, planes and textures are referred to by their index in the
+/// [`Model`](crate::Model).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shape {
-    /// A mesh, as large as it is.
+    /// Mesh with this index, at its own size.
     Mesh(usize),
-    /// A plane with a grid of its own, as large as it is.
+    /// Plane grid with this index, at its own size.
     Plane(usize),
-    /// A rectangle of half extents x, y.
+    /// Rectangle of half extents x, y.
     Rectangle,
-    /// Of half extents x, y, z.
+    /// Box of half extents x, y, z.
     Box,
-    /// Of half axes x, y, z.
+    /// Ellipsoid of half axes x, y, z.
     Ellipsoid,
-    /// Of radii x, y and half length z.
+    /// Cylinder of radii x, y and half length z.
     Cylinder,
-    /// Of radii x, y and half length z, half spheres beyond it.
+    /// Capsule of radii x, y and half length z, half spheres beyond it.
     Capsule,
 }
 
-/// A texture on a thing.
+/// Texture on a geom.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TextureUse {
-    /// Which one.
+    /// Index of the texture in the model.
     pub texture: usize,
-    /// How often a flat one repeats along x and y.
+    /// Repeats of a flat texture along x and y.
     pub repeat: [f32; 2],
-    /// Whether it repeats by metres rather than by the thing's size.
+    /// True if it repeats by metres rather than by the geom's size.
     pub uniform: bool,
-    /// Whether the mesh says where each corner lies on a flat one.
+    /// True if the mesh's corners hold the coordinates on a flat texture.
     pub by_corner: bool,
 }
 
-/// A thing.
+/// Drawable object with pose and material.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Geom {
-    /// What it is shaped like.
+    /// Shape of the geom.
     pub shape: Shape,
     /// Half extents; see [`Shape`].
     pub size: [f32; 3],
-    /// Where its centre is, world frame.
+    /// Position of the centre, world frame.
     pub pos: [f32; 3],
-    /// How it is turned.
+    /// Orientation in the world frame.
     pub mat: [f32; 9],
     /// Colour and opacity.
     pub rgba: [f32; 4],
-    /// Share of the colour that it glows with.
+    /// Share of the colour that is emitted.
     pub emission: f32,
-    /// Share of white that it reflects as highlights.
+    /// Share of white that is reflected as highlights.
     pub specular: f32,
-    /// How small highlights are, 0 to 1.
+    /// Sharpness of highlights, 0 to 1.
     pub shininess: f32,
     /// Share of the surroundings that a plane or a box's upper face mirrors.
     pub reflectance: f32,
-    /// What is on it.
+    /// Texture of the surface.
     pub texture: Option<TextureUse>,
-    /// Radius of a ball around it, by which see-through things are ordered; 0
-    /// where its shape says.
+    /// Radius of the bounding ball by which translucent geoms are ordered; 0 takes it
+    /// from the shape.
     pub reach: f32,
-    /// Its number in segmentation images; none leaves it out of them.
+    /// Number in segmentation images; `None` leaves the geom out of them.
     pub segment: Option<u32>,
 }
 
-/// How a light shines.
+/// Kind of a light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LightKind {
-    /// From infinitely far away.
+    /// Light from infinitely far away.
     Directional,
-    /// From a point, in a cone.
+    /// Light from a point, in a cone.
     Spot {
         /// Half the cone's angle, degrees; 180 shines everywhere.
         cutoff: f32,
-        /// How much darker it is off the axis.
+        /// Exponent of the darkening off the axis.
         exponent: f32,
         /// Constant, linear and quadratic attenuation with distance.
         attenuation: [f32; 3],
@@ -84,11 +84,11 @@ pub enum LightKind {
 /// A light. None casts shadows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Light {
-    /// How it shines.
+    /// Kind of the light.
     pub kind: LightKind,
-    /// Where it is, world frame.
+    /// Position, world frame.
     pub pos: [f32; 3],
-    /// Where it shines to, world frame.
+    /// Direction of the light, world frame.
     pub dir: [f32; 3],
     /// Light that reaches every face.
     pub ambient: [f32; 3],
@@ -101,11 +101,11 @@ pub struct Light {
 /// A camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
-    /// Where it is, world frame.
+    /// Position, world frame.
     pub pos: [f32; 3],
-    /// Where it looks to, world frame.
+    /// Viewing direction, world frame.
     pub forward: [f32; 3],
-    /// What is above, world frame.
+    /// Up direction, world frame.
     pub up: [f32; 3],
     /// The near plane's rectangle: centre and half width; half the width that
     /// the picture's proportions give where it is 0.
@@ -120,21 +120,21 @@ pub struct Camera {
     pub near: f32,
     /// Distance of the far plane.
     pub far: f32,
-    /// Whether it sees without perspective.
+    /// True for a camera without perspective.
     pub orthographic: bool,
 }
 
-/// All that is drawn in one frame.
+/// Everything that is drawn in one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
-    /// In the order in which they are drawn.
+    /// Geoms, in drawing order.
     pub geoms: Vec<Geom>,
-    /// At most eight count.
+    /// Lights, of which the first eight count.
     pub lights: Vec<Light>,
     /// The camera.
     pub camera: Camera,
-    /// The texture around everything, if there is one.
+    /// Index of the sky texture, if there is one.
     pub sky: Option<usize>,
-    /// Whether mirrors mirror.
+    /// True if mirrors reflect.
     pub reflections: bool,
 }

@@ -1,5 +1,5 @@
-//! Which geom is seen in the middle of every pixel, as MuJoCo's segmentation
-//! rendering tells: no lights, no sky, no mirrors, and nothing is seen through.
+//! Segmentation: the geom that is visible in the middle of every pixel, as in MuJoCo's
+//! segmentation rendering: no lights, no sky, no mirrors, and no translucency.
 
 use crate::canvas::check;
 use crate::error::DrawError;

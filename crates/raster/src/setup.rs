@@ -28,7 +28,7 @@ pub(crate) fn extent([a, b, c]: &[I; 3]) -> [I; 2] {
     [a.min(*b).min(*c), a.max(*b).max(*c)]
 }
 
-/// Which triangles of such extents are cut into blocks.
+/// Mask of the triangles whose extents are so large that they are cut into blocks.
 #[inline(always)]
 pub(crate) fn is_large(x: [I; 2], y: [I; 2]) -> Mask {
     let [wide, high] = [x, y].map(|[least, most]| (most - least).ge(I::splat(LARGE)));
@@ -47,13 +47,13 @@ pub(crate) fn has_samples(dx: I, dy: I) -> Mask {
 /// Eight triangles, ready to be filled.
 #[derive(Default)]
 pub(crate) struct Setup {
-    /// Of each edge, at the first sample's lattice point of its block: not
-    /// negative inside.
+    /// Per edge: value at the first sample's lattice point of its block; not negative
+    /// inside.
     pub(crate) edge: [[i32; LANES]; 3],
-    /// What it changes by from one lattice point to the next.
+    /// Change per lattice point.
     pub(crate) along_x: [[i32; LANES]; 3],
     pub(crate) along_y: [[i32; LANES]; 3],
-    /// Depth at the picture's corner, and what it changes by per pixel.
+    /// Depth at the picture's corner, and its change per pixel.
     pub(crate) depth: [f32; LANES],
     pub(crate) depth_x: [f32; LANES],
     pub(crate) depth_y: [f32; LANES],

@@ -64,9 +64,9 @@ pub(crate) struct Lists {
     /// Of each record from `first` on, if it is listed.
     pub(crate) surfaces: Vec<Surface>,
     first: usize,
-    /// Of the same records the list that their fragments are in, or [`NOTHING`].
+    /// Per record from `first` on: list that holds its fragments, or [`NOTHING`].
     list_of: Vec<u32>,
-    /// What is worked out of one cluster.
+    /// Work list of one cluster.
     wanted: Vec<Wanted>,
     vertices: Box<Vertices>,
     /// By texture; the last without any.
@@ -213,7 +213,7 @@ pub(crate) fn work_out_surfaces(
     lights: &[EyeLight],
     lists: &mut Lists,
 ) {
-    // What is left of another frame is overwritten before it is read.
+    // Leftovers of another frame are overwritten before they are read.
     if lists.surfaces.len() < lists.list_of.len() {
         lists
             .surfaces

@@ -256,7 +256,7 @@ fn open_cylinder(builder: &mut MeshBuilder, slices: usize, stacks: usize) {
     }
 }
 
-/// Where the lines of a plane's grid are along one direction.
+/// Positions of the lines of a plane's grid along one direction.
 ///
 /// `half` is half the plane's length, 0 for an infinite one; `spacing` that of
 /// its lines; `period` that of its texture, if it has one; `far` how far one

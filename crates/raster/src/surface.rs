@@ -9,7 +9,7 @@ use crate::mesh::{CLUSTER, Mesh, Vertex};
 use crate::setup::{Slopes, turned};
 use crate::visible::{CLIPPED, Record, Visible};
 
-/// What varies over a triangle, divided by w, in this order.
+/// Index at which each interpolated value starts; all are divided by w.
 pub(crate) const OVER_W: usize = 0;
 pub(crate) const COLOUR: usize = 1;
 pub(crate) const COORDINATES: usize = 4;

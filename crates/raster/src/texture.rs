@@ -163,9 +163,9 @@ fn eight_pairs<const CHANNELS: usize>(
 pub(crate) struct Level {
     pub(crate) width: usize,
     pub(crate) height: usize,
-    /// Where its first image starts.
+    /// Index of the first image's first texel.
     pub(crate) start: usize,
-    /// From one image to the next; 0 where all faces show the same.
+    /// Texels from one image to the next; 0 where all faces show the same.
     pub(crate) image: usize,
 }
 
@@ -266,8 +266,8 @@ impl Texture {
 }
 
 impl Texels<'_> {
-    /// What a level shows at a point of 0 to 1 in both directions, as the texel
-    /// of a smaller one.
+    /// Colour of a level at a point of 0 to 1 in both directions, as the texel of a
+    /// smaller level.
     fn middle(&self, level: &Level, image: usize, s: f32, t: f32) -> u32 {
         let first = level.start + image * level.image;
         let texel = |x: usize, y: usize| self.at(first + y * level.width + x).to_le_bytes();

@@ -1,4 +1,4 @@
-//! What is seen at every sample: which triangle, and at which depth.
+//! Visibility buffer: the nearest triangle at every sample, and its depth.
 
 use crate::clip::ClippedTriangle;
 use crate::instance::Instance;
@@ -25,9 +25,9 @@ pub(crate) const NOTHING: u32 = u32::MAX;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Record {
     pub(crate) instance: u32,
-    /// In the mesh; or among the clipped ones, if `vertices` says so.
+    /// Index in the mesh; or among the clipped ones, if `vertices` is [`CLIPPED`].
     pub(crate) triangle: u32,
-    /// Where its cluster's vertices start in the mesh, or [`CLIPPED`].
+    /// Index in the mesh at which its cluster's vertices start, or [`CLIPPED`].
     pub(crate) vertices: u32,
 }
 
@@ -46,7 +46,7 @@ struct Block {
     writes: u8,
 }
 
-/// What is seen at every sample.
+/// Nearest triangle and depth of every sample.
 #[derive(Debug, Default)]
 pub(crate) struct Visible {
     pub(crate) width: usize,
@@ -58,11 +58,12 @@ pub(crate) struct Visible {
     /// Blocks of the picture, row by row, and how many are in a row.
     blocks: Vec<Block>,
     blocks_in_row: usize,
-    /// Places in `records`.
+    /// Indices into `records`.
     pub(crate) ids: Vec<u32>,
     pub(crate) records: Vec<Record>,
     pub(crate) clipped: Vec<ClippedTriangle>,
-    /// Where anything became visible since this was last emptied, at most.
+    /// Upper bound of the window in which anything became visible since this was last
+    /// emptied.
     pub(crate) touched: Option<Window>,
 }
 
@@ -194,14 +195,14 @@ pub(crate) struct Layer {
     pub(crate) samples: u32,
 }
 
-/// Where layers go. Drawing ends when there are more than that, and the list is
-/// of no use then.
+/// Sink for layers. Drawing ends when there are more than `most`, and the list is of no
+/// use then.
 pub(crate) struct Layers<'a> {
     pub(crate) list: &'a mut Vec<Layer>,
     pub(crate) most: usize,
 }
 
-/// What tells which of two triangles is drawn later.
+/// Tables for comparing the drawing order of two triangles.
 pub(crate) struct Ranks<'a> {
     pub(crate) model: &'a Model,
     pub(crate) instances: &'a [Instance],

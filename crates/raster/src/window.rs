@@ -74,7 +74,7 @@ impl Window {
         }
     }
 
-    /// Where its rows are in a list of pixels.
+    /// Ranges of its rows in a list of pixels.
     pub(crate) fn rows(self, stride: usize) -> impl Iterator<Item = Range<usize>> {
         let [left, right] = self.x.map(|x| x as usize);
         (self.y[0]..=self.y[1]).map(move |y| {

@@ -72,7 +72,7 @@ fn every_part_of_the_room_is_seen() {
     }
 }
 
-/// What happens between two frames.
+/// Change between two frames.
 #[derive(Debug, Clone)]
 enum Change {
     Move(usize, [i8; 3]),

@@ -31,7 +31,7 @@ pub struct Arena {
     /// Whether movable objects must lie in their region with their whole
     /// radius, or only with their centre.
     pub whole_object_in_region: bool,
-    /// Where the robot's base is and what it stands on.
+    /// Position of the robot's base, and its stand.
     pub robot: RobotStand,
     /// Cameras to set or add, in order.
     pub cameras: &'static [Camera],
@@ -46,7 +46,7 @@ pub struct Table {
     pub friction: [f64; 3],
 }
 
-/// What the robot stands on.
+/// Stand of the robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum RobotStand {
     /// On robosuite's Rethink pedestal, which lifts the base; x, y, z of the

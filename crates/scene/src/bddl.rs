@@ -24,9 +24,9 @@ pub struct Problem {
     pub regions: Vec<Region>,
     /// Names of the objects of interest.
     pub objects_of_interest: Vec<String>,
-    /// What holds at the start, in file order.
+    /// Predicates that hold at the start, in file order.
     pub init: Vec<Predicate>,
-    /// What must hold at the end: all of these.
+    /// Predicates that must all hold at the end.
     pub goal: Vec<Predicate>,
 }
 

@@ -1,7 +1,6 @@
-//! What LIBERO knows about each category of object and fixture: its model
-//! file, how it is turned when it is placed, where its joints start, and when it
-//! counts as open, closed, on or off. Facts of hf-libero 0.1.4,
-//! `envs/objects/*.py`.
+//! Catalogue of LIBERO's categories of objects and fixtures: model file, rotation at
+//! placement, initial joint ranges, and the thresholds for open, closed, on and off.
+//! Facts of hf-libero 0.1.4, `envs/objects/*.py`.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
@@ -10,42 +9,42 @@ use crate::rotation::{Axis, Rotation};
 /// A category of objects or fixtures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Category {
-    /// As BDDL files write it.
+    /// Name in BDDL files.
     pub name: &'static str,
     /// Model file inside an asset pack.
     pub file: &'static str,
-    /// The orientation that is drawn for a movable object.
+    /// Orientation that is sampled for a movable object.
     pub rotation: Rotation,
     /// Joint positions of articulated categories.
     pub articulation: Articulation,
 }
 
-/// When a joint position `q` (m or rad) counts as open, closed, on or off, and
-/// the range that it is drawn from where a task starts so.
+/// Thresholds at which a joint position `q` (m or rad) counts as open, closed, on or off,
+/// and the ranges from which it is drawn where a task starts so.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Articulation {
     /// Nothing to open or turn on.
     None,
     /// Drawers and doors.
     OpenClose {
-        /// Open beyond this.
+        /// Threshold beyond which it counts as open.
         open: Threshold,
-        /// Closed beyond this.
+        /// Threshold beyond which it counts as closed.
         close: Threshold,
-        /// Where it starts open.
+        /// Range of the initial position if it starts open, m or rad.
         open_range: [f64; 2],
-        /// Where it starts closed.
+        /// Range of the initial position if it starts closed, m or rad.
         close_range: [f64; 2],
     },
     /// A stove: on at `q >= on`, off at `q < off`.
     OnOff {
-        /// rad.
+        /// Least position that counts as on, rad.
         on: f64,
-        /// rad.
+        /// Position below which it counts as off, rad.
         off: f64,
-        /// Where it starts on, rad.
+        /// Range of the initial position if it starts on, rad.
         on_range: [f64; 2],
-        /// Where it starts off, rad.
+        /// Range of the initial position if it starts off, rad.
         off_range: [f64; 2],
     },
 }

@@ -35,11 +35,11 @@ pub struct Scene {
     pub instances: Vec<Instance>,
     /// The regions that have a site, in BDDL order.
     pub regions: Vec<RegionSite>,
-    /// What must hold for success.
+    /// Predicates that must hold for success.
     pub goal: Vec<Predicate>,
     /// Poses of the fixtures in campaigns, to be written over the model's.
     pub fixture_poses: Vec<FixturePose>,
-    /// What a reset without an initial state places.
+    /// Samplers of a reset without an initial state.
     pub samplers: Samplers,
 }
 

@@ -1,32 +1,32 @@
-//! What can be wrong with the files that a scene is made of.
+//! Errors of the files that a scene is made of.
 
 use std::path::PathBuf;
 
-/// Why a scene could not be read or composed. Messages read after "failed to …"
-/// and name the file, the place in it and what to do.
+/// Reason why a scene could not be read or composed. Messages read after "failed to …"
+/// and name the file, the place in it and the remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     /// A file is missing or unreadable.
     #[error("read {what} {}: {remedy}", path.display())]
     Read {
-        /// What the file is for.
+        /// Purpose of the file.
         what: String,
-        /// Where it was looked for.
+        /// Path at which the file was expected.
         path: PathBuf,
-        /// What to do about it.
+        /// Remedy for the operator.
         remedy: String,
-        /// The system's answer.
+        /// Error of the operating system.
         #[source]
         source: std::io::Error,
     },
-    /// A file was read but does not say what it should.
+    /// The content of a file is malformed.
     #[error("understand {what} {}: {problem}", path.display())]
     Malformed {
-        /// What the file is for.
+        /// Purpose of the file.
         what: String,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong, with its place where there is one.
+        /// Defect, with its place where there is one.
         problem: String,
     },
     /// A file of a pack that goes by LIBERO's name is not LIBERO's.
@@ -36,11 +36,11 @@ pub enum SceneError {
         path.display()
     )]
     NotLiberos {
-        /// The purpose of the file.
+        /// Purpose of the file.
         what: String,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// How it differs.
+        /// Difference from LIBERO's file.
         difference: String,
     },
     /// A BDDL file names a category that no model is known for.
@@ -51,15 +51,15 @@ pub enum SceneError {
     UnknownCategory {
         /// The category as the BDDL file writes it.
         category: String,
-        /// The instance that has it.
+        /// Instance of that category.
         instance: String,
-        /// How many categories there are.
+        /// Number of categories in the catalogue.
         known: usize,
     },
     /// The problem class of a BDDL file is none of LIBERO's.
     #[error("choose an arena for problem `{problem}`: known are {}", known.join(", "))]
     UnknownProblem {
-        /// As the BDDL file writes it.
+        /// Problem class as the BDDL file writes it.
         problem: String,
         /// The problem classes with an arena.
         known: Vec<&'static str>,
@@ -76,11 +76,11 @@ pub enum SceneError {
          (the region is too crowded)"
     )]
     NoRoom {
-        /// What was to be placed.
+        /// Name of the object to place.
         object: String,
-        /// Where.
+        /// Name of the region.
         region: String,
-        /// How often it was tried.
+        /// Number of attempts.
         attempts: usize,
     },
 }

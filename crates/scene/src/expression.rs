@@ -1,13 +1,13 @@
-//! S-expressions with line numbers, lower-cased, `;` comments dropped. What
-//! they mean is `bddl`'s business.
+//! S-expressions with line numbers, lower-cased, `;` comments dropped. The module `bddl`
+//! interprets them.
 
-/// What is wrong with a BDDL text.
+/// Syntax error in a BDDL text.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error("line {line}: {problem}")]
 pub struct BddlError {
-    /// 1-based.
+    /// Line, counted from 1.
     pub line: usize,
-    /// In words.
+    /// Description of the error.
     pub problem: String,
 }
 

@@ -1,5 +1,5 @@
-//! What the fuzz targets reach into: readers of single files, without the
-//! folders around them. Not for programs.
+//! Entry points of the fuzz targets: readers of single files, without the folders around
+//! them. Not for programs.
 
 use std::path::PathBuf;
 

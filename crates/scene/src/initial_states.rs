@@ -18,7 +18,7 @@ pub struct InitialStates {
     values: Vec<f64>,
 }
 
-/// What messages call them.
+/// Name of these files in messages.
 const WHAT: &str = "initial states";
 /// Larger than any released file by far; bounds what is read into memory.
 const MAX_FILE_BYTES: u64 = 64 << 20;

@@ -1,13 +1,13 @@
-//! What a composed scene consists of, with its names in the model.
+//! Parts of a composed scene, with their names in the model.
 
 use crate::catalog::Category;
 
-/// What an instance is.
+/// Kind of an instance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InstanceKind {
-    /// Moves freely.
+    /// Movable object.
     Object,
-    /// Stands still (its drawers and doors move).
+    /// Fixture, which stands still (its drawers and doors move).
     Fixture,
 }
 
@@ -16,7 +16,7 @@ pub enum InstanceKind {
 pub struct Instance {
     /// Instance name, for example `akita_black_bowl_1`.
     pub name: String,
-    /// What it is.
+    /// Kind of the instance.
     pub kind: InstanceKind,
     /// Its category.
     pub category: &'static Category,

@@ -13,8 +13,8 @@ pub(crate) struct Matrix {
     pub(crate) values: Vec<f64>,
 }
 
-/// What the unpickler's stack may hold. Copies share their contents: a file
-/// that recalls a tuple of tuples again and again must not multiply it.
+/// Value on the unpickler's stack. Copies share their contents: a file that recalls a
+/// tuple of tuples again and again must not multiply it.
 #[derive(Clone)]
 enum Value {
     None,
@@ -44,7 +44,7 @@ struct Array {
 }
 
 impl Value {
-    /// What kind of value it is, for messages.
+    /// Kind of the value, for messages.
     fn kind(&self) -> &'static str {
         match self {
             Self::None => "nothing",

@@ -1,10 +1,10 @@
-//! Where LIBERO's samplers put things at a reset: joints of what starts open,
-//! closed, on or off, then fixtures and objects. NumPy's legacy generator is
-//! followed draw by draw, rejections included, in the original's order and with
-//! its arithmetic, also where that surprises: orientations are written in
-//! another order than they are read ([`crate::rotation`]), and an object on a
-//! site is placed at the sum of the carrier's new position and the site's
-//! position in the world *before* the carrier was moved.
+//! Placement of everything at a reset, as by LIBERO's samplers: joints that start open,
+//! closed, on or off, then fixtures and objects. NumPy's legacy generator is followed
+//! draw by draw, rejections included, in the original's order and with its arithmetic,
+//! also where that surprises: orientations are written in another order than they are
+//! read ([`crate::rotation`]), and an object on a site is placed at the sum of the
+//! carrier's new position and the site's position in the world *before* the carrier was
+//! moved.
 
 mod plan;
 
@@ -71,11 +71,11 @@ pub struct PoseSampler {
     /// Whether it must be clear of everything placed before it.
     avoids_others: bool,
     rotation: Rotation,
-    /// What is to be moved.
+    /// Object or fixture to move.
     pub target: PoseTarget,
 }
 
-/// What a sampled pose is written to.
+/// Target of a sampled pose.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PoseTarget {
     /// The free joint of an object.
@@ -84,8 +84,8 @@ pub enum PoseTarget {
     Body(String),
 }
 
-/// What a sampled position is relative to. Others are named by their index among
-/// the pose samplers, and come earlier.
+/// Origin of a sampled position. Other instances are named by their index among the pose
+/// samplers, and come earlier.
 #[derive(Debug, Clone)]
 enum Base {
     /// A point in the world, m.
@@ -189,7 +189,7 @@ impl Samplers {
         for sampler in std::iter::repeat_n(&self.joints, joint_rounds).flatten() {
             sampler.sample(rng);
         }
-        // What stands on other things is sampled after all fixtures.
+        // Things that stand on other things are sampled after all fixtures.
         let mut poses = Vec::new();
         let mut fixtures = Vec::new();
         for sampler in &self.poses {

@@ -1,6 +1,5 @@
-//! Where the files of a scene come from: the robot models of robosuite, the
-//! BDDL files and initial states of hf-libero (both unpacked by `cargo xtask
-//! setup`), and an asset pack.
+//! Sources of a scene's files: the robot models of robosuite, the BDDL files and initial
+//! states of hf-libero (both unpacked by `cargo xtask setup`), and an asset pack.
 
 use std::fmt;
 use std::path::{Component, Path, PathBuf};
@@ -120,7 +119,7 @@ impl Sources {
     }
 }
 
-/// Which of the two asset folders a file is in.
+/// Asset folder that a file is in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RootKind {
     Pack,

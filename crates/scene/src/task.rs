@@ -8,7 +8,7 @@ use crate::bddl::Problem;
 use crate::error::SceneError;
 use crate::sources::Sources;
 
-/// Where a task's files are.
+/// Paths of a task's files.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct TaskFiles {
     /// The BDDL problem file.

@@ -17,8 +17,7 @@ use crate::mujoco::{Data, Model, ObjectKind};
 pub const ARM_JOINTS: usize = 7;
 /// The site that is controlled: between the fingertips.
 pub const GRIP_SITE: &str = "gripper0_grip_site";
-/// Where the arm is at a reset, and what its null space returns to, rad
-/// (`MountedPanda.init_qpos`).
+/// Arm joints at a reset, and target of the null space, rad (`MountedPanda.init_qpos`).
 pub const RESET_JOINTS: [f64; ARM_JOINTS] = [
     0.0,
     -1.61037389e-01,
@@ -44,7 +43,7 @@ const GRIPPER_RAMP: f64 = 0.01;
 type ArmVector = SVector<f64, ARM_JOINTS>;
 type ArmMatrix = SMatrix<f64, ARM_JOINTS, ARM_JOINTS>;
 
-/// What the first six numbers of an action are.
+/// Meaning of the first six numbers of an action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ActionFrame {
     /// A displacement, as a share of the largest: 0.05 m, 0.5 rad (`use_delta`).

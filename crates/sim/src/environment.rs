@@ -90,7 +90,7 @@ impl Environment {
         &self.compiled.scene
     }
 
-    /// What it shares with others.
+    /// Compiled scene that is shared with other environments.
     pub fn compiled(&self) -> &Arc<CompiledScene> {
         &self.compiled
     }
@@ -227,8 +227,8 @@ impl Environment {
         }
     }
 
-    /// Where a body was at that instant: position, m, and orientation, x y z w, in the
-    /// world frame.
+    /// Pose of a body at the last step's instant of observation: position, m, and
+    /// orientation, x y z w, in the world frame.
     ///
     /// # Panics
     /// If the model has no body of this id.
@@ -277,8 +277,8 @@ impl Environment {
         self.render(drawer, camera, size, Canvas::depth)
     }
 
-    /// What a camera saw at that instant in the middle of each pixel; rows from
-    /// bottom to top. Nothing can be seen through.
+    /// Object in the middle of each pixel at the last step's instant of observation; rows
+    /// from bottom to top. Everything is opaque.
     ///
     /// # Errors
     /// As [`Environment::draw`].
@@ -328,7 +328,7 @@ impl Environment {
         drawn
     }
 
-    /// What is observed is what is now.
+    /// Sets the observed state to the current one.
     pub(crate) fn record_all(&mut self) {
         for burner in &mut self.burners {
             burner.observed_opacity = burner.opacity;

@@ -33,7 +33,7 @@ const NUDGE_DAMPING: f64 = 1e-9;
 /// The camera on the hand.
 const WRIST_CAMERA: &str = "robot0_eye_in_hand";
 
-/// What identifies a rollout's circumstances; each is hexadecimal SHA-256.
+/// Digests that identify a rollout's circumstances; each is hexadecimal SHA-256.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Digests {
     /// Of the composed scene, fixtures placed.
@@ -226,7 +226,7 @@ impl<'a> Episode<'a> {
         })
     }
 
-    /// What identifies the rollout's circumstances.
+    /// Digests of the rollout's circumstances.
     pub fn digests(&self) -> &Digests {
         &self.digests
     }
@@ -288,9 +288,9 @@ impl<'a> Episode<'a> {
         }
     }
 
-    /// What the policy sees now, every perturbation included. Draws only what is
-    /// asked for. Of a camera and a size the pixels depend on the control step
-    /// alone, however often and at whatever sizes the scene was looked at before.
+    /// Returns the policy's current observation, every perturbation included. Draws only
+    /// the requested frames. The pixels of a camera at a size depend on the control step
+    /// alone, however often and at whatever sizes the scene was drawn before.
     pub fn observe(&mut self, request: &ObservationRequest) -> Result<Observation, SimError> {
         let mut frames = Vec::with_capacity(request.cameras.len());
         for camera in &request.cameras {

@@ -1,9 +1,9 @@
-//! What can go wrong in simulating a rollout.
+//! Errors of the simulation of a rollout.
 
 use crate::mujoco::ObjectKind;
 
-/// Why a rollout could not be simulated. None of these is a failure of the
-/// policy: the rollout is retried.
+/// Reason why a rollout could not be simulated. None of these is a failure of the policy:
+/// the rollout is retried.
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
     /// The scene's files are missing or wrong.
@@ -15,9 +15,9 @@ pub enum SimError {
     /// The model lacks something that every LIBERO scene has.
     #[error("find {kind:?} `{name}` in the model; is the asset pack complete?")]
     Missing {
-        /// Of what kind.
+        /// Kind of the missing object.
         kind: ObjectKind,
-        /// Its name.
+        /// Name of the missing object.
         name: String,
     },
     /// An initial state does not fit the model.
@@ -26,45 +26,45 @@ pub enum SimError {
          do the BDDL file, the initial states and the asset pack belong together?"
     )]
     StateWidth {
-        /// Which state.
+        /// Index of the initial state.
         id: usize,
-        /// The file it is from.
+        /// File of the initial states.
         file: String,
-        /// Its length.
+        /// Numbers in the state.
         found: usize,
-        /// 1 + nq + nv.
+        /// Numbers that the model needs: 1 + nq + nv.
         needed: usize,
     },
     /// There is no such initial state.
     #[error("load initial state {id} of {file}: it holds {count}")]
     NoSuchState {
-        /// Which state.
+        /// Index of the initial state.
         id: usize,
-        /// The file.
+        /// File of the initial states.
         file: String,
-        /// How many it holds.
+        /// Number of states in the file.
         count: usize,
     },
     /// The simulation diverged.
     #[error("simulate control step {control_step}: {problem}")]
     Unstable {
-        /// Counted from the start of settling.
+        /// Control step, counted from the start of settling.
         control_step: u32,
-        /// What MuJoCo said.
+        /// Warning of MuJoCo.
         problem: String,
     },
     /// The robot's inertia or Jacobian cannot be inverted.
     #[error("control the arm at control step {control_step}: its inertia matrix is singular")]
     Singular {
-        /// Counted from the start of settling.
+        /// Control step, counted from the start of settling.
         control_step: u32,
     },
-    /// A goal asks for something that an instance cannot answer.
+    /// A goal holds a predicate that does not apply to its instance.
     #[error("evaluate the goal {predicate}: {problem}")]
     Predicate {
-        /// As in the BDDL file.
+        /// Predicate as in the BDDL file.
         predicate: String,
-        /// Why not.
+        /// Reason why it cannot be evaluated.
         problem: String,
     },
     /// An action is a pose, and the rollout distorts displacements.
@@ -73,15 +73,15 @@ pub enum SimError {
          command displacements (control=\"relative\"), or leave the actuation axis out"
     )]
     DistortedPose,
-    /// A policy wants to look through a camera that the protocol does not give.
+    /// A policy asks for a camera that the protocol does not offer.
     #[error("look through camera `{0}`: policies have agentview and robot0_eye_in_hand")]
     Camera(String),
     /// OpenGL cannot be opened or used.
     #[error("draw off-screen: {problem}; {remedy}")]
     Graphics {
-        /// What happened.
+        /// Cause of the failure.
         problem: String,
-        /// What to do.
+        /// Remedy for the operator.
         remedy: &'static str,
     },
     /// A C allocation failed.
@@ -90,7 +90,8 @@ pub enum SimError {
 }
 
 impl SimError {
-    /// Whether it is this machine's fault, and would not happen on a sound one.
+    /// Returns true if the fault lies with this machine and would not occur on a sound
+    /// one.
     pub fn is_of_the_machine(&self) -> bool {
         matches!(
             self,

@@ -34,7 +34,7 @@ pub const FATAL_EXIT_STATUS: i32 = 86;
 const MAX_WARNINGS: usize = 8;
 
 thread_local! {
-    /// What MuJoCo warned of on this thread, which is where it was called.
+    /// Warnings of MuJoCo on this thread, on which it was called.
     static WARNINGS: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
 }
 

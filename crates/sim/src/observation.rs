@@ -1,13 +1,13 @@
-//! What a policy may look at.
+//! Observations of a policy, and requests for them.
 
 use protocol::Privileged;
 
-/// What an observation should contain.
+/// Requested contents of an observation.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ObservationRequest {
-    /// Frames, in this order; none are drawn that are not asked for.
+    /// Frames to draw, in this order.
     pub cameras: Vec<CameraRequest>,
-    /// Whether to add the simulator's own state.
+    /// True to add the simulator's own state.
     pub privileged: bool,
 }
 
@@ -22,12 +22,11 @@ pub struct CameraRequest {
     pub height: u32,
 }
 
-/// What a policy sees, as the original's `env.step` returns it: frames and
-/// end-effector poses lag 4 ms behind the control step's end, joint readings
-/// 2 ms.
+/// Observation of a policy, as the original's `env.step` returns it: frames and
+/// end-effector poses lag 4 ms behind the control step's end, joint readings 2 ms.
 #[derive(Debug, Clone)]
 pub struct Observation {
-    /// In the order of the request, corrupted where the sensor is perturbed.
+    /// Frames in the order of the request, corrupted where the sensor is perturbed.
     pub frames: Vec<Frame>,
     /// The robot's readings.
     pub robot: RobotState,

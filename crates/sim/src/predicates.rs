@@ -15,7 +15,7 @@ use crate::mujoco::{Data, Model, ObjectKind};
 /// A goal resolved to ids: all its checks must hold.
 pub struct Goal {
     checks: Vec<Check>,
-    /// Which instance each geom belongs to as a collision geom.
+    /// Per geom: index of the instance that has it as a collision geom.
     owner_of_geom: Vec<Option<usize>>,
 }
 
@@ -201,7 +201,7 @@ fn vector(values: &[f64], index: usize) -> [f64; 3] {
     std::array::from_fn(|axis| values[index * 3 + axis])
 }
 
-/// What a name in a goal refers to.
+/// Referent of a name in a goal.
 enum Referent<'a> {
     Instance(usize, &'a Instance),
     Region(&'a RegionSite),

@@ -12,7 +12,7 @@ use crate::mujoco::{Data, Model, ObjectKind};
 const FREE_JOINT: i32 = 0;
 
 impl Environment {
-    /// Where everything is, for scripted experts.
+    /// Poses of everything in the scene, for scripted experts.
     ///
     /// # Errors
     /// If the model lacks what its scene names.

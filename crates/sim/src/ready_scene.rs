@@ -66,7 +66,7 @@ impl ReadyScene {
         })
     }
 
-    /// What its environments share.
+    /// Compiled scene that its environments share.
     pub fn compiled(&self) -> &Arc<CompiledScene> {
         &self.compiled
     }

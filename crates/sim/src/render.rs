@@ -29,13 +29,13 @@ pub(crate) use view::View;
 use crate::error::SimError;
 use crate::mujoco::{Model, Segment};
 
-/// Which renderer draws.
+/// Renderer of the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Renderer {
-    /// Our own: the same bits on every machine, without OpenGL.
+    /// Own software renderer: the same bits on every machine, without OpenGL.
     #[default]
     Software,
-    /// MuJoCo's, through OpenGL on a device.
+    /// MuJoCo's renderer, through OpenGL on a device.
     Gl(GlDevice),
 }
 
@@ -74,8 +74,8 @@ impl FromStr for Renderer {
 /// std::thread::spawn(move || drop(drawer));
 /// ```
 ///
-/// What an environment keeps for drawing shares ownership of the OpenGL context, so a
-/// drawer may be dropped at any time.
+/// The canvases of an environment share ownership of the OpenGL context, so a drawer may
+/// be dropped at any time.
 pub enum Drawer {
     /// Our own.
     Software,
@@ -84,10 +84,10 @@ pub enum Drawer {
 }
 
 impl Drawer {
-    /// Gets a renderer ready.
+    /// Prepares a renderer.
     ///
     /// # Errors
-    /// Where OpenGL is asked for and no device gives a context.
+    /// If OpenGL is requested and no device gives a context.
     pub fn open(renderer: Renderer) -> Result<Self, SimError> {
         match renderer {
             Renderer::Software => Ok(Self::Software),
@@ -95,8 +95,8 @@ impl Drawer {
         }
     }
 
-    /// What draws, with its version: `rollout-raster 2`, or of OpenGL the driver's
-    /// words, for example `llvmpipe (…)`.
+    /// Name of the renderer with its version: `rollout-raster 2`, or of OpenGL the
+    /// driver's words, for example `llvmpipe (…)`.
     pub fn name(&self) -> &str {
         match self {
             Self::Software => raster::NAME,
@@ -128,7 +128,7 @@ impl LazyDrawer {
     }
 }
 
-/// What a renderer keeps to draw one scene.
+/// State that a renderer keeps to draw one scene.
 pub(crate) enum Canvas {
     Software(Box<SoftwareCanvas>),
     /// On another thread than the one that made it, it suits no renderer.

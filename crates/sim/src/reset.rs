@@ -1,5 +1,5 @@
-//! What a reset without an initial state places, as robosuite's `reset`:
-//! everything, by LIBERO's samplers.
+//! Reset without an initial state, as robosuite's `reset`: LIBERO's samplers place
+//! everything.
 
 use protocol::numpy::LegacyRng;
 use scene::SceneError;
@@ -9,11 +9,11 @@ use crate::controller::{ARM_JOINTS, RESET_JOINTS};
 use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
 
-/// Where the fingers are at a reset, m (`PandaGripper.init_qpos`).
+/// Finger positions at a reset, m (`PandaGripper.init_qpos`).
 const RESET_FINGERS: [f64; 2] = [0.020833, -0.020833];
 
-/// What a reset starts from: robosuite's `hard_reset`, whose other sense shows
-/// in the scenes that come out of it.
+/// Starting point of a reset: robosuite's `hard_reset`, whose other sense shows in the
+/// resulting scenes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reset {
     /// The model as compiled, as if it were loaded anew: fixtures where its file

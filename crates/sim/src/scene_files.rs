@@ -71,7 +71,7 @@ impl SceneFolder {
 
     /// Chooses the folder of this process, or `off`, before anything asks for it.
     pub fn choose(setting: &OsStr) {
-        // What was asked for before stays: scenes of it may be mapped.
+        // An earlier choice stays, since its scenes may be mapped.
         let _ = CHOSEN.set(from_setting(Some(setting)));
     }
 

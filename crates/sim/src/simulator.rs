@@ -21,7 +21,7 @@ pub struct SimulatorConfig {
     pub sources: Sources,
     /// Models of objects and arenas.
     pub pack: AssetPack,
-    /// What draws.
+    /// Renderer of the frames.
     pub renderer: Renderer,
     /// Compiled scenes kept; each takes some 100 MB with the real assets where it is not
     /// kept in a file.
@@ -54,7 +54,7 @@ impl Simulator {
         mujoco::version()
     }
 
-    /// What draws, by its own name; opens it.
+    /// Name of the renderer; opens it.
     pub fn renderer_name(&mut self) -> Result<String, SimError> {
         Ok(self.drawer.open()?.name().to_owned())
     }

@@ -34,9 +34,9 @@ impl Environment {
     /// then: 1 at construction, one more with each hard reset. Its list of
     /// samplers of what starts open, closed, on or off grows by that.
     ///
-    /// Where a thing finds no room, everything is drawn again, as the original's
-    /// wrapper does, which counts as another hard reset if this is one. Returns
-    /// the rounds that it came to: what the next reset's count goes on from.
+    /// If a thing finds no room, everything is drawn again, as the original's wrapper
+    /// does, which counts as another hard reset if this is one. Returns the resulting
+    /// number of rounds, from which the next reset goes on.
     ///
     /// # Errors
     /// [`NoRoom`](scene::SceneError::NoRoom) if that fails a thousand times.

@@ -1,6 +1,6 @@
-//! What pairing rests on: in `matched` mode an axis alone and the same axis in
-//! any combination are realised bit for bit alike, in any configuration, at any
-//! radius. Without MuJoCo: camera, lights and arm are made up.
+//! Basis of pairing: in `matched` mode an axis alone and the same axis in any combination
+//! are realised bit for bit alike, in any configuration, at any radius. Runs without
+//! MuJoCo: camera, lights and arm are made up.
 
 use std::collections::BTreeMap;
 
@@ -21,8 +21,8 @@ const PICTURE_PX: usize = 24;
 const PICTURED_STEPS: [u32; 3] = [0, 1, 40];
 const ACTIONS: usize = 30;
 
-/// What became of a row's perturbation: what a result keeps of it, and per axis
-/// every number that the rollout would see of it, as bits.
+/// Realised perturbation of a row: the part that a result keeps, and per axis every
+/// number that the rollout would see of it, as bits.
 #[derive(Debug)]
 struct Realised {
     kept: attempt::Realised,
@@ -236,8 +236,8 @@ proptest! {
         prop_assert_eq!(compared, design.axes.len() + 2 * design.subsets.len());
     }
 
-    /// What `matched` is there for: the streams of the reference differ between
-    /// the conditions, wherever something is drawn.
+    /// Reason for the `matched` mode: the streams of the reference differ between the
+    /// conditions, wherever something is drawn.
     #[test]
     fn in_reference_mode_what_is_drawn_is_drawn_anew(
         task in select(TaskRef::all().collect::<Vec<_>>()),

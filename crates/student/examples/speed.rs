@@ -59,7 +59,7 @@ fn measure(
     Ok(())
 }
 
-/// What this thread has computed.
+/// Processor time of this thread, seconds.
 fn processor_seconds() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9

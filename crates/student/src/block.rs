@@ -14,14 +14,14 @@ pub(crate) struct Block {
     stride: usize,
     conv1: Convolution,
     norm1: GroupNorm,
-    /// From the text to what it says about channels.
+    /// Layer that maps the text to factors and shifts of the channels.
     pub(crate) film: Linear,
     conv2: Convolution,
     norm2: GroupNorm,
     skip: Convolution,
 }
 
-/// Room for what is worked out on the way, used again from block to block.
+/// Scratch memory for intermediate values, used again from block to block.
 #[derive(Debug, Default)]
 pub(crate) struct Workspace {
     pub(crate) room: Room,
@@ -29,12 +29,12 @@ pub(crate) struct Workspace {
     skipped: Vec<f32>,
 }
 
-/// What a block is made like.
+/// Dimensions of a block.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shape {
-    /// Channels that go in.
+    /// Input channels.
     pub(crate) inputs: usize,
-    /// Channels that come out.
+    /// Output channels.
     pub(crate) outputs: usize,
     /// 2 halves the sides, 1 keeps them.
     pub(crate) stride: usize,
@@ -97,7 +97,7 @@ impl Block {
     }
 }
 
-/// Makes `values` so many zeros.
+/// Sets `values` to this many zeros.
 pub(crate) fn zeros(values: &mut Vec<f32>, size: usize) {
     values.clear();
     values.resize(size, 0.0);

@@ -1,5 +1,5 @@
-//! What a convolution looks at, one column per place of its result: a convolution
-//! becomes a matrix product.
+//! Columns of a convolution, one per place of its result, each holding the inputs at that
+//! place: a convolution becomes a matrix product.
 
 use std::ops::Range;
 
@@ -37,14 +37,14 @@ pub(crate) struct Part<'a> {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rows<'a> {
     pub(crate) columns: Matrix<'a>,
-    /// Which of the convolution's inputs the first row is.
+    /// Index of the first row among the convolution's inputs.
     pub(crate) input: usize,
-    /// Which of the result's places the first column is.
+    /// Index of the first column among the result's places.
     pub(crate) place: usize,
 }
 
 impl Part<'_> {
-    /// What windows of 3 x 3 see: a row for each channel and place of the window.
+    /// Rows for windows of 3 x 3: one for each channel and place of the window.
     pub(crate) fn windows(&self) -> Rows<'_> {
         let inputs = self.channels.len() * WINDOW;
         Rows {
@@ -54,7 +54,7 @@ impl Part<'_> {
         }
     }
 
-    /// What windows of 1 x 1 see, which are the others' middles: a row for each
+    /// Rows for windows of 1 x 1, which are the middles of the others: one for each
     /// channel.
     pub(crate) fn middles(&self) -> Rows<'_> {
         let places = self.places.len();
@@ -68,7 +68,8 @@ impl Part<'_> {
     }
 }
 
-/// Room to gather columns in, used again from convolution to convolution.
+/// Scratch memory in which columns are gathered, used again from convolution to
+/// convolution.
 #[derive(Debug, Default)]
 pub(crate) struct Room {
     columns: Vec<f32>,
@@ -121,7 +122,7 @@ fn ranges(end: usize, step: usize) -> impl Iterator<Item = Range<usize>> {
 #[derive(Debug, Clone, Copy)]
 struct Phases<'a> {
     values: &'a [f32],
-    /// Of each phase, which is the result's.
+    /// Side of a phase, which is the result's.
     side: usize,
     stride: usize,
 }
@@ -131,8 +132,8 @@ impl<'a> Phases<'a> {
         self.values.len() / (self.side * self.side * self.stride * self.stride)
     }
 
-    /// What the window's row `y` and column `x` see of a channel: which phase, how
-    /// many rows further down, and how many columns further right.
+    /// Returns the values of a channel at the window's row `y` and column `x`: their
+    /// phase, and its shift in rows down and in columns to the right.
     fn seen(&self, channel: usize, y: usize, x: usize) -> (&'a [f32], isize, isize) {
         let stride = self.stride;
         let divide = |at: usize| {

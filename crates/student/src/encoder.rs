@@ -1,4 +1,4 @@
-//! From a picture to 320 numbers, with the text's say in it.
+//! Encoder: from a picture to 320 numbers, modulated by the text.
 
 use crate::block::{Block, Shape, Workspace, zeros};
 use crate::columns::{self, Planes, Rows};
@@ -34,7 +34,7 @@ const FEATURES: usize = 128;
 /// Numbers that a picture becomes.
 pub(crate) const WIDTH: usize = 3 * POINTS + FEATURES;
 
-/// What looks at one camera's pictures.
+/// Encoder of one camera's pictures.
 #[derive(Debug)]
 pub(crate) struct Encoder {
     stem: Convolution,
@@ -42,20 +42,21 @@ pub(crate) struct Encoder {
     blocks: [Block; 3],
     points: Convolution,
     points_bias: Vec<f32>,
-    /// What the first block's planes, twice as fine, add to the points' scores.
+    /// Layer that adds scores from the first block's planes, twice as fine, to the
+    /// points' scores.
     fine: Option<Convolution>,
 }
 
-/// What the texts of some queries say to each block: a row per query.
+/// Modulation of each block by the texts of some queries: a row per query.
 #[derive(Debug)]
 pub(crate) struct Films([Vec<f32>; 3]);
 
-/// Room for a picture and what becomes of it, used again from query to query.
+/// Scratch memory for a picture and its planes, used again from query to query.
 #[derive(Debug, Default)]
 pub(crate) struct Scratch {
     picture: Vec<f32>,
     planes: [Vec<f32>; 2],
-    /// The first block's planes, where points are looked for in them too.
+    /// Planes of the first block, if points are located in them too.
     fine: Vec<f32>,
     work: Workspace,
 }
@@ -94,7 +95,7 @@ impl Encoder {
         })
     }
 
-    /// What texts (a row per query) say to this encoder.
+    /// Modulation of this encoder's blocks by texts (a row per query).
     pub(crate) fn films(&self, products: Products, texts: &[f32]) -> Films {
         let films = |block: &Block| block.film.apply(products, texts);
         Films(self.blocks.each_ref().map(films))
@@ -148,8 +149,8 @@ impl Encoder {
         }
     }
 
-    /// Where the points are, by the planes of the last features, and by those of the first
-    /// block if they have a say; `scores` is room.
+    /// Locates the points by the planes of the last features, and by those of the first
+    /// block if `fine` is present; `scores` is scratch memory.
     fn locate(
         &self,
         products: Products,

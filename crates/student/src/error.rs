@@ -1,148 +1,148 @@
-//! What cannot be read or answered, and why.
+//! Errors of weights files and queries.
 
-/// Why a file is not the weights of a student.
+/// Reason why a file is not the weights of a student.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum WeightsError {
-    /// Not the container that weights come in.
+    /// File that is no complete safetensors container.
     #[error(
         "the weights file, {bytes} bytes, is no safetensors file or is not whole: export it or \
          copy it again"
     )]
     Unreadable {
-        /// Bytes that were given.
+        /// Length of the file, bytes.
         bytes: usize,
     },
-    /// Another kind of network, or one of another version.
+    /// Weights of another kind or version of network.
     #[error(
         "the weights file's metadata gives {} as its format; this program reads {expected:?}: give \
          weights that were exported for it",
         .found.as_ref().map_or("nothing".to_owned(), |found| format!("{found:?}"))
     )]
     Format {
-        /// What the metadata has as `format`, if anything.
+        /// Value of `format` in the metadata, if there is one.
         found: Option<String>,
-        /// What is read.
+        /// Format that this program reads.
         expected: &'static str,
     },
-    /// Weights that do not say what they are called.
+    /// Metadata without a name.
     #[error("the weights file's metadata has no name: export it with \"name\" in the metadata")]
     Name,
-    /// A tensor is not there.
+    /// Missing tensor.
     #[error(
         "the weights file has no tensor {tensor}, which must be {expected:?} of {kind}: export \
          the whole network"
     )]
     Missing {
-        /// Its name.
+        /// Name of the tensor.
         tensor: String,
-        /// Its shape.
+        /// Shape that the network needs.
         expected: Vec<usize>,
-        /// Its numbers' type.
+        /// Type of its numbers.
         kind: &'static str,
     },
-    /// A tensor has other dimensions.
+    /// Tensor of another shape.
     #[error(
         "tensor {tensor} of the weights file has the shape {found:?}; expected is {expected:?}: \
          give weights of this network"
     )]
     Shape {
-        /// Its name.
+        /// Name of the tensor.
         tensor: String,
-        /// Its shape.
+        /// Shape in the file.
         found: Vec<usize>,
-        /// The network's.
+        /// Shape that the network needs.
         expected: Vec<usize>,
     },
-    /// A tensor's numbers are of another type.
+    /// Tensor of another type.
     #[error(
         "tensor {tensor} of the weights file is of type {found}; expected is {expected}: export it \
          as {expected}"
     )]
     Type {
-        /// Its name.
+        /// Name of the tensor.
         tensor: String,
-        /// Its type.
+        /// Type in the file.
         found: String,
-        /// The network's.
+        /// Type that the network needs.
         expected: &'static str,
     },
-    /// A number that cannot be computed with.
+    /// Tensor with a number that is not finite.
     #[error(
         "tensor {tensor} of the weights file holds {value} at place {place}, where a finite \
          number is expected: training has diverged, export an earlier state"
     )]
     NotFinite {
-        /// Its name.
+        /// Name of the tensor.
         tensor: String,
-        /// Counted from 0, row after row.
+        /// Index of the number, counted from 0 in row-major order.
         place: usize,
-        /// What stands there: `NaN`, `inf` or `-inf`.
+        /// Number in the file: `NaN`, `inf` or `-inf`.
         value: String,
     },
-    /// A divisor that is none.
+    /// Divisor that is not positive.
     #[error(
         "tensor {tensor} of the weights file holds {value} at place {place}, where a number above \
          0 is expected: export a spread of at least a rounding error for numbers that never vary"
     )]
     NotPositive {
-        /// Its name.
+        /// Name of the tensor.
         tensor: String,
-        /// Counted from 0.
+        /// Index of the number, counted from 0.
         place: usize,
-        /// What stands there.
+        /// Number in the file.
         value: String,
     },
-    /// A tensor that no layer takes.
+    /// Tensor that no layer takes.
     #[error(
         "the weights file has a tensor {tensor}, which this network does not: give weights of \
          this network"
     )]
     Unknown {
-        /// Its name.
+        /// Name of the tensor.
         tensor: String,
     },
 }
 
-/// Why a query cannot be answered.
+/// Reason why a query cannot be answered.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum QueryError {
-    /// A picture of another size.
+    /// Picture of another size.
     #[error(
         "query {query}: the picture of {camera} has {found} bytes; expected are {expected}, 256 × \
          256 pixels of 3 bytes: ask the camera for that size"
     )]
     Picture {
-        /// Which of the queries, counted from 0.
+        /// Index of the query, counted from 0.
         query: usize,
         /// `agentview` or `wrist`.
         camera: &'static str,
-        /// Its bytes.
+        /// Length of the picture, bytes.
         found: usize,
-        /// What they should be.
+        /// Length that is expected, bytes.
         expected: usize,
     },
-    /// A reading that is no number to compute with.
+    /// Reading that is not finite.
     #[error(
         "query {query}: number {place} of {reading} is {value}, which is not finite: look for what \
          the simulator or the client sent"
     )]
     State {
-        /// Which of the queries, counted from 0.
+        /// Index of the query, counted from 0.
         query: usize,
         /// `eef_pos`, `eef_rotation` or `gripper_pos`.
         reading: &'static str,
-        /// Counted from 0.
+        /// Index within the reading, counted from 0.
         place: usize,
-        /// What it is.
+        /// Value of the number.
         value: String,
     },
-    /// An answer that has left the range of numbers.
+    /// Answer that is not finite.
     #[error(
         "query {query}: the network's answer is not finite: give readings in metres as the \
          network was trained on, or weights that do not overflow"
     )]
     Answer {
-        /// Which of the queries, counted from 0.
+        /// Index of the query, counted from 0.
         query: usize,
     },
 }

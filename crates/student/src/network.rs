@@ -84,7 +84,7 @@ impl Network {
         Ok(network)
     }
 
-    /// What the weights are called, by their file.
+    /// Name of the weights, from the metadata of their file.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -94,18 +94,18 @@ impl Network {
         &self.digest
     }
 
-    /// How many numbers were trained.
+    /// Number of trained parameters.
     pub fn parameters(&self) -> usize {
         self.parameters
     }
 
-    /// Who computes this network's products on this machine.
+    /// Implementation of this network's matrix products on this machine.
     pub fn products(&self) -> Products {
         self.products
     }
 
-    /// The same network with plain products, as on machines without fused
-    /// multiply-adds. It gives the same bits, which is what it is for.
+    /// Returns the same network with plain products, as on machines without fused
+    /// multiply-adds. Its answers are the same, bit for bit.
     pub fn with_plain_products(self) -> Self {
         Self {
             products: Products::Plain,
@@ -113,8 +113,8 @@ impl Network {
         }
     }
 
-    /// A chunk of actions for each query. What a query is answered does not depend on
-    /// the others. One thread computes; memory is a few megabytes, and a few kilobytes
+    /// Returns a chunk of actions for each query. The answer to a query does not depend
+    /// on the others. One thread computes; memory is a few megabytes, and a few kilobytes
     /// for each query.
     ///
     /// # Errors
@@ -145,7 +145,7 @@ impl Network {
         }
     }
 
-    /// All that the head decides by: a row for each query.
+    /// Input of the head: a row for each query.
     fn sense(&self, queries: &[Query<'_>]) -> Vec<f32> {
         let texts = self.texts(queries);
         let states = self.states(queries);

@@ -16,8 +16,8 @@ pub(crate) struct GroupNorm {
     bias: Vec<f32>,
 }
 
-/// What the text says about channels: first a factor less one for each, then a shift
-/// for each.
+/// Modulation of channels by the text: first a factor less one for each, then a shift for
+/// each.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Film<'a>(pub(crate) &'a [f32]);
 

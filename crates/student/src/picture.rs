@@ -1,11 +1,11 @@
-//! A picture as the network sees it: half as large, three planes of numbers.
+//! Input picture of the network: half as large, three planes of numbers.
 
 use crate::query::PICTURE_SIDE;
 
-/// Pixels along a side of what the network sees.
+/// Pixels along a side of the network's input.
 pub(crate) const SIDE: usize = PICTURE_SIDE / 2;
 
-/// What each byte stands for: -1 for 0, 1 for 255.
+/// Value of each byte: -1 for 0, 1 for 255.
 const VALUES: [f32; 256] = {
     let mut values = [0.0; 256];
     let mut byte = 0;

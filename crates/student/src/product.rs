@@ -14,7 +14,7 @@
 /// library's own number; the tests below fail should it change.
 const RUN: usize = 256;
 
-/// Who computes a network's products. The bits are the same.
+/// Implementation of a network's matrix products. The bits are the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Products {
     /// `matrixmultiply`, with the processor's fused multiply-adds.

@@ -1,4 +1,4 @@
-//! What the network is asked, and what it answers.
+//! Queries to the network, and its answers.
 
 use crate::error::QueryError;
 
@@ -13,30 +13,30 @@ pub(crate) const ARM: usize = 6;
 /// Numbers of the robot's state.
 pub(crate) const STATE: usize = 14;
 
-/// What to do next, action after action: three numbers that shift the hand, three
-/// that turn it, all from -1 to 1, and the gripper: 1 closes it, -1 opens it.
+/// Answer to a query, action after action: three numbers that shift the hand, three that
+/// turn it, all from -1 to 1, and the gripper: 1 closes it, -1 opens it.
 pub type Chunk = [[f32; ARM + 1]; ACTIONS];
 
-/// One moment, to be answered by a [`Chunk`].
+/// Observation at one moment, to be answered by a [`Chunk`].
 #[derive(Debug, Clone, Copy)]
 pub struct Query<'a> {
-    /// The scene's camera: [`PICTURE_BYTES`] bytes, RGB, row after row, row 0 at
-    /// the bottom of the picture.
+    /// Picture of the scene's camera: [`PICTURE_BYTES`] bytes, RGB, row after row, row 0
+    /// at the bottom of the picture.
     pub agentview: &'a [u8],
-    /// The hand's camera, laid out alike.
+    /// Picture of the hand's camera, in the same layout.
     pub wrist: &'a [u8],
-    /// Where the hand is, in metres, in the world.
+    /// Position of the hand, metres, world frame.
     pub eef_pos: [f64; 3],
-    /// How the hand body is turned, as a matrix, row by row.
+    /// Orientation of the hand body, row-major rotation matrix.
     pub eef_rotation: [f64; 9],
-    /// Where the two finger joints are, in metres.
+    /// Positions of the two finger joints, metres.
     pub gripper_pos: [f64; 2],
     /// The task, in words.
     pub instruction: &'a str,
 }
 
 impl Query<'_> {
-    /// Whether it can be answered. `query` is its place among others, for the
+    /// Checks that the query can be answered. `query` is its index among others, for the
     /// error.
     pub(crate) fn check(&self, query: usize) -> Result<(), QueryError> {
         for (camera, picture) in [("agentview", self.agentview), ("wrist", self.wrist)] {
@@ -80,12 +80,12 @@ impl Query<'_> {
     }
 }
 
-/// What the network computes before it becomes actions.
+/// Output of the network before it becomes actions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Output {
-    /// Of each action the six numbers of the arm, not yet limited to -1..1.
+    /// Six numbers of the arm per action, not yet limited to -1..1.
     pub arm: [[f32; ARM]; ACTIONS],
-    /// Of each action how much speaks for a closed gripper; above 0 it closes.
+    /// Score per action for a closed gripper; above 0 it closes.
     pub gripper_logits: [f32; ACTIONS],
 }
 

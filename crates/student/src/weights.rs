@@ -1,4 +1,4 @@
-//! The weights file: which tensors it has, and that they are the network's.
+//! Weights file: reads its tensors, and checks that they are the network's.
 
 use std::collections::BTreeSet;
 
@@ -7,8 +7,8 @@ use safetensors::{Dtype, SafeTensors};
 
 use crate::error::WeightsError;
 
-/// What the metadata has as `format`: of networks that look for points on 16 x 16 places, and of
-/// those that do on 32 x 32, with a wider head.
+/// Values of `format` in the metadata: of networks that locate points on 16 x 16 places,
+/// and of those that do on 32 x 32, with a wider head.
 const COARSE: &str = "rollout-student/1";
 const FINE: &str = "rollout-student/2";
 
@@ -18,7 +18,7 @@ pub(crate) struct Tensors<'a> {
     file: SafeTensors<'a>,
     name: String,
     is_fine: bool,
-    /// Names of those that no layer has taken.
+    /// Names of the tensors that no layer has taken.
     left: BTreeSet<String>,
     parameters: usize,
 }
@@ -51,17 +51,16 @@ impl<'a> Tensors<'a> {
         })
     }
 
-    /// What the weights are called.
     pub(crate) fn name(&self) -> &str {
         &self.name
     }
 
-    /// Whether points are looked for on 32 x 32 places, and the head is wide.
+    /// True if points are located on 32 x 32 places and the head is wide.
     pub(crate) fn is_fine(&self) -> bool {
         self.is_fine
     }
 
-    /// How many numbers [`Self::half`] has handed out.
+    /// Count of the numbers that [`Self::half`] has handed out.
     pub(crate) fn parameters(&self) -> usize {
         self.parameters
     }

@@ -1,4 +1,4 @@
-//! What queries are answered, and which are refused.
+//! Answers to valid queries, and refusal of invalid ones.
 
 mod support;
 

@@ -48,7 +48,7 @@ fn golden_answers_have_the_same_bits_on_every_machine() {
     ));
 }
 
-/// What machines without fused multiply-adds compute.
+/// Stands in for machines without fused multiply-adds.
 #[test]
 fn plain_products_give_the_same_bits() {
     let moment = Moment::random(1);

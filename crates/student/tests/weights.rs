@@ -1,4 +1,4 @@
-//! Which files are weights, and how others are refused.
+//! Acceptance of weights files, and refusal of others.
 
 mod support;
 

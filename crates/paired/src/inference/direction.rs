@@ -111,5 +111,5 @@ impl DirectionTest {
 
 /// Uniform in 0..`end`.
 fn below(end: usize, rng: &mut ChaCha12Rng) -> usize {
-    (u64::from(rng.next_u32()) * end as u64 >> 32) as usize
+    ((u64::from(rng.next_u32()) * end as u64) >> 32) as usize
 }

@@ -15,7 +15,7 @@ use crate::rotation::Rotation;
 /// Height of an object's underside over the workspace or another object, m.
 const OBJECT_Z_OFFSET: f64 = 0.01;
 
-/// What the samplers are planned from.
+/// Inputs of the plan, and the samplers planned so far.
 struct Plan<'a> {
     problem: &'a Problem,
     arena: &'a Arena,
@@ -24,7 +24,7 @@ struct Plan<'a> {
     samplers: Samplers,
 }
 
-/// Where a statement puts its object.
+/// Place to which a statement assigns its object.
 enum Place<'a> {
     Workspace(&'a Region),
     OnSite(&'a Region),
@@ -89,7 +89,7 @@ impl<'a> Plan<'a> {
             .is_some_and(|part| part.instance.kind == kind)
     }
 
-    /// Where a statement of `:init` places its first argument. None for those
+    /// Place that a statement of `:init` gives its first argument. `None` for statements
     /// that place nothing, which the original passes over.
     fn place(&self, predicate: &'a Predicate) -> Option<Place<'a>> {
         let [_, place] = predicate.arguments.as_slice() else {

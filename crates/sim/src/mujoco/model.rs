@@ -25,7 +25,7 @@ pub struct Model {
     compilation: Arc<Compilation>,
 }
 
-/// What MuJoCo compiled; nobody changes it.
+/// Immutable result of a MuJoCo compilation.
 pub(super) struct Compilation {
     raw: NonNull<c::mjModel>,
     kept: Kept,
@@ -34,7 +34,7 @@ pub(super) struct Compilation {
     serial: u64,
 }
 
-/// Who keeps what a compilation consists of.
+/// Owner of the memory of a compilation.
 pub(super) enum Kept {
     /// MuJoCo, structure and arrays.
     Compiled,
@@ -390,7 +390,7 @@ pub(crate) struct TextureData {
 }
 
 impl TextureData {
-    /// Where it lies among the texels of all textures.
+    /// Range of its texels among those of all textures.
     pub(crate) fn texels(&self) -> Range<usize> {
         self.start..self.start + self.width * self.height * self.channels
     }

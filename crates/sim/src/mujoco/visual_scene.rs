@@ -13,12 +13,12 @@ const MAX_GEOMS: i32 = 1000;
 /// Geom groups: collision geometry is not drawn, visual geometry is.
 const COLLISION_GROUP: usize = 0;
 
-/// What is seen in a pixel of a segmentation image.
+/// Object in a pixel of a segmentation image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Segment {
     /// Kind of object (`mjtObj`); geoms are 5, sites 6.
     pub kind: i32,
-    /// Its id among those of its kind.
+    /// Id among the objects of its kind.
     pub id: i32,
 }
 

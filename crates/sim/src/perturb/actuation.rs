@@ -28,7 +28,7 @@ pub struct ActuationStage {
     fixed: FixedElements,
 }
 
-/// What is drawn once per rollout.
+/// Elements that are drawn once per rollout.
 #[derive(Clone, Copy)]
 struct FixedElements {
     bias_direction: [f64; ARM],

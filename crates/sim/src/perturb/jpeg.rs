@@ -1,6 +1,6 @@
-//! What JPEG compression does to a picture, without the bitstream: colour
-//! conversion, 4:2:0 chroma, discrete cosine transform and quantisation, and
-//! the way back. Entropy coding loses nothing, so it is left out.
+//! Effect of JPEG compression on a picture, without the bitstream: colour conversion,
+//! 4:2:0 chroma, discrete cosine transform and quantisation, and the way back. Entropy
+//! coding loses nothing, so it is left out.
 //!
 //! The integer arithmetic is that of libjpeg's defaults, which Pillow uses:
 //! "islow" transforms, quality-scaled Annex K tables, smooth chroma upsampling.

@@ -37,7 +37,7 @@ pub struct ArmState {
     pub jacobian: Jacobian,
 }
 
-/// What the search found.
+/// Result of the search for a posture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IkSolution {
     /// The arm's posture.

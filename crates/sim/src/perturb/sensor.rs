@@ -22,10 +22,10 @@ const LEAST_BLUR_PX: f64 = 1e-3;
 const LEAST_JPEG_LOG2: f64 = 1e-3;
 /// Noise below this is none, on values in [0, 1].
 const LEAST_NOISE: f64 = 1e-5;
-/// Where the Gaussian is cut off, standard deviations.
+/// Cut-off of the Gaussian, standard deviations.
 const TRUNCATE_SIGMAS: f64 = 4.0;
 
-/// Which camera a picture comes from.
+/// Camera that a picture comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum FrameSource {
     /// `agentview`.

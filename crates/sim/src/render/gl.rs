@@ -12,7 +12,7 @@ use crate::mujoco::{Model, Segment, VisualScene};
 use super::gl_context::GlContext;
 use super::view::View;
 
-/// What MuJoCo keeps to draw one scene. It lives in an OpenGL context, which is
+/// MuJoCo's state for drawing one scene. It lives in an OpenGL context, which is
 /// therefore freed after it.
 pub(crate) struct GlCanvas {
     visual_scene: VisualScene,
@@ -164,7 +164,7 @@ fn pixels([width, height]: [u32; 2]) -> usize {
     width as usize * height as usize
 }
 
-/// Where a picture goes, which has room for all its pixels.
+/// Target buffer of a picture, with room for all its pixels.
 enum Target<'a> {
     Colours(&'a mut [u8]),
     Depths(&'a mut [f32]),

@@ -7,7 +7,7 @@ use khronos_egl as egl;
 
 use crate::error::SimError;
 
-/// Which device draws.
+/// OpenGL device that draws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum GlDevice {
     /// The first that works, in the driver's order.
@@ -80,7 +80,7 @@ impl GlContext {
         made.map_err(|error| graphics(format!("the OpenGL context is lost ({error})")))
     }
 
-    /// What draws, in the driver's words, for example `llvmpipe (…)`.
+    /// Name of the renderer in the driver's words, for example `llvmpipe (…)`.
     pub fn renderer(&self) -> &str {
         &self.renderer
     }

@@ -22,7 +22,7 @@ const REMEDY: &str = "draw it with --renderer gl";
 const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
 const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
 
-/// What this process has prepared, by the digest of its source. The digest need
+/// Cache of what this process has prepared, by the digest of its source. The digest need
 /// only be fast: there is nothing to gain from a forged collision.
 type Known<T> = LazyLock<Mutex<HashMap<u128, Weak<T>>>>;
 
@@ -37,7 +37,7 @@ pub(super) struct Material {
     pub(super) uniform: bool,
 }
 
-/// What does not change of a model.
+/// Immutable drawing data of a model.
 pub(crate) struct Prepared {
     pub(super) model: raster::Model,
     pub(super) materials: Vec<Option<Material>>,
@@ -47,7 +47,7 @@ pub(crate) struct Prepared {
     pub(super) largest: Vec<Bytes>,
 }
 
-/// What is prepared of a model as bytes: of each mesh, and of each texture the largest level
+/// Prepared parts of a model as bytes: each mesh, and of each texture the largest level
 /// and the smaller ones.
 pub(crate) struct PreparedBytes {
     pub(crate) meshes: Vec<Bytes>,

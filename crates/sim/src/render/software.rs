@@ -14,7 +14,7 @@ use crate::mujoco::{Model, Segment, VisualScene};
 
 const PLANE: i32 = c::mjtGeom::mjGEOM_PLANE as i32;
 
-/// What our renderer keeps to draw one scene.
+/// Software renderer's state for drawing one scene.
 pub(crate) struct SoftwareCanvas {
     visual_scene: VisualScene,
     prepared: Arc<Prepared>,

@@ -1,5 +1,5 @@
-//! What may be used and freed only on the thread that made it, in something that
-//! moves between threads.
+//! Container that moves between threads, for a value that may be used and freed only on
+//! the thread that made it.
 
 use std::mem::ManuallyDrop;
 use std::thread::{self, ThreadId};

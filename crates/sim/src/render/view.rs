@@ -1,8 +1,8 @@
-//! What is to be drawn.
+//! View of a model through one of its cameras.
 
 use crate::mujoco::{Data, Model};
 
-/// What a camera of a model is to show, and how large.
+/// Camera of a model, with the state and the size in which it is drawn.
 pub(crate) struct View<'a> {
     pub(crate) model: &'a Model,
     /// A state of the model.

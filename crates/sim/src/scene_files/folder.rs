@@ -45,11 +45,11 @@ pub enum SceneFileError {
         path.display()
     )]
     File {
-        /// What was to be done to it.
+        /// Operation that failed.
         doing: &'static str,
-        /// Which one.
+        /// Path of the file or folder.
         path: PathBuf,
-        /// How it failed.
+        /// Cause of the failure.
         #[source]
         source: io::Error,
     },
@@ -400,8 +400,8 @@ impl SceneFolder {
         drop(written);
     }
 
-    /// What was checked by this machine since it started; another that shares the folder has
-    /// notes of its own.
+    /// Path of the note that this machine has checked a file since it started; another
+    /// machine that shares the folder has notes of its own.
     fn note(&self, name: &Name) -> Option<PathBuf> {
         let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
         let file = format!("{}.{}.checked", text(name), boot.trim());

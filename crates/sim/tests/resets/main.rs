@@ -144,7 +144,7 @@ fn what_the_initial_state_cannot_mean_is_refused_with_the_statement() {
     }
 }
 
-/// What a scene's samplers write to, in the order in which they draw.
+/// Names of the bodies that a scene's samplers write to, in the order in which they draw.
 fn fixtures(scene: &Scene) -> Vec<&str> {
     let bodies = scene.samplers.poses().iter();
     bodies

@@ -24,7 +24,7 @@ pub(super) const OTHER: &str = "textures/wall.png";
 /// A file that nobody asks for, between the first two.
 pub(super) const UNWANTED: &str = "scenes/unwanted.stl";
 
-/// What the index does wrong.
+/// Fault of the index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
     None,
