@@ -80,7 +80,7 @@ fn simulated_campaign(seed: u64) -> Value {
     let effects = population.tasks(tasks, &mut chance);
     let directions = population.directions(CONFIGURATIONS, &mut chance);
     let mut records = population.campaign(&effects, suites, &directions, &mut chance);
-    if seed % 2 == 0 {
+    if seed.is_multiple_of(2) {
         records.retain(|record| !record.id.is_placebo());
     }
     campaign(&format!("simulated {seed}"), &records)

@@ -365,7 +365,7 @@ mod tests {
         assert_eq!(shared.len(), own.len());
         for (shared, own) in shared.iter().zip(&own) {
             let same = ManifestRow {
-                perturbation: own.perturbation.clone(),
+                perturbation: own.perturbation,
                 ..shared.clone()
             };
             assert_eq!(&same, own);

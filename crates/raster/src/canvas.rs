@@ -16,9 +16,9 @@ use crate::visible::{SAMPLES, Visible};
 use crate::window::Window;
 use crate::{glass, mirror};
 
-/// What one camera's frames are drawn on, and what is kept from each to the
-/// next. It draws the same whatever it drew before; a camera with a canvas of its
-/// own is drawn fastest.
+/// Drawing surface of one camera, and the state that is kept between its frames. The
+/// result does not depend on earlier frames; a camera with a canvas of its own is drawn
+/// fastest.
 #[derive(Default)]
 pub struct Canvas {
     picture: Picture,

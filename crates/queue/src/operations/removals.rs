@@ -127,9 +127,10 @@ mod tests {
             queue.create_campaign(&campaign).await.expect("created");
         };
         create("one").await;
+        let mut removing = tokio::task::JoinSet::new();
         let busy = async {
             queue.delete_campaign(&name("one")).await.expect("deleted");
-            let removing = tokio::spawn({
+            removing.spawn({
                 let queue = queue.clone();
                 async move { queue.finish_removals().await.expect("removed") }
             });
@@ -146,14 +147,13 @@ mod tests {
                 .await
                 .expect("altered");
             queue.delete_campaign(&name("two")).await.expect("deleted");
-            removing
         };
-        let removing = tokio::time::timeout(Duration::from_secs(30), busy).await;
-        let removing = removing.expect("nothing waits for the storage");
+        let busy = tokio::time::timeout(Duration::from_secs(30), busy).await;
+        busy.expect("nothing waits for the storage");
         let left = pending(&queue.shared).await.expect("folders");
         assert_eq!(left, ["artifacts/one", "artifacts/two"]);
         slow.answers.add_permits(1);
-        removing.await.expect("it ends");
+        removing.join_all().await;
         let left = pending(&queue.shared).await.expect("folders");
         assert_eq!(left, ["artifacts/two"]);
         let mut view = queue.store().read().await.expect("a view");

@@ -2,7 +2,7 @@
 //! noise floor, and losses against matched nominal rollouts.
 
 use maud::{Markup, html};
-use paired::{Cell, Estimate, Inference, Simultaneity};
+use paired::{Cell, Estimate, Inference};
 
 use crate::document::Document;
 use crate::page::tables::table;
@@ -101,21 +101,19 @@ fn floor(cells: &Cells<'_>) -> Markup {
     let mut rows = Vec::new();
     for (policy, cell, it) in cells {
         let Some(excess) = &it.excess else { continue };
-        let paired = &it.paired;
-        let measures: [(&str, &Estimate, fn(&Simultaneity) -> &Estimate); 4] = [
-            ("R_e", &paired.r_e, |it| &it.r_e),
-            ("R_c", &paired.r_c, |it| &it.r_c),
-            ("R_d", &paired.r_d, |it| &it.r_d),
-            ("I", &paired.i, |it| &it.i),
-        ];
-        for (name, measure, of) in measures {
-            let above = of(&excess.excess);
+        let (paired, floor, above) = (&it.paired, &excess.floor, &excess.excess);
+        for (name, measure, floor, above) in [
+            ("R_e", &paired.r_e, &floor.r_e, &above.r_e),
+            ("R_c", &paired.r_c, &floor.r_c, &above.r_c),
+            ("R_d", &paired.r_d, &floor.r_d, &above.r_d),
+            ("I", &paired.i, &floor.i, &above.i),
+        ] {
             rows.push(vec![
                 text(policy),
                 text(cell.level),
                 text(name),
                 text(percent(measure.value)),
-                text(percent(of(&excess.floor).value)),
+                text(percent(floor.value)),
                 text(points(above.value)),
                 spread(points, above.new_tasks),
             ]);
