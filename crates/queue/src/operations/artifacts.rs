@@ -32,13 +32,13 @@ pub enum ArtifactError {
     /// Too large.
     #[error("store the video of attempt {attempt}: it is larger than {MAX_ARTIFACT_BYTES} bytes")]
     TooLarge {
-        /// Whose.
+        /// The attempt that was filmed.
         attempt: AttemptId,
     },
     /// There is no outcome for it to stand beside.
     #[error("store the video of attempt {attempt}: no committed outcome is of this attempt")]
     NoOutcome {
-        /// Whose.
+        /// The attempt that was filmed.
         attempt: AttemptId,
     },
     /// The file cannot be written.
@@ -46,7 +46,7 @@ pub enum ArtifactError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// The database failed.
@@ -58,7 +58,7 @@ pub enum ArtifactError {
 pub struct Upload<'a> {
     shared: &'a Shared,
     attempt: AttemptId,
-    /// Where it will be, below the data folder.
+    /// Final path of the video, below the data folder.
     path: String,
     partial: TempPath,
     file: File,
@@ -138,7 +138,7 @@ impl Upload<'_> {
     }
 }
 
-/// Where a campaign's folder is, below the data folder.
+/// Returns the path of a campaign's folder, below the data folder.
 pub(crate) fn campaign_folder(folder: &str) -> String {
     format!("{ARTIFACTS_FOLDER}/{folder}")
 }

@@ -146,7 +146,7 @@ impl View {
         self.status_among(campaign, &live).await
     }
 
-    /// What the workers that are alive run on.
+    /// Returns the pins of the workers that are alive.
     async fn live_pins(&mut self) -> Result<Vec<Pin>, StoreError> {
         let since = self.now.minus(self.timing.worker_alive);
         let live = workers::live(self.tx(), since).await?;
@@ -249,7 +249,7 @@ async fn rate(
     Ok((span > 0.0).then(|| committed as f64 / span))
 }
 
-/// What a campaign without further jobs waits for, if it follows from another.
+/// Describes what a campaign that follows from another waits for; empty if for nothing.
 fn awaited_reason(source: &Source) -> String {
     let Source {
         name,
