@@ -22,7 +22,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(4);
 /// How long one connection attempt may take.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Where an operator says which coordinator is meant.
+/// Flags by which an operator names the coordinator.
 const SETTINGS: Settings = Settings {
     address: "--connect",
     authority: "--ca",
@@ -54,9 +54,9 @@ pub enum ClientError {
     /// No coordinator answers.
     #[error("reach the coordinator at {url}: {trouble}")]
     Unreachable {
-        /// Where.
+        /// URL of the coordinator.
         url: String,
-        /// What is there instead, the last time.
+        /// Trouble of the last attempt.
         trouble: Box<Trouble>,
     },
     /// The coordinator says that the request is wrong.

@@ -55,7 +55,7 @@ pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<
     }
 }
 
-/// The one control of all videos of a page; its script shows it.
+/// Control of all videos of a page; its script shows it.
 pub(super) fn video_controls() -> Markup {
     html! {
         div.player #player hidden role="group" aria-label="All videos" {
@@ -128,7 +128,7 @@ fn video_address(campaign: &str, id: RolloutId, replicate: u32) -> String {
     format!("/campaigns/{campaign}/videos/{id}?replicate={replicate}")
 }
 
-/// What was perturbed, in words.
+/// Perturbation of a rollout, in words.
 fn perturbed(shown: &Shown) -> Markup {
     let mut combined = shown.row.perturbation.axes();
     combined.extend(shown.row.variant_id.is_some().then_some(Axis::Language));

@@ -25,7 +25,7 @@ const TELL_EVERY: Duration = Duration::from_secs(5);
 /// How long a browser waits before it connects again, milliseconds.
 const RECONNECT_MS: u32 = 1_000;
 
-/// What the streams are told.
+/// An event of the streams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum News {
     /// The edition of everything; it only rises while the coordinator runs.
