@@ -54,7 +54,7 @@ const ROLLOUTS_PER_CONFIG: u64 = 840;
 /// Longest wait of a claim.
 const CLAIM_WAIT: Duration = Duration::from_secs(30);
 
-/// What the slots measure.
+/// Measurements of the slots.
 #[derive(Default)]
 struct Measured {
     committed: AtomicU64,

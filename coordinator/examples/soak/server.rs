@@ -23,7 +23,7 @@ pub(crate) struct Server {
     starts: u32,
 }
 
-/// What its clients need.
+/// Address and access that its clients need.
 #[derive(Clone)]
 pub(crate) struct Reached {
     /// `https://localhost:PORT`.

@@ -1,5 +1,5 @@
-//! What tests of campaigns share that follow from others: workers that run what waits as
-//! it is planted, and coordinators that die.
+//! Helpers of tests of campaigns that follow from others: workers that run waiting jobs with
+//! planted outcomes, and coordinators that die.
 
 use std::path::Path;
 use std::process::{Command, Stdio};

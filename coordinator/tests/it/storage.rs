@@ -149,7 +149,7 @@ async fn until(what: &str, is_so: impl Fn() -> bool) {
     }
 }
 
-/// What a browser sees of a film: all of it, and pieces.
+/// Checks that a browser can load all of a film, and pieces of it.
 fn shows(serve: &Serve, rollout: &str, bytes: &[u8]) {
     let address = serve.url.strip_prefix("http://").expect("a URL");
     let address = address.parse().expect("an address");
