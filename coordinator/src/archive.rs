@@ -31,7 +31,7 @@ pub use unpack::{Unpacked, unpack};
 const FORMAT: u32 = 1;
 /// The member that lists the others.
 const LIST: &str = "archive.json";
-/// How folders and files are called that hold what is on its way in or out.
+/// Prefix of folders and files that hold a campaign on its way in or out.
 pub const MOVING_PREFIX: &str = queue::MOVING_PREFIX;
 
 /// Table of contents of an archive.

@@ -7,7 +7,7 @@ use std::path::Path;
 /// and the videos of some dozen rollouts.
 pub const DEFAULT_MIN_FREE_MIB: u64 = 256;
 
-/// How much room there is.
+/// Free space of a disk, and the space that leasing needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Room {
     /// Free for this user, bytes.

@@ -97,7 +97,7 @@ async fn derived(
     }))
 }
 
-/// How a campaign may end early, or did.
+/// Returns the rule by which a campaign may end early, and whether it did.
 async fn early_stop(view: &mut View, campaign: &Campaign) -> Result<Option<EarlyStop>, ReadError> {
     let early = view.early_stop(campaign).await?;
     Ok(early.map(|early| EarlyStop {

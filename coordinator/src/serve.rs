@@ -27,7 +27,7 @@ use crate::mirror;
 use crate::page::{self, Page};
 use crate::storage::Storage;
 
-/// How long requests may take to finish once the coordinator was asked to stop.
+/// Time for requests to finish once the coordinator was asked to stop.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 /// HTTP/2 flow-control windows: a video arrives in pieces of a megabyte, and
 /// 64 KiB, the default, would stop it at every sixteenth of one.
@@ -37,7 +37,7 @@ const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
 pub struct Config {
     /// The data folder.
     pub data: PathBuf,
-    /// How long things last.
+    /// Durations of leases, heartbeats and timeouts.
     pub timing: Timing,
     /// Source of instants.
     pub clock: Arc<dyn Clock>,

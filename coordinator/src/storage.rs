@@ -41,7 +41,7 @@ pub struct Storage {
 pub struct Piece {
     /// Range of its bytes within the film.
     pub range: Range<u64>,
-    /// How large the whole is, bytes.
+    /// Size of the whole film, bytes.
     pub size_bytes: u64,
     /// The bytes of the range.
     pub bytes: BoxedBytes,

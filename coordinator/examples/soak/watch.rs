@@ -32,7 +32,7 @@ pub(crate) struct Sample {
     /// Event since the sample before.
     pub(crate) event: Option<&'static str>,
     pub(crate) accepted: u64,
-    /// Of the claims since the sample before, seconds; none where there were none.
+    /// Median latency of the claims since the sample before, seconds; none where there were none.
     pub(crate) claim_p50: Option<f64>,
     pub(crate) claim_p99: Option<f64>,
     /// The longest of page, metrics and status since the sample before, seconds.

@@ -27,7 +27,7 @@ const MAX_RATIO: u64 = 100;
 const SMALL_BYTES: u64 = 64 << 20;
 /// Most zeros behind the last member, bytes. Programs fill archives up to some kilobytes.
 const MAX_PADDING_BYTES: u64 = 1 << 20;
-/// How a film's name ends.
+/// Suffix of a film's name.
 const FILM_SUFFIX: &str = ".mp4";
 
 /// Description of a file that is something else altogether.

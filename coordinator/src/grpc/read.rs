@@ -151,7 +151,7 @@ pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alterati
     })
 }
 
-/// How many rollouts of which suite.
+/// Reads the number of rollouts, by suite.
 pub(super) fn rollouts_by_suite(
     asked: Vec<wire::SuiteRollouts>,
 ) -> Result<BTreeMap<String, u64>, Status> {

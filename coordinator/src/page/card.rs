@@ -18,7 +18,7 @@ pub(super) struct Shown {
     pub(super) line: RolloutLine,
     pub(super) result: Option<ResultLine>,
     pub(super) failures: Vec<FailureLine>,
-    /// How the hand moved; empty if that is not known.
+    /// Motion of the hand; empty if it is not known.
     pub(super) path: Path,
 }
 
@@ -207,7 +207,7 @@ fn origin(shown: &Shown, replicate: u32) -> Markup {
     }
 }
 
-/// How much of the goal held, in words; empty where its worker did not say.
+/// Describes the part of the goal that held; empty where its worker did not say.
 fn goal(result: &ResultLine) -> String {
     let words = |goal: GoalProgress| {
         let GoalProgress {

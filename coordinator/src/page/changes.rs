@@ -22,7 +22,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// Something is told at least so often: ages grow while nothing happens, and a
 /// browser that is gone is only noticed when something is sent to it.
 const TELL_EVERY: Duration = Duration::from_secs(5);
-/// How long a browser waits before it connects again, milliseconds.
+/// Wait of a browser before it connects again, milliseconds.
 const RECONNECT_MS: u32 = 1_000;
 
 /// An event of the streams.

@@ -16,7 +16,7 @@ use serde_json::Value;
 use crate::harness::{Worker, rollout_id};
 use crate::process::Serve;
 
-/// How long a planted campaign may take.
+/// Longest time that a planted campaign may take.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
 /// How a rollout ends: what is planted.

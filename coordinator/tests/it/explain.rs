@@ -328,7 +328,7 @@ async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_roll
     );
 }
 
-/// How many rollouts a campaign has, if it exists.
+/// Returns the number of a campaign's rollouts, if it exists.
 async fn rollouts_of(serve: &Serve, campaign: &str) -> Option<u64> {
     let operator = OperatorServiceClient::connect(serve.url.clone()).await;
     let campaign = campaign.to_owned();

@@ -26,7 +26,7 @@ const AT_ONCE: usize = 4;
 /// The lease's seconds and the sweep that finds it over.
 const LEASE_SECS: u32 = 3;
 const EXPIRING_SWEEP: u32 = 5;
-/// How long a process may take to reach its failpoint.
+/// Longest time until a process reaches its failpoint.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// `coordinator serve` on a folder, to die at a point.

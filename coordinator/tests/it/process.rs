@@ -64,7 +64,7 @@ impl Serve {
         !self.url.is_empty()
     }
 
-    /// How it ended, if it has.
+    /// Returns the exit status, if it has ended.
     pub(crate) fn ended(&mut self) -> Option<ExitStatus> {
         self.child.try_wait().expect("a child")
     }

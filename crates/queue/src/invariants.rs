@@ -26,7 +26,7 @@ pub struct Invariant {
 pub struct Violation {
     /// The name of the invariant.
     pub invariant: &'static str,
-    /// How often.
+    /// Number of violations.
     pub count: usize,
     /// The first [`MAX_EXAMPLES`], in words.
     pub examples: Vec<String>,

@@ -143,7 +143,7 @@ impl Queue {
         }))
     }
 
-    /// How long things last here.
+    /// Returns the durations of leases, heartbeats and timeouts.
     pub fn timing(&self) -> Timing {
         self.shared.timing
     }

@@ -58,7 +58,7 @@ const READERS: u32 = 4;
 /// or a curious shell).
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How long closing waits for readers.
+/// Longest wait of closing for readers.
 const READERS_GRACE: Duration = Duration::from_secs(2);
 
 static MIGRATIONS: Migrator = sqlx_macros::migrate!("../../migrations");

@@ -21,9 +21,9 @@ use crate::store::failpoint::Step;
 pub const MAX_ARTIFACT_BYTES: u64 = 64 << 20;
 /// The folder of artifacts in the data folder.
 pub const ARTIFACTS_FOLDER: &str = "artifacts";
-/// How the names of folders and files begin that hold a campaign on its way in or out.
+/// Prefix of folders and files that hold a campaign on its way in or out.
 pub const MOVING_PREFIX: &str = "moving-";
-/// How the name of a file ends while it is being received.
+/// Suffix of a file's name while it is being received.
 pub(super) const PARTIAL_SUFFIX: &str = ".partial";
 
 /// A video that is not kept.

@@ -25,7 +25,7 @@ pub struct CommitReport {
     pub digests: Digests,
     /// The perturbation as it was realised.
     pub realised: Realised,
-    /// How the robot moved.
+    /// Motion of the robot.
     pub motion: Motion,
 }
 

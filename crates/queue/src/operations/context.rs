@@ -48,7 +48,7 @@ fn after_the_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
     }
 }
 
-/// How an attempt without a result ended.
+/// End of an attempt without a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Ended {
     /// Next step of the attempt's job.

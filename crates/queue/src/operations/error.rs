@@ -65,7 +65,7 @@ pub enum QueueError {
         campaign: CampaignName,
         /// Policy of its results.
         policy: String,
-        /// How many.
+        /// Number of its results.
         results: u64,
     },
     /// A change would make no specification.
@@ -107,7 +107,7 @@ pub enum QueueError {
     CampaignInUse {
         /// The campaign.
         campaign: CampaignName,
-        /// How many.
+        /// Number of its leased rollouts.
         leased: u64,
     },
     /// A campaign was to be deleted that another one follows from.

@@ -43,7 +43,7 @@ impl Settled {
         self.looked_at.store(ended, Ordering::SeqCst);
     }
 
-    /// How many transactions have been looked at.
+    /// Returns the number of transactions that have been looked at.
     pub(crate) fn looked_at(&self) -> u64 {
         self.looked_at.load(Ordering::SeqCst)
     }

@@ -188,7 +188,7 @@ impl View {
         .doing("read a configuration's results")
     }
 
-    /// How the robots of some committed jobs moved.
+    /// Returns the motion of the robots of some committed jobs.
     ///
     /// # Errors
     /// When the database fails.

@@ -47,7 +47,7 @@ pub struct Speed {
 pub struct Planned<'a> {
     /// The policy's name.
     pub policy: &'a str,
-    /// How many, by suite.
+    /// Numbers of rollouts, by suite.
     pub rollouts: BTreeMap<String, u64>,
     /// Queries per second that the policy's server answers at most, if that is known.
     pub policy_rate: Option<f64>,

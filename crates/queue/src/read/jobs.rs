@@ -79,7 +79,7 @@ pub struct FailureLine {
     pub worker_id: WorkerId,
     /// Instant at which the attempt ended.
     pub failed_ms: UnixMillis,
-    /// How, as `FailureReason` names it.
+    /// Kind of the failure, as `FailureReason` names it.
     pub reason: String,
     /// Whether it counts against job and worker.
     pub charged: bool,

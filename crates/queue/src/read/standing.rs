@@ -55,7 +55,7 @@ pub struct PolicyLine {
     pub endpoint: String,
     /// Its name there.
     pub name: String,
-    /// How it does.
+    /// Health of the policy.
     #[sqlx(json)]
     pub health: PolicyHealth,
     /// The campaigns that measure it, oldest first.

@@ -8,7 +8,7 @@ use super::lease::OutcomeKey;
 /// One half's knowledge of a rollout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Known {
-    /// How far it is.
+    /// Progress of the rollout.
     pub standing: Standing,
     /// Reports of another outcome than the committed one, which are findings.
     pub divergences: u32,
@@ -20,7 +20,7 @@ pub struct Known {
     pub attempts: u32,
 }
 
-/// How far a rollout is.
+/// Progress of a rollout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Standing {
     /// It is to be run.
@@ -46,9 +46,9 @@ pub enum Kept {
 pub struct Contradiction<N> {
     /// The rollout.
     pub of: N,
-    /// In the first half.
+    /// Outcome in the first half.
     pub first: OutcomeKey,
-    /// In the second half.
+    /// Outcome in the second half.
     pub second: OutcomeKey,
 }
 
