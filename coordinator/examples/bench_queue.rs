@@ -54,13 +54,13 @@ const ROLLOUTS_PER_CONFIG: u64 = 840;
 /// Longest wait of a claim.
 const CLAIM_WAIT: Duration = Duration::from_secs(30);
 
-/// What the slots measure.
+/// Measurements of the slots.
 #[derive(Default)]
 struct Measured {
     committed: AtomicU64,
-    /// Of a slot's first claim, when it holds no scene and all come at once.
+    /// Latencies of each slot's first claim, when it holds no scene and all come at once.
     first_claim_micros: Mutex<Vec<u64>>,
-    /// Of all its others.
+    /// Latencies of all its other claims.
     claim_micros: Mutex<Vec<u64>>,
     commit_micros: Mutex<Vec<u64>>,
 }

@@ -6,7 +6,7 @@ use transport::{Allowed, Resource, Role};
 
 /// The roles that may read everything.
 pub(crate) const READERS: [Role; 2] = [Role::Viewer, Role::Operator];
-/// Where browsers log in.
+/// Address of the log-in page.
 pub(crate) const LOG_IN: &str = "/login";
 
 /// Everything that a worker calls.
@@ -23,11 +23,11 @@ const READING: [&str; 8] = [
     "/rollout.coordinator.v1.OperatorService/Forecast",
 ];
 
-/// What a browser loads before its person has logged in, or to log out: it
-/// reveals nothing of any campaign.
+/// Paths that a browser loads before its person has logged in, or to log out: they reveal nothing
+/// of any campaign.
 const OPEN: [&str; 5] = [LOG_IN, "/logout", "/style.css", "/page.js", "/icon.svg"];
 
-/// What is at a path, and who may have it.
+/// Returns the kind of resource at a path, with the roles that may have it.
 pub(crate) fn resource(path: &str) -> Resource {
     if path.starts_with(WORKER_SERVICE) {
         Resource::Call(Allowed::OneOf(&[Role::Worker]))

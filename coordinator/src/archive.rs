@@ -31,10 +31,10 @@ pub use unpack::{Unpacked, unpack};
 const FORMAT: u32 = 1;
 /// The member that lists the others.
 const LIST: &str = "archive.json";
-/// How folders and files are called that hold what is on its way in or out.
+/// Prefix of folders and files that hold a campaign on its way in or out.
 pub const MOVING_PREFIX: &str = queue::MOVING_PREFIX;
 
-/// What an archive says of itself.
+/// Table of contents of an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Contents {
     /// The version of the form.
@@ -43,11 +43,11 @@ pub struct Contents {
     pub program: String,
     /// The version of the database's schema.
     pub schema: i64,
-    /// What the campaign is called.
+    /// Name of the campaign.
     pub campaign: String,
     /// SHA-256 of its specification, hex.
     pub spec_digest: String,
-    /// What it follows from, if it follows from another campaign.
+    /// Outcomes that it follows from, if it follows from another campaign.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<SourceOutcomes>,
     /// The halves that it was merged from, if it was.
@@ -60,7 +60,7 @@ pub struct Contents {
 /// An archive that was merged into another.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Half {
-    /// What its campaign was called.
+    /// Name of its campaign.
     pub campaign: String,
     /// The program that wrote it.
     pub program: String,
@@ -87,7 +87,7 @@ pub enum ArchiveError {
     Read {
         /// The file.
         archive: String,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// It is something else.
@@ -97,7 +97,7 @@ pub enum ArchiveError {
     Foreign {
         /// The file.
         archive: String,
-        /// What shows it.
+        /// Evidence that the file is something else.
         problem: String,
     },
     /// A newer program wrote it.
@@ -111,7 +111,7 @@ pub enum ArchiveError {
         program: String,
         /// The form's version, or the schema's.
         what: &'static str,
-        /// Which one it is.
+        /// The version that was found.
         found: i64,
         /// The newest that this program knows.
         known: i64,
@@ -121,7 +121,7 @@ pub enum ArchiveError {
     Damaged {
         /// The file.
         archive: String,
-        /// Where.
+        /// The damaged member.
         member: String,
     },
     /// A member is not what the list says.
@@ -131,9 +131,9 @@ pub enum ArchiveError {
     Altered {
         /// The file.
         archive: String,
-        /// Which.
+        /// The altered member.
         member: String,
-        /// What differs.
+        /// The difference.
         problem: String,
     },
     /// Its database does not hold what it should.
@@ -141,21 +141,21 @@ pub enum ArchiveError {
     Content {
         /// The file.
         archive: String,
-        /// Which.
+        /// The member.
         member: &'static str,
-        /// What is wrong with it.
+        /// Error of the database.
         source: Box<PortableError>,
     },
-    /// What is made of the database is not what was archived.
+    /// A member that is derived from the database differs from the archived one.
     #[error(
         "use archive {archive}: {member}, made from its rows, differs from the archived one at {place}; import it with {program}, which wrote it"
     )]
     Differs {
         /// The file.
         archive: String,
-        /// Which member.
+        /// The member that differs.
         member: &'static str,
-        /// Where, as a path of names.
+        /// Place of the difference, as a path of names.
         place: String,
         /// The program that wrote it.
         program: String,
@@ -169,7 +169,7 @@ pub enum ArchiveError {
     /// Something cannot be written as JSON.
     #[error("write {member} of the archive")]
     Json {
-        /// What.
+        /// The member.
         member: &'static str,
         /// Why not.
         source: JsonError,
@@ -179,7 +179,7 @@ pub enum ArchiveError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// A file that goes into the archive cannot be read, or is another one now.
@@ -187,7 +187,7 @@ pub enum ArchiveError {
     Input {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// There is no room for what it claims to hold.
@@ -199,7 +199,7 @@ pub enum ArchiveError {
     NoRoom {
         /// The file.
         archive: String,
-        /// Where it was to be unpacked.
+        /// Folder that it was to be unpacked into.
         folder: PathBuf,
         /// Space that the archive needs, with the reserve that must stay free, MiB.
         needed_mib: u64,

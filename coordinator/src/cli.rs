@@ -1,5 +1,5 @@
-//! What people type: reading the command line and saying what came of it. Exit
-//! code 2 is for a command that is wrong, 1 for one that failed.
+//! The command line of `coordinator`: reads the arguments and reports the outcome. Exit code 2 is
+//! for a command that is wrong, 1 for one that failed.
 
 mod alter;
 mod backup;

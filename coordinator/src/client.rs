@@ -14,15 +14,15 @@ use transport::{
     parse_endpoint,
 };
 
-/// How long a command tries to reach a coordinator.
+/// Time for which a command tries to reach a coordinator.
 pub const RETRY_FOR: Duration = Duration::from_secs(30);
 /// Pauses between tries, doubling.
 const FIRST_PAUSE: Duration = Duration::from_millis(250);
 const LONGEST_PAUSE: Duration = Duration::from_secs(4);
-/// How long one connection attempt may take.
+/// Longest time of one connection attempt.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Where an operator says which coordinator is meant.
+/// Flags by which an operator names the coordinator.
 const SETTINGS: Settings = Settings {
     address: "--connect",
     authority: "--ca",
@@ -54,9 +54,9 @@ pub enum ClientError {
     /// No coordinator answers.
     #[error("reach the coordinator at {url}: {trouble}")]
     Unreachable {
-        /// Where.
+        /// URL of the coordinator.
         url: String,
-        /// What is there instead, the last time.
+        /// Trouble of the last attempt.
         trouble: Box<Trouble>,
     },
     /// The coordinator says that the request is wrong.
@@ -102,7 +102,7 @@ impl Client {
         Ok(list.await?.campaigns)
     }
 
-    /// How a campaign stands.
+    /// Returns the status of a campaign.
     ///
     /// # Errors
     /// See [`ClientError`].

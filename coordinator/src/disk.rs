@@ -3,11 +3,11 @@
 
 use std::path::Path;
 
-/// What must be free for jobs to be leased, unless the operator says otherwise,
-/// MiB: the outcomes and the videos of some dozen rollouts.
+/// Free space that leasing jobs requires, unless the operator says otherwise, MiB: the outcomes
+/// and the videos of some dozen rollouts.
 pub const DEFAULT_MIN_FREE_MIB: u64 = 256;
 
-/// How much room there is.
+/// Free space of a disk, and the space that leasing needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Room {
     /// Free for this user, bytes.

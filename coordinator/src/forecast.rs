@@ -97,7 +97,7 @@ pub fn in_words(forecast: &ForecastResponse, policy: &str) -> String {
     all.join("\n")
 }
 
-/// What the time of one rollout goes into.
+/// Describes the parts of the time of one rollout.
 pub fn parts(speed: &Speed) -> String {
     let spans = [
         ("physics", speed.physics_secs),
@@ -131,8 +131,8 @@ pub fn parts(speed: &Speed) -> String {
     )
 }
 
-/// What rollouts on so many slots are bound by, and what more slots would change;
-/// nothing where that is not known.
+/// Describes the bottleneck of rollouts on so many slots, and what more slots would change; none
+/// where that is not known.
 pub fn bottleneck(speed: &Speed, slots: u32) -> Option<String> {
     let enough = speed.enough_slots?;
     let then = duration_text(speed.enough_slots_secs?);

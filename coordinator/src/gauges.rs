@@ -1,8 +1,8 @@
-//! What is counted while it happens, for the metrics.
+//! Gauges for the metrics, counted as calls come and go.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What is counted while it happens.
+/// Gauges for the metrics.
 #[derive(Debug, Default)]
 pub(crate) struct Gauges {
     claims: AtomicUsize,

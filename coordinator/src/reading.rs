@@ -1,4 +1,4 @@
-//! What reading a campaign's results may fail with.
+//! Errors of reading a campaign's results.
 
 use protocol::{JsonError, SpecError, UnknownName};
 use queue::ids::CampaignName;
@@ -13,9 +13,9 @@ pub enum ReadError {
     /// The stored specification does not read back.
     #[error("read the stored specification of campaign `{campaign}`")]
     Spec {
-        /// Whose.
+        /// The campaign.
         campaign: CampaignName,
-        /// What is wrong with it.
+        /// Error of the specification.
         source: SpecError,
     },
     /// A stored rollout id or realisation does not read back.
@@ -24,9 +24,9 @@ pub enum ReadError {
     /// A stored manifest row does not read back.
     #[error("read the stored manifest row of `{rollout_id}`")]
     Row {
-        /// Whose.
+        /// Id of the rollout.
         rollout_id: String,
-        /// What is wrong with it.
+        /// Error of the row.
         source: JsonError,
     },
 }

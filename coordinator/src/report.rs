@@ -73,8 +73,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
     })
 }
 
-/// What a campaign is to find out that follows from another, and what is known of that
-/// one.
+/// Returns the purpose of a campaign that follows from another, and the records of that one.
 async fn derived(
     view: &mut View,
     campaign: &Campaign,
@@ -98,7 +97,7 @@ async fn derived(
     }))
 }
 
-/// How a campaign may end early, or did.
+/// Returns the rule by which a campaign may end early, and whether it did.
 async fn early_stop(view: &mut View, campaign: &Campaign) -> Result<Option<EarlyStop>, ReadError> {
     let early = view.early_stop(campaign).await?;
     Ok(early.map(|early| EarlyStop {
@@ -116,11 +115,11 @@ async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRang
     })
 }
 
-/// What the campaign's rollouts are, so that they can be told from those of the
-/// same names in another campaign.
+/// Returns the setups of the campaign's rollouts, by which they are told from those of the same
+/// names in another campaign.
 ///
 /// # Errors
-/// When the database fails.
+/// If the database fails.
 pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, ReadError> {
     let mut setups = Setups::default();
     for row in view.setups(campaign.id).await? {

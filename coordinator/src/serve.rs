@@ -27,27 +27,27 @@ use crate::mirror;
 use crate::page::{self, Page};
 use crate::storage::Storage;
 
-/// How long requests may take to finish once the coordinator was asked to stop.
+/// Time for requests to finish once the coordinator was asked to stop.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 /// HTTP/2 flow-control windows: a video arrives in pieces of a megabyte, and
 /// 64 KiB, the default, would stop it at every sixteenth of one.
 const STREAM_WINDOW_BYTES: u32 = 4 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
-/// What a coordinator runs with.
+/// Configuration of a coordinator.
 pub struct Config {
-    /// Where it keeps everything.
+    /// The data folder.
     pub data: PathBuf,
-    /// How long things last.
+    /// Durations of leases, heartbeats and timeouts.
     pub timing: Timing,
-    /// Where instants come from.
+    /// Source of instants.
     pub clock: Arc<dyn Clock>,
-    /// What attempts are named and back-offs are jittered with.
+    /// Random generator for names of attempts and jitter of back-offs.
     pub rng: ChaCha8Rng,
     /// Access: TLS and tokens.
     pub security: Security,
     /// Free on the data folder's disk, or nothing is leased, bytes.
     pub min_free_bytes: u64,
-    /// Where films are kept in the end; none for the data folder.
+    /// Storage that films are moved to; none to keep them in the data folder.
     pub storage: Option<Arc<Storage>>,
 }
 
@@ -63,7 +63,7 @@ pub enum ServeError {
     /// Its socket fails.
     #[error("go on serving: the listening socket failed ({problem})")]
     Socket {
-        /// What the system said.
+        /// Error of the system.
         problem: String,
     },
     /// Its certificate is no use.
@@ -72,7 +72,7 @@ pub enum ServeError {
     /// Something that must not end ended.
     #[error("go on serving: {what} panicked (the log says where); start the coordinator again")]
     Panicked {
-        /// What.
+        /// The task that ended.
         what: &'static str,
     },
     /// Its data folder holds an earlier run's leftovers that cannot be removed.
@@ -80,7 +80,7 @@ pub enum ServeError {
     Tidy {
         /// The data folder.
         folder: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
 }
@@ -98,8 +98,8 @@ impl Coordinator {
     /// Opens the data folder.
     ///
     /// # Errors
-    /// When it cannot be used: another coordinator has it, a newer program
-    /// wrote it, the disk refuses.
+    /// If the data folder cannot be used: another coordinator has it, a newer program wrote it,
+    /// the disk refuses.
     pub async fn open(config: Config) -> Result<Coordinator, ServeError> {
         let store = Store::open(&config.data).await?;
         remove_partial_files(&config.data).map_err(|source| ServeError::Tidy {

@@ -1,5 +1,5 @@
-//! Where films and archives are kept beyond the data folder: another folder, or a bucket
-//! of S3-compatible storage.
+//! Storage of films and archives beyond the data folder: another folder, or a bucket of
+//! S3-compatible storage.
 //!
 //! Films always come into the data folder first, so that no trouble of the storage
 //! touches a rollout; `mirror` moves them on.
@@ -20,7 +20,7 @@ use object_store::path::Path as Key;
 use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, RetryConfig};
 use tokio::io::AsyncWriteExt;
 
-/// What an address of S3 begins with.
+/// Prefix of an address of S3.
 const S3: &str = "s3://";
 /// Tries of one request, and how long they may take together.
 const RETRIES: usize = 3;
@@ -30,20 +30,20 @@ const RETRY_FOR: Duration = Duration::from_secs(20);
 #[derive(Clone, Debug)]
 pub struct Storage {
     store: Arc<dyn ObjectStore>,
-    /// What all keys here begin with.
+    /// Prefix of all keys.
     prefix: Key,
-    /// As it was given.
+    /// Address of the storage as it was given.
     location: String,
 }
 
 /// A piece of a film.
 #[derive(Debug)]
 pub struct Piece {
-    /// Which bytes of it.
+    /// Range of its bytes within the film.
     pub range: Range<u64>,
-    /// How large the whole is, bytes.
+    /// Size of the whole film, bytes.
     pub size_bytes: u64,
-    /// What is read of it.
+    /// The bytes of the range.
     pub bytes: BoxedBytes,
 }
 
@@ -64,35 +64,35 @@ pub enum StorageError {
         "use storage {location}: write a folder, or s3://BUCKET/FOLDER with the bucket's region and credentials in AWS_REGION, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for a server of one's own"
     )]
     Location {
-        /// What was given.
+        /// The given address.
         location: String,
     },
     /// A folder cannot be made.
     #[error("make folder {}: may this user write there?", path.display())]
     Folder {
-        /// Which.
+        /// The folder.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// It does not answer, or refuses.
     #[error("{doing} {key} at storage {location}: {problem}")]
     Remote {
-        /// What was being done.
+        /// The action that failed.
         doing: &'static str,
-        /// With which object.
+        /// Key of the object.
         key: String,
-        /// Where.
+        /// Address of the storage.
         location: String,
-        /// What it said, in its own words.
+        /// Error of the storage, in its own words.
         problem: String,
     },
     /// A file on this machine fails.
     #[error("copy {}: is there room on the disk, and may this user read and write there?", path.display())]
     File {
-        /// Which.
+        /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
 }
@@ -108,7 +108,7 @@ impl Storage {
     /// of the usual variables, `AWS_…`.
     ///
     /// # Errors
-    /// When it is no address, or the folder cannot be made.
+    /// If the address is invalid, or the folder cannot be made.
     pub fn open(location: &str) -> Result<Storage, StorageError> {
         let unusable = || StorageError::Location {
             location: location.to_owned(),
@@ -134,7 +134,7 @@ impl Storage {
         if bucket.is_empty() {
             return Err(unusable());
         }
-        // What tonic encrypts with. If it was chosen before, it is the same.
+        // The TLS provider that tonic uses, too. An earlier choice is the same.
         let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
         let retry = RetryConfig {
             max_retries: RETRIES,
@@ -168,7 +168,7 @@ impl Storage {
         Ok((Storage::open(folder)?, name.to_owned()))
     }
 
-    /// As it was given.
+    /// Returns the address of the storage as it was given.
     pub fn location(&self) -> &str {
         &self.location
     }

@@ -1,5 +1,4 @@
-//! What recording a campaign takes on the disk and of the workers' time,
-//! estimated before it runs.
+//! Disk space and worker time that recording a campaign takes, estimated before it runs.
 
 use queue::expand::NewCampaign;
 
@@ -20,7 +19,7 @@ const CHANGED_IN_THE_PAPER: f64 = 0.17;
 /// The most of one policy at one level: 134 of 400.
 const MOST_CHANGED_IN_THE_PAPER: f64 = 0.34;
 
-/// What a campaign's videos take, in words; nothing if there are none.
+/// Describes the disk space and time of a campaign's videos; none if there are none.
 pub fn in_words(campaign: &NewCampaign) -> Option<String> {
     let steps = campaign.step_budget as f64;
     let videos = |share: f64| {

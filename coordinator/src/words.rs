@@ -51,7 +51,8 @@ pub fn rfc3339(at: UnixMillis) -> String {
     format!("{}T{h:02}:{m:02}:{s:02}.{millis:03}Z", instant.date())
 }
 
-/// What a worker runs on, for people; what it did not name is left out.
+/// Describes the assets, simulator, renderer and program of a worker; a version that it did not
+/// name is left out.
 pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, program: &str) -> String {
     let named = |prefix: &str, version: &str| match version {
         "" => String::new(),

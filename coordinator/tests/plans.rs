@@ -1,7 +1,7 @@
-//! What workers ask for costs the same in any campaign, and so does what pages, metrics and
-//! the queue's own tasks ask for all the while: every statement is caught on its way, and
-//! SQLite's plan for it walks an index or a table of a few rows, never the jobs or their
-//! results. A process of its own, so that no other test's statements are caught.
+//! Query plans: the calls of workers cost the same in any campaign, and so do those of pages,
+//! metrics and the queue's own tasks: every statement is caught on its way, and SQLite's plan for
+//! it walks an index or a table of a few rows, never the jobs or their results. A process of its
+//! own, so that no other test's statements are caught.
 
 use std::collections::BTreeSet;
 use std::fmt::Debug;
@@ -42,7 +42,7 @@ const SMALL: [&str; 10] = [
 ];
 /// Indices that hold the leased, the backed-off, or the lone jobs only.
 const OF_FEW_JOBS: [&str; 4] = ["job_leased", "job_held", "job_backed_off", "job_alone"];
-/// What the hot statements must be seen to walk.
+/// Indices that the hot statements must be seen to walk.
 const WALKED: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_seen"];
 
 /// Catches the statements that sqlx executes.
@@ -276,7 +276,7 @@ async fn plan(connection: &mut SqliteConnection, statement: &str) -> Vec<String>
     lines.into_iter().map(|(.., line)| line).collect()
 }
 
-/// What is wrong with SQLite's plan of a statement, and the indices it walks.
+/// Returns the faults of SQLite's plan of a statement, and the indices that it walks.
 async fn look_at(
     connection: &mut SqliteConnection,
     statement: &str,

@@ -62,7 +62,7 @@ impl Arguments {
         Duration::from_secs_f64(self.minutes * 60.0)
     }
 
-    /// What a rollout takes on average, so that all of them take as long as planned.
+    /// Returns the mean duration of a rollout by which all of them take as long as planned.
     fn rollout(&self) -> Duration {
         self.planned()
             .mul_f64(f64::from(self.slots) / self.jobs as f64)

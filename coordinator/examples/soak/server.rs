@@ -12,7 +12,7 @@ use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair}
 use serde_json::Value;
 use transport::{Access, Role};
 
-/// How long it may take to start, or to end.
+/// Longest time that it may take to start, or to end.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A coordinator; killed when it goes out of scope.
@@ -23,7 +23,7 @@ pub(crate) struct Server {
     starts: u32,
 }
 
-/// What its clients need.
+/// Address and access that its clients need.
 #[derive(Clone)]
 pub(crate) struct Reached {
     /// `https://localhost:PORT`.
@@ -124,7 +124,7 @@ impl Server {
         Ok(said.lines().next().unwrap_or_default().to_owned())
     }
 
-    /// How the campaigns stand that are neither finished nor stopped.
+    /// Returns the status of the campaigns that are neither finished nor stopped.
     pub(crate) fn unfinished(&self, names: &[&str]) -> Result<Vec<String>> {
         let mut unfinished = Vec::new();
         for name in names {

@@ -1,5 +1,5 @@
-//! What grows: the coordinator's memory, descriptors, log and database, and how long calls
-//! take, every few seconds.
+//! Samples of whatever may grow, every few seconds: the coordinator's memory, descriptors, log and
+//! database, and how long calls take.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,7 +21,7 @@ use super::server::Reached;
 const INTERVAL: Duration = Duration::from_secs(5);
 /// Between two requests of one kind: people and Prometheus ask seldom, many people often.
 const ASKED_EVERY: Duration = Duration::from_millis(500);
-/// What people open, besides the metrics.
+/// Pages that people open, besides the metrics.
 const PAGES: [&str; 4] = ["/", "/campaigns/measured", "/campaigns/filmed", "/workers"];
 
 /// The coordinator and its calls at one moment.
@@ -29,10 +29,10 @@ const PAGES: [&str; 4] = ["/", "/campaigns/measured", "/campaigns/filmed", "/wor
 pub(crate) struct Sample {
     /// Seconds since the beginning.
     pub(crate) at: f64,
-    /// What happened since the sample before.
+    /// Event since the sample before.
     pub(crate) event: Option<&'static str>,
     pub(crate) accepted: u64,
-    /// Of the claims since the sample before, seconds; none where there were none.
+    /// Median latency of the claims since the sample before, seconds; none where there were none.
     pub(crate) claim_p50: Option<f64>,
     pub(crate) claim_p99: Option<f64>,
     /// The longest of page, metrics and status since the sample before, seconds.

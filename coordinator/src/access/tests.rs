@@ -20,7 +20,7 @@ const OPERATOR: &str = "operator-secret-0123456789";
 const VIEWER: &str = "viewer-secret-0123456789";
 const HOST: &str = "127.0.0.1:7411";
 
-/// What is behind the gate: answers that it was reached.
+/// A service behind the gate: answers that it was reached.
 #[derive(Clone)]
 struct Reached;
 
@@ -40,7 +40,7 @@ impl Service<Request<()>> for Reached {
     }
 }
 
-/// Who sends a request, as its headers say.
+/// Sender of a request, as its headers say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sender {
     /// `coordinator`, a worker, curl.

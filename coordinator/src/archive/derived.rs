@@ -13,7 +13,7 @@ use crate::report;
 
 /// A campaign's specification.
 pub(super) const SPECIFICATION: &str = "specification.json";
-/// Where its results came from.
+/// Origins of its results.
 pub(super) const PROVENANCE: &str = "provenance.json";
 /// Its report.
 pub(super) const REPORT: &str = "report.json";
@@ -21,7 +21,7 @@ pub(super) const REPORT: &str = "report.json";
 /// Members made from rows, by name.
 pub(super) type Derived = [(&'static str, String); 3];
 
-/// Where results came from, and what they depend on beside it.
+/// Origins of results, and the policy seeds that results depend on, too.
 #[derive(Serialize)]
 struct Origins {
     /// The circumstances of the results: machines, programs, assets, policies.

@@ -17,7 +17,7 @@ use super::{ArchiveError, Contents, FORMAT, Half, LIST, Member};
 #[derive(Debug)]
 pub struct Package {
     contents: Contents,
-    /// Where the members are, in order.
+    /// Paths of the members, in order.
     files: Vec<PathBuf>,
 }
 
@@ -101,7 +101,7 @@ fn list(
 }
 
 impl Package {
-    /// What it says of itself.
+    /// Returns its table of contents.
     pub fn contents(&self) -> &Contents {
         &self.contents
     }

@@ -27,10 +27,10 @@ const MAX_RATIO: u64 = 100;
 const SMALL_BYTES: u64 = 64 << 20;
 /// Most zeros behind the last member, bytes. Programs fill archives up to some kilobytes.
 const MAX_PADDING_BYTES: u64 = 1 << 20;
-/// How a film's name ends.
+/// Suffix of a film's name.
 const FILM_SUFFIX: &str = ".mp4";
 
-/// What is said of a file that is something else altogether.
+/// Description of a file that is something else altogether.
 const NO_TAR: &str = "it is no compressed tar";
 
 /// The members that every archive has, in order.
@@ -41,7 +41,7 @@ const MEMBERS: [&str; 4] = [SPECIFICATION, PROVENANCE, REPORT, DATABASE_FILE];
 pub struct Unpacked {
     /// Its rows, in a data folder of their own, with its films.
     pub campaign: Portable,
-    /// What the archive says of itself.
+    /// Table of contents of the archive.
     pub contents: Contents,
 }
 
@@ -146,7 +146,7 @@ impl Reading<'_> {
 
     /// Reads the list, which comes first.
     fn list(&self, entries: &mut Members<'_>) -> Result<Contents, ArchiveError> {
-        /// What is read before anything else.
+        /// Fields that are read before anything else.
         #[derive(Deserialize)]
         struct Versions {
             format: u32,

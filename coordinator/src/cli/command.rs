@@ -1,4 +1,4 @@
-//! What commands share: reaching the coordinator, failing and printing.
+//! Helpers that commands share: reaching the coordinator, failing and printing.
 
 use std::path::Path;
 use std::time::Duration;
@@ -78,7 +78,7 @@ impl Connection {
 
     /// A client of this coordinator that keeps trying for so long.
     pub(super) fn patient_client(&self, retry_for: Duration) -> Result<Client, CommandError> {
-        // Who may steer campaigns may read them too.
+        // Operators may read everything, too.
         let access = self.access.access(&[Role::Operator, Role::Viewer]);
         let access = access.map_err(failure)?;
         Ok(Client::new(&self.connect, &access, retry_for)?)

@@ -29,7 +29,7 @@ pub(super) struct CompareArguments {
     connection: Connection,
 }
 
-/// Where outcomes come from.
+/// Source of outcomes.
 #[derive(Clone, Debug)]
 enum Source {
     Campaign(String),

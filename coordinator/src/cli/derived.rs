@@ -1,5 +1,5 @@
-//! What commands share that find something out by a campaign of their own, whose rollouts
-//! follow from the outcomes of another: finding it, creating it, following it.
+//! Helpers of commands that find something out by a campaign of their own, whose rollouts follow
+//! from the outcomes of another: finding it, creating it, following it.
 
 use std::time::Duration;
 
@@ -89,7 +89,7 @@ pub(super) struct CreateFlags {
     dry_run: bool,
 }
 
-/// What to do about a campaign that follows from another.
+/// Action on a campaign that follows from another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Action {
     /// Create it, unless it is there as it would be created.
@@ -101,8 +101,8 @@ pub(super) enum Action {
 }
 
 impl CreateFlags {
-    /// What the flags ask for. `how_flags` says whether flags were given that only make
-    /// sense for a campaign to be created; `needs_it` whether it must be there.
+    /// Returns the action that the flags ask for. `has_how_flags` says whether flags were given
+    /// that only make sense for a campaign to be created; `needs_it` whether it must be there.
     pub(super) fn action(
         self,
         is_there: bool,

@@ -98,7 +98,7 @@ impl WholeFile {
         })
     }
 
-    /// Where to write.
+    /// Returns the writer of the partial file.
     pub(super) fn writer(&mut self) -> &mut (impl Write + Send) {
         self.file.as_mut().expect("taken only when finished")
     }

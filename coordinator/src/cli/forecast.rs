@@ -14,8 +14,8 @@ use super::command::CommandError;
 use super::json;
 use super::planning::Planning;
 
-/// What there is to say, or why there is nothing: what else a dry run says needs no
-/// coordinator.
+/// Asks for the forecast of a campaign; returns the reason if there is none, since the rest of a
+/// dry run needs no coordinator.
 pub(super) async fn ask(
     client: &Client,
     campaign: &NewCampaign,
@@ -66,7 +66,7 @@ pub(super) fn print(
     json::print(&DryRun::of(campaign, answer, planning))
 }
 
-/// What `campaign create --dry-run --json` prints; docs/JSON.md has the schema.
+/// Output of `campaign create --dry-run --json`; docs/JSON.md has the schema.
 #[derive(Serialize)]
 struct DryRun<'a> {
     name: String,
@@ -104,7 +104,7 @@ struct Speed {
 }
 
 impl<'a> DryRun<'a> {
-    /// What a dry run says of a campaign: its forecast, or why there is none.
+    /// Describes a campaign for a dry run, with its forecast or the reason why there is none.
     fn of(
         campaign: &NewCampaign,
         answer: Result<wire::ForecastResponse, String>,

@@ -1,6 +1,6 @@
-//! What `--json` prints. The schema is documented in docs/JSON.md, and a test
-//! compares the two: a field may be added, none may change or go. What there may
-//! not be is `null`, never left out.
+//! Output of `--json`. The schema is documented in docs/JSON.md, and a test compares the two: a
+//! field may be added, none may change or go. Absent values are `null`; every key is always
+//! present.
 
 use coordinator::words::rfc3339;
 use proto::coordinator as wire;

@@ -63,7 +63,7 @@ fn stopped(status: &CampaignStatus) -> Option<String> {
     ))
 }
 
-/// What keeps a campaign from going on, or wants to be looked at.
+/// Describes obstacles of a campaign, and faults that need its operator.
 pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
     let mut notes = Vec::new();
     if status.policy_paused {

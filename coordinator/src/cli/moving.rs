@@ -217,7 +217,7 @@ struct Stored {
 }
 
 impl Stored {
-    /// What an argument names, if that is no file of this machine.
+    /// Returns the stored object that an argument names; none for a file of this machine.
     fn of(given: &Path) -> Result<Option<Stored>, CommandError> {
         let address = given.to_string_lossy();
         if !Storage::is_remote(&address) {
@@ -243,7 +243,7 @@ async fn read(path: &Path, folder: &TempDir, number: usize) -> Result<Unpacked, 
     })
 }
 
-/// What is said of an archive in the one that it is merged into.
+/// Describes an archive for the list of halves of a merged one.
 fn half(of: &Unpacked) -> Half {
     let members = &of.contents.members;
     let database = members.iter().find(|it| it.name == DATABASE_FILE);

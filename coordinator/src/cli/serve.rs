@@ -118,8 +118,8 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     Ok(())
 }
 
-/// Where a browser finds the page. It can open no address that stands for all of a
-/// machine's.
+/// Returns the address of the page for a browser, which can open no address that stands for all of
+/// a machine's.
 fn page(scheme: &str, address: SocketAddr) -> String {
     match (address.ip().is_unspecified(), address.port()) {
         (true, port) => format!("{scheme}://HOST:{port}/ where HOST is this machine's name"),

@@ -12,7 +12,7 @@ use super::line::{attention, line};
 use super::watch::watch;
 use super::workers::{filming, filming_in_words};
 
-/// What is said where there are none.
+/// Line that is printed if there are no campaigns.
 const NO_CAMPAIGNS: &str = "no campaigns yet; `coordinator campaign create` makes one";
 
 #[derive(Args, Debug)]

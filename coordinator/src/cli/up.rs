@@ -291,7 +291,7 @@ impl Programs {
                 self.say(&format!("`{}` {}", program.name, in_words(status)));
             }
         }
-        // What they printed last is still on its way.
+        // The last lines of the programs are still on their way.
         while self.relays.join_next().await.is_some() {}
         self.say("stopped");
     }

@@ -53,8 +53,8 @@ pub(super) async fn watch(
     }
 }
 
-/// What is being followed: on a terminal a table that rewrites itself, else
-/// lines per look.
+/// Display of the followed campaigns: on a terminal a table that rewrites itself, else lines per
+/// look.
 #[derive(Default)]
 struct Screen {
     is_terminal: bool,
@@ -92,7 +92,7 @@ impl Screen {
 /// A line per campaign, and one per policy that several of them measure.
 fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
     let mut policies: BTreeMap<(&str, &str), Vec<&CampaignStatus>> = BTreeMap::new();
-    // What is cancelled or stopped never goes on.
+    // Cancelled and stopped campaigns never go on.
     let going_on =
         |status: &&CampaignStatus| !matches!(status.state(), State::Cancelled | State::Stopped);
     for status in campaigns.iter().filter(going_on) {

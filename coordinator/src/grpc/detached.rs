@@ -24,7 +24,7 @@ impl Detached {
         let (sender, result) = oneshot::channel();
         {
             let mut tasks = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            // Those that have ended: a panic among them was in the answer of its call.
+            // Ended tasks are removed: a panic among them was in the answer of its call.
             while tasks.try_join_next().is_some() {}
             tasks.spawn(async move {
                 // The client may have disconnected.

@@ -6,7 +6,7 @@ use transport::chain;
 
 use crate::reading::ReadError;
 
-/// What a call comes to.
+/// Result of a call.
 pub(super) type Answer<T> = Result<Response<T>, Status>;
 
 pub(super) fn failed(error: impl Into<ReadError>) -> Status {

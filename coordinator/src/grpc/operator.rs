@@ -1,4 +1,4 @@
-//! What people call.
+//! The operator's gRPC service.
 
 use std::pin::Pin;
 use std::sync::Arc;

@@ -66,8 +66,8 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
     })
 }
 
-/// What a film is made with. The pack's name says nothing here, nor does the
-/// renderer: a film is to look at, and in no comparison.
+/// Reads the assets and the simulator that a film is made with. The pack's name says nothing here,
+/// nor does the renderer: a film is to look at, and in no comparison.
 pub(super) fn pin(request: wire::NextFilmRequest) -> Result<Pin, Status> {
     Ok(Pin {
         asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
@@ -136,7 +136,7 @@ pub(super) fn priority(priority: i32) -> Result<i32, Status> {
     )))
 }
 
-/// What is to become of a campaign.
+/// Reads the change of a campaign.
 pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alteration, Status> {
     let name = request.name.map(|name| CampaignName::parse(&name));
     let endpoint = request.policy_endpoint;
@@ -151,7 +151,7 @@ pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alterati
     })
 }
 
-/// How many rollouts of which suite.
+/// Reads the number of rollouts, by suite.
 pub(super) fn rollouts_by_suite(
     asked: Vec<wire::SuiteRollouts>,
 ) -> Result<BTreeMap<String, u64>, Status> {
@@ -164,7 +164,7 @@ pub(super) fn rollouts_by_suite(
     Ok(rollouts)
 }
 
-/// What a policy's server answers at most, if it is said.
+/// Reads the highest rate of a policy's server, if it is given, queries per second.
 pub(super) fn policy_rate(given: Option<f64>) -> Result<Option<f64>, Status> {
     match given {
         Some(rate) if !rate.is_finite() || rate <= 0.0 => Err(invalid(format!(
@@ -174,7 +174,7 @@ pub(super) fn policy_rate(given: Option<f64>) -> Result<Option<f64>, Status> {
     }
 }
 
-/// Which jobs are wanted.
+/// Reads the selection of jobs.
 pub(super) fn job_filter(request: &wire::ListJobsRequest) -> Result<JobFilter<'_>, Status> {
     let given = |text: &'_ str| (!text.is_empty()).then(|| text.to_owned());
     let condition = given(&request.condition).map(|name| name.parse());

@@ -1,4 +1,4 @@
-//! What workers call.
+//! The worker's gRPC service.
 
 use std::sync::Arc;
 use std::time::Duration;

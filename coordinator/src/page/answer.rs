@@ -1,6 +1,5 @@
-//! What goes out: a page with its headers, and the few files that pages need.
-//! No page may load anything from elsewhere, or run a script that is not this
-//! program's.
+//! Answers to browsers: a page with its headers, and the few files that pages need. No page may
+//! load anything from elsewhere, or run a script that is not this program's.
 
 use std::sync::LazyLock;
 
@@ -14,7 +13,7 @@ const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("page.js");
 const ICON: &str = include_str!("icon.svg");
 
-/// What a page may load and where its forms may go.
+/// Sources that a page may load from, and targets of its forms.
 const CONTENT_POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; \
     img-src 'self'; media-src 'self'; connect-src 'self'; form-action 'self'; base-uri 'none'; \
     frame-ancestors 'none'";
@@ -102,7 +101,7 @@ fn short_digest(text: &str) -> String {
 mod tests {
     use super::*;
 
-    /// What a rule is for, as the style sheets write it.
+    /// Returns the selectors of a style sheet's rules.
     fn selectors(style: &str) -> impl Iterator<Item = &str> {
         let heads = style.lines().filter_map(|line| line.split_once('{'));
         heads.flat_map(|(selectors, _)| selectors.split(','))

@@ -44,7 +44,7 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     Ok(Sheet::new(Place::Campaigns, name.to_string(), main))
 }
 
-/// Where a rollout's configuration is shown.
+/// Returns the address of the page of a rollout's configuration.
 pub(super) fn address(campaign: &str, rollout: RolloutId, replicate: u32) -> String {
     match replicate {
         0 => format!("/campaigns/{campaign}/configurations/{rollout}"),

@@ -14,7 +14,7 @@ use crate::words::{duration_text, rate_text};
 /// The page.
 pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
     let mut campaigns = page.queue.view().await?.statuses().await?;
-    // What was begun last is what people come for.
+    // Newest first: people come for the campaign that began last.
     campaigns.reverse();
     let names = campaigns.iter().map(|it| it.campaign.name.to_string());
     let names: Vec<String> = names.collect();
@@ -60,7 +60,7 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
     }
 }
 
-/// What keeps a campaign from going on, or wants to be looked at.
+/// Obstacles of a campaign, and faults that need its operator.
 fn notes(status: &CampaignStatus) -> Markup {
     let aside = status.counts.quarantined;
     let is_over = status.campaign.state.is_over();

@@ -18,7 +18,7 @@ pub(super) struct Shown {
     pub(super) line: RolloutLine,
     pub(super) result: Option<ResultLine>,
     pub(super) failures: Vec<FailureLine>,
-    /// How the hand moved; empty if that is not known.
+    /// Motion of the hand; empty if it is not known.
     pub(super) path: Path,
 }
 
@@ -55,7 +55,7 @@ pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<
     }
 }
 
-/// The one control of all videos of a page; its script shows it.
+/// Control of all videos of a page; its script shows it.
 pub(super) fn video_controls() -> Markup {
     html! {
         div.player #player hidden role="group" aria-label="All videos" {
@@ -128,7 +128,7 @@ fn video_address(campaign: &str, id: RolloutId, replicate: u32) -> String {
     format!("/campaigns/{campaign}/videos/{id}?replicate={replicate}")
 }
 
-/// What was perturbed, in words.
+/// Perturbation of a rollout, in words.
 fn perturbed(shown: &Shown) -> Markup {
     let mut combined = shown.row.perturbation.axes();
     combined.extend(shown.row.variant_id.is_some().then_some(Axis::Language));
@@ -207,7 +207,7 @@ fn origin(shown: &Shown, replicate: u32) -> Markup {
     }
 }
 
-/// How much of the goal held, in words; empty where its worker did not say.
+/// Describes the part of the goal that held; empty where its worker did not say.
 fn goal(result: &ResultLine) -> String {
     let words = |goal: GoalProgress| {
         let GoalProgress {

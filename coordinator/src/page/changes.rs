@@ -22,10 +22,10 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// Something is told at least so often: ages grow while nothing happens, and a
 /// browser that is gone is only noticed when something is sent to it.
 const TELL_EVERY: Duration = Duration::from_secs(5);
-/// How long a browser waits before it connects again, milliseconds.
+/// Wait of a browser before it connects again, milliseconds.
 const RECONNECT_MS: u32 = 1_000;
 
-/// What the streams are told.
+/// An event of the streams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum News {
     /// The edition of everything; it only rises while the coordinator runs.

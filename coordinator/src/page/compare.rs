@@ -8,7 +8,7 @@ use super::layout::{Place, Sheet};
 use super::problem::Problem;
 use super::state::Page;
 
-/// Where the page is.
+/// Address of the page.
 pub(super) const ADDRESS: &str = "/compare";
 
 /// The page; without two campaigns in its query, the form that asks for them.

@@ -159,7 +159,7 @@ async fn neighbours(
     Ok(ids)
 }
 
-/// Where one can go from here: other replicates, levels and configurations.
+/// Links to other replicates, levels and configurations.
 fn ways(
     campaign: &str,
     asked: RolloutId,
@@ -221,7 +221,7 @@ fn heading(asked: RolloutId) -> String {
     format!("{}, task {}, {which}", task.suite().name(), task.index())
 }
 
-/// What simultaneous perturbation did, in words, once it is known.
+/// Returns the effect of simultaneous perturbation, in words, once it is known.
 fn transition(shown: &[Shown], replicate: u32) -> Option<&'static str> {
     let records: Vec<Record> = shown
         .iter()

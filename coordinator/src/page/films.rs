@@ -1,5 +1,5 @@
-//! Which axes it takes, in words, and in films side by side: the minimal subset, and the
-//! largest subsets of it that do not change the outcome.
+//! Explanation of an outcome by axes, in words, and in films side by side: the minimal subset, and
+//! the largest subsets of it that do not change the outcome.
 
 use lattice::{Answer, Explanation, MinimalSubset};
 use maud::{Markup, html};
@@ -17,7 +17,7 @@ pub(super) struct Films {
     pub(super) count: usize,
 }
 
-/// What is found from one start, as an entry of a list.
+/// The minimal subsets found from one start, as entries of a list.
 pub(super) fn in_words(answer: &Answer, transition: Transition) -> Markup {
     let (does, does_not) = verbs(transition);
     html! {
@@ -196,7 +196,8 @@ fn remedies(lattice: &Lattice, shown: &[Film]) -> Markup {
     }
 }
 
-/// What flips the outcome does, and what does not.
+/// Returns the verb for a rollout whose outcome is flipped, and the verb for one whose outcome is
+/// not.
 const fn verbs(transition: Transition) -> (&'static str, &'static str) {
     match transition {
         Transition::Compensated => ("succeeds", "fails"),

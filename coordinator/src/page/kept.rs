@@ -118,8 +118,7 @@ impl<V: Clone + Send + 'static> Kept<V> {
             return place.clone();
         }
         if places.len() >= self.most {
-            // Those that are being made stay. Another that is still wanted is made again,
-            // once.
+            // Values that are being made stay. Another that is still wanted is made again, once.
             places.retain(|_, place| Arc::strong_count(place) > 1);
         }
         places.entry(key.to_owned()).or_default().clone()

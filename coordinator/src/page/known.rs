@@ -1,4 +1,4 @@
-//! What is known of a configuration under every subset of the axes, by the campaign that
+//! Known outcomes of a configuration under every subset of the axes, from the campaign that
 //! measures it and the one that explains that.
 
 use lattice::{Known, configurations, own_configurations};
@@ -16,18 +16,18 @@ pub(super) struct Source {
     pub(super) rows: Vec<SubsetRow>,
 }
 
-/// What is known of one configuration, and where from.
+/// Known outcomes of one configuration, and their campaigns.
 pub(super) struct Lattice {
     /// The configuration, named by its simultaneous rollout.
     pub(super) configuration: RolloutId,
     pub(super) known: Known,
     /// The campaign that measures it.
     pub(super) measured: Source,
-    /// The one that explains that campaign, if there is one.
+    /// The campaign that explains it, if there is one.
     pub(super) explaining: Option<Source>,
 }
 
-/// What is known of a configuration; none of a nominal rollout by itself, or with fewer
+/// Reads the known outcomes of a configuration; none of a nominal rollout by itself, or with fewer
 /// than two axes.
 pub(super) async fn read(
     view: &mut View,
@@ -78,7 +78,7 @@ pub(super) async fn read(
     }))
 }
 
-/// What a campaign has of a configuration, its nominal rollout included.
+/// Reads a campaign's rollouts of a configuration, its nominal rollout included.
 async fn source(view: &mut View, campaign: Campaign, asked: RolloutId) -> Result<Source, Problem> {
     let conditions = AxisSet::ALL.subsets().into_iter().map(Condition::of);
     let id =
@@ -147,7 +147,7 @@ impl Lattice {
         ids.any(|id| matches!(id.condition(), Condition::Subset(_)))
     }
 
-    /// Where the rollout under a subset is shown.
+    /// Returns the address of the page that shows the rollout under a subset.
     pub(super) fn link(&self, set: AxisSet) -> Option<String> {
         let full = self.known.full();
         self.both().find_map(|source| {

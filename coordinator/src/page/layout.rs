@@ -1,5 +1,4 @@
-//! What all pages share: head, navigation, the line that says whether the page
-//! is live.
+//! Parts that all pages share: head, navigation, the line that says whether the page is live.
 
 use maud::{DOCTYPE, Markup, html};
 
@@ -8,7 +7,7 @@ use super::answer::FILES_VERSION;
 /// A page without what all pages share.
 pub(super) struct Sheet {
     pub(super) title: String,
-    /// Which entry of the navigation it belongs to.
+    /// Entry of the navigation that it belongs to.
     pub(super) place: Place,
     pub(super) main: Markup,
 }

@@ -75,8 +75,8 @@ fn to(address: &str, cookie: Option<String>) -> Response {
     (StatusCode::SEE_OTHER, headers, cookie, ()).into_response()
 }
 
-/// Where a form or a query wants to go on: an address of this server, or else
-/// its first page.
+/// Returns the address that a form or a query wants to go on to: one of this server, or else its
+/// first page.
 fn next(form: &[u8]) -> String {
     let next = field(form, "next");
     let mut bytes = next.bytes();

@@ -97,7 +97,7 @@ fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
     text.family(jobs, GAUGE, "Rollouts of a campaign, by state.");
     for status in shown {
         let (name, counts) = (status.campaign.name.as_str(), &status.counts);
-        // What is over has no work for anybody.
+        // A campaign that is over has no work for anybody.
         let (queued, not_run) = match status.campaign.state.is_over() {
             true => (0, counts.queued),
             false => (counts.queued, 0),

@@ -6,7 +6,7 @@ use protocol::{Axis, ManifestRow};
 /// One parameter in words.
 type Phrase = fn(f64) -> String;
 
-/// What an axis does in a rollout: a line for each of its parameters.
+/// Describes the effect of an axis in a rollout: a line for each of its parameters.
 pub(super) fn lines(row: &ManifestRow, axis: Axis) -> Vec<String> {
     let phrases: &[Phrase] = match axis {
         Axis::Camera => &CAMERA,

@@ -1,4 +1,4 @@
-//! What goes wrong with a request, as a page that says what to do.
+//! Failures of a request, as a page that says what to do.
 
 use std::error::Error;
 
@@ -24,16 +24,16 @@ pub(super) enum Problem {
     Campaign(String),
     /// The campaign has another name by now.
     Renamed {
-        /// What was asked for.
+        /// The name that was asked for.
         former: String,
-        /// What it is called.
+        /// The present name.
         now: String,
     },
     /// The campaign has no such rollout.
     Rollout {
         /// The campaign.
         campaign: String,
-        /// What was asked for.
+        /// The id that was asked for.
         rollout: String,
     },
     /// No video is kept of the rollout.

@@ -14,7 +14,7 @@ use super::state::Page;
 /// Rollouts on a page.
 const PAGE_JOBS: u32 = 200;
 
-/// What one can ask for, as a query names it, and how it is called.
+/// Choices of the page: the query of each, and its label.
 const CHOICES: [(&str, &str); 6] = [
     ("state=leased", "running"),
     ("state=queued", "waiting"),
@@ -24,7 +24,7 @@ const CHOICES: [(&str, &str); 6] = [
     ("state=quarantined", "quarantined"),
 ];
 
-/// What a query asks for.
+/// Selection that a query asks for.
 #[derive(Default)]
 struct Wanted {
     /// One of [`CHOICES`]; all without it.

@@ -1,4 +1,4 @@
-//! What a campaign's rollouts take, and what would make them faster, in two lines.
+//! Time of a campaign's rollouts, and what would make them faster, in two lines.
 
 use maud::{Markup, html};
 use proto::coordinator::ForecastResponse;

@@ -1,5 +1,5 @@
-//! What campaigns depend on: workers, policies and their health, and what is in
-//! quarantine.
+//! Pages of the workers, the policies and their health, and the quarantine, on which campaigns
+//! depend.
 
 use maud::{Markup, html};
 use queue::clock::UnixMillis;
@@ -54,7 +54,7 @@ pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
     Ok(Sheet::new(Place::Policies, "Policies", main))
 }
 
-/// What is in quarantine, of all campaigns.
+/// Quarantined rollouts of all campaigns.
 pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
     let quarantined = page
         .queue

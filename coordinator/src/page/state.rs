@@ -1,5 +1,5 @@
-//! What all pages are made from, and how a page is made: once for everybody who
-//! asks within a second.
+//! State that all pages are made from, and how a page is made: once for everybody who asks within
+//! a second.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -38,7 +38,8 @@ const DOCUMENT_AGE_PER_COST: u32 = 20;
 /// Two campaigns, compared if they can be.
 pub(super) type Compared = Result<Comparison, Unpairable>;
 
-/// What a campaign's statistics depend on: itself, and the campaign that it follows from.
+/// Editions that a campaign's statistics depend on: its own, and that of the campaign that it
+/// follows from.
 type Editions = (Edition, Option<Edition>);
 
 /// The address that a browser asks for, and its headers.

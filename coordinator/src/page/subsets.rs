@@ -90,7 +90,7 @@ pub(super) async fn section(
     })
 }
 
-/// Which campaigns this is from, where the page is one of them.
+/// Names the campaigns that the outcomes are from, if the page belongs to one of them.
 fn sources(lattice: &Lattice, shown: &Campaign) -> Markup {
     let to = |campaign: &Campaign| {
         let name = campaign.name.as_str();

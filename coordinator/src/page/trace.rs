@@ -9,16 +9,16 @@ use maud::{Markup, html};
 /// world frame, m.
 pub(super) type Path = Vec<[f64; 3]>;
 
-/// What a stored position is counted in, m.
+/// Unit of a stored position, m.
 const UNIT_M: f64 = 1e-4;
 /// Size of the picture, CSS pixels where it is not scaled.
 const WIDTH: f64 = 248.0;
 const HEIGHT: f64 = 136.0;
 /// Side of the square that shows the path from above.
 const ABOVE: f64 = 104.0;
-/// Where the drawings begin, below their headings.
+/// Top of the drawings, below their headings.
 const TOP: f64 = 16.0;
-/// Where the drawing of the height begins.
+/// Left edge of the drawing of the height.
 const LEFT: f64 = 138.0;
 /// The scale bar, m.
 const BAR_M: f64 = 0.1;
@@ -192,7 +192,7 @@ mod tests {
         for path in &paths {
             for (step, position) in path.iter().enumerate() {
                 let within = |range: [f64; 2], value: f64| {
-                    // What lies on an edge may be rounded across it.
+                    // A position on an edge may be rounded across it.
                     assert!(
                         range[0] - 1e-6 <= value && value <= range[1] + 1e-6,
                         "{value}"

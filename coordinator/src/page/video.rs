@@ -18,7 +18,7 @@ use super::problem::Problem;
 use super::state::Page;
 use crate::storage::Storage;
 
-/// What a video may do that is opened as a page: show itself.
+/// Rights of a video that is opened as a page: it may show itself.
 const CONTENT_POLICY: &str =
     "sandbox; default-src 'none'; media-src 'self'; style-src 'unsafe-inline'";
 
@@ -35,8 +35,8 @@ pub(super) async fn answer(
     drop(view);
     let video = video.ok_or(Problem::Video)?;
     let path = Path::new(&video);
-    // What is stored was made by this program; a database from elsewhere must
-    // not lead out of its folder all the same.
+    // Stored paths were made by this program; a database from elsewhere must not lead out of its
+    // folder all the same.
     let mut parts = path.components();
     let is_below = parts.next() == Some(Component::Normal(ARTIFACTS_FOLDER.as_ref()))
         && parts.all(|part| matches!(part, Component::Normal(_)));
@@ -94,7 +94,7 @@ async fn stored(storage: &Storage, video: &str, headers: &HeaderMap) -> Result<R
     answer.map_err(|error| Problem::failed(&error))
 }
 
-/// The one range that a browser asks for; of several, it gets the whole.
+/// Returns the one range that a browser asks for; of several, it gets the whole.
 fn asked_range(header: &HeaderValue) -> Option<GetRange> {
     let ranges = parse_range_header(header.to_str().ok()?).ok()?.ranges;
     let [range] = ranges.as_slice() else {

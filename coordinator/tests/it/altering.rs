@@ -83,8 +83,8 @@ async fn a_campaign_whose_endpoint_is_mended_goes_on_at_once() {
     assert_eq!(status.policy_endpoint, ELSEWHERE);
     assert!(!status.policy_paused, "nothing bad is known of the new one");
 
-    // What ran at the old endpoint is not for this campaign any more, and says
-    // nothing of the new one.
+    // An attempt at the old endpoint is no longer for this campaign, and says nothing of the new
+    // one.
     let over = worker.heartbeat(&[&held], 20).await;
     assert_eq!(over, std::slice::from_ref(&held.attempt_id));
     worker.release(&held, Reason::PolicyUnavailable).await;

@@ -1,4 +1,4 @@
-//! Which worker gets which job, and when.
+//! Choice of the worker and the moment for each job.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -156,7 +156,7 @@ async fn a_worker_that_names_no_renderer_is_not_registered() {
     assert_eq!(bench.count("SELECT count(*) FROM worker").await, 1);
 }
 
-/// Who created a campaign first had all workers until it was done.
+/// The campaign that was created first once had all workers until it was done.
 #[tokio::test]
 async fn campaigns_of_one_priority_progress_together() {
     let bench = Bench::start().await;
@@ -238,7 +238,7 @@ async fn a_higher_priority_goes_first_and_may_be_changed_at_any_time() {
         let refused = refused.expect_err("no priority");
         assert_eq!(refused.code(), Code::InvalidArgument);
     }
-    // What is left of a lower priority is had once the higher ones are done.
+    // Jobs of a lower priority are leased once the higher ones are done.
     assert_eq!(worker.claim(64).await.len(), 5);
 }
 

@@ -149,7 +149,7 @@ fn a_wrong_compare_command_exits_with_2_and_says_what_it_takes() {
     );
 }
 
-/// What `coordinator compare` makes of two campaigns of a bench.
+/// Returns the comparison that `coordinator compare` makes of two campaigns of a bench.
 async fn compared(bench: &Bench, names: [&str; 2]) -> report::Comparison {
     let mut subjects = Vec::new();
     for name in names {
@@ -240,7 +240,7 @@ async fn two_campaigns_are_compared_on_the_page() {
     }
     let missing = ask(&bench.url, "GET /compare?a=first&b=third").await;
     assert!(missing.text().contains("There is no such campaign"));
-    // What cannot be compared is a page too, not an error.
+    // Campaigns that cannot be compared give a page, too, not an error.
     let other = with(small_spec("other"), json!({"realisation": "reference"}));
     bench.create(&other).await.expect("created");
     let refused = ask(&bench.url, "GET /compare?a=first&b=other").await.text();

@@ -1,5 +1,5 @@
-//! What tests of campaigns share that follow from others: workers that run what waits as
-//! it is planted, and coordinators that die.
+//! Helpers of tests of campaigns that follow from others: workers that run waiting jobs with
+//! planted outcomes, and coordinators that die.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -16,7 +16,7 @@ use serde_json::Value;
 use crate::harness::{Worker, rollout_id};
 use crate::process::Serve;
 
-/// How long a planted campaign may take.
+/// Longest time that a planted campaign may take.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
 /// How a rollout ends: what is planted.

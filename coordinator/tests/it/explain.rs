@@ -1,4 +1,4 @@
-//! Which axes it takes: planted rules of failure are found again, whatever dies on the
+//! Explanation of failures by axes: planted rules of failure are found again, whatever dies on the
 //! way.
 
 use std::collections::BTreeSet;
@@ -20,7 +20,7 @@ fn set(text: &str) -> AxisSet {
     text.parse().expect("a set of axes")
 }
 
-/// What is planted into the tasks of one suite: which axes it takes to fail.
+/// Planted outcome, by the task within its suite: the axes that it takes to fail.
 pub(crate) fn outcome(id: &RolloutId) -> Outcome {
     let axes = id.condition().axes(AxisSet::ALL);
     let has = |text| set(text).is_subset(axes);
@@ -37,7 +37,7 @@ pub(crate) fn outcome(id: &RolloutId) -> Outcome {
     Outcome::from(!fails)
 }
 
-/// What has to be found, task by task: where the search starts, and what is minimal.
+/// Expected findings, task by task: the start of the search, and the minimal subsets.
 const FOUND: [(&str, &str, &[&str]); 6] = [
     ("object/t0", "none", &["camera+robot"]),
     ("object/t1", "none", &["camera+robot"]),
@@ -328,7 +328,7 @@ async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_roll
     );
 }
 
-/// How many rollouts a campaign has, if it exists.
+/// Returns the number of a campaign's rollouts, if it exists.
 async fn rollouts_of(serve: &Serve, campaign: &str) -> Option<u64> {
     let operator = OperatorServiceClient::connect(serve.url.clone()).await;
     let campaign = campaign.to_owned();

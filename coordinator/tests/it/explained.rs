@@ -22,7 +22,7 @@ async fn page(serve: &Serve, path: &str) -> String {
     answer.text()
 }
 
-/// What a command that works prints.
+/// Returns the output of a command that succeeds.
 fn printed(serve: &Serve, arguments: &[&str]) -> String {
     let output = serve.command(arguments);
     assert!(output.status.success(), "{}", text(&output.stderr));

@@ -26,7 +26,7 @@ const AT_ONCE: usize = 4;
 /// The lease's seconds and the sweep that finds it over.
 const LEASE_SECS: u32 = 3;
 const EXPIRING_SWEEP: u32 = 5;
-/// How long a process may take to reach its failpoint.
+/// Longest time until a process reaches its failpoint.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// `coordinator serve` on a folder, to die at a point.
@@ -250,8 +250,8 @@ async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
 async fn a_process_that_dies_around_any_transaction_leaves_order_and_the_same_report() {
     let folder = sound().await;
     let undisturbed = finish(copy_of(folder.path()).path()).await;
-    // What a campaign that follows from another adds has tests of its own, in `explain` and
-    // `thresholds`, and so has one that ends early, in `stops`.
+    // Additions of a campaign that follows from another have tests of their own, in `explain` and
+    // `thresholds`, and so has a campaign that ends early, in `stops`.
     let has_its_own = [Step::Derive, Step::Stop];
     let steps = Step::ALL
         .into_iter()

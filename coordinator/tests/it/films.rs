@@ -1,4 +1,4 @@
-//! Which rollouts of a campaign that records transitions are filmed.
+//! Choice of the rollouts that are filmed, in a campaign that records transitions.
 
 use proto::coordinator as wire;
 use serde_json::json;

@@ -13,7 +13,7 @@ use crate::page::ask;
 /// A page shows results as they were a moment ago: longest wait for the newest.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What the campaign's status and report say about its fingerprints.
+/// Returns the words on fingerprints of the campaign's status, and those of its report.
 async fn told(bench: &Bench) -> [String; 2] {
     let request = wire::ReportRequest {
         campaign: "mixed".to_owned(),

@@ -461,8 +461,8 @@ pub(crate) fn rollout_id(lease: &wire::Lease) -> String {
     row["rollout_id"].as_str().expect("an id").to_owned()
 }
 
-/// What the bench would realise: of the parameters alone, as if no axis drew
-/// anything, so that the modes realise the same.
+/// Returns the perturbation that the bench would realise: of the parameters alone, as if no axis
+/// drew anything, so that the modes realise the same.
 fn realised(row: &Value) -> Vec<wire::RealisedAxis> {
     let parameters = &row["perturb"];
     let axis = |name: &str, values: &Value| {

@@ -15,7 +15,7 @@ use tempfile::TempDir;
 use crate::harness::{Bench, small_spec, with};
 use crate::process::{coordinator, text};
 
-/// What breaks each, past the coordinator, and a word of the violation.
+/// Statements that break each invariant, past the coordinator, and a word of the violation.
 const BROKEN: [(&str, &str, &str); 19] = [
     (
         "file_is_whole",

@@ -23,8 +23,8 @@ pub(crate) fn documented(command: &str) -> BTreeSet<String> {
     section.lines().filter_map(key).collect()
 }
 
-/// The keys of a value, with those of what is in it: `campaigns[].rollouts.total`.
-/// What a manifest row has is its own business.
+/// Collects the keys of a value, with those of the values in it: `campaigns[].rollouts.total`. The
+/// keys of a manifest row are its own business.
 pub(crate) fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
     match value {
         Value::Object(fields) if at != "manifest_row" => {

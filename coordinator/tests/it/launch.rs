@@ -49,7 +49,7 @@ fn scripts_are_shown_and_nothing_is_written_unless_asked_for() {
     ] {
         assert!(said.contains(words), "no {words:?} in {said}");
     }
-    // What was not given is no line; without a policy there is no gateway.
+    // A flag that was not given makes no line; without a policy there is no gateway.
     for words in [
         "{{",
         "--partition",

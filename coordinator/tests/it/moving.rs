@@ -253,7 +253,7 @@ async fn an_interrupted_campaign_goes_on_at_another_coordinator_to_the_same_repo
             .expect("JSON");
     let status = status.to_string();
     assert!(status.contains("\"priority\":7"), "{status}");
-    // Who made the results is no worker of this coordinator.
+    // The workers that made the results are none of this coordinator.
     let workers = there.must(&["workers", "--all", "--json"]);
     let workers: Value = serde_json::from_str(&workers).expect("JSON");
     let workers = workers["workers"].as_array().expect("workers");
@@ -552,7 +552,7 @@ async fn a_campaign_that_follows_from_another_comes_after_it() {
         tokio::time::sleep(Duration::from_millis(100)).await;
     };
     assert_eq!(here.worker.commit(&lease, true).await, Verdict::Accepted);
-    // What follows from that is there in a moment too.
+    // Jobs that follow from that are there in a moment, too.
     tokio::time::sleep(Duration::from_secs(1)).await;
     assert!(
         here.must(&["export", name, "--format", "jsonl"])
@@ -624,7 +624,7 @@ async fn two_halves_that_agree_become_the_campaign_that_one_coordinator_would_ha
     there.in_order().await;
     let films = there.folder.path().join("artifacts/moved");
     assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
-    // What neither half has run is still to be run.
+    // Rollouts that neither half has run are still to be run.
     there.run(64, "").await;
     there.in_order().await;
     first.run(64, "").await;

@@ -381,7 +381,7 @@ async fn a_backup_of_a_running_coordinator_is_in_order_and_can_be_served() {
     assert_eq!(text(&checked.stdout), "all 19 invariants hold\n");
     let second = Serve::start(&restored);
     let mut worker = second.worker("a").await;
-    // What was committed since is repeated; what was leased then is still held.
+    // Results committed since the backup are repeated; leases of then are still held.
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Duplicate);
     assert_eq!(worker.commit(&leases[1], true).await, Verdict::Accepted);
     assert_eq!(worker.commit(&leases[2], true).await, Verdict::Accepted);

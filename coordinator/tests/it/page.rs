@@ -499,7 +499,7 @@ async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
         page.text()
     );
 
-    // What does not read pages is told; a token opens what it opens elsewhere.
+    // A client that may not read pages is refused; a token opens what it opens elsewhere.
     for (token, code) in [
         (None, 401),
         (Some(WORKER), 403),
@@ -541,7 +541,8 @@ async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
     )
     .await;
     assert_eq!(call.header("grpc-status"), Some("3"), "{}", call.head);
-    // What a page may send without asking the server first: a whole message, as plain text.
+    // The body that a page may send without asking the server first: a whole message, as plain
+    // text.
     let message = "\0\0\0\0\x0e\n\x05begun\x12\x05begun";
     for headers in [
         "content-type: text/plain\nsec-fetch-site: cross-site\norigin: https://evil.example",

@@ -1,5 +1,5 @@
-//! What a campaign's workers run on: what it asks for, and what its first result
-//! pins it to.
+//! Assets, simulator and renderer of a campaign's workers: those that it asks for, and those that
+//! its first result pins it to.
 
 use proto::coordinator::Provenance;
 use proto::coordinator::commit_response::Verdict;

@@ -64,7 +64,7 @@ impl Serve {
         !self.url.is_empty()
     }
 
-    /// How it ended, if it has.
+    /// Returns the exit status, if it has ended.
     pub(crate) fn ended(&mut self) -> Option<ExitStatus> {
         self.child.try_wait().expect("a child")
     }
@@ -174,7 +174,7 @@ async fn a_coordinator_killed_in_the_middle_continues_where_it_was() {
     let mut worker = second.worker("a").await;
     assert!(worker.heartbeat(&[&held], 50).await.is_empty());
     assert_eq!(worker.commit(&held, true).await, Verdict::Accepted);
-    // What was accepted was kept.
+    // Accepted results were kept.
     assert_eq!(worker.commit(&committed[0], true).await, Verdict::Duplicate);
     while let [lease] = worker.claim(1).await.as_slice() {
         assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);

@@ -1,5 +1,4 @@
-//! What the report says, and that it says the same whatever went wrong on the
-//! way.
+//! Content of the report, which is the same whatever went wrong on the way.
 
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
@@ -42,7 +41,7 @@ struct Told {
     table: String,
 }
 
-/// What `coordinator report` makes of what the coordinator sends.
+/// Returns the report that `coordinator report` makes of the coordinator's answer.
 async fn report(bench: &Bench) -> Told {
     let request = wire::ReportRequest {
         campaign: "told".to_owned(),

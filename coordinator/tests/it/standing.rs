@@ -1,4 +1,4 @@
-//! What is said of workers, paces and policies is so at every moment.
+//! Statements on workers, paces and policies hold at every moment.
 
 use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;

@@ -33,7 +33,7 @@ fn spec(name: &str) -> Value {
     })
 }
 
-/// What is planted: some tasks fail under robot alone, others under all axes together.
+/// Planted outcome: some tasks fail under robot alone, others under all axes together.
 fn succeeds(id: &RolloutId) -> bool {
     let condition = id.condition().to_string();
     match id.task().index() {
@@ -165,7 +165,7 @@ async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
     assert_eq!(status["early_stop"]["configurations"], 40);
     assert_eq!(status["early_stop"]["saved"], saved);
     assert_eq!(status["rollouts"]["leased"], 0);
-    // What was in flight is taken back, and nothing more is leased.
+    // Attempts in flight are taken back, and nothing more is leased.
     assert_eq!(worker.commit(&leases[1], true).await, Verdict::Stale);
     assert!(worker.claim(1).await.is_empty());
 
@@ -255,8 +255,8 @@ async fn a_stopped_campaign_stays_as_it_is_and_others_follow_from_what_counts() 
     create(&serve, folder.path(), &spec("early"));
     assert_eq!(status(&serve, "early")["state"], "stopped");
 
-    // What counts is explained, though some rollouts will never have an outcome; and how far
-    // it holds is measured.
+    // Results that count are explained, though some rollouts will never have an outcome; and how
+    // far the explanation holds is measured.
     let explained = derived(&serve, &mut worker, &["explain", "early"]).await;
     assert_eq!(explained["explained"], explained["transitions"]);
     let report = printed(&serve, &["report", "early", "--json"]);
@@ -331,7 +331,7 @@ fn a_rule_that_cannot_end_a_campaign_is_refused_before_anything_is_created() {
         "with 2 `replicates`",
     );
     create(&["--stop-seed", "7"], "were not provided:\n  --stop <RULE>");
-    // What a design is refused for is said once, too.
+    // The reason why a design is refused is said once, too.
     create(&["--placebo-configs", "0"], "add L0 to `levels`");
     create(
         &["--levels", "L0,L1", "--placebo-configs", "77"],

@@ -16,7 +16,7 @@ use crate::process::{Serve, text};
 
 /// The server of S3's calls that tests start: `moto_server` of the package `moto[server]`.
 const SERVER: &str = "ROLLOUT_S3_SERVER";
-/// How long a film may take to be stored: the mirror pauses while storage fails.
+/// Longest time until a film is stored: the mirror pauses while storage fails.
 const PATIENCE: Duration = Duration::from_secs(90);
 
 /// A server that keeps objects in memory; killed when it goes out of scope.
@@ -149,7 +149,7 @@ async fn until(what: &str, is_so: impl Fn() -> bool) {
     }
 }
 
-/// What a browser sees of a film: all of it, and pieces.
+/// Checks that a browser can load all of a film, and pieces of it.
 fn shows(serve: &Serve, rollout: &str, bytes: &[u8]) {
     let address = serve.url.strip_prefix("http://").expect("a URL");
     let address = address.parse().expect("an address");

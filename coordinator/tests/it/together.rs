@@ -1,5 +1,5 @@
-//! What arrives while a transaction runs goes into the next one together, and
-//! each call is answered as if it had come alone.
+//! Batching: calls that arrive while a transaction runs go into the next one together, and each is
+//! answered as if it had come alone.
 
 use std::collections::BTreeSet;
 use std::time::Duration;

@@ -298,7 +298,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
         assert!(output.status.success(), "{}", text(&output.stdout));
         assert_eq!(schema(folder.path()).await, fresh, "schema {version}");
 
-        // What is neither final nor cancelled is leased again.
+        // Open jobs of running campaigns are leased again.
         let bench = Bench::start_in(folder, clock).await;
         let pool = bench.database().await;
         let renderer: String = sqlx::query_scalar("SELECT max(renderer) FROM campaign")

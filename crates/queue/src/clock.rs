@@ -23,7 +23,7 @@ use serde::Deserialize;
 #[sqlx(transparent)]
 pub struct UnixMillis(pub i64);
 
-/// Where the present instant comes from. It never goes back.
+/// Source of the present instant. It never goes back.
 pub trait Clock: Send + Sync {
     /// The present instant.
     fn now(&self) -> UnixMillis;

@@ -29,11 +29,11 @@ pub struct NewCampaign {
     pub policy_endpoint: String,
     /// "matched" or "reference".
     pub realisation: String,
-    /// Which rollouts are filmed: "none", "failures", "transitions" or "all".
+    /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
     pub record: &'static str,
-    /// What it asks of its workers.
+    /// Requirements on its workers.
     pub wanted: Wanted,
-    /// What its jobs follow from, if they follow from another campaign's outcomes.
+    /// Source of its jobs, if they follow from another campaign's outcomes.
     pub derived: Option<Rollouts>,
     /// Its configurations, if it may end early; its jobs are then in the order that
     /// is drawn of them.
@@ -50,13 +50,13 @@ pub struct NewCampaign {
 /// A job ready to be stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewJob {
-    /// Which rollout.
+    /// Id of the rollout.
     pub rollout_id: String,
-    /// Which replicate of it.
+    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// "libero_goal/3".
     pub task: String,
-    /// Which initial state.
+    /// Id of the initial state.
     pub init_id: u16,
     /// Place in paired-unit order.
     pub unit_order: i64,
@@ -195,7 +195,7 @@ fn draw(rows: &mut [ManifestRow], stop: &Stop) -> usize {
 /// A stored specification after a change, and its digest.
 ///
 /// # Errors
-/// When it is no specification any more.
+/// If the changed specification is invalid.
 pub(crate) fn altered(
     spec: &str,
     change: impl FnOnce(&mut CampaignSpec),

@@ -70,9 +70,9 @@ pub struct CampaignName(String);
 /// A job by the names that people use.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JobName {
-    /// Which rollout.
+    /// Id of the rollout.
     pub rollout_id: String,
-    /// Which replicate of it.
+    /// Number of the replicate of the rollout.
     pub replicate: u32,
 }
 
@@ -84,7 +84,7 @@ pub enum NameError {
         "read campaign name {name:?}: use 1 to {MAX_CAMPAIGN_NAME_BYTES} letters, digits, `-`, `_` and `.`, not starting with a dot"
     )]
     Campaign {
-        /// What was given, shortened.
+        /// The given name, shortened.
         name: String,
     },
     /// Not a worker's id.
@@ -92,7 +92,7 @@ pub enum NameError {
         "read worker id `{id}`: use 1 to {MAX_WORKER_ID_BYTES} visible ASCII characters without spaces"
     )]
     Worker {
-        /// What was given, shortened.
+        /// The given id, shortened.
         id: String,
     },
 }
@@ -101,8 +101,8 @@ impl CampaignName {
     /// Checks a name.
     ///
     /// # Errors
-    /// When it is empty, too long, starts with a dot or holds another character
-    /// than letters, digits, `-`, `_` and `.`.
+    /// If the name is empty, too long, starts with a dot or holds another character than letters,
+    /// digits, `-`, `_` and `.`.
     pub fn parse(name: &str) -> Result<CampaignName, NameError> {
         let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
         let fits = (1..=MAX_CAMPAIGN_NAME_BYTES).contains(&name.len());
@@ -125,7 +125,7 @@ impl WorkerId {
     /// Checks an id.
     ///
     /// # Errors
-    /// When it is empty, too long, or holds a space or an invisible character.
+    /// If the id is empty, too long, or holds a space or an invisible character.
     pub fn parse(id: &str) -> Result<WorkerId, NameError> {
         let fits = (1..=MAX_WORKER_ID_BYTES).contains(&id.len());
         if fits && id.chars().all(|c| c.is_ascii_graphic()) {

@@ -1,7 +1,6 @@
-//! What always holds of a database, by name: one query each, whose rows are the
-//! violations in words. `coordinator check` runs them on a database that is at
-//! rest; tests run them after everything that may go wrong. They say nothing of
-//! a policy or of files beside the database.
+//! Invariants of a database, by name: one query each, whose rows are the violations in words.
+//! `coordinator check` runs them on a database that is at rest; tests run them after everything
+//! that may go wrong. They say nothing of a policy or of files beside the database.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +12,7 @@ use crate::store::{self, DATABASE_FILE};
 /// Violations of one invariant that are described; the rest are counted.
 pub const MAX_EXAMPLES: usize = 5;
 
-/// What always holds of a database.
+/// An invariant of a database.
 #[derive(Clone, Copy, Debug)]
 pub struct Invariant {
     /// Its name.
@@ -27,7 +26,7 @@ pub struct Invariant {
 pub struct Violation {
     /// The name of the invariant.
     pub invariant: &'static str,
-    /// How often.
+    /// Number of violations.
     pub count: usize,
     /// The first [`MAX_EXAMPLES`], in words.
     pub examples: Vec<String>,
@@ -39,15 +38,15 @@ pub enum CheckError {
     /// There is none.
     #[error("check {}: there is no such database; name a data folder, or a database file", path.display())]
     Missing {
-        /// What was named.
+        /// The path that was named.
         path: PathBuf,
     },
     /// It cannot be read.
     #[error("check {}: is it a database of the coordinator?", path.display())]
     Read {
-        /// What was named.
+        /// The path that was named.
         path: PathBuf,
-        /// What SQLite said.
+        /// Error of SQLite.
         source: sqlx::Error,
     },
     /// Another schema.
@@ -56,7 +55,7 @@ pub enum CheckError {
         path.display()
     )]
     OtherSchema {
-        /// What was named.
+        /// The path that was named.
         path: PathBuf,
         /// Its version; 0 if it has none.
         found: i64,
@@ -86,7 +85,7 @@ pub const INVARIANTS: [Invariant; 19] = [
              ON k.type = m.type AND k.name = m.name
          WHERE m.sql IS NOT k.sql AND coalesce(k.name, m.name) NOT GLOB 'sqlite_*'",
     },
-    // What a row refers to is there.
+    // Every foreign key refers to a row.
     Invariant {
         name: "references_hold",
         query: "SELECT format('row %s of %s refers to no row of %s', rowid, \"table\", parent)
@@ -165,8 +164,8 @@ pub const INVARIANTS: [Invariant; 19] = [
          FROM job j WHERE j.attempt <> (j.state IN ('leased', 'committed'))
              + (SELECT count(*) FROM failure f WHERE f.job_id = j.id)",
     },
-    // What counts against a job are its charged failures since it was last
-    // taken out of quarantine.
+    // The charged attempts of a job are its charged failures since it was last taken out of
+    // quarantine.
     Invariant {
         name: "charges_are_accounted_for",
         query: "SELECT format('job %d has %d charged attempts, forgiven up to attempt %d, and %s',
@@ -252,7 +251,7 @@ pub const INVARIANTS: [Invariant; 19] = [
          HAVING count(DISTINCT r.scene_digest) > 1
              OR count(DISTINCT r.init_state_digest) > 1",
     },
-    // What is kept as divergent differs from the committed outcome.
+    // A divergent outcome differs from the committed one.
     Invariant {
         name: "divergences_differ",
         query: "SELECT format('divergence %d of job %d has no other outcome to differ from', d.id,

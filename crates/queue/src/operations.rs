@@ -1,5 +1,5 @@
-//! What workers and operators do: each reads what a decision needs, lets the
-//! rules decide, and carries it out in the writing transaction.
+//! Operations of workers and operators: each reads the inputs of a decision, lets the rules
+//! decide, and carries the decision out in the writing transaction.
 
 pub(crate) mod alter;
 pub(crate) mod artifacts;

@@ -37,10 +37,10 @@ const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(1);
 /// The job table in operation.
 pub struct Queue {
     pub(crate) shared: Arc<Shared>,
-    /// What workers ask for, on its way into the next transaction.
+    /// Operations of workers, on their way into the next transaction.
     operations: mpsc::Sender<Operation>,
-    /// What executes it, what keeps the log short, and what adds jobs or stops
-    /// campaigns as outcomes come; they end with the queue.
+    /// Tasks that execute operations, keep the log short, and add jobs or stop campaigns as
+    /// outcomes come; they end with the queue.
     tasks: tokio::sync::Mutex<Tasks>,
     pub(crate) last_sweep: AtomicI64,
     pub(crate) filming: Filming,
@@ -143,7 +143,7 @@ impl Queue {
         }))
     }
 
-    /// How long things last here.
+    /// Returns the durations of leases, heartbeats and timeouts.
     pub fn timing(&self) -> Timing {
         self.shared.timing
     }
@@ -158,10 +158,10 @@ impl Queue {
         &self.shared.store
     }
 
-    /// What is committed now, to be read.
+    /// Begins a view of the committed database.
     ///
     /// # Errors
-    /// When the database cannot be read.
+    /// If the database cannot be read.
     pub async fn view(&self) -> Result<View, StoreError> {
         let filming = self.filming.by_worker();
         let shared = &*self.shared;

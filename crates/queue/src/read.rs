@@ -46,7 +46,7 @@ pub use results::{Edition, ExportedRow, RecordRow, SetupRow};
 pub use speed::{Bottleneck, Rate, Spent};
 pub use standing::{MAX_WORKERS_LISTED, PolicyLine, QuarantinedLine, WorkerLine};
 
-/// What is committed, as of one instant.
+/// The committed database, as of one instant.
 pub struct View {
     transaction: Transaction<'static, Sqlite>,
     /// The instant that ages are counted from.
@@ -56,7 +56,7 @@ pub struct View {
     held: Option<String>,
     /// Videos that workers draw or send; those without any are left out.
     filming: BTreeMap<WorkerId, u32>,
-    /// Which outcomes have been looked at, and how many had been before this began.
+    /// Counts of settling transactions, and how many had been looked at when the view began.
     settled: Arc<Settled>,
     looked_at: u64,
 }

@@ -1,4 +1,4 @@
-//! What is decided, purely: no store, no clock, no generator of their own.
+//! Decisions of the queue, as pure functions: no store, no clock, no generator of their own.
 
 pub mod campaign;
 pub mod choice;

@@ -58,7 +58,7 @@ const READERS: u32 = 4;
 /// or a curious shell).
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How long closing waits for readers.
+/// Longest wait of closing for readers.
 const READERS_GRACE: Duration = Duration::from_secs(2);
 
 static MIGRATIONS: Migrator = sqlx_macros::migrate!("../../migrations");
@@ -85,7 +85,7 @@ pub enum OpenError {
     Folder {
         /// The folder.
         folder: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// Another coordinator has it.
@@ -116,7 +116,7 @@ pub enum OpenError {
         path: PathBuf,
         /// The version aimed at.
         known: i64,
-        /// What went wrong.
+        /// Error of the migration.
         source: MigrateError,
     },
     /// SQLite refuses to open it.
@@ -124,7 +124,7 @@ pub enum OpenError {
     Database {
         /// The database.
         path: PathBuf,
-        /// What SQLite said.
+        /// Error of SQLite.
         source: sqlx::Error,
     },
 }
@@ -169,7 +169,7 @@ impl StoreError {
 #[derive(Debug)]
 pub(crate) struct Tx<'a> {
     transaction: Transaction<'a, Sqlite>,
-    /// What it is for.
+    /// Steps that the transaction carries out.
     steps: Vec<Step>,
     failpoints: &'a Failpoints,
 }
@@ -503,7 +503,7 @@ fn make_private(database: &Path) -> io::Result<()> {
         let Ok(found) = path.metadata() else { continue };
         let mode = found.mode() & 0o777;
         if mode & !PRIVATE_MODE != 0 {
-            // What another user owns stays as it is.
+            // A file that another user owns stays as it is.
             let private = Permissions::from_mode(mode & PRIVATE_MODE);
             let _ = std::fs::set_permissions(path, private);
         }

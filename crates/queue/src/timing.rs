@@ -1,8 +1,8 @@
-//! How long things last.
+//! Durations of leases, heartbeats and timeouts.
 
 use std::time::Duration;
 
-/// How long things last.
+/// Durations of leases, heartbeats and timeouts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timing {
     /// A lease, from its grant or its last heartbeat.

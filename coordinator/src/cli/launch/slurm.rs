@@ -274,7 +274,7 @@ impl SlurmArguments {
         Ok(values)
     }
 
-    /// Where the servers listen, and who is let in.
+    /// Sets the listening addresses of the servers, and their access.
     fn set_servers(&self, values: &mut Values) -> Result<(), CommandError> {
         let endpoint = parse_endpoint(&self.connect).context("use --connect");
         let endpoint = endpoint.map_err(usage)?;

@@ -4,7 +4,7 @@
 //! the line: Slurm if it begins with `#SBATCH`, else the shell. Several values repeat
 //! a line of Slurm's, and are several words of the shell's.
 
-/// What the placeholders stand for.
+/// Values of the placeholders.
 #[derive(Default)]
 pub(super) struct Values(Vec<(&'static str, Vec<String>)>);
 

@@ -108,7 +108,7 @@ impl World {
         &mut self.jobs[id.0 as usize]
     }
 
-    /// What the claiming statement does to one row.
+    /// Does to one row what the claiming statement does.
     fn claim(&mut self, worker: &str, number: usize) {
         let now = self.now;
         let allowance = self.policy.allowance(now);
@@ -246,7 +246,7 @@ impl World {
         }
     }
 
-    /// What taking a job out of quarantine does to its row.
+    /// Does to a job's row what taking it out of quarantine does.
     fn retry(&mut self, number: usize) {
         let now = self.now;
         let job = &mut self.jobs[number];
@@ -259,7 +259,7 @@ impl World {
         }
     }
 
-    /// What a new coordinator does: every lease gets its full time again.
+    /// Does what a new coordinator does: every lease gets its full time again.
     fn restart(&mut self) {
         let until = self.now.plus(LEASE);
         for job in &mut self.jobs {

@@ -23,14 +23,14 @@ use serde_json::json;
 use super::{Event, WORKERS, event};
 use crate::harness::{open_database, sha, small_spec, with};
 
-/// What workers know of what they were granted, newest last.
+/// Claims and grants that workers know of, newest last.
 #[derive(Clone, Default)]
 struct Known {
     claims: Vec<(ClaimRequest, Option<AttemptId>)>,
     granted: Vec<(WorkerId, AttemptId)>,
 }
 
-/// What a worker learns of an event.
+/// An event as a worker learns of it.
 enum News {
     Claimed(ClaimRequest, Option<AttemptId>),
     Accepted,

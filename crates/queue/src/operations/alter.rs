@@ -12,7 +12,7 @@ use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::{campaigns, derivations, policies};
 
-/// What becomes of a campaign; what is `None` stays.
+/// A change of a campaign; fields that are `None` stay as they are.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Alteration {
     /// One of [`PRIORITIES`](crate::rules::campaign::PRIORITIES).
@@ -22,7 +22,7 @@ pub struct Alteration {
     pub endpoint: Option<String>,
     /// The policy's name at its endpoint; only while there is no result.
     pub policy: Option<String>,
-    /// What it is called from now on.
+    /// The campaign's new name.
     pub name: Option<CampaignName>,
 }
 

@@ -21,9 +21,9 @@ use crate::store::failpoint::Step;
 pub const MAX_ARTIFACT_BYTES: u64 = 64 << 20;
 /// The folder of artifacts in the data folder.
 pub const ARTIFACTS_FOLDER: &str = "artifacts";
-/// How the names of folders and files begin that hold a campaign on its way in or out.
+/// Prefix of folders and files that hold a campaign on its way in or out.
 pub const MOVING_PREFIX: &str = "moving-";
-/// How the name of a file ends while it is being received.
+/// Suffix of a file's name while it is being received.
 pub(super) const PARTIAL_SUFFIX: &str = ".partial";
 
 /// A video that is not kept.
@@ -32,13 +32,13 @@ pub enum ArtifactError {
     /// Too large.
     #[error("store the video of attempt {attempt}: it is larger than {MAX_ARTIFACT_BYTES} bytes")]
     TooLarge {
-        /// Whose.
+        /// The attempt that was filmed.
         attempt: AttemptId,
     },
     /// There is no outcome for it to stand beside.
     #[error("store the video of attempt {attempt}: no committed outcome is of this attempt")]
     NoOutcome {
-        /// Whose.
+        /// The attempt that was filmed.
         attempt: AttemptId,
     },
     /// The file cannot be written.
@@ -46,7 +46,7 @@ pub enum ArtifactError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// The database failed.
@@ -58,7 +58,7 @@ pub enum ArtifactError {
 pub struct Upload<'a> {
     shared: &'a Shared,
     attempt: AttemptId,
-    /// Where it will be, below the data folder.
+    /// Final path of the video, below the data folder.
     path: String,
     partial: TempPath,
     file: File,
@@ -138,7 +138,7 @@ impl Upload<'_> {
     }
 }
 
-/// Where a campaign's folder is, below the data folder.
+/// Returns the path of a campaign's folder, below the data folder.
 pub(crate) fn campaign_folder(folder: &str) -> String {
     format!("{ARTIFACTS_FOLDER}/{folder}")
 }

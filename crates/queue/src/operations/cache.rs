@@ -1,4 +1,4 @@
-//! What has been read and need not be read again.
+//! Cache of rows that need not be read again.
 //!
 //! For one transaction: the campaigns with waiting jobs, a campaign with its
 //! policy, and what live workers run on; forgotten whenever an operation changes
@@ -30,7 +30,7 @@ const MAX_INITIAL_STATES: usize = 512;
 /// Origins that outlive a transaction: one for each kind of worker and policy.
 const MAX_ORIGINS: usize = 4_096;
 
-/// What has been read.
+/// Rows that have been read.
 #[derive(Debug, Default)]
 pub(super) struct Cache {
     /// A transaction is under way, or was undone.
@@ -40,7 +40,7 @@ pub(super) struct Cache {
     live: Option<Arc<Vec<Live>>>,
     siblings: BTreeMap<InitialState, Vec<Sibling>>,
     origins: HashMap<Arc<Provenance>, ProvenanceId>,
-    /// Whose policy a campaign's results of a suite are of.
+    /// Origin of the results of a campaign in a suite, by which their policy is known.
     measured: BTreeMap<(CampaignId, Suite), Option<Arc<Provenance>>>,
     /// How often campaigns were leased from, and at which of these each last was.
     turns: u64,

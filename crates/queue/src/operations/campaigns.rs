@@ -20,7 +20,7 @@ use crate::store::{
     Doing, StoreError, campaigns, derivations, jobs, passages, policies, stops, undecodable,
 };
 
-/// What creating a campaign did.
+/// Result of creating a campaign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Created {
     /// Jobs added: all of them, or none if the campaign was there.

@@ -1,4 +1,4 @@
-//! Which of a campaign's jobs go to which of the claims that ask.
+//! Choice of a campaign's jobs for the claims that wait.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +14,7 @@ use crate::store::claims::{self, Grant};
 /// wait have failed on the very machine that asks.
 const SPARE_CANDIDATES: usize = 8;
 
-/// What a worker asks for: one job.
+/// A worker's request for one job.
 #[derive(Clone, Debug)]
 pub struct ClaimRequest {
     /// The worker that asks.
@@ -35,7 +35,7 @@ impl ClaimRequest {
 
 /// A claim that has not been met yet.
 pub(super) struct Wanting<'a> {
-    /// Which of those that ask.
+    /// Index of the claim among those of the transaction.
     pub(super) place: usize,
     pub(super) request: &'a ClaimRequest,
     /// The machine of the worker that asks.
@@ -45,9 +45,9 @@ pub(super) struct Wanting<'a> {
 }
 
 impl Context<'_> {
-    /// Which jobs of a campaign go to which claim. First jobs of warm tasks; then,
-    /// for claims whose warm tasks have no job left, the tasks with the fewest
-    /// leases. Claims that are met are taken out of `wanting`.
+    /// Assigns jobs of a campaign to claims. First jobs of warm tasks; then, for claims whose warm
+    /// tasks have no job left, the tasks with the fewest leases. Claims that are met are taken out
+    /// of `wanting`.
     pub(super) async fn choose(
         &mut self,
         campaign: &Campaign,
@@ -109,9 +109,9 @@ impl Context<'_> {
         Ok(grants)
     }
 
-    /// Which jobs of a campaign go to which claim, if it may end early: the first in
-    /// its drawn order, whatever scene a slot holds. Only what is complete up to the
-    /// first gap counts, so that what is run ahead of a gap may be run for nothing.
+    /// Assigns jobs of a campaign that may end early: the first in its drawn order, whatever scene
+    /// a slot holds. Only jobs up to the first gap in that order count, so that a job ahead of a
+    /// gap may be run for nothing.
     pub(super) async fn choose_in_order(
         &mut self,
         campaign: &Campaign,
@@ -154,8 +154,8 @@ impl Context<'_> {
         Ok(grants)
     }
 
-    /// Which of a campaign's jobs that are run alone goes to which claim, and why it is run
-    /// alone.
+    /// Assigns one of a campaign's jobs that are run alone to a claim, with the reason why it is
+    /// run alone.
     pub(super) async fn choose_lone(
         &mut self,
         campaign: &Campaign,

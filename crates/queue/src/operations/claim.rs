@@ -23,7 +23,7 @@ pub use super::choose::ClaimRequest;
 /// Longest wait of a claim.
 pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
 
-/// What a worker gets.
+/// Answer to a claim.
 #[derive(Clone, Debug, Default)]
 pub struct Claimed {
     /// A job, and the lease on it.
@@ -39,11 +39,11 @@ pub struct Assigned {
     pub attempt: AttemptId,
     /// Its job.
     pub job: JobId,
-    /// Which attempt of the job it is, from 1.
+    /// Number of the attempt within the job, from 1.
     pub number: AttemptNumber,
     /// Its campaign.
     pub campaign: CampaignName,
-    /// Which replicate.
+    /// Number of the replicate.
     pub replicate: u32,
     /// One manifest row, JSON.
     pub manifest_row: String,
@@ -55,14 +55,13 @@ pub struct Assigned {
     pub policy_endpoint: String,
     /// "matched" or "reference".
     pub realisation: String,
-    /// Which rollouts are filmed: "none", "failures", "transitions" or "all".
+    /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
     pub record: String,
 }
 
 impl Context<'_> {
-    /// What workers that ask at the same time can have now. `is_new` says of each
-    /// whether it has just come, and not only been woken: then its worker is
-    /// there.
+    /// Answers claims of workers that ask at the same time. `is_new` says of each whether it has
+    /// just come, and not only been woken: only then does it show that its worker is alive.
     pub(super) async fn claim(
         &mut self,
         requests: &[(&ClaimRequest, bool)],

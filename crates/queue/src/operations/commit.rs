@@ -15,21 +15,21 @@ use crate::store::{StoreError, campaigns, jobs, results, workers};
 /// A result as a worker reports it.
 #[derive(Clone, Debug)]
 pub struct CommitReport {
-    /// Of which attempt.
+    /// The attempt.
     pub attempt: AttemptId,
-    /// What came out.
+    /// Result of the rollout.
     pub result: RolloutResult,
-    /// Where it came from.
+    /// Origin of the result: machine, assets, policy and program.
     pub provenance: Provenance,
-    /// What makes it comparable.
+    /// Digests of the scene, the initial state and the first frames, for comparison.
     pub digests: Digests,
     /// The perturbation as it was realised.
     pub realised: Realised,
-    /// How the robot moved.
+    /// Motion of the robot.
     pub motion: Motion,
 }
 
-/// What became of a reported result.
+/// Verdict on a reported result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommitVerdict {
     /// Stored.
@@ -48,14 +48,14 @@ pub enum CommitVerdict {
 /// The answer to a reported result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CommitReply {
-    /// What became of it.
+    /// Verdict on the result.
     pub verdict: CommitVerdict,
-    /// In words, unless it was accepted.
+    /// Explanation in words; empty if the result was accepted.
     pub detail: String,
 }
 
 impl Context<'_> {
-    /// What becomes of results that were reported at the same time.
+    /// Stores results that were reported at the same time, and answers each.
     pub(super) async fn store_results(
         &mut self,
         reports: &[&CommitReport],
@@ -96,7 +96,7 @@ impl Context<'_> {
         Ok(replies)
     }
 
-    /// What becomes of one result; if it is to be stored, it joins `accepted`.
+    /// Judges one result; if it is to be stored, it joins `accepted`.
     async fn judge<'r>(
         &mut self,
         attempt: &NamedAttempt,

@@ -48,10 +48,10 @@ fn after_the_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
     }
 }
 
-/// How an attempt without a result ended.
+/// End of an attempt without a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Ended {
-    /// What its job does next.
+    /// Next step of the attempt's job.
     pub(super) then: AfterFailure,
     /// Until its policy may be tried again.
     pub(super) policy_wait: Duration,

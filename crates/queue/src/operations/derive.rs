@@ -1,10 +1,10 @@
 //! Campaigns that follow from others: as outcomes come, the jobs that follow from them
 //! are added.
 //!
-//! What follows is a pure function of the outcomes, and jobs are only ever added.
-//! So it is looked at again whenever something was settled and at every start, and
-//! whatever was cut off on the way is made up for. A campaign whose outcomes, and whose
-//! source's, are those of the last look is left alone: a finished one costs a row.
+//! The jobs that follow are a pure function of the outcomes, and jobs are only ever added. So they
+//! are computed anew whenever something was settled and at every start, and whatever was cut off
+//! on the way is made up for. A campaign whose outcomes, and whose source's, are those of the last
+//! look is left alone: a finished one costs a row.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::resume_unwind;
@@ -34,13 +34,13 @@ const PAUSE_PER_COST: u32 = 4;
 /// After a look that failed; the disk may be full.
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
 
-/// What is known from earlier looks.
+/// Results of earlier looks.
 #[derive(Default)]
 struct Known {
     /// The records of the sources that are through: they are read once, since a source stays
     /// as it is unless some of its jobs come back from quarantine.
     sources: BTreeMap<CampaignId, (SourceEdition, Arc<Vec<Record>>)>,
-    /// What each campaign was when nothing more followed for it.
+    /// State of each campaign when nothing more followed for it.
     complete: BTreeMap<CampaignId, Looked>,
 }
 
@@ -99,8 +99,8 @@ async fn look(shared: &Shared, known: &mut Known) -> Result<(), StoreError> {
     known.complete.retain(|id, _| is_here(id));
     for campaign in campaigns {
         let looked = Looked::at(&campaign);
-        // Which transitions there are, and which radii are known, is clear when all
-        // rollouts of the source that ever will have an outcome.
+        // Transitions and known radii are final only when all rollouts of the source that ever
+        // will have an outcome have one.
         if campaign.unsettled > 0 || known.complete.get(&campaign.campaign) == Some(&looked) {
             continue;
         }
@@ -224,7 +224,7 @@ async fn radii(
     Ok(rows.into_iter().map(|row| (row, 0)).collect())
 }
 
-/// What is known of the rollouts of a campaign's source, which is through: from an earlier
+/// Returns the records of a campaign's source, all of whose rollouts are settled: from an earlier
 /// look, unless some have come back from quarantine since.
 async fn source_records(
     tx: &mut SqliteConnection,
@@ -259,7 +259,7 @@ async fn read_source(
     Ok(counted.unwrap_or(all))
 }
 
-/// What is known of a campaign's rollouts.
+/// Returns the records of a campaign's rollouts.
 pub(super) async fn records(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

@@ -13,13 +13,13 @@ pub enum QueueError {
     /// The worker never announced itself here.
     #[error("serve worker `{worker}`: it is not registered with this coordinator; register first")]
     UnknownWorker {
-        /// Which.
+        /// The worker.
         worker: WorkerId,
     },
     /// The worker may lease no more.
     #[error("lease to worker `{worker}`: {reason}")]
     WorkerStopped {
-        /// Which.
+        /// The worker.
         worker: WorkerId,
         /// Why.
         reason: String,
@@ -29,7 +29,7 @@ pub enum QueueError {
         "find attempt {attempt}: this coordinator granted no such lease, or deleted its campaign"
     )]
     UnknownAttempt {
-        /// Which.
+        /// The attempt.
         attempt: AttemptId,
     },
     /// There is no such campaign.
@@ -37,21 +37,21 @@ pub enum QueueError {
         "find campaign `{campaign}`: this coordinator has no such campaign; `coordinator campaign list` shows what it has"
     )]
     UnknownCampaign {
-        /// Which.
+        /// The name that was asked for.
         campaign: CampaignName,
     },
     /// The campaign that last had the name has another one.
     #[error("find campaign `{campaign}`: it was renamed and is called `{now}`")]
     Renamed {
-        /// Which.
+        /// The former name.
         campaign: CampaignName,
-        /// What it is called.
+        /// The present name.
         now: CampaignName,
     },
     /// A campaign was to be called as another one is.
     #[error("rename campaign `{campaign}`: another one is called `{taken}`; choose another name")]
     NameTaken {
-        /// Which.
+        /// The campaign that was to be renamed.
         campaign: CampaignName,
         /// The name.
         taken: CampaignName,
@@ -61,19 +61,19 @@ pub enum QueueError {
         "change the policy of campaign `{campaign}`: it has results of policy `{policy}`, {results} so far; create another campaign for another policy"
     )]
     PolicyMeasured {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
-        /// Whose results it has.
+        /// Policy of its results.
         policy: String,
-        /// How many.
+        /// Number of its results.
         results: u64,
     },
     /// A change would make no specification.
     #[error("change campaign `{campaign}`: {problem}")]
     Unspecified {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
-        /// What is wrong, and what would be right.
+        /// The fault, and its remedy.
         problem: String,
     },
     /// Another specification has the name.
@@ -81,7 +81,7 @@ pub enum QueueError {
         "create campaign `{campaign}`: it exists with another specification (they differ in {differs}); choose another name"
     )]
     CampaignDiffers {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
         /// The fields that differ.
         differs: String,
@@ -89,7 +89,7 @@ pub enum QueueError {
     /// A cancelled campaign was to go on.
     #[error("change campaign `{campaign}`: it is cancelled, which is final; create another")]
     Cancelled {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
     },
     /// A campaign that ended early was to go on.
@@ -97,7 +97,7 @@ pub enum QueueError {
         "change campaign `{campaign}`: it stopped early, as its rule says, which is final; create another without `stop` to run the rest"
     )]
     Stopped {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
     },
     /// A campaign with leased rollouts was to be deleted.
@@ -105,9 +105,9 @@ pub enum QueueError {
         "delete campaign `{campaign}`: {leased} of its rollouts are being run; cancel it first, or pause it and wait"
     )]
     CampaignInUse {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
-        /// How many.
+        /// Number of its leased rollouts.
         leased: u64,
     },
     /// A campaign was to be deleted that another one follows from.
@@ -115,7 +115,7 @@ pub enum QueueError {
         "delete campaign `{campaign}`: campaign `{derived}` follows from it; delete that one first"
     )]
     GoneOnWith {
-        /// Which.
+        /// The campaign that was to be deleted.
         campaign: CampaignName,
         /// The other one.
         derived: CampaignName,
@@ -125,7 +125,7 @@ pub enum QueueError {
         "go on with campaign `{campaign}`: its realisation is reference, in which an axis is another perturbation in each condition; name a campaign with matched"
     )]
     Unmatched {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
     },
     /// A campaign was to be gone on with and another policy.
@@ -133,17 +133,17 @@ pub enum QueueError {
         "go on with campaign `{campaign}`: it measures policy `{policy}` at {endpoint}; name the same one"
     )]
     OtherPolicy {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
         /// The policy that it measures.
         policy: String,
-        /// Where that is.
+        /// Endpoint of that policy.
         endpoint: String,
     },
     /// Thresholds were to be measured of a campaign that has none.
     #[error("measure the thresholds of campaign `{campaign}`: {problem}")]
     NoThresholds {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
         /// Why not. Part of the message, because callers are sent nothing else.
         problem: NotMeasurable,
@@ -153,15 +153,15 @@ pub enum QueueError {
         "find `{job}`: campaign `{campaign}` has no such rollout; `coordinator jobs list {campaign}` shows what it has"
     )]
     UnknownRollout {
-        /// Where.
+        /// The campaign.
         campaign: CampaignName,
-        /// Which.
+        /// The rollout and its replicate.
         job: JobName,
     },
     /// A job that is not in quarantine was to be retried.
     #[error("retry `{job}`: it is {state}; only a quarantined rollout can be retried")]
     NotQuarantined {
-        /// Which.
+        /// The job.
         job: JobName,
         /// Its state.
         state: String,

@@ -1,7 +1,7 @@
-//! Which rollouts are filmed after the fact: those of configurations whose outcome
-//! simultaneous perturbation changed, in campaigns that record transitions; in those
-//! that explain others, the rollouts that show the explanation. Their actions were
-//! kept, so that filming them needs no policy.
+//! Choice of the rollouts that are filmed after the fact: those of configurations whose outcome
+//! simultaneous perturbation changed, in campaigns that record transitions; in those that explain
+//! others, the rollouts that show the explanation. Their actions were kept, so that filming them
+//! needs no policy.
 
 use std::collections::BTreeSet;
 use std::time::Instant;

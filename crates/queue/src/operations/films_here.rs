@@ -17,11 +17,11 @@ pub struct FilmHere {
     pub path: String,
     /// Its file.
     pub file: PathBuf,
-    /// Which file it was when it was found: a film may be sent again.
+    /// Identity of the file when it was found: a film may be sent again.
     identity: (u64, i64, i64),
 }
 
-/// What became of a film while it was stored elsewhere.
+/// State of a film in the data folder after it was stored elsewhere.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Forgotten {
     /// It is only elsewhere now.
@@ -53,7 +53,7 @@ impl Queue {
     /// Removes a film from the data folder, if it is still the file that was found.
     ///
     /// # Errors
-    /// When it cannot be removed.
+    /// If the film cannot be removed.
     pub async fn forget_film(&self, film: &FilmHere) -> io::Result<Forgotten> {
         let _alone = self.shared.files.lock().await;
         match identity(&film.file) {

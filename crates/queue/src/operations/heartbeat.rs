@@ -15,7 +15,6 @@ use crate::store::{StoreError, workers};
 /// A worker's heartbeat.
 #[derive(Clone, Debug)]
 pub(crate) struct Heartbeat {
-    /// Whose.
     pub(crate) worker: WorkerId,
     /// Its attempts, and how many control steps each has done.
     pub(crate) progress: Vec<(AttemptId, u32)>,

@@ -19,7 +19,7 @@ const CHEAP_LOOK: Duration = Duration::from_millis(50);
 /// large campaign take a twentieth of a core while its rollouts are committed.
 const AGE_PER_COST: u32 = 20;
 
-/// What is to be filmed, by campaign.
+/// Rollouts to be filmed, by campaign.
 #[derive(Debug, Default)]
 pub(crate) struct Films {
     /// Held while a campaign is looked through: those who ask meanwhile share what is found.

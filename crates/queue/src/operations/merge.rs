@@ -41,7 +41,7 @@ pub enum MergeError {
         "merge `{campaign}`: its rollouts follow from the outcomes of another campaign; merge that one, and explain or measure it once more"
     )]
     Derived {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
     },
     /// Their specifications differ.
@@ -61,21 +61,21 @@ pub enum MergeError {
         "merge them: rollout `{rollout}` is another one in each; only halves of one design, expanded by one version of the program, can be merged"
     )]
     Rollout {
-        /// Which.
+        /// The rollout and its replicate.
         rollout: JobName,
     },
     /// They are of two asset packs, simulators or renderers.
     #[error("merge them: the first is pinned to {first} and the second to {second}")]
     Pin {
-        /// What the first half is pinned to.
+        /// Pin of the first half.
         first: String,
-        /// What the second half is pinned to.
+        /// Pin of the second half.
         second: String,
     },
     /// They measured two policies.
     #[error("merge them: in {suite} they are of two policies, whose {difference}")]
     Policy {
-        /// Where.
+        /// The suite in which they differ.
         suite: Suite,
         /// The first difference.
         difference: String,

@@ -47,7 +47,7 @@ pub struct FilmFile {
     pub size_bytes: u64,
 }
 
-/// What a campaign follows from.
+/// Outcomes of the campaign that another one follows from.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct SourceOutcomes {
     /// The name of the campaign.
@@ -74,15 +74,15 @@ pub enum PortableError {
     /// The specification is another than its digest says.
     #[error("use the specification of campaign `{campaign}`: its digest is of another one")]
     SpecDigest {
-        /// Whose.
+        /// The campaign.
         campaign: CampaignName,
     },
-    /// What always holds of a database does not hold of this one.
+    /// An invariant of the database is violated.
     #[error("find it in order: {invariant} does not hold ({example})")]
     Violated {
         /// The invariant.
         invariant: &'static str,
-        /// Where not.
+        /// The first violation, in words.
         example: String,
     },
 }
@@ -146,10 +146,10 @@ impl Portable {
         self.store.folder()
     }
 
-    /// What is in it, to be read.
+    /// Begins a view of the database, to read from.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn view(&self) -> Result<View, StoreError> {
         let (now, nobody) = (self.campaign.created_ms, BTreeMap::new());
         let nothing = Arc::new(Settled::new());
@@ -187,7 +187,7 @@ impl Portable {
     /// Closes the database, so that it is one file.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// If the database cannot be written.
     pub async fn close(self) -> Result<(), StoreError> {
         self.store.close().await
     }
@@ -221,10 +221,10 @@ impl Queue {
         Ok((copy, campaign_folder(&campaign.folder)))
     }
 
-    /// What a campaign follows from, if it follows from another one.
+    /// Returns the outcomes that a campaign follows from, if it follows from another one.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn source_outcomes(&self, spec: &str) -> Result<Option<SourceOutcomes>, QueueError> {
         let Some(source) = source_of(spec)? else {
             return Ok(None);
@@ -387,9 +387,9 @@ pub enum AdoptError {
         "add campaign `{campaign}`: it follows from `{source_campaign}`, which is not here; import that one first"
     )]
     NoSource {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
-        /// What it follows from.
+        /// The campaign that it follows from.
         source_campaign: CampaignName,
     },
     /// The campaign that it follows from has other outcomes here.
@@ -397,17 +397,17 @@ pub enum AdoptError {
         "add campaign `{campaign}`: it follows from outcomes of `{source_campaign}` that are others here; archive and import both as they are now"
     )]
     OtherSource {
-        /// Which.
+        /// The campaign.
         campaign: CampaignName,
-        /// What it follows from.
+        /// The campaign that it follows from.
         source_campaign: CampaignName,
     },
     /// A film cannot be moved.
     #[error("move film {}: is there room on the disk, and may this user write there?", path.display())]
     Film {
-        /// Which.
+        /// Path of the film.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: std::io::Error,
     },
     /// Anything else.
@@ -422,7 +422,7 @@ impl From<StoreError> for AdoptError {
 }
 
 impl Portable {
-    /// What the campaign is to be called.
+    /// Returns the copy's name, with its specification and digest under that name.
     pub(super) fn called(&self, name: Option<&CampaignName>) -> Result<Called, QueueError> {
         let name = name.unwrap_or(&self.campaign.name);
         let (spec, spec_digest) = match *name == self.campaign.name {

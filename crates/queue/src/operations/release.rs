@@ -11,7 +11,7 @@ use crate::rules::outage::Contact;
 use crate::store::StoreError;
 use crate::store::jobs::{self, NamedAttempt};
 
-/// What became of a job whose attempt ended without a result.
+/// Verdict on a job whose attempt ended without a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReleaseVerdict {
     /// Back in the queue.
@@ -25,7 +25,6 @@ pub enum ReleaseVerdict {
 /// An attempt that ended without a result, as a worker reports it.
 #[derive(Clone, Debug)]
 pub(crate) struct Release {
-    /// Which.
     pub(crate) attempt: AttemptId,
     /// Why.
     pub(crate) reason: FailureReason,
@@ -39,7 +38,7 @@ pub(crate) struct Release {
 /// The answer to a release.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReleaseReply {
-    /// What became of the job.
+    /// Verdict on the job.
     pub verdict: ReleaseVerdict,
     /// Until it, or its policy, may be tried again.
     pub backoff: Duration,

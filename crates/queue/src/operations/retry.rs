@@ -13,7 +13,7 @@ use crate::store::jobs;
 /// campaign's may be, too.
 pub const MAX_JOBS_RETRIED: usize = 1_000;
 
-/// Which jobs to take out of quarantine.
+/// Jobs to take out of quarantine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Retry {
     /// All of the campaign's.

@@ -1,5 +1,5 @@
-//! Which settled jobs have been looked at: while some have not, further jobs may follow
-//! from their outcomes.
+//! Count of transactions that settled jobs, and of those that have been looked at: while some have
+//! not, further jobs may follow from their outcomes.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -16,7 +16,8 @@ pub(crate) struct Settled {
 pub(crate) struct Settling<'a>(&'a Settled);
 
 impl Settled {
-    /// What is there at the start has not been looked at.
+    /// Starts one transaction ahead of the looks: jobs settled before the start have not been
+    /// looked at.
     pub(crate) fn new() -> Self {
         Self {
             begun: AtomicU64::new(1),
@@ -42,7 +43,7 @@ impl Settled {
         self.looked_at.store(ended, Ordering::SeqCst);
     }
 
-    /// How many transactions have been looked at.
+    /// Returns the number of transactions that have been looked at.
     pub(crate) fn looked_at(&self) -> u64 {
         self.looked_at.load(Ordering::SeqCst)
     }

@@ -1,4 +1,4 @@
-//! What every operation of a queue shares.
+//! State that every operation of a queue shares.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -15,20 +15,19 @@ use crate::elsewhere::Elsewhere;
 use crate::store::Store;
 use crate::timing::Timing;
 
-/// What every operation of a queue shares.
+/// State that every operation of a queue shares.
 pub(crate) struct Shared {
     pub(crate) store: Store,
     pub(crate) clock: Arc<dyn Clock>,
     rng: Mutex<ChaCha8Rng>,
     pub(crate) timing: Timing,
-    /// What has been read and need not be read again. Locked within the writing
-    /// transaction only.
+    /// Rows that need not be read again. Locked within the writing transaction only.
     pub(super) cache: tokio::sync::Mutex<Cache>,
     /// Held while a film comes into the data folder, or is taken out of it.
     pub(crate) files: tokio::sync::Mutex<()>,
     /// The rollouts that are to be filmed.
     pub(super) films: Films,
-    /// Where films are kept beyond the data folder, if they are.
+    /// Storage of films beyond the data folder, if there is any.
     pub(crate) elsewhere: Option<Arc<dyn Elsewhere>>,
     /// Rung when jobs may have become leasable.
     pub(crate) work: Notify,

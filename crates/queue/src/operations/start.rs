@@ -1,5 +1,5 @@
-//! What happens to stored instants when the coordinator starts, and to leases also when
-//! it was suspended.
+//! Correction of stored instants when the coordinator starts, and of leases also after it was
+//! suspended.
 
 use super::context::Context;
 use super::shared::Shared;

@@ -5,9 +5,9 @@
 //! outcomes. So it is looked at again whenever something was settled and at every
 //! start, and a look that was cut off is made up for.
 //!
-//! What is in flight when a campaign stops is taken back. It could not change an
-//! interval: those rest on the configurations up to the look at which the rule was
-//! met, and in these nothing is in flight.
+//! Leases of a campaign are taken back when it stops. Their results could not change an interval:
+//! those rest on the configurations up to the look at which the rule was met, and in these nothing
+//! is in flight.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -1,5 +1,5 @@
-//! What the queue does by itself: expired leases are taken away, and claims that
-//! wait for a back-off or a pause are woken when it ends.
+//! Periodic work of the queue: expired leases are taken away, and claims that wait for a back-off
+//! or a pause are woken when it ends.
 
 use std::collections::BTreeSet;
 use std::sync::atomic::Ordering;

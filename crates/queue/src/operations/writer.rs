@@ -26,7 +26,7 @@ const MAX_BATCH: usize = 256;
 /// callers wait to hand in theirs.
 pub(crate) const MAX_WAITING: usize = 4_096;
 
-/// What a worker asks for.
+/// An operation that a worker asks for.
 pub(crate) enum Operation {
     /// Leases a job. The flag says whether the claim has just come, and not only
     /// been woken while it waited.

@@ -1,4 +1,4 @@
-//! How campaigns stand.
+//! Status of campaigns.
 
 use std::time::Duration;
 
@@ -20,7 +20,7 @@ use crate::store::{Doing, StoreError, workers};
 /// rollout began or since it was resumed.
 pub const RATE_WINDOW: Duration = Duration::from_secs(300);
 
-/// How a campaign's jobs are spread over the states.
+/// Counts of a campaign's jobs, by state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Wait.
@@ -31,11 +31,11 @@ pub struct Counts {
     pub committed: u64,
     /// Are in quarantine.
     pub quarantined: u64,
-    /// Of the committed, those that reached their goal.
+    /// Committed jobs that reached their goal.
     pub succeeded: u64,
 }
 
-/// How a campaign stands.
+/// Status of a campaign.
 #[derive(Clone, Debug)]
 pub struct CampaignStatus {
     /// The campaign.
@@ -124,7 +124,7 @@ impl View {
         stops::of(self.tx(), campaign.id).await
     }
 
-    /// How all campaigns stand, oldest first.
+    /// Returns the status of all campaigns, oldest first.
     ///
     /// # Errors
     /// When the database fails.
@@ -137,7 +137,7 @@ impl View {
         Ok(list)
     }
 
-    /// How one campaign stands.
+    /// Returns the status of one campaign.
     ///
     /// # Errors
     /// When the database fails.
@@ -146,7 +146,7 @@ impl View {
         self.status_among(campaign, &live).await
     }
 
-    /// What the workers that are alive run on.
+    /// Returns the pins of the workers that are alive.
     async fn live_pins(&mut self) -> Result<Vec<Pin>, StoreError> {
         let since = self.now.minus(self.timing.worker_alive);
         let live = workers::live(self.tx(), since).await?;
@@ -249,7 +249,7 @@ async fn rate(
     Ok((span > 0.0).then(|| committed as f64 / span))
 }
 
-/// What a campaign without further jobs waits for, if it follows from another.
+/// Describes what a campaign that follows from another waits for; empty if for nothing.
 fn awaited_reason(source: &Source) -> String {
     let Source {
         name,

@@ -15,7 +15,7 @@ use crate::store::{Doing, StoreError, json};
 pub struct RolloutLine {
     /// The job.
     pub id: JobId,
-    /// Which rollout.
+    /// Id of the rollout.
     pub rollout_id: String,
     /// "queued", "leased", "committed" or "quarantined".
     pub state: String,
@@ -36,20 +36,20 @@ pub struct RolloutLine {
     pub stale_reports: u32,
 }
 
-/// What a rollout came to, how, and where that came from.
+/// Result of a rollout, with its course and its origin.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ResultLine {
-    /// Of which job.
+    /// The job.
     pub job_id: JobId,
-    /// Of which attempt.
+    /// The attempt.
     #[sqlx(rename = "attempt_id")]
     pub attempt: Text<AttemptId>,
-    /// Which attempt of its job that was.
+    /// Number of the attempt within its job.
     #[sqlx(rename = "attempt")]
     pub number: AttemptNumber,
-    /// Whose.
+    /// Worker that ran the attempt.
     pub worker_id: WorkerId,
-    /// When it was stored.
+    /// Instant of the commit.
     pub committed_ms: UnixMillis,
     /// Whether the goal was reached.
     pub success: bool,
@@ -57,7 +57,7 @@ pub struct ResultLine {
     pub steps: u32,
     /// Duration of the rollout.
     pub wall_secs: f64,
-    /// What the inverse kinematics left over, mm.
+    /// Residual of the inverse kinematics, mm.
     pub ik_residual_mm: Option<f64>,
     /// Actions clipped into [-1, 1].
     pub clipped_actions: u32,
@@ -65,13 +65,13 @@ pub struct ResultLine {
     pub policy_queries: u32,
     /// Predicates of the goal, where its worker says.
     pub goal_predicates: Option<u32>,
-    /// Those that held at the end.
+    /// Predicates of the goal that held at the end.
     pub goal_at_end: Option<u32>,
-    /// The most that held together.
+    /// Most predicates of the goal that held together.
     pub goal_at_most: Option<u32>,
     /// Reports of another outcome.
     pub divergences: u32,
-    /// What makes it comparable.
+    /// Digests of the scene, the initial state and the first frames, for comparison.
     #[sqlx(json)]
     pub digests: Digests,
     /// The perturbation as it was realised.
@@ -79,9 +79,9 @@ pub struct ResultLine {
     pub realised: Realised,
     /// Its video below the data folder, and how large that is, bytes.
     pub video: Option<String>,
-    /// How large its video is, bytes.
+    /// Size of its video, bytes.
     pub video_bytes: Option<i64>,
-    /// Where it came from.
+    /// Origin of the result: machine, assets, policy and program.
     #[sqlx(json)]
     pub provenance: Provenance,
 }
@@ -188,7 +188,7 @@ impl View {
         .doing("read a configuration's results")
     }
 
-    /// How the robots of some committed jobs moved.
+    /// Returns the motion of the robots of some committed jobs.
     ///
     /// # Errors
     /// When the database fails.
@@ -207,10 +207,10 @@ impl View {
         Ok(rows.into_iter().map(motion).collect())
     }
 
-    /// Where the video of a rollout is, below the data folder.
+    /// Returns the path of a rollout's video, below the data folder.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn video(
         &mut self,
         campaign: CampaignId,

@@ -1,4 +1,4 @@
-//! Which campaign follows from which, and what one knows of a configuration.
+//! Derivations between campaigns, and the known outcomes of a configuration.
 
 use super::View;
 use crate::ids::CampaignId;
@@ -9,9 +9,9 @@ use crate::store::{Doing, StoreError, derivations, json};
 /// One rollout of a configuration, as its explanation needs it.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SubsetRow {
-    /// Which rollout.
+    /// Id of the rollout.
     pub rollout_id: String,
-    /// Which replicate of it.
+    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// Its initial state.
     pub init_id: u16,

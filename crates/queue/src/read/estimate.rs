@@ -24,30 +24,30 @@ pub struct Forecast {
     pub is_of_policy: bool,
     /// Suites without a result: taken to be as fast as the others.
     pub unmeasured_suites: Vec<String>,
-    /// What they are bound by; none where no result says where its time went.
+    /// Time of a rollout and the bottleneck; none where no result says where its time went.
     pub speed: Option<Speed>,
 }
 
-/// What a rollout takes, and what the rollouts of a forecast are bound by.
+/// Time that a rollout takes, and the bottleneck of the forecast.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Speed {
     /// Results that say where their time went.
     pub results: u64,
-    /// Of one rollout.
+    /// Mean time of one rollout, by part.
     pub spent: Spent,
-    /// On the workers of the forecast; none where one does not say how many cores
-    /// it has.
+    /// Rate on the workers of the forecast; none where a worker does not say how many cores it
+    /// has.
     pub rate: Option<Rate>,
-    /// What they take with as many slots as help, seconds.
+    /// Time of the rollouts with as many slots as help, seconds.
     pub enough_slots_secs: Option<f64>,
 }
 
-/// What rollouts are to be forecast.
+/// Rollouts to be forecast.
 #[derive(Clone, Debug, Default)]
 pub struct Planned<'a> {
     /// The policy's name.
     pub policy: &'a str,
-    /// How many, by suite.
+    /// Numbers of rollouts, by suite.
     pub rollouts: BTreeMap<String, u64>,
     /// Queries per second that the policy's server answers at most, if that is known.
     pub policy_rate: Option<f64>,
@@ -165,7 +165,7 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
     }
 }
 
-/// What workers say that they have; one may say anything.
+/// Sums figures that workers report; it saturates, since a worker may report any number.
 fn all_of(numbers: impl Iterator<Item = u32>) -> u32 {
     numbers.fold(0, u32::saturating_add)
 }
@@ -182,8 +182,8 @@ fn of_suite<'a>(measured: &[&'a Measured], suite: &str) -> Vec<&'a Measured> {
     in_suite.copied().collect()
 }
 
-/// What one of the rollouts takes, and on how many results that rests; a suite
-/// without one is taken to be as the others. None where no result says it.
+/// Returns the mean time of one of the rollouts, and the number of results that it rests on; a
+/// suite without one is taken to be as the others. None where no result says it.
 fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, Spent)> {
     let results: i64 = used.iter().map(|it| it.known).sum();
     let total = total(rollouts);
@@ -210,7 +210,7 @@ fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, S
         drawing_secs: figure(used, |it| it.drawing_secs)?,
         policy_secs: figure(used, |it| it.policy_secs)?,
         waiting_secs: figure(used, |it| it.waiting_secs)?,
-        // Where slots share cores, what they wait for is one another.
+        // On shared cores, slots wait for one another.
         taken_secs: figure(&roomy, |it| it.waiting_secs).unwrap_or(0.0),
         queries: figure(used, |it| it.queries)?,
     };

@@ -1,4 +1,4 @@
-//! What forecasts rest on: which workers are alive, and how long rollouts took of late.
+//! Inputs of forecasts: the workers that are alive, and recent durations of rollouts.
 
 use std::time::Duration;
 
@@ -64,7 +64,7 @@ impl View {
         workers.doing("look at the slots of live workers")
     }
 
-    /// What rollouts of late took, those of one campaign or of all.
+    /// Returns recent durations of rollouts, of one campaign or of all.
     async fn measured(&mut self, of: Option<CampaignId>) -> Result<Vec<Measured>, StoreError> {
         let recent = self.now.minus(RECENT);
         sqlx::query_as(

@@ -15,7 +15,7 @@ pub const MAX_JOBS_LISTED: u32 = 1_000;
 /// Failures that are shown at a time, newest first.
 const MAX_FAILURES_SHOWN: u32 = 100;
 
-/// Which jobs to look at.
+/// Selection of jobs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct JobFilter<'a> {
     /// "queued", "leased", "committed" or "quarantined"; all without it.
@@ -39,9 +39,9 @@ pub struct JobFilter<'a> {
 pub struct JobLine {
     /// The job.
     pub id: JobId,
-    /// Which rollout.
+    /// Id of the rollout.
     pub rollout_id: String,
-    /// Which replicate of it.
+    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// "queued", "leased", "committed" or "quarantined".
     pub state: String,
@@ -49,7 +49,7 @@ pub struct JobLine {
     pub attempt: AttemptNumber,
     /// Failures that count against it.
     pub charged_attempts: u32,
-    /// When it may be leased, while it waits.
+    /// Earliest instant of its next lease, while it waits.
     pub not_before_ms: Option<UnixMillis>,
     /// The attempt that holds its lease, while it is leased.
     pub attempt_id: Option<String>,
@@ -60,7 +60,7 @@ pub struct JobLine {
     /// The policy's control steps that its worker last reported, while it is
     /// leased; 0 while the scene settles.
     pub control_steps: Option<u32>,
-    /// What it last failed with.
+    /// Error of its last failure.
     pub last_error: Option<String>,
     /// Whether it reached its goal, once it is committed.
     pub success: Option<bool>,
@@ -71,15 +71,15 @@ pub struct JobLine {
 /// An attempt that brought no result.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct FailureLine {
-    /// Of which job.
+    /// The job.
     pub job_id: JobId,
-    /// Which attempt.
+    /// Number of the attempt within its job.
     pub attempt: AttemptNumber,
-    /// Whose.
+    /// Worker that ran the attempt.
     pub worker_id: WorkerId,
-    /// When it ended.
+    /// Instant at which the attempt ended.
     pub failed_ms: UnixMillis,
-    /// How, as `FailureReason` names it.
+    /// Kind of the failure, as `FailureReason` names it.
     pub reason: String,
     /// Whether it counts against job and worker.
     pub charged: bool,

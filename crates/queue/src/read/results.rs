@@ -10,8 +10,7 @@ use crate::ids::CampaignId;
 use crate::store::provenance::provenance;
 use crate::store::{Doing, StoreError};
 
-/// What a report of a campaign depends on: while it is the same, so is the
-/// report.
+/// State that a campaign's report depends on: while it is the same, so is the report.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Edition {
     id: CampaignId,
@@ -22,16 +21,16 @@ pub struct Edition {
     divergent: i64,
     // More are added to a campaign that follows from another.
     jobs: i64,
-    // Of one that stopped early, not all results count.
+    // Results of a campaign that stopped early do not all count.
     has_stopped: bool,
 }
 
 /// A committed rollout as exports read it.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ExportedRow {
-    /// Which rollout.
+    /// Id of the rollout.
     pub rollout_id: String,
-    /// Which replicate of it.
+    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// One manifest row, JSON.
     pub manifest_row: String,
@@ -41,22 +40,22 @@ pub struct ExportedRow {
     pub steps: u32,
     /// Duration of the rollout.
     pub wall_secs: f64,
-    /// What the inverse kinematics left over, mm.
+    /// Residual of the inverse kinematics, mm.
     pub ik_residual_mm: Option<f64>,
     /// Predicates of the goal, where its worker says.
     pub goal_predicates: Option<u32>,
-    /// Those that held at the end.
+    /// Predicates of the goal that held at the end.
     pub goal_at_end: Option<u32>,
-    /// The most that held together.
+    /// Most predicates of the goal that held together.
     pub goal_at_most: Option<u32>,
 }
 
 /// A job as reports count it.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RecordRow {
-    /// Which rollout.
+    /// Id of the rollout.
     pub rollout_id: String,
-    /// Which replicate of it.
+    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// Its initial state.
     pub init_id: u16,
@@ -68,10 +67,10 @@ pub struct RecordRow {
     pub realisation: Option<String>,
 }
 
-/// What a rollout was, beyond its name.
+/// Manifest row and scene of a rollout.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SetupRow {
-    /// Which rollout.
+    /// Id of the rollout.
     pub rollout_id: String,
     /// Its manifest row, JSON.
     pub manifest_row: String,
@@ -89,11 +88,11 @@ impl Edition {
 }
 
 impl View {
-    /// What a campaign's report depends on. Divergent rollouts are counted, which are few;
-    /// the other counts are the campaign's tally.
+    /// Returns the state that a campaign's report depends on. Divergent rollouts are counted,
+    /// which are few; the other counts are the campaign's tally.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn edition(&mut self, campaign: CampaignId) -> Result<Edition, StoreError> {
         sqlx::query_as(
             "SELECT id, created_ms, t.committed, t.quarantined,
@@ -157,11 +156,11 @@ impl View {
         .doing("read what is known of a campaign")
     }
 
-    /// What the rollouts of a campaign are, of its first replicate: a replicate
-    /// changes nothing of it.
+    /// Returns the setups of a campaign's rollouts, of its first replicate: all replicates have
+    /// the same.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn setups(&mut self, campaign: CampaignId) -> Result<Vec<SetupRow>, StoreError> {
         sqlx::query_as(
             "SELECT j.rollout_id, j.manifest_row, r.scene_digest, r.init_state_digest

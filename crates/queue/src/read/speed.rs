@@ -1,5 +1,4 @@
-//! What rollouts of one kind come to per second on some workers, and what bounds
-//! it: pure.
+//! Rollouts of one kind per second on some workers, and the bottleneck: pure.
 //!
 //! Three things bound a rate, and the least of them holds. A slot runs one rollout
 //! at a time, from its start to its end. A worker's slots share its cores, on which
@@ -7,7 +6,7 @@
 //! queries per second. These are the bounds of any closed queueing system, reached
 //! where nobody waits for anybody by chance; so a rate is what can be hoped for.
 
-/// What a worker computes with.
+/// Slots and cores of a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Machine {
     /// Rollouts that it runs side by side.
@@ -16,7 +15,7 @@ pub(super) struct Machine {
     pub(super) cores: u32,
 }
 
-/// What one rollout takes, mean seconds, and how often it asks the policy.
+/// Mean time of one rollout, seconds, and how often it asks the policy.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spent {
     /// Processor time of the physics.
@@ -25,16 +24,16 @@ pub struct Spent {
     pub drawing_secs: f64,
     /// Until the policy has answered.
     pub policy_secs: f64,
-    /// What is left of its duration: waiting for a core, a card or a disk.
+    /// Rest of its duration: waiting for a core, a card or a disk.
     pub waiting_secs: f64,
-    /// Of it, what it waited although its slot had a core for itself: something else
-    /// took that, and would take it from further slots as well.
+    /// Part of the wait in which its slot had a core for itself: something else took that time,
+    /// and would take it from further slots as well.
     pub taken_secs: f64,
     /// Queries of the policy.
     pub queries: f64,
 }
 
-/// What a rate is bound by.
+/// The bound that limits a rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bottleneck {
     /// More slots make it faster.
@@ -50,7 +49,7 @@ pub enum Bottleneck {
 pub struct Rate {
     /// Rollouts per second.
     pub per_sec: f64,
-    /// What it is bound by.
+    /// The bound that limits the rate.
     pub bottleneck: Bottleneck,
     /// The fewest slots that are as fast as any number of them.
     pub enough_slots: u32,

@@ -1,4 +1,4 @@
-//! What campaigns depend on: workers, policies, and what is in quarantine.
+//! Standing of workers and policies, on which campaigns depend, and the quarantine.
 
 use super::View;
 use crate::clock::UnixMillis;
@@ -25,13 +25,13 @@ pub struct WorkerLine {
     pub asset_pack: String,
     /// Version of its simulator.
     pub mujoco_version: String,
-    /// What renders its frames.
+    /// Renderer of its frames.
     pub renderer: String,
     /// Version of its program.
     pub program_version: String,
-    /// When it last announced itself.
+    /// Instant of its last registration.
     pub registered_ms: UnixMillis,
-    /// When it last called.
+    /// Instant of its last call.
     pub last_seen_ms: UnixMillis,
     /// Ended in good order, and said so.
     pub has_signed_off: bool,
@@ -51,11 +51,11 @@ pub struct WorkerLine {
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct PolicyLine {
     id: PolicyId,
-    /// Where it is.
+    /// Endpoint of the policy.
     pub endpoint: String,
     /// Its name there.
     pub name: String,
-    /// How it does.
+    /// Health of the policy.
     #[sqlx(json)]
     pub health: PolicyHealth,
     /// The campaigns that measure it, oldest first.
@@ -68,13 +68,13 @@ pub struct PolicyLine {
 pub struct QuarantinedLine {
     /// Its campaign.
     pub campaign: CampaignName,
-    /// Which rollout.
+    /// Id of the rollout.
     pub rollout_id: String,
-    /// Which replicate of it.
+    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// Failures that count against it.
     pub charged_attempts: u32,
-    /// What it last failed with.
+    /// Error of its last failure.
     pub last_error: String,
 }
 

@@ -1,5 +1,5 @@
-//! What an operator may do with a campaign: its states and their changes.
-//! Not responsible for what becomes of single jobs (`lease`).
+//! States of a campaign, and the changes that an operator may make to them. Not responsible for
+//! the states of single jobs (`lease`).
 
 use std::ops::RangeInclusive;
 
@@ -11,8 +11,7 @@ use crate::clock::UnixMillis;
 /// CHECK constraint says the same.
 pub const PRIORITIES: RangeInclusive<i32> = -100..=100;
 
-/// Where a campaign stands with its operator. The store's CHECK constraints say
-/// the same.
+/// State of a campaign, as its operator set it. The store's CHECK constraints say the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
 pub enum CampaignState {
@@ -40,7 +39,7 @@ pub enum CampaignState {
     },
 }
 
-/// What an operator asks for.
+/// A change that an operator asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Change {
     /// Lease nothing more until it is resumed.

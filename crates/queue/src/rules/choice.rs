@@ -1,18 +1,17 @@
-//! Which campaign, and which of its tasks, a worker is given next.
+//! Choice of the next campaign for a worker, and of a task within it.
 
 use crate::ids::CampaignId;
 
 /// A campaign of which jobs wait that a worker can have, as a claim sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WaitingCampaign {
-    /// Which.
+    /// Id of the campaign.
     pub id: CampaignId,
     /// The higher, the earlier.
     pub priority: i32,
     /// Leases on it now.
     pub leased: u32,
-    /// When it was last leased from: a number that rises with every time. 0 if
-    /// that is not known.
+    /// Turn of the last lease: a number that rises with every lease. 0 if it is not known.
     pub last_turn: u64,
 }
 

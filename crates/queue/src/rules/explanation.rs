@@ -1,5 +1,5 @@
-//! What a campaign that explains another runs next. Which subsets explain a
-//! configuration is `lattice`'s business; here what it asks for becomes rollouts.
+//! Next rollouts of a campaign that explains another. The subsets that explain a configuration are
+//! `lattice`'s business; here those that it asks for become rollouts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;

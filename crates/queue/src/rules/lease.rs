@@ -1,6 +1,6 @@
-//! What may happen to one job: its states, what moves it between them, and how an
-//! attempt without a result is charged. Not responsible for which job is leased
-//! next (`choice`) nor for a policy's outages (`outage`).
+//! Life of one job: its states, the transitions between them, and how an attempt without a result
+//! is charged. Not responsible for which job is leased next (`choice`) nor for a policy's outages
+//! (`outage`).
 
 use std::time::Duration;
 
@@ -41,7 +41,7 @@ pub const MAX_LOSSES: u32 = 6;
 /// One rollout × replicate, as far as leasing goes.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Job {
-    /// Which one.
+    /// Id of the job.
     pub id: JobId,
     /// Leases granted so far.
     pub attempt: AttemptNumber,
@@ -49,11 +49,11 @@ pub struct Job {
     pub charged_attempts: u32,
     /// Attempts that lost their policy.
     pub losses: u32,
-    /// Where it stands.
+    /// Lease state.
     pub state: JobState,
 }
 
-/// Where a job stands. The store's CHECK constraints say the same.
+/// Lease state of a job. The store's CHECK constraints say the same.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
 pub enum JobState {
@@ -97,7 +97,7 @@ pub struct OutcomeKey {
     pub steps: u32,
 }
 
-/// What becomes of a reported result, before its siblings are looked at.
+/// Judgement on a reported result, before its siblings are looked at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommitJudgement {
     /// The attempt holds the lease: store it.
@@ -165,7 +165,7 @@ pub enum FailureReason {
     Skipped,
 }
 
-/// What a failed attempt's job does next.
+/// Next step of a failed attempt's job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AfterFailure {
     /// Back in the queue, not before an instant.
@@ -177,8 +177,8 @@ pub enum AfterFailure {
     Quarantine,
 }
 
-/// What a job's attempts so far say about it, the one that ends now included. Counted
-/// since the job was last taken out of quarantine by hand.
+/// Evidence against a job from its attempts so far, the one that ends now included. Counted since
+/// the job was last taken out of quarantine by hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Suspicion {
     /// Distinct machines with a charged failure.
@@ -194,7 +194,7 @@ pub struct Suspicion {
 /// A lease that was cut off with its worker, which may still come back with the result.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct CutOff {
-    /// Which attempt of its job it was.
+    /// Number of the attempt within its job.
     pub number: AttemptNumber,
     /// The lease as it was granted; its `expires` is past.
     pub lease: Lease,
@@ -219,8 +219,8 @@ impl Job {
         }
     }
 
-    /// What becomes of an outcome that `attempt`, one of this job's, reports.
-    /// `stored` is the committed outcome, if there is one.
+    /// Judges an outcome that `attempt`, one of this job's, reports. `stored` is the committed
+    /// outcome, if there is one.
     pub fn judge_commit(
         &self,
         attempt: AttemptId,
@@ -243,7 +243,7 @@ impl Job {
         (waits && is_newest && now < cut_off.lease.ceiling).then_some(&cut_off.lease)
     }
 
-    /// What this leased job does after its attempt failed.
+    /// Returns the next step of this leased job after its attempt failed.
     pub fn after_failure(
         &self,
         reason: FailureReason,
@@ -529,7 +529,7 @@ mod tests {
         }
     }
 
-    /// What a job does after its `count`th attempt that ended like this.
+    /// Returns the next step of a job after its `count`th attempt that ended like this.
     fn after(reason: FailureReason, count: u32, machines: u32) -> AfterFailure {
         let suspicion = Suspicion {
             failed_on_machines: 0,

@@ -1,14 +1,14 @@
-//! What becomes of a rollout that two halves of one campaign know of, and when they
-//! contradict each other.
+//! Merge of what two halves of one campaign know of its rollouts, and contradictions between the
+//! halves.
 
 use std::collections::BTreeMap;
 
 use super::lease::OutcomeKey;
 
-/// What a half knows of one rollout.
+/// One half's knowledge of a rollout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Known {
-    /// How far it is.
+    /// Progress of the rollout.
     pub standing: Standing,
     /// Reports of another outcome than the committed one, which are findings.
     pub divergences: u32,
@@ -20,7 +20,7 @@ pub struct Known {
     pub attempts: u32,
 }
 
-/// How far a rollout is.
+/// Progress of a rollout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Standing {
     /// It is to be run.
@@ -32,7 +32,7 @@ pub enum Standing {
     Committed(OutcomeKey),
 }
 
-/// Which half's account of a rollout is kept.
+/// The half whose account of a rollout is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kept {
     /// The first one's.
@@ -44,20 +44,20 @@ pub enum Kept {
 /// Two outcomes of one rollout.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Contradiction<N> {
-    /// Which rollout.
+    /// The rollout.
     pub of: N,
-    /// In the first half.
+    /// Outcome in the first half.
     pub first: OutcomeKey,
-    /// In the second half.
+    /// Outcome in the second half.
     pub second: OutcomeKey,
 }
 
 impl Known {
-    /// What is kept of a rollout: an outcome before a quarantine, and that before
+    /// Chooses the account of a rollout to keep: an outcome before a quarantine, and that before
     /// nothing; of two alike, the account that holds more.
     ///
     /// # Errors
-    /// The outcomes, if there are two.
+    /// If both halves hold an outcome and the two differ: both outcomes.
     pub fn beside(&self, other: &Known) -> Result<Kept, (OutcomeKey, OutcomeKey)> {
         if let (Standing::Committed(first), Standing::Committed(second)) =
             (self.standing, other.standing)
@@ -87,7 +87,7 @@ impl Known {
     }
 }
 
-/// Which half's account is kept of every rollout. One that a half lacks is the
+/// Chooses the half whose account is kept, for every rollout. One that a half lacks is the
 /// other's.
 ///
 /// # Errors
@@ -153,7 +153,7 @@ mod tests {
         proptest::collection::btree_map(0..6_u8, known(), 0..6)
     }
 
-    /// What the merged campaign knows.
+    /// Returns the knowledge of the merged campaign.
     fn merged(first: &Half, second: &Half) -> Option<Half> {
         let kept = merge(first, second).ok()?;
         let of = |(of, kept): (u8, Kept)| match kept {

@@ -24,11 +24,11 @@ pub struct PolicyHealth {
     /// Since when it is taken to answer; leases granted earlier are no evidence
     /// of a new outage.
     pub available_since: UnixMillis,
-    /// Where it stands.
+    /// State of the policy.
     pub state: PolicyState,
 }
 
-/// Where a policy stands. The store's CHECK constraints say the same.
+/// State of a policy. The store's CHECK constraints say the same.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
 pub enum PolicyState {
@@ -50,7 +50,7 @@ pub enum PolicyState {
     },
 }
 
-/// What is known of a policy that an attempt could not reach, beyond that.
+/// Evidence about a policy that an attempt could not reach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Contact {
     /// Queries that it had answered in this very attempt, if it was there when the attempt

@@ -17,7 +17,7 @@ const SEEN_AT_FIRST: [Axis; 4] = [Axis::Camera, Axis::Lighting, Axis::Robot, Axi
 /// and the initial state alone, in either mode.
 const DRAWING_NOTHING: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
 
-/// What a campaign demands of one of its results.
+/// Requirements of a campaign on one of its results.
 #[derive(Clone, Debug)]
 pub(crate) struct Demand<'a> {
     /// The campaign's realisation mode.
@@ -113,17 +113,16 @@ fn shares(axis: Axis, mode: Realisation, one: &RolloutId, other: &RolloutId) -> 
     let of_one_configuration = one.level() == other.level() && one.config() == other.config();
     match mode {
         Realisation::Matched => of_one_configuration,
-        // What is drawn is drawn from the rollout's id.
+        // Random values are drawn from the rollout's id.
         Realisation::Reference if DRAWING_NOTHING.contains(&axis) => of_one_configuration,
         Realisation::Reference => one == other,
     }
 }
 
-/// Of one scene and initial state, the axes that are seen at first decide what
-/// the policy sees first: replicates see the same, and so do the nominal rollout
-/// and those that perturb actions or words. Frames are compared bit by bit, so
-/// only those of the same bits in the simulator and the renderer are, and only
-/// if the realised values have the same bits.
+/// Compares first frames. Of one scene and initial state, the axes that are seen at first decide
+/// what the policy sees first: replicates see the same, and so do the nominal rollout and those
+/// that perturb actions or words. Frames are compared bit by bit, so only those of the same bits
+/// in the simulator and the renderer are, and only if the realised values have the same bits.
 fn from_the_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<String> {
     if result.digests.first_frame.is_empty() {
         return None;
@@ -216,7 +215,7 @@ mod tests {
         }
     }
 
-    /// What keeps a result out that realised these, in this mode.
+    /// Returns why a result that realised these values, in this mode, is kept out.
     fn kept_out(
         (id, mode): (&str, Realisation),
         values: &[(Axis, f64)],

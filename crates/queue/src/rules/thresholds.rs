@@ -1,5 +1,5 @@
-//! What a campaign that measures another one's thresholds runs next. Which radii these are
-//! is `thresholds`' business; here they become rows of the design.
+//! Next rollouts of a campaign that measures another one's thresholds. The radii are `thresholds`'
+//! business; here they become rows of the design.
 
 use paired::Record;
 use protocol::{Design, DesignError, ManifestRow, Thresholds};

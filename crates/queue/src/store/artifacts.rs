@@ -37,7 +37,7 @@ pub(crate) async fn owner(
     .doing("look up whose file this is")
 }
 
-/// Which of these files are recorded beside an outcome.
+/// Returns those of the files that are recorded beside an outcome.
 pub(crate) async fn recorded(
     tx: &mut SqliteConnection,
     paths: &[&str],

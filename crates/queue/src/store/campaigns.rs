@@ -35,36 +35,34 @@ pub struct Campaign {
     /// Its policy's health.
     #[sqlx(json)]
     pub health: PolicyHealth,
-    /// Where its perturbations' random elements come from: "matched" or
-    /// "reference".
+    /// Source of its perturbations' random elements: "matched" or "reference".
     pub realisation: String,
-    /// Which rollouts are filmed: "none", "failures", "transitions" or "all".
+    /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
     pub record: String,
-    /// Where it stands with its operator.
+    /// State that its operator set.
     #[sqlx(json)]
     pub state: CampaignState,
     /// Whether its configurations run in a drawn order: it may end early.
     pub is_drawn: bool,
-    /// What it asks of its workers.
+    /// Requirements on its workers.
     #[sqlx(json)]
     pub wanted: Wanted,
     /// Jobs of a higher priority are leased first.
     pub priority: i32,
-    /// When it was created.
+    /// Instant of its creation.
     pub created_ms: UnixMillis,
     /// The folder of its files, below the folder of all artifacts: its first
     /// name, or one like it where another campaign has that folder.
     pub(crate) folder: String,
     /// When its first result came.
     pub pinned_ms: Option<UnixMillis>,
-    /// What it is pinned to since then; before, what its source is pinned to, if
-    /// it follows from another campaign.
+    /// Its pin since then; before, the pin of its source, if it follows from another campaign.
     #[sqlx(json(nullable))]
     pub pin: Option<Pin>,
 }
 
 impl Campaign {
-    /// Where its perturbations' random elements come from.
+    /// Returns the source of its perturbations' random elements.
     pub(crate) fn mode(&self) -> Result<Realisation, StoreError> {
         let mode = self.realisation.parse().map_err(undecodable);
         mode.doing("read a campaign's realisation mode")
@@ -81,8 +79,7 @@ impl Campaign {
         worker.suits(&self.wanted) && self.pin.as_ref().is_none_or(|pin| pin.takes(worker))
     }
 
-    /// What its workers must run on, to be read after its name; empty if it
-    /// takes any.
+    /// Describes the workers that it requires, to be read after its name; empty if it takes any.
     pub(crate) fn demand(&self) -> String {
         match &self.pin {
             Some(pin) => format!("is pinned to {pin}"),
@@ -397,7 +394,7 @@ pub(crate) async fn rename(
         .map(drop)
 }
 
-/// What the campaign is called now that last had a name, if it was renamed.
+/// Returns the present name of the campaign that last had a name, if it was renamed.
 pub(crate) async fn renamed(
     tx: &mut SqliteConnection,
     name: &CampaignName,

@@ -119,7 +119,7 @@ pub(crate) async fn source(
         .doing("look which campaign another follows from")
 }
 
-/// What a campaign that follows from another waits for.
+/// The campaign that another one waits for, and its rollouts without an outcome yet.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Source {
     /// The other one's name.
@@ -130,7 +130,7 @@ pub struct Source {
     pub is_cancelled: bool,
 }
 
-/// What a campaign waits for, if it follows from another.
+/// Returns the campaign that another one waits for, if it follows from one.
 pub(crate) async fn awaited(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -162,7 +162,7 @@ pub(crate) async fn of(
     .doing("list the campaigns that follow from one")
 }
 
-/// What is known of a campaign's jobs.
+/// Returns the outcomes of a campaign's jobs, as far as they are known.
 pub(crate) async fn outcomes(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

@@ -5,7 +5,7 @@
 #[cfg(debug_assertions)]
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// What a writing transaction is for.
+/// Step of an operation that a writing transaction carries out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Step {
     /// Leases get their full time again when the coordinator starts.

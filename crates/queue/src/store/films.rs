@@ -15,7 +15,7 @@ pub struct Film {
     pub attempt: Text<AttemptId>,
     /// Its campaign.
     pub campaign: CampaignName,
-    /// Which replicate.
+    /// Number of the replicate.
     pub replicate: u32,
     /// One manifest row, JSON.
     pub manifest_row: String,
@@ -23,7 +23,7 @@ pub struct Film {
     pub realisation: String,
     /// The actions of every control step, as [`attempt::Motion`] packs them.
     pub actions: Vec<u8>,
-    /// What must come out again.
+    /// Outcome that the film must reproduce.
     pub success: bool,
 }
 

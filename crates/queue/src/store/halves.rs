@@ -47,7 +47,7 @@ pub(crate) struct Stored {
 }
 
 impl Stored {
-    /// Where it came from.
+    /// Returns the origin of the result.
     pub(crate) fn origin(&self) -> &Arc<Provenance> {
         &self.provenance.0
     }
@@ -62,7 +62,7 @@ impl Schema {
     }
 }
 
-/// What a half knows of its rollouts.
+/// Returns one half's knowledge of its rollouts.
 pub(crate) async fn known(
     tx: &mut SqliteConnection,
     schema: Schema,

@@ -11,7 +11,7 @@ use sqlx::SqliteConnection;
 use super::{Doing, StoreError};
 use crate::clock::UnixMillis;
 
-/// What becomes of instants ahead of the present one, `?1`. Of back-offs and pauses,
+/// Statements that set back instants ahead of the present one, `?1`. Of back-offs and pauses,
 /// which may end later, the longest wait is kept: `?2`.
 const SET_BACK: &[&str] = &[
     "UPDATE campaign SET created_ms = min(created_ms, ?1),

@@ -16,7 +16,7 @@ use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, PolicyId, WorkerId};
 use crate::rules::lease::{AfterFailure, CutOff, FailureReason, Job, Lease, OutcomeKey};
 
-/// What matched rollouts share: one campaign, one scene, one initial state.
+/// Key of matched rollouts: one campaign, one scene, one initial state.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, sqlx_macros::FromRow)]
 pub(crate) struct InitialState {
     #[sqlx(rename = "campaign_id")]
@@ -31,12 +31,12 @@ pub(crate) struct InitialState {
 pub(crate) struct NamedAttempt {
     #[sqlx(rename = "named")]
     pub(crate) id: Text<AttemptId>,
-    /// Whose attempt it is or was.
+    /// The worker that has or had its lease.
     pub(crate) worker: WorkerId,
     pub(crate) number: AttemptNumber,
     #[sqlx(json)]
     pub(crate) job: Job,
-    /// What the job's siblings share with it.
+    /// Initial state that the job shares with its siblings.
     #[sqlx(flatten)]
     pub(crate) of: InitialState,
     /// The rollout that it is to run.
@@ -69,7 +69,7 @@ pub(crate) struct ExpiredRow {
     pub(crate) heartbeat_ms: Option<UnixMillis>,
 }
 
-/// What a job's attempts so far, and one more on some machine, amount to.
+/// Counts of a job's attempts so far, and one more on some machine.
 #[derive(Clone, Copy, Debug, sqlx_macros::FromRow)]
 pub(crate) struct History {
     pub(crate) failed_on_machines: u32,
@@ -447,9 +447,8 @@ pub(crate) async fn retry(
     .map(drop)
 }
 
-/// What a job's attempts since it was last retried by hand, and one more by `worker`,
-/// amount to. A worker that does not say on which machine it runs is a machine of its
-/// own.
+/// Counts a job's attempts since it was last retried by hand, and one more by `worker`. A worker
+/// that does not say on which machine it runs is a machine of its own.
 pub(crate) async fn history(
     tx: &mut SqliteConnection,
     job: JobId,

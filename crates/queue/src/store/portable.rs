@@ -10,7 +10,7 @@ use super::{Doing, StoreError, policies};
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, CampaignName, JobId};
 
-/// What a campaign that is copied is called here.
+/// Name and specification of a copied campaign in its new database.
 #[derive(Clone, Debug)]
 pub(crate) struct Called {
     pub(crate) name: CampaignName,
@@ -22,10 +22,10 @@ pub(crate) struct Called {
     pub(crate) folder: String,
 }
 
-/// What a table's rows become.
+/// Statement parts that copy the rows of a table.
 struct Copied {
     table: &'static str,
-    /// Where its rows, `s`, are taken from.
+    /// The `FROM` clause of its rows, `s`.
     from: &'static str,
     /// Columns that become another value than they had; NULL stands for a row number
     /// that is given anew.
@@ -34,7 +34,7 @@ struct Copied {
     rest: &'static str,
 }
 
-/// What is known while a campaign is copied, in the temporary table `moved`.
+/// The column of the campaign's id, with its new value from the temporary table `moved`.
 const CAMPAIGN: (&str, &str) = ("campaign_id", "(SELECT new FROM temp.moved)");
 const JOB: (&str, &str) = ("job_id", "m.new");
 
@@ -146,7 +146,7 @@ const COPIED: [Copied; 10] = [
                WHERE TRUE",
         values: &[
             ("attempt_id", "a.new"),
-            // What comes after the last slash is the file's own name.
+            // The text after the last slash is the file's own name.
             (
                 "path",
                 "'artifacts/' || (SELECT folder FROM temp.moved) || '/'

@@ -18,14 +18,14 @@ pub struct WorkerInfo {
     pub id: WorkerId,
     /// The name of the machine it runs on.
     pub host: String,
-    /// What tells that machine from others, if it says so: the same for every worker
-    /// there, now and after a restart.
+    /// Id of that machine, if it says so: the same for every worker there, now and after a
+    /// restart.
     pub machine: Option<String>,
     /// Rollouts that it runs side by side.
     pub slots: u32,
     /// Cores that they share, if it says so.
     pub cores: Option<u32>,
-    /// What it runs on.
+    /// Asset pack, simulator and renderer that it runs on.
     pub pin: Pin,
     /// Version of its program.
     pub program_version: String,
@@ -37,10 +37,10 @@ pub(crate) struct Standing {
     pub(crate) id: WorkerId,
     /// The machine it runs on: its own id if it does not say.
     pub(crate) machine: String,
-    /// What it runs on.
+    /// Asset pack, simulator and renderer that it runs on.
     #[sqlx(json)]
     pub(crate) pin: Pin,
-    /// When it last called.
+    /// Instant of its last call.
     pub(crate) last_seen_ms: UnixMillis,
     /// Charged failures in a row.
     pub(crate) charged_in_a_row: u32,
@@ -239,7 +239,7 @@ pub(crate) async fn sign_off(
 /// A worker that is there and may lease.
 #[derive(Clone, Debug)]
 pub(crate) struct Live {
-    /// What it runs on.
+    /// Asset pack, simulator and renderer that it runs on.
     pub(crate) pin: Pin,
     /// Its machine: its own id if it does not say.
     pub(crate) machine: String,
