@@ -289,7 +289,7 @@ impl Motion {
         self.per_step
     }
 
-    /// For how many steps the hand has not moved.
+    /// Number of steps for which the hand has not moved.
     pub(crate) fn still_steps(&self) -> u32 {
         self.still_steps
     }
@@ -316,7 +316,7 @@ impl Motion {
         world.opening > OPEN_M || stops
     }
 
-    /// For how many steps the fingers have not moved against each other.
+    /// Number of steps for which the fingers have not moved against each other.
     pub(crate) fn finger_still_steps(&self) -> u32 {
         self.finger_still_steps
     }
