@@ -250,8 +250,8 @@ fn put_on(
     transfer(world, object, place)
 }
 
-/// Side of the target if two objects share it: -1 for the first, 1 for the second, else
-/// 0.
+/// Side of the target if two objects share it: -1 for the first, 1 for the second;
+/// otherwise 0.
 fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
     let same = |other: &&Predicate| {
         other.name == predicate.name && other.arguments.last() == predicate.arguments.last()

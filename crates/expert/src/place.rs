@@ -33,8 +33,8 @@ pub(crate) struct Place {
     pub(crate) relation: Relation,
     /// Object or region.
     pub(crate) target: String,
-    /// Side of the target's middle, if two objects share it: -1, 0 for the middle itself,
-    /// 1.
+    /// Side of the target's middle, if two objects share it: -1 or 1; 0 is the middle
+    /// itself.
     pub(crate) slot: f64,
 }
 
