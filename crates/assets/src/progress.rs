@@ -20,7 +20,7 @@ pub enum Report {
     Arriving(Progress),
 }
 
-/// How far a fetch is.
+/// Progress of a fetch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
     /// Files that are in place.

@@ -1,4 +1,4 @@
-//! Whether files of a folder are those of a table.
+//! Verification of a folder's files against a table.
 
 use std::collections::HashMap;
 use std::fmt;

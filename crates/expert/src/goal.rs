@@ -1,5 +1,5 @@
-//! From goal predicates to skills, in an order in which they do not undo one
-//! another. Not responsible for how a skill is carried out.
+//! Plans skills from goal predicates, in an order in which they do not undo one another.
+//! The skills carry themselves out.
 
 use std::collections::VecDeque;
 
@@ -38,7 +38,7 @@ impl Skill {
         }
     }
 
-    /// Whether it goes on with what is between the fingers.
+    /// Returns true if the skill goes on with the object between the fingers.
     fn goes_on(&self, world: &World) -> bool {
         let object = match self {
             Self::Transfer(transfer) => transfer.object(),
@@ -56,7 +56,7 @@ impl Skill {
     }
 }
 
-/// How far from a handle the hand backs out before it goes elsewhere, m.
+/// Distance by which the hand backs out from a handle before it goes elsewhere, m.
 const CLEAR_OF_HANDLE_M: f64 = 0.06;
 /// An object whose box is nearer than this to the grip point may be between the fingers, m.
 const BETWEEN_M: f64 = 0.005;
@@ -250,8 +250,8 @@ fn put_on(
     transfer(world, object, place)
 }
 
-/// Side of the target if two objects share it: -1 for the first, 1 for the second, else
-/// 0.
+/// Side of the target if two objects share it: -1 for the first, 1 for the second;
+/// otherwise 0.
 fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
     let same = |other: &&Predicate| {
         other.name == predicate.name && other.arguments.last() == predicate.arguments.last()

@@ -11,8 +11,8 @@ use crate::world::{Entity, Solid, World};
 /// Widest body that is pinched whole, m: the hand opens to 0.08 m, less a
 /// margin on both sides.
 const PINCH_WIDTH_M: f64 = 0.072;
-/// How far below an object's top the grip point goes when pinching, m: the
-/// palm is 35 mm above the grip point.
+/// Depth of the grip point below an object's top when pinching, m: the palm is 35 mm
+/// above the grip point.
 const PINCH_DEPTH_M: f64 = 0.025;
 /// The same at a rim, and how far inside the box's side the wall is; further
 /// in, the closing fingers draw the rim to their middle, which helps where a
@@ -26,10 +26,10 @@ const RIM_POINTS: u32 = 24;
 /// A box longer than this times its width has a handle along its length, and
 /// is only held at its two long sides.
 const ROUND_RATIO: f64 = 1.12;
-/// How far from an object's middle it is also pinched, as a share of its wide
-/// side, where a neighbour is in the way of the middle.
+/// Further pinch positions off an object's middle, as shares of its wide side, for a
+/// neighbour that is in the way of the middle.
 const OFF_CENTRE: [f64; 5] = [0.0, 0.25, -0.25, 0.5, -0.5];
-/// How far an open finger reaches out from the grip point, m.
+/// Reach of an open finger from the grip point, m.
 const FINGER_REACH_M: f64 = 0.058;
 /// Penalties of a grasp, expressed as turning of the hand: a closing direction a quarter
 /// turn away from a place's wish, rad; a part of the hand in the way, rad; a finger in a
@@ -255,9 +255,9 @@ fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> 
     turning + askew + grasp.strain + collisions + into_wall + stretch + downhill
 }
 
-/// How often a part of the open hand would come down on one of `among`, with
-/// the grip point at `grip`. What the object is in does not count: its walls
-/// are looked at by [`into_wall`].
+/// Number of parts of the open hand that would come down on one of `among`, with the grip
+/// point at `grip`. The container of the object does not count: its walls are checked by
+/// [`into_wall`].
 fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) -> bool) -> usize {
     let (along, across) = (Vec3::heading(closing), Vec3::heading(closing + FRAC_PI_2));
     let hits = |part: &Part, solid: &Solid| {
@@ -271,9 +271,8 @@ fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) ->
         .sum()
 }
 
-/// How far, m, the outer finger would reach into the wall of a container that
-/// the object is in. A fixture's box says nothing about its inside; the
-/// regions in it do.
+/// Depth, m, to which the outer finger would reach into the wall of a container that the
+/// object is in. A fixture's box says nothing about its inside; the regions in it do.
 fn into_wall(world: &World, object: &Entity, grasp: &Grasp) -> f64 {
     let outward = grasp.offset.at_height(0.0);
     if outward.norm() < RIM_INSETS_M[0] {

@@ -18,14 +18,14 @@ const SUBSTEP_SECS: f64 = 0.002;
 const STEP_RAD: f64 = 0.15;
 /// m per step at which the fingers travel.
 const FINGER_STEP_M: f64 = 0.01;
-/// How far apart fingers stay that hold something, m.
+/// Distance between fingers that hold something, m.
 const HOLDING_M: f64 = 0.02;
 /// Objects nearer than this to the grip point can be held, m.
 const REACH_M: f64 = 0.08;
 
 pub(crate) struct KinematicScene {
     pub(crate) state: Privileged,
-    /// How many times the fingers close without getting hold of anything.
+    /// Number of times that the fingers close without getting hold of anything.
     pub(crate) slippery: u32,
     held: Option<usize>,
     velocity: [f64; 3],
@@ -135,7 +135,7 @@ impl KinematicScene {
         }
     }
 
-    /// How far the spring takes the hand in one step.
+    /// Displacement of the hand by the spring in one step.
     fn pull_hand(&mut self, action: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|i| {
             let (goal, velocity) = (action[i] * UNIT_M, &mut self.velocity[i]);

@@ -170,8 +170,8 @@ mod tests {
         assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
     }
 
-    /// Whether the bowl comes to its plate in so many steps, where `meddle` changes every action
-    /// that is not the expert's own, by the step's number.
+    /// Returns true if the bowl comes to its plate within this many steps, where `meddle`
+    /// changes every action that is not the expert's own, by the step's number.
     fn ends(steps: u32, meddle: impl Fn(u32, Action) -> Option<Action>) -> bool {
         let (mut scene, mut expert) = (scene(), Expert::default());
         (0..steps).any(|step| {

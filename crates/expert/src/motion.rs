@@ -1,6 +1,5 @@
-//! From "the hand should be there" to the action that brings it there: a
-//! proportional servo on the true pose, and the detour over whatever stands
-//! in the way. Not responsible for where the hand should be.
+//! Servo of the hand: a proportional controller on the true pose, and the detour over
+//! obstacles. The target pose is chosen elsewhere.
 //!
 //! The action moves the set point of LIBERO's operational-space controller
 //! relative to where the hand is now, so that an error fed back at every step
@@ -22,11 +21,11 @@ const UNIT_RAD: f64 = 0.5;
 /// Stiffens the position spring. The controller is critically damped at one;
 /// two still settles without visible overshoot.
 const POSITION_GAIN: f64 = 2.0;
-/// How many steps ahead the position is foretold: the damping that the stiffer
-/// spring and the step's delay need.
+/// Steps by which the position is extrapolated: the damping that the stiffer spring and
+/// the step's delay need.
 const LOOKAHEAD_STEPS: f64 = 1.5;
-/// From the point between the fingertips to their lower end, m (Panda hand
-/// of robosuite 1.4.0).
+/// Distance from the point between the fingertips to their lower end, m (Panda hand of
+/// robosuite 1.4.0).
 pub(crate) const FINGERTIP_M: f64 = 0.0095;
 /// Room kept between what the hand carries and what it passes over, m.
 const CLEARANCE_M: f64 = 0.02;
@@ -68,14 +67,14 @@ impl HandPose {
         }
     }
 
-    /// How far the hand is turned from there, rad.
+    /// Angle between the hand's orientation and this one, rad.
     pub(crate) fn turn_from(self, world: &World) -> f64 {
         let turn = self.quat.after(world.grip_quat.inverse());
         turn.rotation_vector().norm()
     }
 
-    /// Whether the hand is on its straight way from here to `goal`: at most `aside` m beside
-    /// it, a little before or beyond it, and turned like one of the two.
+    /// Returns true if the hand is on its straight way from here to `goal`: at most
+    /// `aside` m beside it, a little before or beyond it, and turned like one of the two.
     pub(crate) fn leads(self, goal: HandPose, world: &World, aside: f64) -> bool {
         let way = goal.pos - self.pos;
         let length = way.norm().max(f64::MIN_POSITIVE);
@@ -87,7 +86,8 @@ impl HandPose {
         beside < aside && within.contains(&along) && turned < ALIGNED_RAD
     }
 
-    /// Whether the hand is there, up to so many metres and radians.
+    /// Returns true if the hand is within these tolerances of the pose, in metres and
+    /// radians.
     pub(crate) fn is_near(self, world: &World, near_m: f64, near_rad: f64) -> bool {
         (self.pos - world.grip).norm() < near_m && self.turn_from(world) < near_rad
     }
@@ -162,7 +162,7 @@ fn saturate(v: Vec3, limit: f64) -> Vec3 {
 /// Load of the hand on its way, or the object that it goes for.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Errand<'a> {
-    /// Nothing; its own lowest part is that far below the grip point, m.
+    /// No load; the hand's own lowest part is this far below the grip point, m.
     Empty(f64),
     /// Goes for this object, which is no obstacle.
     For(&'a Entity),
@@ -178,7 +178,7 @@ impl Errand<'_> {
         }
     }
 
-    /// How far the lowest part is below the grip point, m.
+    /// Distance of the lowest part below the grip point, m.
     fn hang(&self, world: &World) -> f64 {
         match self {
             Self::Empty(hang) => *hang,
@@ -259,7 +259,7 @@ pub(crate) struct Motion {
     per_step: Vec3,
     still_steps: u32,
     finger_still_steps: u32,
-    /// How much the fingers have opened in the last step, m.
+    /// Opening of the fingers in the last step, m.
     opened: f64,
     /// Positions of the hand in the last steps, the latest last.
     trail: [Vec3; TRAIL_STEPS],
@@ -284,38 +284,39 @@ impl Motion {
         self.last = Some((world.grip, world.opening));
     }
 
-    /// How far the hand moved in the last step, m.
+    /// Displacement of the hand in the last step, m.
     pub(crate) fn per_step(&self) -> Vec3 {
         self.per_step
     }
 
-    /// For how many steps the hand has not moved.
+    /// Number of steps for which the hand has not moved.
     pub(crate) fn still_steps(&self) -> u32 {
         self.still_steps
     }
 
-    /// Whether the hand has got nowhere in the last steps, trembling though it may be.
+    /// Returns true if the hand has made no progress in the last steps, even if it
+    /// trembles.
     pub(crate) fn is_stuck(&self) -> bool {
         let here = self.trail[TRAIL_STEPS - 1];
         let away = |place: &Vec3| (*place - here).norm();
         self.trail.iter().all(|place| away(place) < STUCK_M)
     }
 
-    /// Whether the fingers have closed on something.
+    /// Returns true if the fingers have closed on something.
     pub(crate) fn grasps(&self, world: &World) -> bool {
         let (shut, open) = GRASPED_M;
         let between = shut < world.opening && world.opening < open;
         between && self.finger_still_steps >= AT_REST_STEPS
     }
 
-    /// Whether fingers at a grasp should close: they are open, or on their way, or stopped just
-    /// now.
+    /// Returns true if fingers at a grasp should close: they are open, or on their way,
+    /// or stopped just now.
     pub(crate) fn may_close(&self, world: &World) -> bool {
         let stops = self.opened < STILL_M && self.finger_still_steps < AT_REST_STEPS;
         world.opening > OPEN_M || stops
     }
 
-    /// For how many steps the fingers have not moved against each other.
+    /// Number of steps for which the fingers have not moved against each other.
     pub(crate) fn finger_still_steps(&self) -> u32 {
         self.finger_still_steps
     }

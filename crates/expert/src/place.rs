@@ -24,7 +24,7 @@ const NEIGHBOUR_GAP_M: f64 = 0.004;
 const THERE_M: f64 = 0.005;
 /// LIBERO's own tolerance for one object on another, m.
 const ON_OBJECT_M: f64 = 0.03;
-/// How far above a region an object counts as on it, m (LIBERO's tolerance).
+/// Height above a region up to which an object counts as on it, m (LIBERO's tolerance).
 const ON_REGION_M: f64 = 0.1;
 
 /// A goal for one object.
@@ -33,8 +33,8 @@ pub(crate) struct Place {
     pub(crate) relation: Relation,
     /// Object or region.
     pub(crate) target: String,
-    /// Side of the target's middle, if two objects share it: -1, 0 for the middle itself,
-    /// 1.
+    /// Side of the target's middle, if two objects share it: -1 or 1; 0 is the middle
+    /// itself.
     pub(crate) slot: f64,
 }
 
@@ -57,7 +57,7 @@ pub(crate) struct Spot {
     brim: f64,
 }
 
-/// How an object gets to its place.
+/// Way of an object to its place.
 #[derive(Clone, Copy, Debug)]
 enum Entry {
     /// Put down.
@@ -115,7 +115,7 @@ impl Place {
         })
     }
 
-    /// Whether the object is there, as far as boxes tell.
+    /// Returns true if the object is in its place, as far as boxes tell.
     ///
     /// # Errors
     /// Names a target that the scene lacks.
@@ -177,7 +177,7 @@ impl Spot {
         (world.grip + point - object.pos).at_height(world.grip.z + up)
     }
 
-    /// Whether the way in can begin, the hand having `left` to go to the gate.
+    /// Returns true if the way in can begin, with `left` to go to the gate.
     pub(crate) fn at_gate(&self, left: Vec3) -> bool {
         let sunk = match self.entry {
             Entry::Onto | Entry::Into => true,
@@ -186,7 +186,7 @@ impl Spot {
         sunk && left.horizontal_norm() < 2.0 * THERE_M
     }
 
-    /// Whether the held object can be let go.
+    /// Returns true if the held object can be let go.
     pub(crate) fn reached(&self, world: &World, object: &Entity) -> bool {
         match self.entry {
             Entry::Onto => object.bottom() < self.floor + THERE_M,

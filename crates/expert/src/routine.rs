@@ -26,7 +26,7 @@ const PULL_TILT: f64 = FRAC_PI_2;
 const PUSH_TILT: f64 = 0.6;
 /// The stove counts as on beyond 0.5 rad of its knob.
 const KNOB_ON: f64 = 0.8;
-/// How far down the knob's ridge the grip point goes, m.
+/// Depth of the grip point below the top of the knob's ridge, m.
 const KNOB_DEPTH_M: f64 = 0.018;
 /// The microwave's hinge in its own axes, and the door's top above its
 /// origin, m.
@@ -39,7 +39,7 @@ const DOOR_DEPTH_M: f64 = 0.05;
 const DOOR_FRONT_M: f64 = 0.044;
 /// The microwave counts as closed above -0.005 rad.
 const DOOR_CLOSED: f64 = -0.003;
-/// How far ahead of a mechanism the hand's goal is, m and rad: what pulls it.
+/// Lead of the hand's goal over a mechanism, m and rad, which pulls the mechanism along.
 const LEAD_M: f64 = 0.05;
 const LEAD_RAD: f64 = 0.4;
 /// Distance kept before and after, m.
@@ -59,12 +59,12 @@ const HELD_M: f64 = 0.025;
 const PRESSING_M: f64 = 0.006;
 /// Share of full vertical speed near things.
 const GENTLE: f64 = 0.4;
-/// How far from the middle a flat thing is dragged along by fingertips on its
-/// upper face, m, and how near to its goal it is let go.
+/// Distance from the middle at which fingertips drag a flat thing by its upper face, m,
+/// and distance from its goal at which it is let go.
 const DRAG_FROM_M: f64 = 0.03;
 const DRAG_DONE_M: f64 = 0.012;
-/// How far ahead of the fingertips their goal is: gentler than with fixtures,
-/// since a light plate is thrown off by a jerk.
+/// Lead of the goal over the fingertips, m: gentler than with fixtures, since a light
+/// plate is thrown off by a jerk.
 const DRAG_LEAD_M: f64 = 0.05;
 
 /// Task of a routine.
@@ -103,7 +103,7 @@ enum Until {
     Travelled,
     /// The hand is there, or something stopped it.
     There,
-    /// That many steps have passed.
+    /// The given number of steps has passed.
     Steps(u32),
     /// The mechanism is where it should be.
     Reached(bool),
@@ -221,17 +221,17 @@ impl Deed {
     }
 }
 
-/// Whether a drawer is shut far enough to count.
+/// Returns true if a drawer is shut far enough to count.
 pub(crate) fn drawer_is_closed(position: f64) -> bool {
     position > 0.0
 }
 
-/// Whether a microwave's door is shut far enough to count.
+/// Returns true if a microwave's door is shut far enough to count.
 pub(crate) fn door_is_closed(position: f64) -> bool {
     position > -0.005
 }
 
-/// Whether a stove's knob is turned far enough to count.
+/// Returns true if a stove's knob is turned far enough to count.
 pub(crate) fn knob_is_on(position: f64) -> bool {
     position >= 0.5
 }
@@ -417,7 +417,7 @@ pub(crate) fn only_joint(world: &World, fixture: &str) -> Result<f64, String> {
     )
 }
 
-/// Whether `object` is too flat and too wide for the hand to lift.
+/// Returns true if `object` is too flat and too wide for the hand to lift.
 pub(crate) fn must_be_dragged(object: &Entity) -> bool {
     let widest = object.half.x.min(object.half.y);
     widest > 0.04 && object.half.z < 0.25 * widest

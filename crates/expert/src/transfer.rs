@@ -12,7 +12,7 @@ use crate::world::{Entity, World};
 
 /// The hand waits this far above a grasp before it comes down, m.
 const HOVER_M: f64 = 0.04;
-/// How far the hand goes away from what it has let go, m.
+/// Retreat of the hand from a released object, m.
 const RETREAT_M: f64 = 0.05;
 /// Near enough to go on to the next phase: m, and rad.
 const NEAR_M: f64 = 0.008;
@@ -29,7 +29,7 @@ const OVER_REST_M: f64 = 0.02;
 const DEEP_M: f64 = 0.003;
 /// A held object that slips further than this from the hand is lost, m.
 const LOST_M: f64 = 0.03;
-/// How far an object is lifted before the grasp is trusted, m.
+/// Height by which an object is lifted before the grasp is trusted, m.
 const LIFT_M: f64 = 0.03;
 /// Steps for the fingers to travel: closing waits for at least the first and
 /// at most the second number.
@@ -114,7 +114,7 @@ impl Transfer {
         &self.object
     }
 
-    /// Whether the object is in the hand.
+    /// Returns true if the object is in the hand.
     ///
     /// # Errors
     /// Names an object that the scene lacks.

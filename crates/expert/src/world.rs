@@ -164,7 +164,7 @@ impl World {
         self.shoulder - SHOULDER_FROM_REST
     }
 
-    /// How far beyond its comfortable reach the arm is with the hand pointing
+    /// Distance by which the arm exceeds its comfortable reach with the hand pointing
     /// down at `grip`, m; 0 within.
     pub(crate) fn overstretch(&self, grip: Vec3) -> f64 {
         let from_shoulder = grip - self.shoulder;
@@ -173,7 +173,7 @@ impl World {
         (reach - COMFORTABLE_REACH_M).max(0.0)
     }
 
-    /// How far the grip point is outside of the object's box, m; negative within.
+    /// Distance of the grip point from the object's box, m; negative within.
     pub(crate) fn gap_to(&self, object: &Entity) -> f64 {
         ((self.grip - object.centre).abs() - object.half).max_coordinate()
     }
@@ -281,8 +281,8 @@ impl Solid {
         self.quat.inverse().rotate(Vec3::UP).abs().dot(self.half)
     }
 
-    /// How far `p` is outside, along the axis along which it is furthest
-    /// outside; negative within.
+    /// Distance of `p` from the box along the axis along which it is furthest outside;
+    /// negative within.
     pub(crate) fn gap(&self, p: Vec3) -> f64 {
         let offset = self.quat.inverse().rotate(p - self.centre);
         (offset.abs() - self.half).max_coordinate()
@@ -293,9 +293,9 @@ impl Solid {
         self.gap(p.at_height(self.centre.z))
     }
 
-    /// Whether, seen from above, it overlaps the rectangle around `p` that
-    /// reaches out by these two horizontal vectors, which are at right angles:
-    /// no axis of either separates the two.
+    /// Returns true if, seen from above, the box overlaps the rectangle around `p` that
+    /// reaches out by these two horizontal vectors, which are at right angles: no axis of
+    /// either separates the two.
     pub(crate) fn overlaps_from_above(&self, p: Vec3, reach: [Vec3; 2]) -> bool {
         let inward = self.quat.inverse();
         let offset = inward.rotate((p - self.centre).at_height(0.0));

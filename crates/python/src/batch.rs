@@ -72,11 +72,11 @@ struct Task<'a> {
 struct Done<'a> {
     steps: &'a mut u32,
     success: &'a mut bool,
-    /// Of each step, where the expert is asked.
+    /// Per step: action of the expert, where it is asked.
     expert_actions: &'a mut [[f64; WIDTH]],
-    /// Of each drawn step.
+    /// Readings, one row per drawn step.
     readings: &'a mut [[f64; READING_WIDTH]],
-    /// Of each camera, the pictures of each drawn step.
+    /// Per camera: pictures of each drawn step.
     frames: Vec<&'a mut [u8]>,
 }
 
@@ -391,12 +391,12 @@ fn followed(own: [f64; WIDTH], added: [f64; WIDTH]) -> [f64; WIDTH] {
     })
 }
 
-/// Whether what is added to the expert's translation leaves nothing of it.
+/// Returns true if an added translation exceeds the largest that the expert can command.
 fn is_push(added: &[f64; WIDTH]) -> bool {
     added[..3].iter().any(|value| value.abs() > 1.0)
 }
 
-/// At which steps the expert drives, row by row.
+/// Marks the steps at which the expert drives, row by row.
 fn expert_drives(
     drives: &PyReadonlyArrayDyn<'_, bool>,
     shape: [usize; 2],

@@ -93,7 +93,7 @@ impl Scene {
         .collect()
     }
 
-    /// How many initial states there are.
+    /// Number of initial states.
     #[getter]
     fn initial_states(&self) -> usize {
         self.ready

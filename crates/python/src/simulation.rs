@@ -295,7 +295,7 @@ impl Simulation {
         self.state.with(py, |state| state.step(&action, of))
     }
 
-    /// Whether the goal holds.
+    /// True if the goal holds.
     fn success(&self, py: Python<'_>) -> PyResult<bool> {
         self.state
             .with(py, |state| Ok(state.environment.succeeded()))

@@ -37,8 +37,8 @@ pub(crate) struct Sampled {
 const JOINT_SAMPLER_ROUNDS: u32 = 2;
 
 impl Start {
-    /// From JSON: a row, or `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`, whose
-    /// row may be missing.
+    /// Reads JSON: a row, or `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`, in
+    /// which `perturbed` is optional.
     ///
     /// # Errors
     /// If it is neither.

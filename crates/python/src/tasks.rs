@@ -5,8 +5,8 @@ use pyo3::prelude::*;
 
 use crate::error::value;
 
-/// Of a task, `libero_goal/3`: its suite's name, its number, its files' stem, its
-/// instruction, and the control steps that a policy has.
+/// Description of a task such as `libero_goal/3`: its suite's name, its number, its
+/// files' stem, its instruction, and the control steps that a policy has.
 #[pyfunction]
 pub(crate) fn task(name: &str) -> PyResult<(&'static str, u8, &'static str, String, u32)> {
     let task: TaskRef = name.parse().map_err(value)?;

@@ -35,7 +35,7 @@ pub(crate) struct Backdrop {
     /// Per geom: frames that it has rested, and frames that it must rest.
     rested: Vec<u16>,
     needed: Vec<u16>,
-    /// Whether it is in the picture.
+    /// True per geom if it is in the picture.
     is_kept: Vec<bool>,
     is_drawn: bool,
     instances: Vec<Instance>,
@@ -98,7 +98,7 @@ impl Backdrop {
         }
     }
 
-    /// Whether a geom is part of it.
+    /// Returns true if a geom is part of the backdrop.
     pub(crate) fn holds(&self, geom: usize) -> bool {
         self.is_drawn && self.is_kept[geom]
     }
@@ -178,7 +178,7 @@ fn texture_bits(used: &TextureUse) -> (usize, [u32; 2], bool, bool) {
     (used.texture, repeat, used.uniform, used.by_corner)
 }
 
-/// Whether two geoms give the same picture: zeros of both signs differ.
+/// Returns true if two geoms give the same picture: zeros of both signs differ.
 fn same_bits(a: &Geom, b: &Geom) -> bool {
     let numbers = |geom: &Geom| {
         let [px, py, pz] = geom.pos;

@@ -96,9 +96,9 @@ impl Canvas {
         Ok(&self.rgb)
     }
 
-    /// How far it is to what the last frame shows in each pixel, at its first sample:
-    /// 0 at the near plane, 1 at the far one, as OpenGL keeps it; row by row from
-    /// the lowest. What one can see through is passed over.
+    /// Depths of the last frame at each pixel's first sample: 0 at the near plane, 1 at
+    /// the far one, as OpenGL keeps them; row by row from the lowest. Translucent geoms
+    /// are ignored.
     pub fn depths(&self) -> impl Iterator<Item = f32> {
         let Visible {
             width,

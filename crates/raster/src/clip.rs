@@ -22,12 +22,12 @@ pub(crate) struct ClippedTriangle {
     /// start.
     pub(crate) triangle: u32,
     pub(crate) vertices: u32,
-    /// How it was cut, and which of the pieces it is.
+    /// Cut that made it, and its index among the pieces.
     pub(crate) cut: Cut,
     pub(crate) piece: u32,
 }
 
-/// How a triangle is cut.
+/// Cut of a triangle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cut {
     /// Bits of the sides that it reaches beyond.
@@ -38,7 +38,7 @@ pub(crate) struct Cut {
     pub(crate) half: [f32; 2],
 }
 
-/// How much varies over a triangle.
+/// Number of values that vary over a triangle.
 pub(crate) const VARYING: usize = LANES;
 
 /// Values that vary over a triangle, as held by one corner.
@@ -91,8 +91,8 @@ pub(crate) struct Polygon<V> {
 }
 
 impl<V: Values> Polygon<V> {
-    /// Its pieces in the order in which they are drawn, each corner in the order in
-    /// which the whole triangle's are. Pieces that have no place are left out.
+    /// Pieces in drawing order, each corner in the order of the whole triangle's. Pieces
+    /// that have no place are left out.
     pub(crate) fn pieces(&self) -> impl Iterator<Item = [ClippedCorner<V>; 3]> {
         let is_placed = |corners: &[ClippedCorner<V>; 3]| {
             let mut places = corners.iter().flat_map(|it| it.window);
@@ -173,7 +173,7 @@ fn cut<V: Values>(
             keep(*last)?;
         }
         if (last_distance >= 0.0) != (here >= 0.0) {
-            // From the nearer corner, for precision.
+            // Interpolates from the nearer corner, for precision.
             let between = here - last_distance;
             let from_here = match here < 0.0 {
                 true => -here < last_distance,
@@ -189,7 +189,7 @@ fn cut<V: Values>(
     Some(count)
 }
 
-/// From one corner so far towards another.
+/// Interpolates from one corner towards another by this share.
 fn toward<V: Values>(from: &Corner<V>, to: &Corner<V>, share: f32) -> Corner<V> {
     let mix = |from: f32, to: f32| from + share * (to - from);
     Corner {

@@ -1,5 +1,5 @@
-//! From a triangle's edges and depths to the samples that it covers, two pixels
-//! at a time; a large one block by block.
+//! Rasterises a triangle: from its edges and depths to the samples that it covers, two
+//! pixels at a time; a large one block by block.
 
 use crate::drawing::Drawing;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
@@ -156,7 +156,7 @@ fn fill_parts<const INSIDE: bool>(
         if part_x[0] > part_x[1] || part_y[0] > part_y[1] {
             continue;
         }
-        // To the first of its pixels, in lattice points.
+        // Offset of the first of its pixels, in lattice points.
         let off =
             [(part_x[0] & !1) - block[0], part_y[0] - block[1]].map(|off| off * POINTS_PER_PIXEL);
         let at = [0, 1, 2].map(|edge| {
@@ -173,7 +173,7 @@ fn fill_parts<const INSIDE: bool>(
         }
     }
     if touched {
-        // As much as a small triangle for each part.
+        // Counts as a small triangle for each part.
         let parts = seen.bits().count_ones() as u8;
         drawing
             .visible
@@ -204,7 +204,7 @@ fn most_depths(lane: usize, setup: &Setup, [x, y]: [i32; 2]) -> F {
 
 /// An edge of a large triangle, block by block.
 struct LongEdge {
-    /// At the corner of the first block, and what it changes by per block.
+    /// Value at the corner of the first block, and its change per block.
     value: i64,
     along: [i64; 2],
 }
@@ -227,18 +227,18 @@ impl LongEdge {
         self.value + right * self.along[0] + down * self.along[1]
     }
 
-    /// Whether a block is wholly on its outer side.
+    /// Returns true if a block is wholly on the edge's outer side.
     fn is_beyond(&self, block: [i64; 2]) -> bool {
         self.value_at(block) + self.along[0].max(0) + self.along[1].max(0) < 0
     }
 
-    /// Whether a block is wholly on its inner side.
+    /// Returns true if a block is wholly on the edge's inner side.
     fn is_before(&self, block: [i64; 2]) -> bool {
         self.value_at(block) + self.along[0].min(0) + self.along[1].min(0) >= 0
     }
 
-    /// At a block's corner. Where 32 bits are not enough, the block is far from
-    /// the edge.
+    /// Value at a block's corner. If 32 bits are not enough, the block is far from the
+    /// edge.
     fn at(&self, block: [i64; 2]) -> i32 {
         const FAR: i64 = 1 << 30;
         self.value_at(block).clamp(-FAR, FAR) as i32

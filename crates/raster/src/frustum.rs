@@ -56,7 +56,8 @@ impl Frustum {
         }
     }
 
-    /// Whether a ball is wholly on the inner side of the whole picture's.
+    /// Returns true if a ball is wholly on the inner side of all sides of the whole
+    /// picture.
     pub(crate) fn contain(&self, center: Vec3, radius: f32) -> bool {
         self.frame.iter().all(|side| {
             let (distance, slack) = distance(side, center);
@@ -64,7 +65,7 @@ impl Frustum {
         })
     }
 
-    /// Whether a ball is wholly beyond one of them, rounding allowed for.
+    /// Returns true if a ball is wholly beyond one of the sides, rounding allowed for.
     pub(crate) fn hide(&self, center: Vec3, radius: f32) -> bool {
         self.sides.iter().zip(&self.lengths).any(|(side, length)| {
             let (distance, slack) = distance(side, center);
@@ -73,8 +74,8 @@ impl Frustum {
     }
 }
 
-/// How far a point is on the inner side, in lengths of the normal; and by how
-/// much rounding may have changed that.
+/// Distance of a point on the inner side, in lengths of the normal, and the bound of its
+/// rounding error.
 fn distance(side: &[f32; 4], [x, y, z]: Vec3) -> (f32, f32) {
     let parts = [side[0] * x, side[1] * y, side[2] * z, side[3]];
     let slack = 1e-5 * parts.iter().map(|part| part.abs()).sum::<f32>();

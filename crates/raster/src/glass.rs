@@ -42,7 +42,7 @@ pub(crate) fn see_through(scene: &Scene, view: &View) -> Vec<usize> {
     found.into_iter().map(|(_, index)| index).collect()
 }
 
-/// How far a geom reaches from its middle, as MuJoCo sorts by.
+/// Radius of a geom around its middle, by which MuJoCo sorts.
 fn reach(geom: &Geom) -> f32 {
     let [x, y, z] = geom.size;
     match geom.shape {

@@ -8,7 +8,7 @@ use crate::scene::{Camera, Geom, Shape, TextureUse};
 use crate::texture::TextureKind;
 use crate::window::Window;
 
-/// From the world to the picture.
+/// Transformations from the world to the picture.
 #[derive(Debug, Clone)]
 pub(crate) struct View {
     pub(crate) projection: Matrix,
@@ -104,7 +104,7 @@ pub(crate) enum Mapping {
 #[derive(Debug, Clone)]
 pub(crate) struct Instance {
     pub(crate) mesh: MeshOf,
-    /// Its geom's place in the scene.
+    /// Index of its geom in the scene.
     pub(crate) geom: usize,
     pub(crate) to_eye: Matrix,
     pub(crate) to_clip: Matrix,
@@ -115,10 +115,10 @@ pub(crate) struct Instance {
     pub(crate) eye: Vec3,
     /// True if the front of a triangle shows its corners counter-clockwise.
     pub(crate) counter_clockwise: bool,
-    /// Whether the other side of its triangles is drawn than shows to an eye
+    /// True if the back of its triangles is drawn: the side that does not show to an eye
     /// outside.
     pub(crate) inside_out: bool,
-    /// Whether lights make its colour; white otherwise.
+    /// True if lights determine its colour; otherwise it is white.
     pub(crate) is_lit: bool,
     pub(crate) rgba: [f32; 4],
     pub(crate) emission: f32,
@@ -187,7 +187,7 @@ pub(crate) fn add(geom: usize, it: &Geom, view: &View, model: &Model, into: &mut
         parts += 1;
         instance.rgba = it.rgba;
         if behind {
-            // In double precision, as C multiplies by such a constant.
+            // Computed in double precision, as C multiplies by such a constant.
             instance.rgba[3] = (f64::from(instance.rgba[3]) * 0.3) as f32;
         }
         instance.emission = it.emission;
@@ -237,7 +237,7 @@ pub(crate) fn sky(texture: usize, view: &View, model: &Model) -> Option<Instance
 }
 
 impl Instance {
-    /// None if nothing of the mesh can be seen, whatever the camera looks at.
+    /// `None` if nothing of the mesh can be seen, whatever the camera looks at.
     fn new(mesh: MeshOf, geom: usize, to_eye: Matrix, view: &View, model: &Model) -> Option<Self> {
         let bounds = mesh.of(model).bounds;
         let finite = to_eye.0.iter().all(|value| value.is_finite());
@@ -293,7 +293,7 @@ pub(crate) fn is_plane(geom: &Geom) -> bool {
     matches!(geom.shape, Shape::Plane(_) | Shape::Rectangle)
 }
 
-/// Whether a head is below the geom's xy plane.
+/// Returns true if the camera is below the geom's xy plane.
 pub(crate) fn is_behind(head: Vec3, geom: &Geom) -> bool {
     let off = minus(head, geom.pos);
     off[0] * geom.mat[2] + off[1] * geom.mat[5] + off[2] * geom.mat[8] < 0.0

@@ -7,7 +7,7 @@ use std::ops::{BitAnd, BitOr, Not};
 use bytemuck::cast;
 pub(crate) use wide::{f32x4, f32x8 as F, i16x16, i32x4, i32x8 as I};
 
-/// How many.
+/// Number of lanes of a vector.
 pub(crate) const LANES: usize = 8;
 
 /// A truth of each: all bits set or none.
@@ -94,9 +94,9 @@ pub(crate) trait Floats: Sized {
     fn gt(self, other: Self) -> Mask;
     fn ge(self, other: Self) -> Mask;
     fn equals(self, other: Self) -> Mask;
-    /// To the nearest whole number, halves to the even one.
+    /// Rounds to the nearest whole number, halves to the even one.
     fn nearest(self) -> I;
-    /// To the next whole number towards zero.
+    /// Rounds to the next whole number towards zero.
     fn whole(self) -> I;
     fn to_signed_bits(self) -> I;
     fn from_signed_bits(bits: I) -> Self;

@@ -36,7 +36,7 @@ struct Cone {
     exponent: f32,
 }
 
-/// Of unit length, unless it has none; by Mesa's operations.
+/// Scales to unit length, except the zero vector; by Mesa's operations.
 fn unit(v: Vec3) -> Vec3 {
     let square = dot(v, v);
     if square == 0.0 {
@@ -47,7 +47,7 @@ fn unit(v: Vec3) -> Vec3 {
 }
 
 impl EyeLight {
-    /// Of as many lights as OpenGL has.
+    /// Lights of the scene, as many as OpenGL has.
     pub(crate) fn all(scene: &Scene, view: &View) -> Vec<Self> {
         let lights = scene.lights.iter().take(MOST_LIGHTS);
         lights.map(|light| Self::new(light, view)).collect()
@@ -232,7 +232,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
     colour.map(|part| part.max(zero).min(one))
 }
 
-/// How much of a light arrives; none if all does.
+/// Attenuation of a light; `None` if all of it arrives.
 #[inline(always)]
 fn attenuated(light: &EyeLight, to_light: Vec3x8, over_distance: F) -> Option<F> {
     let splat = |value: f32| F::splat(value);

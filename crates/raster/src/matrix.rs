@@ -115,7 +115,7 @@ impl Matrix {
         reversed_depth().times(&Self(m))
     }
 
-    /// From the world to the eye.
+    /// Transformation from the world to the eye.
     pub(crate) fn look_at(eye: Vec3, forward: Vec3, up: Vec3) -> Self {
         let f = normalized(forward);
         let s = normalized(cross(f, up));
@@ -204,7 +204,7 @@ fn reversed_depth() -> Matrix {
         .scaled([1.0, 1.0, -0.5])
 }
 
-/// By cofactors, row by row.
+/// Inverse by cofactors, row by row.
 fn general_inverse(at: impl Fn(usize, usize) -> f32) -> Option<[f32; 9]> {
     let (mut positive, mut negative) = (0.0f32, 0.0f32);
     for term in [

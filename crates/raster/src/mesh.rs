@@ -14,8 +14,8 @@ use crate::values::{Blob, Values};
 
 /// Triangles in a cluster at most. Their corners fit a byte.
 pub(crate) const CLUSTER: usize = 64;
-/// How much facing another way counts against lying elsewhere when clusters
-/// are cut, in radii of the mesh.
+/// Weight of a difference in facing against a distance when clusters are cut, in radii of
+/// the mesh.
 const FACING_WEIGHT: f32 = 0.35;
 
 /// A corner of a triangle.
@@ -51,14 +51,14 @@ pub struct Mesh {
     /// Triangles, cluster by cluster, each padded to a multiple of eight: in which of
     /// the cluster's positions its corners are.
     pub(crate) places: [Values<u8>; 3],
-    /// Of the same triangles, which of the cluster's vertices their corners are.
+    /// Corners of the same triangles, as indices of the cluster's vertices.
     pub(crate) corners: [Values<u8>; 3],
-    /// Of each triangle its place in the order in which the mesh is drawn.
+    /// Per triangle: position in the mesh's drawing order.
     pub(crate) order: Values<u32>,
     pub(crate) bounds: Sphere,
 }
 
-/// See [`Mesh::vertices`].
+/// Vertex in the layout of [`Mesh::vertices`].
 pub(crate) type Vertex = [f32; 8];
 
 /// A ball around something.
@@ -85,7 +85,7 @@ pub(crate) struct Cluster {
 }
 
 impl Cluster {
-    /// Whether no triangle shows its front to an eye, in the mesh's own frame.
+    /// Returns true if no triangle shows its front to an eye, in the mesh's own frame.
     pub(crate) fn faces_away_from(&self, eye: Vec3) -> bool {
         let to = minus(self.bounds.center, eye);
         let distance = dot(to, to).sqrt();
@@ -212,7 +212,7 @@ fn cut(pieces: &mut [Piece], emit: &mut impl FnMut(&mut [Piece])) {
 
 impl Mesh {
     fn add_cluster(&mut self, pieces: &mut [Piece], triangles: &[[Corner; 3]]) {
-        // As it is drawn: later triangles win where depths are equal.
+        // Drawing order: later triangles win where depths are equal.
         pieces.sort_unstable_by_key(|piece| piece.order);
         let (first_position, first_vertex) = (self.xs.len() as u32, self.vertices.len() as u32);
         let first_triangle = self.order.len() as u32;
@@ -341,7 +341,7 @@ impl Mesh {
         (blob.is_empty() && mesh.clusters.iter().all(lies_inside)).then_some(mesh)
     }
 
-    /// How many triangles it has.
+    /// Number of triangles.
     pub fn triangles(&self) -> usize {
         let counts = self
             .clusters

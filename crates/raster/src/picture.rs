@@ -20,15 +20,15 @@ pub(crate) struct Picture {
     pub(crate) samples: Vec<[u32; SAMPLES]>,
 }
 
-/// How a picture is looked at.
+/// Inputs of one drawing pass.
 #[derive(Clone, Copy)]
 pub(crate) struct Pass<'a> {
     pub(crate) model: &'a Model,
-    /// Of each texture its largest level.
+    /// Per texture: its largest level.
     pub(crate) largest: &'a [&'a [u8]],
     pub(crate) view: &'a View,
     pub(crate) lights: &'a [EyeLight],
-    /// Nothing is drawn outside.
+    /// Window outside which nothing is drawn.
     pub(crate) window: Window,
 }
 
@@ -40,7 +40,7 @@ pub(crate) struct Workspace {
     order: Vec<usize>,
 }
 
-/// Of each set of samples, all bits of those in it and none of the others.
+/// Per set of samples: all bits of the samples in it, and none of the others.
 const OWN_SAMPLES: [[u32; SAMPLES]; 1 << SAMPLES] = {
     let mut masks = [[0; SAMPLES]; 1 << SAMPLES];
     let mut at = 0;

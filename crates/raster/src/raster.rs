@@ -1,5 +1,5 @@
-//! From the instances of a mesh to what is visible, cluster by cluster: positions,
-//! the triangles that may cover a sample, their edges, the samples.
+//! Pipeline from the instances of a mesh to visible samples, cluster by cluster:
+//! positions, the triangles that may cover a sample, their edges, the samples.
 
 use crate::candidates::Candidates;
 use crate::clip::{self, ClippedTriangle, Cut};

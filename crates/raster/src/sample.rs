@@ -9,7 +9,7 @@ use crate::texture::{Level, SRGB_LINEAR_FACTOR, SRGB_LINEAR_TO, SRGB_POLYNOMIAL,
 /// Red, green, blue and opacity, 0 to 1.
 pub(crate) type Colour = [F; 4];
 const CHANNELS: usize = 4;
-/// From 8 bits to 0 to 1.
+/// Scale from 8 bits to the range 0 to 1.
 const OVER_255: f32 = 1.0 / 255.0;
 
 /// Eight places on a texture; on a cube, eight directions.
@@ -70,13 +70,13 @@ fn footprint(texels: Texels<'_>, changes: [[F; 2]; 2]) -> F {
 struct Levels {
     first: [u8; LANES],
     second: [u8; LANES],
-    /// How far from the first to the second, 0 to 1.
+    /// Share of the second, 0 to 1.
     share: F,
     is_one: bool,
 }
 
 impl Levels {
-    /// By the square of a pixel's size in texels of the largest level.
+    /// Chooses levels by the square of a pixel's size in texels of the largest level.
     #[inline(always)]
     fn choose(texels: Texels<'_>, square: F) -> Self {
         let whole = |value: i32| I::splat(value);
@@ -323,7 +323,7 @@ fn mix_four(texels: [I; 4], [u, v]: [F; 2], srgb: bool) -> Colour {
     })
 }
 
-/// From sRGB's 0 to 255 to linear 0 to 1.
+/// Converts sRGB of 0 to 255 to linear values of 0 to 1.
 #[inline(always)]
 fn linear(value: F) -> F {
     let splat = |value: f32| F::splat(value);

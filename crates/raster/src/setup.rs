@@ -35,9 +35,9 @@ pub(crate) fn is_large(x: [I; 2], y: [I; 2]) -> Mask {
     wide | high
 }
 
-/// Whether the samples on an edge are inside, by the differences of its ends along y
-/// and x: those on a left or lower edge are, those on the others not. This is the
-/// top-left rule in a frame buffer object, whose first row is the lowest.
+/// Mask of the edges whose own samples are inside, by the differences of their ends along
+/// y and x: true for left and lower edges, false for the others. This is the top-left
+/// rule in a frame buffer object, whose first row is the lowest.
 #[inline(always)]
 pub(crate) fn has_samples(dx: I, dy: I) -> Mask {
     let zero = I::splat(0);
@@ -161,8 +161,8 @@ impl Setup {
     }
 }
 
-/// From three values at corners to one everywhere: eight triangles at once, with
-/// llvmpipe's order of operations.
+/// Interpolation from three values at corners to one everywhere: eight triangles at once,
+/// with llvmpipe's order of operations.
 pub(crate) struct Slopes {
     x: F,
     y: F,
@@ -188,7 +188,7 @@ impl Slopes {
         }
     }
 
-    /// Those of each triangle, in all lanes.
+    /// Slopes of each triangle, in all lanes.
     #[inline(always)]
     pub(crate) fn each(&self) -> [Self; LANES] {
         let Self {

@@ -1,5 +1,5 @@
-//! From what is visible to colours: every triangle that is seen in a pixel is
-//! coloured once, at the pixel's centre, for all samples that it has there.
+//! Shading: every triangle that is visible in a pixel is coloured once, at the pixel's
+//! centre, for all samples that it has there.
 
 use crate::clip::VARYING;
 use crate::instance::Instance;
@@ -17,7 +17,7 @@ use crate::window::Window;
 pub(crate) struct Fragment {
     /// Column, row, and bits of the samples that it has.
     place: u32,
-    /// Its place among the surfaces.
+    /// Index of its surface.
     surface: u32,
 }
 
@@ -61,7 +61,7 @@ impl Fragment {
 /// Lists that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub(crate) struct Lists {
-    /// Of each record from `first` on, if it is listed.
+    /// Per record from `first` on: its surface, if it is listed.
     pub(crate) surfaces: Vec<Surface>,
     first: usize,
     /// Per record from `first` on: list that holds its fragments, or [`NOTHING`].
@@ -69,7 +69,7 @@ pub(crate) struct Lists {
     /// Work list of one cluster.
     wanted: Vec<Wanted>,
     vertices: Box<Vertices>,
-    /// By texture; the last without any.
+    /// Fragments by texture; the last list is of those without any.
     pub(crate) fragments: Vec<Vec<Fragment>>,
 }
 
@@ -268,7 +268,7 @@ struct ShadingOf<'a> {
 }
 
 impl<'a> ShadingOf<'a> {
-    /// None if lights do not make its colour.
+    /// `None` if lights do not determine its colour.
     fn of(&mut self, index: u32, instance: &Instance) -> Option<&Shading<'a>> {
         if self.last.as_ref().is_none_or(|(last, _)| *last != index) {
             let shading = instance.is_lit.then(|| Shading::new(instance, self.lights));
@@ -311,7 +311,7 @@ struct Planes {
 }
 
 impl Planes {
-    /// Of everything that varies, for each of eight surfaces.
+    /// Gathers every interpolated value for each of eight surfaces.
     #[inline(always)]
     fn gather(of: &[&Surface; LANES]) -> [Self; VARYING] {
         let first = of[0];

@@ -33,7 +33,7 @@ pub(crate) struct Shapes {
 const CUBOID_FACES: u32 = 6;
 const TRIANGLES_PER_QUAD: u32 = 2;
 
-/// Whether a triangle of the cuboid, in drawing order, is of its upper face.
+/// Returns true if a triangle of the cuboid, in drawing order, is part of its upper face.
 pub(crate) fn is_upper_face(order: u32) -> bool {
     order % (CUBOID_FACES * TRIANGLES_PER_QUAD) < TRIANGLES_PER_QUAD
 }

@@ -35,7 +35,7 @@ pub(crate) struct Wanted {
 /// Vertices of a cluster that are placed and lit.
 #[derive(Debug)]
 pub(crate) struct Vertices {
-    /// Of each vertex its place in the other lists, or [`UNLIT`].
+    /// Per vertex: its index in the other lists, or [`UNLIT`].
     slots: [u8; MOST],
     x: [f32; MOST],
     y: [f32; MOST],

@@ -11,12 +11,12 @@ use crate::values::Values;
 /// Longest side of a texture, texels.
 const MAX_SIDE: usize = 1 << 14;
 
-/// How a texture lies on things.
+/// Mapping of a texture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextureKind {
     /// Flat, repeated in both directions.
     Flat {
-        /// Whether its colours are encoded as sRGB.
+        /// True if its colours are encoded as sRGB.
         srgb: bool,
     },
     /// Six square faces around everything: +x, −x, +y, −y, +z, −z.
@@ -408,7 +408,7 @@ fn encoded(value: f32) -> u8 {
 fn over_root(value: f32) -> f32 {
     const PART: u32 = 1 << 13;
     let bits = value.to_bits();
-    // To a quarter up to one, by an even power of two.
+    // Scales by an even power of two into the range from a quarter to one.
     let exponent = (bits >> 23) as i32 - 127;
     let halved = (exponent + 2).div_euclid(2);
     let scaled =

@@ -34,15 +34,15 @@ pub(crate) struct Record {
 /// See [`Record::vertices`].
 pub(crate) const CLIPPED: u32 = u32::MAX;
 
-/// How much a block of the picture hides. Depths only grow while a picture is drawn,
-/// so bounds that were true once stay true.
+/// Depth bounds of a block of the picture. Depths only grow while a picture is drawn, so
+/// bounds that were true once stay true.
 #[derive(Debug, Clone, Copy)]
 struct Block {
-    /// Of each part a depth that no sample in it is beyond.
+    /// Per part: a depth that no sample in it is beyond.
     parts: [f32; LANES],
     /// The least of them.
     whole: f32,
-    /// How much was written since the bounds were found.
+    /// Number of writes since the bounds were found.
     writes: u8,
 }
 
@@ -68,7 +68,7 @@ pub(crate) struct Visible {
 }
 
 impl Visible {
-    /// Nothing is seen in a window of a picture of this size.
+    /// Clears a window of a picture of this size.
     pub(crate) fn clear(&mut self, [width, height]: [usize; 2], window: Window) {
         // A little more than a power of two, or the rows of a square would all
         // be kept in the same few lines of the processor's cache.
@@ -91,7 +91,7 @@ impl Visible {
         self.forget_what_is_hidden(0);
     }
 
-    /// To be called whenever depths are changed from outside.
+    /// Must be called whenever depths are changed from outside.
     pub(crate) fn depths_were_replaced(&mut self) {
         self.forget_what_is_hidden(WORTH_FINDING);
     }
@@ -187,7 +187,7 @@ impl Visible {
 pub(crate) struct Layer {
     /// Instance and triangle in drawing order.
     pub(crate) rank: (u32, u32),
-    /// Its record.
+    /// Index of its record.
     pub(crate) id: u32,
     pub(crate) x: u16,
     pub(crate) y: u16,
@@ -222,8 +222,8 @@ impl Ranks<'_> {
         (instance.rank, mesh.order[triangle as usize])
     }
 
-    /// Of samples where depths are equal, those whose triangle is drawn after this
-    /// one and therefore stays.
+    /// Samples, among those of equal depth, whose triangle is drawn after this one and
+    /// therefore stays.
     #[inline(never)]
     pub(crate) fn lost_ties(&self, ties: u32, ids: &[u32], record: &Record) -> u32 {
         let ours = self.of(record);

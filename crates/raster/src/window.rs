@@ -30,7 +30,7 @@ impl Around {
         *high = [high[0].max(x[1]), high[1].max(y[1])];
     }
 
-    /// None if nothing was added.
+    /// `None` if nothing was added.
     pub(crate) fn window(&self) -> Option<Window> {
         let Self { low, high } = *self;
         (low[0] <= high[0]).then_some(Window {

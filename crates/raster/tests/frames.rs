@@ -18,7 +18,7 @@ fn digest(frame: &[u8]) -> String {
         .collect()
 }
 
-/// Of the room, by size: SHA-256, its first eight bytes. They change with
+/// First eight bytes of the SHA-256 of the room's frames, by size. They change with
 /// `raster::NAME`, and with nothing else: not with the processor, not with the
 /// instructions that it is compiled for.
 const GOLDEN: [(usize, usize, &str); 5] = [
@@ -317,7 +317,7 @@ fn corners_a_hair_from_the_eye_give_a_frame() {
     assert_eq!(frame.map(<[u8]>::len), Ok(256 * 256 * 3));
 }
 
-/// So short that one over them is no number: they meet a cube's face nowhere.
+/// Directions so short that one over them is not finite: they meet no face of a cube.
 #[test]
 fn a_cube_in_directions_too_short_to_be_told_gives_a_frame() {
     let mut scene = room();

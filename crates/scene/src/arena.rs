@@ -11,7 +11,7 @@ pub struct Arena {
     pub file: &'static str,
     /// Texture files that replace those of the model's floor and wall.
     pub floor_texture: &'static str,
-    /// See `floor_texture`.
+    /// Texture of the walls; see `floor_texture`.
     pub wall_texture: &'static str,
     /// Category of the fixture that stands for the workspace itself; no model
     /// of its own is loaded for it.
@@ -28,8 +28,8 @@ pub struct Arena {
     pub fixture_z_offset: f64,
     /// A table with legs, to be brought to this full size, m.
     pub table: Option<Table>,
-    /// Whether movable objects must lie in their region with their whole
-    /// radius, or only with their centre.
+    /// True if movable objects must lie in their region with their whole radius, false if
+    /// only with their centre.
     pub whole_object_in_region: bool,
     /// Position of the robot's base, and its stand.
     pub robot: RobotStand,

@@ -23,7 +23,7 @@ pub struct Category {
 /// and the ranges from which it is drawn where a task starts so.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Articulation {
-    /// Nothing to open or turn on.
+    /// No joint to open or turn on.
     None,
     /// Drawers and doors.
     OpenClose {
@@ -59,7 +59,7 @@ pub enum Threshold {
 }
 
 impl Threshold {
-    /// Whether `q` lies on this side.
+    /// Returns true if `q` lies on this side.
     pub fn holds(self, q: f64) -> bool {
         match self {
             Self::Above(limit) => q > limit,
@@ -75,7 +75,7 @@ pub fn category(name: &str) -> Option<&'static Category> {
         .find(|category| category.name.eq_ignore_ascii_case(name))
 }
 
-/// How many categories there are.
+/// Number of categories.
 pub fn category_count() -> usize {
     CATEGORIES.len()
 }

@@ -1,6 +1,6 @@
-//! From a BDDL problem and an asset pack to one MJCF model: arena, robot,
-//! objects, fixtures and region sites, in the original's element order and
-//! with its names.
+//! Composition of one MJCF model from a BDDL problem and an asset pack: arena, robot,
+//! objects, fixtures and region sites, in the original's element order and with its
+//! names.
 
 use std::path::PathBuf;
 

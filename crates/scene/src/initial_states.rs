@@ -49,7 +49,7 @@ impl InitialStates {
         })
     }
 
-    /// How many there are.
+    /// Number of states.
     pub fn count(&self) -> usize {
         self.values.len() / self.width
     }

@@ -18,13 +18,13 @@ pub struct Instance {
     pub name: String,
     /// Kind of the instance.
     pub kind: InstanceKind,
-    /// Its category.
+    /// Category of the instance.
     pub category: &'static Category,
-    /// Its outermost body.
+    /// Name of the outermost body.
     pub root_body: String,
-    /// Its joints, in document order; an object's free joint is the last.
+    /// Names of the joints, in document order; an object's free joint is the last.
     pub joints: Vec<String>,
-    /// Its collision geoms.
+    /// Names of the collision geoms.
     pub contact_geoms: Vec<String>,
     /// Its sites that show a state, such as a stove's burner.
     pub burner_site: Option<String>,

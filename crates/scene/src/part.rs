@@ -176,7 +176,7 @@ pub(crate) fn add_prefix(element: &mut Element, prefix: &str) {
     });
 }
 
-/// Whether a geom takes part in contacts by convention: group 0 or none given.
+/// Returns true if a geom takes part in contacts by convention: group 0 or none given.
 pub(crate) fn is_collision_geom(element: &Element) -> bool {
     element.tag == "geom" && matches!(element.get("group"), None | Some("0"))
 }

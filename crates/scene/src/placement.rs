@@ -27,9 +27,9 @@ pub struct FixturePose {
 
 /// Attempts at one object before the original draws everything again.
 const MAX_ATTEMPTS: usize = 5000;
-/// How often everything is drawn before a scene counts as too crowded. The
-/// original's wrapper goes on for ever; of a scene with any room to speak of,
-/// one or two draws are enough.
+/// Number of draws of the whole placement after which a scene counts as too crowded. The
+/// original's wrapper goes on for ever; one or two draws are enough for a scene with
+/// reasonable room.
 pub const MAX_DRAWS: usize = 1000;
 /// Arm joints, for each of which a reset draws one normal number, even though
 /// LIBERO scales that noise by zero.
@@ -68,7 +68,7 @@ pub struct PoseSampler {
     /// Height of the underside over the base, m.
     z_offset: f64,
     footprint: Footprint,
-    /// Whether it must be clear of everything placed before it.
+    /// True if it must be clear of everything placed before it.
     avoids_others: bool,
     rotation: Rotation,
     /// Object or fixture to move.

@@ -1,5 +1,5 @@
-//! How placed things are turned, in the original's order and precision: it
-//! multiplies quaternions, and makes matrices of them, in single precision.
+//! Rotations of placed things, in the original's order and precision: it multiplies
+//! quaternions, and makes matrices of them, in single precision.
 
 use protocol::numpy::LegacyRng;
 
@@ -21,11 +21,11 @@ pub enum Axis {
 /// π − θ in the scene. What is drawn here is what MuJoCo reads.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Rotation {
-    /// Of a fixture: about z, as it should be.
+    /// Rotation of a fixture: about z, as it should be.
     Yaw([f64; 2]),
-    /// Of a movable object: about one axis.
+    /// Rotation of a movable object: about one axis.
     About(Axis, [f64; 2]),
-    /// Of a movable object: about several axes, one after the other.
+    /// Rotation of a movable object: about several axes, one after the other.
     InTurn(&'static [(Axis, [f64; 2])]),
 }
 

@@ -129,7 +129,7 @@ pub(crate) enum RootKind {
 impl RootKind {
     const ALL: [Self; 2] = [Self::Pack, Self::Robosuite];
 
-    /// How composed MJCF writes the folder, so that the text, and with it the
+    /// Placeholder of the folder in composed MJCF, so that the text, and with it the
     /// scene's digest, is the same on every machine.
     fn token(self) -> &'static str {
         match self {

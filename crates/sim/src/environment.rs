@@ -196,12 +196,12 @@ impl Environment {
         self.control_steps
     }
 
-    /// Whether the goal holds now.
+    /// Returns true if the goal holds now.
     pub fn succeeded(&self) -> bool {
         self.compiled.goal.holds(&self.model, &self.data)
     }
 
-    /// Whether each predicate of the goal holds now.
+    /// Truth of each predicate of the goal now.
     pub fn goal_truths(&self) -> Vec<bool> {
         self.compiled.goal.truths(&self.model, &self.data)
     }
@@ -262,9 +262,9 @@ impl Environment {
         })
     }
 
-    /// How far it was to what a camera saw at that instant, as OpenGL keeps it: 0 at
-    /// the near plane, 1 at the far one, hyperbolic in between; rows from bottom to
-    /// top. What one can see through is passed over.
+    /// Depths of a camera's picture at the last step's instant of observation, as OpenGL
+    /// keeps them: 0 at the near plane, 1 at the far one, hyperbolic in between; rows
+    /// from bottom to top. Translucent geoms are ignored.
     ///
     /// # Errors
     /// As [`Environment::draw`].

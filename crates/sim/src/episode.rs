@@ -25,9 +25,10 @@ pub fn clip(action: &[f64; 7]) -> [f64; 7] {
     action.map(|number| number.clamp(-1.0, 1.0))
 }
 
-/// How far [`Episode::nudge`] moves the hand, m: a thousandth of a pixel of its cameras.
+/// Displacement of the hand by [`Episode::nudge`], m: a thousandth of a pixel of its
+/// cameras.
 pub const NUDGE_M: f64 = 1e-6;
-/// Of the least squares of a nudge, in squares of the Jacobian's lengths, m².
+/// Damping of the least squares of a nudge, in squares of the Jacobian's lengths, m².
 const NUDGE_DAMPING: f64 = 1e-9;
 
 /// The camera on the hand.
@@ -36,9 +37,9 @@ const WRIST_CAMERA: &str = "robot0_eye_in_hand";
 /// Digests that identify a rollout's circumstances; each is hexadecimal SHA-256.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Digests {
-    /// Of the composed scene, fixtures placed.
+    /// Digest of the composed scene, fixtures placed.
     pub scene: String,
-    /// Of the released initial state, before any robot perturbation.
+    /// Digest of the released initial state, before any robot perturbation.
     pub init_state: String,
 }
 
@@ -236,7 +237,7 @@ impl<'a> Episode<'a> {
         &self.conditions.realised
     }
 
-    /// How the robot axis found its posture, where it is perturbed.
+    /// Solution of the search for the perturbed posture, if the robot axis is perturbed.
     pub fn ik(&self) -> Option<&IkSolution> {
         self.conditions.ik.as_ref()
     }

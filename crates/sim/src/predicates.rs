@@ -1,5 +1,5 @@
-//! When a goal holds. The predicates are LIBERO's (hf-libero 0.1.4,
-//! `object_states` and `objects`), resolved once per scene to ids.
+//! Evaluation of goals. The predicates are LIBERO's (hf-libero 0.1.4, `object_states` and
+//! `objects`), resolved once per scene to ids.
 //!
 //! They look at body positions and contacts as the last step's first half
 //! left them and at joint positions after its integration, as the original
@@ -86,14 +86,14 @@ impl Goal {
         })
     }
 
-    /// Whether all of it holds.
+    /// Returns true if all predicates hold.
     pub fn holds(&self, model: &Model, data: &Data) -> bool {
         self.checks
             .iter()
             .all(|check| self.check_holds(check, model, data))
     }
 
-    /// Whether each of its predicates holds, in the BDDL file's order.
+    /// Truth of each predicate, in the BDDL file's order.
     pub fn truths(&self, model: &Model, data: &Data) -> Vec<bool> {
         self.checks
             .iter()

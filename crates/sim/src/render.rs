@@ -39,8 +39,8 @@ pub enum Renderer {
     Gl(GlDevice),
 }
 
-/// As command lines write it: `software`, `gl` for OpenGL on the first device
-/// that works, or `gl:N` for OpenGL on the N-th of the driver's list, from 0.
+/// Form on command lines: `software`, `gl` for OpenGL on the first device that works, or
+/// `gl:N` for OpenGL on the N-th of the driver's list, from 0.
 impl fmt::Display for Renderer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -164,7 +164,7 @@ impl Canvas {
         }
     }
 
-    /// Whether this was made for the renderer, and a picture of this size fits.
+    /// Returns true if this was made for the renderer, and a picture of this size fits.
     pub(crate) fn suits(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
         match (self, drawer) {
             (Self::Software(_), Drawer::Software) => true,

@@ -27,7 +27,7 @@ pub enum Reset {
 
 /// The samplers' names as places in MuJoCo's arrays.
 pub(crate) struct Resets {
-    /// Of each joint sampler, first position coordinates.
+    /// Per joint sampler: first position coordinates of its joints.
     joints: Vec<Vec<usize>>,
     targets: Vec<Target>,
     sites: Vec<usize>,

@@ -47,13 +47,13 @@ pub(crate) struct Obtained {
     pub(crate) prepared: Preparation,
 }
 
-/// How far a model is prepared for our renderer.
+/// Preparation of a model for the software renderer.
 pub(crate) enum Preparation {
-    /// Not at all.
+    /// The model is not prepared.
     Missing,
-    /// In this process's memory.
+    /// Prepared in this process's memory.
     Made(Arc<Prepared>),
-    /// In a scene file.
+    /// Prepared in a scene file.
     Kept(PreparedBytes),
 }
 

@@ -14,7 +14,7 @@ use crate::mujoco;
 use crate::ready_scene::ReadyScene;
 use crate::render::{LazyDrawer, Renderer};
 
-/// How to set a simulator up.
+/// Configuration of a simulator.
 #[derive(Debug, Clone)]
 pub struct SimulatorConfig {
     /// Robot models, BDDL files, initial states.

@@ -1,5 +1,5 @@
-//! How long a query takes, on one core: `cargo run --release -p student --example
-//! speed [weights file]`. Without a file the weights are random.
+//! Time of a query on one core: `cargo run --release -p student --example speed [weights
+//! file]`. Without a file the weights are random.
 
 #[path = "../tests/support/mod.rs"]
 mod support;

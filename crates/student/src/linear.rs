@@ -31,7 +31,7 @@ impl Linear {
         })
     }
 
-    /// Of each row of `inputs` (as many rows as queries) a row of outputs.
+    /// Returns a row of outputs for each row of `inputs` (as many rows as queries).
     pub(crate) fn apply(&self, products: Products, inputs: &[f32]) -> Vec<f32> {
         let rows = inputs.len() / self.inputs;
         let mut outputs = self.bias.repeat(rows);

@@ -6,9 +6,9 @@
 //! 2. A run is summed from +0, place after place, each step a fused multiply-add.
 //! 3. The run's sum is added to the element.
 //!
-//! Why `C` is added to and never overwritten: where `C` is overwritten, the library's
-//! kernel for AVX-512 keeps a sum of -0, which products that underflow can leave, and
-//! its kernel for AVX2 makes it +0. Added to an element that is not -0, both vanish.
+//! `C` is added to and never overwritten: where `C` is overwritten, the library's kernel
+//! for AVX-512 keeps a sum of -0, which products that underflow can leave, and its kernel
+//! for AVX2 makes it +0. Added to an element that is not -0, both vanish.
 
 /// Places of the inner dimension that are summed before `C` is touched. It is the
 /// library's own number; the tests below fail should it change.

@@ -31,9 +31,9 @@ fn digest(outputs: &[Output]) -> String {
     digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Of five answers. It changes with the network's definition and with nothing else: not
-/// with the processor, not with the instructions that this is compiled for, not with
-/// versions of libraries.
+/// Digest of five answers. It changes with the network's definition and with nothing
+/// else: not with the processor, not with the instructions that this is compiled for, not
+/// with versions of libraries.
 const GOLDEN: &str = "b0814112ff3d36c7a1a3bbd1e909e5c638806e17facb6116dfaceec49371f682";
 
 #[test]

@@ -6,7 +6,7 @@ use std::path::Path;
 use safetensors::{Dtype, SafeTensors};
 use student::{Network, PICTURE_BYTES, PICTURE_SIDE, Query};
 
-/// Of numbers up to 1; of larger ones, a share.
+/// Tolerance of numbers up to 1; of larger ones, a share.
 const TOLERANCE: f32 = 1e-4;
 
 #[test]

@@ -37,7 +37,7 @@ pub(super) struct Receiver<'a> {
     /// False once the server has sent a whole parcel when it was asked for a part.
     knows_ranges: bool,
     gained: u64,
-    /// How often members arrived altered.
+    /// Number of times that members arrived altered.
     corruptions: HashMap<&'static str, u32>,
 }
 

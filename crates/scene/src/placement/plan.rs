@@ -1,5 +1,5 @@
-//! From a problem's `:init` to samplers, in the original's order: joints as they
-//! are named, then what stands on the workspace, on sites, in sites, on objects.
+//! Plan of the samplers of a problem's `:init`, in the original's order: joints as they
+//! are named, then the things on the workspace, on sites, in sites, on objects.
 
 use protocol::Predicate;
 

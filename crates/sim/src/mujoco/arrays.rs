@@ -14,9 +14,9 @@ pub struct NamedArray {
 
 /// One array, as MuJoCo keeps it.
 pub struct ModelArray {
-    /// Its length along the first axis: bodies, geoms, …
+    /// Length along the first axis: bodies, geoms, …
     pub rows: usize,
-    /// In memory order.
+    /// Values in memory order.
     pub values: Values,
 }
 

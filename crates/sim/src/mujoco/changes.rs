@@ -30,7 +30,7 @@ macro_rules! change {
             pub const OWN_ARRAYS: &[&str] = &[$(stringify!($name),)*];
 
             $(
-                /// As the shared slice, to be changed.
+                /// Mutable access to the array.
                 pub fn $method(&mut self) -> &mut [$kind] {
                     let model = self.raw_mut();
                     // SAFETY: it leads to this model's own copy, of this length;

@@ -133,7 +133,7 @@ impl Data {
         })
     }
 
-    /// How often the simulation has been found unstable: bad positions,
+    /// Number of times that the simulation has been found unstable: bad positions,
     /// velocities or accelerations.
     pub fn instabilities(&self) -> i32 {
         let warnings = &self.raw().warning;
@@ -230,11 +230,11 @@ impl Data {
     }
 
     slices_mut! {
-        /// As the shared slice, to be changed.
+        /// Mutable joint positions.
         qpos_mut: qpos = nq;
-        /// As the shared slice, to be changed.
+        /// Mutable joint velocities.
         qvel_mut: qvel = nv;
-        /// As the shared slice, to be changed.
+        /// Mutable controls.
         ctrl_mut: ctrl = nu;
     }
 }

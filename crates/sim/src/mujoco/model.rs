@@ -228,7 +228,7 @@ impl Model {
         self.raw().nu as usize
     }
 
-    /// How many things of a kind there are.
+    /// Number of objects of a kind.
     pub fn count(&self, kind: ObjectKind) -> usize {
         let model = self.raw();
         let count = match kind {
@@ -298,7 +298,7 @@ impl Model {
         global.offheight = global.offheight.max(height as i32);
     }
 
-    /// Its textures.
+    /// Textures of the model.
     pub(crate) fn textures(&self) -> impl Iterator<Item = TextureData> {
         let raw = self.raw();
         // SAFETY: the fields point at so many values while the model lives; a
@@ -321,7 +321,7 @@ impl Model {
         })
     }
 
-    /// Its meshes.
+    /// Meshes of the model.
     pub(crate) fn meshes(&self) -> Meshes<'_> {
         Meshes(self.raw())
     }
@@ -335,9 +335,9 @@ impl Model {
         geom_matid: i32 = ngeom * 1;
         /// Textures of each material by role, or -1.
         mat_texid: i32 = nmat * 10;
-        /// How often a material's texture repeats along x and y.
+        /// Repeats of a material's texture along x and y.
         mat_texrepeat: f32 = nmat * 2;
-        /// Whether it repeats by metres.
+        /// True if the texture repeats by metres.
         mat_texuniform: u8 = nmat * 1;
         /// Joint types (`mjtJoint`).
         jnt_type: i32 = njnt * 1;
@@ -385,7 +385,7 @@ pub(crate) struct TextureData {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) channels: usize,
-    /// Its first byte among the texels of all textures.
+    /// Index of its first byte among the texels of all textures.
     start: usize,
 }
 
@@ -411,7 +411,7 @@ pub(crate) struct MeshData<'a> {
 }
 
 impl<'a> Meshes<'a> {
-    /// How many there are.
+    /// Number of meshes.
     pub(crate) fn count(&self) -> usize {
         self.0.nmesh as usize
     }

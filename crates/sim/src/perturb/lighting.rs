@@ -27,7 +27,7 @@ pub struct Light {
 /// The lights of a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lighting {
-    /// Its lights, in the model's order.
+    /// Lights in the model's order.
     pub lights: Vec<Light>,
     /// The headlight's ambient colour.
     pub headlight_ambient: [f64; 3],

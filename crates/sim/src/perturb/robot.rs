@@ -128,8 +128,8 @@ fn damped_step(jacobian: &Jacobian, error: &Vector6<f64>) -> JointVector {
 }
 
 fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
-    // By way of a quaternion: the arc cosine of the trace loses half the digits
-    // of a small angle.
+    // Goes through a quaternion: the arc cosine of the trace loses half the digits of a
+    // small angle.
     let rotation = Rotation3::from_matrix_unchecked(*rotation);
     UnitQuaternion::from_rotation_matrix(&rotation).scaled_axis()
 }

@@ -46,7 +46,7 @@ impl FrameSource {
 /// One picture: RGB, row by row, in whatever orientation the renderer gives.
 #[derive(Debug)]
 pub struct Frame<'a> {
-    /// Its camera.
+    /// Camera of the frame.
     pub source: FrameSource,
     /// The policy's control step for which it was rendered, from 0.
     pub step: u32,
@@ -245,7 +245,7 @@ impl Picture {
         }
     }
 
-    /// To 8 bits by clipping and truncation.
+    /// Converts to 8 bits by clipping and truncation.
     fn to_bytes(&self) -> Vec<u8> {
         let byte = |value: &f64| (value.clamp(0.0, 1.0) * 255.0) as u8;
         self.values.iter().map(byte).collect()

@@ -58,7 +58,7 @@ impl GlCanvas {
         Ok(canvas)
     }
 
-    /// Whether it was made in this context, and a picture of this size fits the
+    /// Returns true if it was made in this context, and a picture of this size fits the
     /// buffers.
     pub(crate) fn suits(&self, opengl: &Rc<GlContext>, size: [u32; 2]) -> bool {
         Rc::ptr_eq(&self.opengl, opengl) && self.holds(size)

@@ -104,12 +104,12 @@ impl Prepared {
         )
     }
 
-    /// Its meshes as bytes.
+    /// Meshes as bytes.
     pub(crate) fn meshes(&self) -> impl Iterator<Item = Vec<u8>> {
         self.model.meshes.iter().map(|mesh| mesh.to_bytes())
     }
 
-    /// Of each texture the largest level and the smaller ones.
+    /// Per texture: the largest level and the smaller ones.
     pub(crate) fn textures(&self) -> impl Iterator<Item = [&[u8]; 2]> {
         let textures = self.largest.iter().zip(&self.model.textures);
         textures.map(|(largest, texture)| [largest, texture.smaller()])

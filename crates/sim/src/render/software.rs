@@ -19,7 +19,7 @@ pub(crate) struct SoftwareCanvas {
     visual_scene: VisualScene,
     prepared: Arc<Prepared>,
     scene: Scene,
-    /// By camera.
+    /// Canvases by camera.
     canvases: BTreeMap<usize, raster::Canvas>,
 }
 

@@ -20,7 +20,7 @@ const LIMIT_GIB: u64 = 16;
 /// Longest wait for another process that compiles or writes a scene. Compiling takes seconds,
 /// and a worker takes a slot that says nothing for minutes for one that stands still.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// How often a lock is tried.
+/// Interval at which a lock is tried.
 const POLL: Duration = Duration::from_millis(10);
 /// Rights of a file that is never written to again.
 const READ_ONLY: u32 = 0o444;
@@ -36,7 +36,7 @@ const STRUCTURE: usize = 1;
 const ARRAYS: usize = 2;
 const MESHES: usize = 3;
 
-/// Why scenes are not kept in files.
+/// Reason why scenes are not kept in files.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneFileError {
     /// A file or folder cannot be read or written.
@@ -53,7 +53,7 @@ pub enum SceneFileError {
         #[source]
         source: io::Error,
     },
-    /// Somebody else could change the files.
+    /// Another user could change the files.
     #[error(
         "trust {} with scenes: user {owner} owns it and its mode is {mode:o}; it must belong to \
          this user or root, and nobody else may write to it: correct that, or choose another \
@@ -64,7 +64,7 @@ pub enum SceneFileError {
         path: PathBuf,
         /// Number of the user that owns it.
         owner: u32,
-        /// Its rights.
+        /// Mode bits of the file or folder.
         mode: u32,
     },
     /// Another process has been writing for too long.
@@ -72,7 +72,7 @@ pub enum SceneFileError {
     Busy {
         /// The lock.
         path: PathBuf,
-        /// How long was waited.
+        /// Seconds waited.
         secs: u64,
     },
     /// MuJoCo's arrays do not lie as this program assumes.
@@ -88,9 +88,9 @@ pub struct SceneFolder {
     pub(super) limit: u64,
     /// Number of this process's user.
     pub(super) user: u32,
-    /// See [`layout`].
+    /// Layout of MuJoCo's arrays; see [`layout`].
     pub(super) layout: String,
-    /// How long to wait for another process.
+    /// Longest wait for another process.
     pub(super) patience: Duration,
     /// Bytes after which the disk is full, in tests.
     #[cfg(test)]

@@ -11,10 +11,10 @@ use sim::{Environment, Reset};
 use crate::files::{bddl, compile, crowded, packs};
 use crate::fixtures;
 
-/// Of positions right after a reset, m or rad: sines and products of matrices
+/// Tolerance of positions right after a reset, m or rad: sines and products of matrices
 /// differ in their last digit.
 const PLACED_WITHIN: f64 = 1e-15;
-/// Of the robot's positions after some steps, m or rad.
+/// Tolerance of the robot's positions after some steps, m or rad.
 const MOVED_WITHIN: f64 = 1e-12;
 
 #[derive(Deserialize)]
