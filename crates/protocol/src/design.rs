@@ -32,7 +32,7 @@ pub struct Design {
     pub levels: Vec<Level>,
     /// Configurations: 0 to 9 are the protocol's presets, others are drawn.
     pub configs: Vec<u16>,
-    /// Which nominal rollouts go with them.
+    /// Nominal rollouts that go with them.
     pub nominal: Nominal,
     /// From what configurations beyond the presets are drawn, and tasks' own directions.
     pub seed: u64,
@@ -42,7 +42,7 @@ pub struct Design {
     pub placebo: Placebo,
 }
 
-/// Which nominal rollouts a design contains.
+/// Nominal rollouts of a design.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Nominal {
@@ -63,7 +63,7 @@ pub enum DesignError {
     Empty {
         /// The field.
         field: &'static str,
-        /// What to write.
+        /// Remedy: the value to write.
         remedy: &'static str,
     },
     /// A number outside its range.
@@ -261,7 +261,7 @@ impl Design {
         conditions
     }
 
-    /// Which design this is.
+    /// Returns the version that identifies this design.
     pub fn version(&self) -> DesignVersion {
         if self.is(&Self::v0_1()) {
             return DesignVersion(V0_1.to_owned());
@@ -316,9 +316,9 @@ impl Design {
     }
 }
 
-/// Which design results belong to: `v0.1` exactly for LIBERO-CTRL v0.1, else
-/// `custom-` and a checksum of the design, `manifest-` and a checksum of the
-/// imported rows, or `explains-` or `thresholds-` and a checksum of what is found out.
+/// Identifier of the design that results belong to: `v0.1` exactly for LIBERO-CTRL v0.1,
+/// else `custom-` and a checksum of the design, `manifest-` and a checksum of the
+/// imported rows, or `explains-` or `thresholds-` and a checksum of that specification.
 /// Results of different designs are never pooled.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DesignVersion(String);

@@ -1,4 +1,4 @@
-//! What a campaign is to find out that explains another one.
+//! Specification of a campaign that explains another one.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +14,7 @@ pub struct Explanation {
     /// Most rollouts; without it, every transition is explained.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<u32>,
-    /// What the order is drawn from in which transitions are explained.
+    /// Seed of the order in which transitions are explained.
     #[serde(default)]
     pub seed: u64,
     /// Whether every subset is run, and not only those that decide which of them

@@ -81,7 +81,8 @@ pub fn to_text<'a>(rows: impl IntoIterator<Item = &'a ManifestRow>) -> String {
     text
 }
 
-/// Where two manifests differ, by rollout id. The order of rows does not count.
+/// Returns the differences of two manifests by rollout id. The order of rows does
+/// not count.
 pub fn diff(left: &[ManifestRow], right: &[ManifestRow]) -> Vec<Difference> {
     let by_id = |rows: &[ManifestRow]| -> BTreeMap<RolloutId, Value> {
         let json = |row: &ManifestRow| serde_json::to_value(row).expect("a row serialises");
@@ -148,12 +149,12 @@ pub struct ManifestErrors {
     count: usize,
 }
 
-/// What is wrong with one line.
+/// Problem of one line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineError {
     /// The line, from 1.
     pub line: usize,
-    /// What is wrong with it.
+    /// The problem.
     pub problem: LineProblem,
 }
 
@@ -168,7 +169,7 @@ pub enum LineProblem {
     Duplicate {
         /// The id.
         id: RolloutId,
-        /// Where it was first.
+        /// Line in which it was first, from 1.
         first: usize,
     },
     /// Another initial state or other parameters than the configuration's
@@ -177,7 +178,7 @@ pub enum LineProblem {
     Unpaired {
         /// The row.
         id: RolloutId,
-        /// What differs.
+        /// Names of the columns that differ.
         column: String,
         /// The row that it should agree with.
         first: usize,
@@ -251,7 +252,8 @@ struct Checker {
     errors: ManifestErrors,
 }
 
-/// What all rows of a configuration share, and the line that it was read from.
+/// Initial state and axis parameters that all rows of a configuration share, each
+/// with the line it was read from.
 struct Configuration {
     init_id: (usize, u16),
     values: BTreeMap<Axis, (usize, Vec<f64>)>,

@@ -30,7 +30,7 @@ pub enum NotMeasurable {
     OtherCondition {
         /// The condition that was asked for.
         given: &'static str,
-        /// Those that there are.
+        /// Conditions that it runs, for people.
         valid: String,
     },
 }

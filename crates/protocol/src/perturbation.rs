@@ -129,9 +129,9 @@ parameters! {
     }
 }
 
-/// What is perturbed in one rollout, by how much. Nothing set: a nominal
-/// rollout, or one of the language axis, whose perturbation is the row's
-/// instruction.
+/// Perturbation of one rollout: the parameters of each perturbed axis. With
+/// none set it is a nominal rollout, or one of the language axis, whose
+/// perturbation is the row's instruction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Perturbation {
@@ -261,7 +261,7 @@ pub enum PerturbError {
     OtherAxes {
         /// The row's condition.
         condition: Condition,
-        /// What there are parameters of.
+        /// The axes that have parameters.
         given: AxisSet,
     },
     /// An unknown, missing or non-numeric parameter.
@@ -269,7 +269,7 @@ pub enum PerturbError {
     Parameters {
         /// The row's condition.
         condition: Condition,
-        /// Which parameter, and what is wrong with it.
+        /// Name of the parameter and its problem.
         problem: String,
     },
 }

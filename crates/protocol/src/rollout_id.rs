@@ -64,12 +64,13 @@ impl RolloutId {
         self.task
     }
 
-    /// What is perturbed.
+    /// Returns the condition: the perturbed axes.
     pub const fn condition(&self) -> Condition {
         self.condition
     }
 
-    /// How strongly; L0 in clean rollouts and those of the placebo level.
+    /// Returns the level of perturbation; L0 in clean rollouts and those of the placebo
+    /// level.
     pub const fn level(&self) -> Level {
         self.level
     }

@@ -20,17 +20,17 @@ use crate::suite::TaskRef;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stop {
-    /// What must hold.
+    /// Condition under which the campaign ends.
     pub rule: StopRule,
-    /// What the order is drawn from.
+    /// Seed of the order.
     #[serde(default)]
     pub seed: u64,
-    /// What each round of the order has one configuration of.
+    /// Strata of the order: each round has one configuration of each.
     #[serde(default)]
     pub strata: Strata,
 }
 
-/// What each round of a drawn order has one configuration of.
+/// Strata of a drawn order: each round has one configuration of each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strata {
@@ -69,7 +69,7 @@ pub enum StopError {
          or take `stop` out"
     )]
     Replicates {
-        /// What it says.
+        /// The number of replicates given.
         given: u32,
     },
     /// A campaign that follows from another's outcomes.

@@ -13,7 +13,7 @@ const AND: &str = " and ";
 const VALID: &str = "width(M) < X with X above 0 and up to 2, M excludes X with X from -1 to 1, \
                      or several of them with ` and ` between";
 
-/// What an interval is about.
+/// Quantity that an interval estimates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "&'static str", try_from = "String")]
 pub enum Measure {
@@ -135,7 +135,7 @@ impl StopRule {
 }
 
 impl Clause {
-    /// What it is about.
+    /// Returns the quantity that the clause constrains.
     pub const fn measure(&self) -> Measure {
         match *self {
             Self::Width(measure, _) | Self::Excludes(measure, _) => measure,

@@ -1,4 +1,5 @@
-//! What a campaign is to find out that measures how far another one's policy goes.
+//! Specification of a campaign that measures the perturbation thresholds of another
+//! one's policy.
 
 use serde::{Deserialize, Serialize};
 
@@ -30,7 +31,7 @@ pub struct Thresholds {
     /// Most rollouts; without it, every configuration is measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<u32>,
-    /// What the order is drawn from in which configurations are measured.
+    /// Seed of the order in which configurations are measured.
     #[serde(default)]
     pub seed: u64,
 }

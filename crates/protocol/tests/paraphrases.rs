@@ -16,7 +16,7 @@ const MAX_CHARS: usize = 160;
 /// the changed ones, and write here what the failing test names.
 const DIGEST: &str = "9f0453463c67776c6cf0d85e7408cf93ce29aa134419c8b8a8ef7b2577e2a23b";
 
-/// What a sentence must name: of every row, one of the alternatives.
+/// Words that a sentence must contain: of every row, one of the alternatives.
 type Required = &'static [&'static [&'static str]];
 
 const BOWL: &[&str] = &["black bowl"];

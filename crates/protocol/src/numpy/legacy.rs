@@ -10,8 +10,9 @@ const SHIFT_WORDS: usize = 397;
 #[derive(Debug, Clone, PartialEq)]
 pub struct LegacyRng(LegacyState);
 
-/// What `numpy.random.get_state(legacy=True)` returns and `set_state` takes,
-/// without the generator's name, which is always `MT19937`.
+/// State of the generator, as `numpy.random.get_state(legacy=True)` returns it
+/// and `set_state` takes it, without the generator's name, which is always
+/// `MT19937`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LegacyState {
     /// The Mersenne Twister's words.
