@@ -1,4 +1,4 @@
-//! Where a result came from.
+//! Provenance of a result.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -6,14 +6,15 @@ use std::fmt;
 use protocol::{RendererKind, Wanted};
 use serde::{Deserialize, Serialize};
 
-/// What the names of our own renderer's versions begin with.
+/// Prefix of the version names of this project's renderer.
 pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
 
 /// Name of the setting in which a policy says on which asset pack it was taught.
 pub const TAUGHT_ON: &str = "taught on";
 
-/// What a worker runs on. A campaign is pinned to one of these: results of two
-/// asset packs, simulators or renderers are two benchmarks, never pooled.
+/// Asset pack, simulator and renderer of a worker. A campaign is pinned to one
+/// combination: results of two asset packs, simulators or renderers are two benchmarks,
+/// never pooled.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Pin {
     /// Name of the asset pack.
@@ -28,12 +29,12 @@ pub struct Pin {
     pub renderer: String,
 }
 
-/// Where a result came from, as far as many results share it.
+/// Provenance of a result, as far as many results share it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Provenance {
     /// The machine's name.
     pub host: String,
-    /// What the worker ran on.
+    /// The worker's asset pack, simulator and renderer.
     #[serde(flatten)]
     pub pin: Pin,
     /// SHA-256 of a fixed motion and its frames, hex: equal fingerprints mean
@@ -53,9 +54,9 @@ pub struct Provenance {
     /// Whether it got the canonical instruction under every condition.
     #[serde(default)]
     pub policy_canonical_only: bool,
-    /// What its server resolved and its actions depend on, by name: chunk and
-    /// executed actions, image slots, statistics, revision. Empty in results of
-    /// database schema 3 and before.
+    /// Settings that its server resolved and its actions depend on, by name: chunk and
+    /// executed actions, image slots, statistics, revision. Empty in results of database
+    /// schema 3 and before.
     #[serde(default)]
     pub policy_settings: BTreeMap<String, String>,
     /// How a gateway asked it.
@@ -64,7 +65,7 @@ pub struct Provenance {
     pub program_version: String,
 }
 
-/// What two rollouts of one initial state must share, SHA-256 in hex.
+/// Digests that two rollouts of one initial state must share, SHA-256 in hex.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Digests {
     /// Of the composed MJCF.

@@ -1,8 +1,8 @@
-//! What an attempt came to.
+//! Result of an attempt.
 
 use serde::{Deserialize, Serialize};
 
-/// What a rollout came to: its outcome, and how it got there.
+/// Result of a rollout: outcome, steps and timing.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RolloutResult {
     /// Whether the goal was reached within the step budget.
@@ -11,13 +11,13 @@ pub struct RolloutResult {
     pub steps: u32,
     /// From the start of composition to the last step, seconds.
     pub wall_secs: f64,
-    /// What the inverse kinematics left over, if the robot axis is perturbed.
+    /// Residual of the inverse kinematics, if the robot axis is perturbed.
     pub ik: Option<IkResidual>,
     /// Executed actions that were clipped into [-1, 1].
     pub clipped_actions: u32,
     /// Observations that the policy answered.
     pub policy_queries: u32,
-    /// Where `wall_secs` went. None from workers of the first release.
+    /// Parts of `wall_secs`. None from workers of the first release.
     #[serde(default)]
     pub parts: Option<Parts>,
     /// How much of the goal held. None from workers of earlier releases.
@@ -31,7 +31,7 @@ pub struct RolloutResult {
 pub struct GoalProgress {
     /// Predicates of the goal; 1 or more.
     pub predicates: u32,
-    /// Those that held after the last control step.
+    /// Predicates that held after the last control step.
     pub at_end: u32,
     /// The most that held together, from rest to the last control step.
     pub at_most: u32,
@@ -59,8 +59,8 @@ impl GoalProgress {
     }
 }
 
-/// Where the time of a rollout went, seconds. What they leave of its duration it
-/// waited: for a core that others used, for a graphics card, for a disk.
+/// Parts of a rollout's duration, seconds. The rest of the duration was spent
+/// waiting: for a core that others used, for a graphics card, for a disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Parts {
     /// Processor time of loading the initial state, settling and control steps.
@@ -71,7 +71,7 @@ pub struct Parts {
     pub policy_secs: f64,
 }
 
-/// What inverse kinematics left over.
+/// Residual of the inverse kinematics.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct IkResidual {
     /// Distance to the target position, mm.
