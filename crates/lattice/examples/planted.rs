@@ -1,4 +1,4 @@
-//! What each strategy costs and finds where the truth is planted:
+//! Cost and findings of each strategy on planted rules:
 //! `cargo run --release -p lattice --example planted`.
 //!
 //! Per kind of rule: subsets that were run beyond those of a campaign, and their

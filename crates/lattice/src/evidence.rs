@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 /// replicates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Tally {
-    /// Those that succeeded.
+    /// Rollouts that succeeded.
     pub successes: u32,
-    /// Those that failed.
+    /// Rollouts that failed.
     pub failures: u32,
-    /// Those that were asked for and have no result yet.
+    /// Rollouts that were asked for and have no result yet.
     pub pending: u32,
-    /// Those in quarantine: without a result, and not to be run again.
+    /// Rollouts in quarantine: without a result, and not to be run again.
     pub quarantined: u32,
 }
 
@@ -50,7 +50,7 @@ impl Tally {
     }
 }
 
-/// What the rollouts under one subset say.
+/// Verdict of the rollouts under one subset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {

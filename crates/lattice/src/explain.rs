@@ -1,4 +1,4 @@
-//! Which axes it takes: the minimal subsets that explain a transition.
+//! Explains a transition by the minimal subsets of axes that cause it.
 //!
 //! # Terms
 //! An *emergent failure* is a configuration in which every axis alone succeeds
@@ -39,7 +39,7 @@ pub struct Explanation {
     pub answers: Vec<Answer>,
 }
 
-/// What is found from one start.
+/// Minimal subsets found from one start.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Answer {
     /// The set from which the search starts: empty for an emergent failure, the
@@ -140,11 +140,11 @@ pub(crate) fn transition(
 #[derive(Debug)]
 pub(crate) struct Search {
     start: AxisSet,
-    /// Those that flip the outcome, the full set among them.
+    /// Subsets that flip the outcome, the full set among them.
     pub(crate) flipping: Vec<AxisSet>,
-    /// Those that were run and do not, without the start.
+    /// Subsets that were run and do not flip it, without the start.
     pub(crate) unflipped: Vec<AxisSet>,
-    /// Those without a verdict.
+    /// Subsets without a verdict.
     pub(crate) open: Vec<AxisSet>,
 }
 

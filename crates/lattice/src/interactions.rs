@@ -317,8 +317,8 @@ impl Numerators {
         }
     }
 
-    /// Where in [`Self::all`] those are that hold together: Möbius interactions, Shapley
-    /// values, pairs.
+    /// Index ranges in [`Self::all`] of the families whose intervals hold together: Möbius
+    /// interactions, Shapley values, pairs.
     fn families(&self) -> [Range<usize>; 3] {
         let moebius = self.success.len()..self.success.len() + self.moebius.len();
         let shapley = moebius.end + self.sizes.len();

@@ -1,5 +1,4 @@
-//! What is known of one configuration: the outcomes of its rollouts under
-//! subsets of the axes.
+//! Known outcomes of one configuration's rollouts under subsets of the axes.
 
 use std::collections::BTreeMap;
 
@@ -50,9 +49,9 @@ impl Known {
         }
     }
 
-    /// What a campaign knows of a configuration in one replicate: under each axis
-    /// alone, under all, and nominally. A nominal rollout without an outcome is left
-    /// out, because nothing waits for it.
+    /// Known outcomes of a configuration in one replicate of a campaign: under each
+    /// axis alone, under all, and nominally. A nominal rollout without an outcome is
+    /// left out, because nothing waits for it.
     ///
     /// # Errors
     /// With fewer than two axes.
@@ -107,7 +106,7 @@ impl Known {
         self.tallies.get(&set).copied().unwrap_or_default()
     }
 
-    /// What the rollouts under a subset say.
+    /// Returns the verdict of the rollouts under a subset.
     pub fn verdict(&self, set: AxisSet) -> Verdict {
         self.evidence.verdict(&self.tally(set))
     }

@@ -1,4 +1,4 @@
-//! Which subsets of one configuration to run next.
+//! Selects the subsets of one configuration to run next.
 //!
 //! A decision is a function of what is known of the configuration, of nothing
 //! else. So it may be made at any time and as often as one likes: what was asked
@@ -85,7 +85,7 @@ pub struct Request {
     pub rollouts: u32,
 }
 
-/// What to do about a configuration.
+/// Next step for a configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Decision {
     /// Run this batch; it is not empty.

@@ -34,9 +34,8 @@ pub struct Sample {
 /// be finished. Towards the end, when nothing else is under way, the rest of the
 /// budget goes to one after the other, and the last may remain unfinished.
 ///
-/// What was spent is counted from the known rollouts, so nothing has to be
-/// remembered: pass every configuration of the sample each time, including those
-/// that are explained.
+/// Spending is counted from the known rollouts, so no state is kept: pass every
+/// configuration of the sample each time, including those that are explained.
 pub fn plan<'a>(
     configurations: &'a BTreeMap<RolloutId, Known>,
     sample: &Sample,
@@ -45,7 +44,7 @@ pub fn plan<'a>(
         .iter()
         .map(|(name, known)| Candidate::of(name, known, sample))
         .collect();
-    // What is under way comes first: it was begun with the promise of being finished.
+    // Configurations under way come first: one is begun only if it can be finished.
     candidates.sort_by_key(|candidate| (candidate.spent == 0, candidate.rank, candidate.name));
     let spent: u32 = candidates.iter().map(|candidate| candidate.spent).sum();
     let mut left = sample.budget.saturating_sub(spent);

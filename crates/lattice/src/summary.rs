@@ -32,7 +32,7 @@ pub struct Explained {
     pub rollouts: u32,
 }
 
-/// What is known under one subset.
+/// Verdict and rollouts under one subset.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SubsetOutcome {
     /// The axes that are perturbed.
@@ -65,7 +65,8 @@ impl Explained {
     }
 }
 
-/// What is known under every subset of which a rollout was asked for, in order.
+/// Returns the outcomes under every subset of which a rollout was asked for, in
+/// order.
 pub fn outcomes(known: &Known) -> Vec<SubsetOutcome> {
     let evidence = known.evidence();
     let outcome = |(set, tally): (AxisSet, Tally)| SubsetOutcome {
