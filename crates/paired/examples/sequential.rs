@@ -1,5 +1,5 @@
-//! What confidence sequences save, and whether they hold: OpenVLA-OFT's published
-//! outcomes replayed in random orders.
+//! Savings and coverage of confidence sequences: OpenVLA-OFT's published outcomes
+//! replayed in random orders.
 //!
 //! `cargo run --release -p paired --example sequential [ORDERS]`
 
@@ -71,7 +71,7 @@ fn variance(population: &Population, measure: Measure) -> f64 {
     squares.sum::<f64>() / (n - 1.0)
 }
 
-/// What replaying one level gives.
+/// Result of replaying one level.
 struct Replayed {
     orders: u64,
     held: u64,

@@ -13,7 +13,7 @@ pub(crate) const Z_POWER: f64 = 0.8416212335729143;
 /// Halvings of the interval in which the effect is sought: enough for doubles.
 const BISECTIONS: u32 = 60;
 
-/// What the smallest detectable effect depends on.
+/// Parameters that the smallest detectable effect depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairedDesign {
     /// Tasks.

@@ -104,7 +104,7 @@ pub struct DifferenceBounds {
     pub difference: [f64; 2],
 }
 
-/// What is counted of the rollouts of one task.
+/// Counts of one task's rollouts by the policies that succeed.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tally {
     both: u64,

@@ -1,4 +1,4 @@
-//! What a report says in words. Every sentence follows from figures of the report;
+//! Findings of a report as sentences. Every sentence follows from figures of the report;
 //! docs/REPORT.md lists under which condition each is written.
 
 use std::collections::BTreeMap;
@@ -21,24 +21,24 @@ pub const FINDING_ALPHA: f64 = 0.01;
 /// Equivalence is claimed where its p-value is below this.
 const EQUIVALENCE_ALPHA: f64 = 0.05;
 
-/// What a finding is about.
+/// Subject of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FindingKind {
     /// Success, nominal and simultaneous.
     Success,
-    /// What single axes cost.
+    /// Cost of single axes.
     Cost,
-    /// What simultaneity changes beyond chance.
+    /// Change by simultaneity beyond chance.
     Simultaneity,
-    /// How success depends on the direction.
+    /// Dependence of success on the direction.
     Directions,
 }
 
 /// A sentence of a report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finding {
-    /// What it is about.
+    /// Subject of the sentence.
     pub kind: FindingKind,
     /// Of which level; absent of success, which is of all levels.
     pub level: Option<Level>,
@@ -207,7 +207,7 @@ fn cost(cell: &Cell) -> Option<Finding> {
     })
 }
 
-/// What simultaneity changes beyond chance.
+/// Writes the finding about the change by simultaneity beyond chance.
 fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding> {
     let inference = cell.inference.as_ref()?;
     let level = cell.level;

@@ -1,6 +1,6 @@
-//! Which intervals may be shown. A percentile interval always comes out as two
-//! numbers, also where they mean nothing; here such intervals are withheld,
-//! with the reason.
+//! Decides which intervals may be shown. A percentile interval always comes out
+//! as two numbers, also where they mean nothing; here such intervals are
+//! withheld, with the reason.
 
 use std::fmt;
 
@@ -65,7 +65,7 @@ pub(crate) fn intervals<const N: usize>(
     tasks: usize,
     statistics: impl Fn(&[u32]) -> [f64; N] + Sync,
 ) -> ([Option<Interval>; N], Option<NoInterval>) {
-    // What is withheld is not made.
+    // Intervals that would be withheld are not computed.
     let intervals = (tasks >= MIN_TASKS).then(|| bootstrap.intervals(tasks, statistics));
     let intervals = intervals.flatten().map_or([None; N], |all| all.map(Some));
     let shown = intervals.map(|interval| shown(tasks, interval));

@@ -1,4 +1,4 @@
-//! What is known of rollouts, and the matching of those of one configuration.
+//! Records of rollouts, and the matching of those of one configuration.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -56,12 +56,12 @@ impl From<bool> for Outcome {
 /// One row of a campaign × one replicate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Record {
-    /// Which rollout.
+    /// Identity of the rollout.
     pub id: RolloutId,
     /// The initial state that it started from; pairs a configuration with its
     /// nominal rollout.
     pub init_id: u16,
-    /// Which replicate.
+    /// Number of the replicate, from 0.
     pub replicate: u32,
     /// How it ended.
     pub outcome: Outcome,
@@ -102,8 +102,7 @@ pub struct Matched {
     pub simultaneous: Outcome,
 }
 
-/// What simultaneous perturbation does to an outcome that the axes alone would
-/// lead one to expect.
+/// Effect of simultaneous perturbation on the outcome expected from the axes alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Transition {

@@ -140,7 +140,7 @@ impl Assumed {
         }
     }
 
-    /// The one of a level, or of the perturbed level with the nearest radius.
+    /// Returns the entry of a level, or of the perturbed level with the nearest radius.
     pub fn nearest(all: &[Self], level: Level) -> Option<&Self> {
         let perturbed = all.iter().filter(|it| it.level != Level::L0);
         perturbed.min_by(|a, b| {

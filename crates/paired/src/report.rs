@@ -18,11 +18,11 @@ use crate::measures::{Configuration, Measures};
 use crate::outcomes::{DuplicateRecord, Matched, Outcome, Record, Records};
 use crate::replication::Replication;
 
-/// What the caller decides.
+/// Options of a report.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// What a reader must know first, one sentence each: another asset pack, a
-    /// privileged policy, mixed versions. Printed at the top.
+    /// Caveats that a reader must know first, one sentence each: another asset pack,
+    /// a privileged policy, mixed versions. Printed at the top.
     pub notes: Vec<String>,
     /// How intervals are made.
     pub bootstrap: Bootstrap,
@@ -55,9 +55,9 @@ pub struct Report {
     pub cells: Vec<Cell>,
     /// Each further replicate against the first.
     pub replication: Vec<Replication>,
-    /// Where variance comes from, by level; empty without replicates.
+    /// Variance components by level; empty without replicates.
     pub components: Vec<Components>,
-    /// What it says in words, see [`findings`].
+    /// Sentences about the figures, see [`findings`].
     pub findings: Vec<Finding>,
     /// Quarantined rollouts, in no rate: `ID` or `ID#rK`.
     pub quarantined: Vec<String>,
@@ -70,15 +70,15 @@ pub struct Report {
 pub struct Nominal {
     /// The replicate.
     pub replicate: u32,
-    /// Where the count comes from.
+    /// Source of the count.
     pub source: NominalSource,
-    /// What succeeded.
+    /// Rollouts and their successes.
     pub count: Count,
-    /// What is left out.
+    /// Rollouts without an outcome.
     pub gap: Gap,
 }
 
-/// Where nominal counts come from.
+/// Source of nominal counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NominalSource {
@@ -129,7 +129,7 @@ pub struct Cell {
 /// One axis alone at one level.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SingleAxis {
-    /// What succeeded.
+    /// Rollouts and their successes.
     pub count: Count,
     /// 1 − success / nominal success; absent where either is unknown or the
     /// nominal success is nought.
@@ -139,11 +139,11 @@ pub struct SingleAxis {
 /// How many configurations of a cell have all their outcomes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Completeness {
-    /// Those that have.
+    /// Configurations that have all their outcomes.
     pub complete: u64,
-    /// All.
+    /// All configurations of the cell.
     pub expected: u64,
-    /// What the others lack, by condition.
+    /// Outcomes that the others lack, by condition.
     pub gaps: BTreeMap<Condition, Gap>,
 }
 

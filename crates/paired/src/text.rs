@@ -8,7 +8,7 @@ use crate::interval::NoInterval;
 /// Columns of the terminal.
 pub(crate) const WIDTH: usize = 80;
 
-/// What stands where nothing is known.
+/// Mark of an absent value.
 pub(crate) const NOTHING: &str = "-";
 
 /// Words over as many lines of a terminal as they need, the first after

@@ -1,4 +1,4 @@
-//! Where campaigns end early, on published outcomes.
+//! Tests of early stops of campaigns, on published outcomes.
 
 use std::collections::BTreeSet;
 

@@ -10,7 +10,7 @@ use crate::sequential::campaign::{SEQUENTIAL_ALPHA, Unit, drawn_order};
 use crate::sequential::difference::SequentialDifference;
 use crate::sequential::look::Look;
 
-/// What is known of the difference A − B under one condition at one level.
+/// Look at the difference A − B under one condition at one level.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ComparedLook {
     /// The level.

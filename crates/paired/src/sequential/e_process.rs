@@ -48,7 +48,7 @@ impl EValues {
     }
 }
 
-/// What is known of a stratum.
+/// Units of a stratum, drawn and remaining.
 #[derive(Clone, Debug)]
 struct Stratum {
     remaining: i64,

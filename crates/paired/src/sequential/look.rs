@@ -1,4 +1,4 @@
-//! What one sees at a look.
+//! Looks of a sequential analysis: intervals after some units.
 
 use std::collections::BTreeMap;
 
@@ -39,8 +39,8 @@ impl RateInterval {
     }
 }
 
-/// What is known after some units. All intervals hold together, at all looks,
-/// with a probability of 1 − α.
+/// Intervals after some units. All of them hold together, at all looks, with a
+/// probability of 1 − α.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Look {
     /// Units that the intervals rest on: the drawn order up to its first

@@ -130,7 +130,8 @@ mod tests {
         all
     }
 
-    /// What is drawn in each round.
+    /// Returns the units drawn in each round: the stratum and the bounds of the
+    /// value.
     fn rounds(strata: &Strata) -> Vec<Vec<(usize, [i64; 2])>> {
         let longest = strata.iter().map(Vec::len).max().unwrap_or_default();
         let of_round = |round: usize| {

@@ -115,7 +115,7 @@ impl Population {
     }
 }
 
-/// What a measure counts of one configuration.
+/// Returns one configuration's value of a measure.
 pub(crate) fn value(measure: Measure, transition: Transition) -> i64 {
     use Transition::{Compensated, Emergent, StillFails, StillSucceeds};
     match (measure, transition) {
