@@ -38,7 +38,7 @@ const CHANGE: f64 = 1e-12;
 /// How many configurations survive up to each radius, under one condition.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Curve {
-    /// What is perturbed.
+    /// Condition: the perturbed axes.
     pub condition: Condition,
     /// The radii that were run of every configuration.
     pub grid: Vec<f64>,
@@ -55,18 +55,20 @@ pub struct Curve {
     /// Configurations that it leaves out: outcomes of the grid are missing still, or the
     /// nominal rollout is in quarantine.
     pub left_out: u64,
-    /// Those that fail nominally.
+    /// Configurations that fail nominally.
     pub nominal_fails: u64,
-    /// Those that survive up to the largest radius: there, their threshold is censored.
+    /// Configurations that survive up to the largest radius: there, their threshold is
+    /// censored.
     pub beyond: u64,
-    /// Those that are censored below it, because the outcome there is in quarantine.
+    /// Configurations that are censored below it, because the outcome there is in
+    /// quarantine.
     pub censored: u64,
-    /// Those that succeed again at a larger radius than one at which they fail.
+    /// Configurations that succeed again at a larger radius than one at which they fail.
     pub not_monotone: u64,
     /// The curve, from radius 0 on, straight between these points. None where it is over
     /// no configuration.
     pub points: Vec<Point>,
-    /// Where half of the configurations survive.
+    /// Radius at which half of the configurations survive.
     pub half_success: HalfSuccess,
 }
 
@@ -89,8 +91,9 @@ pub struct Point {
 /// The radius up to which half of all configurations survive.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HalfSuccess {
-    /// Where the curve crosses one half; none if fewer than half succeed nominally, more
-    /// than half survive up to the largest radius, or brackets are not narrowed there.
+    /// Radius at which the curve crosses one half; none if fewer than half succeed
+    /// nominally, more than half survive up to the largest radius, or brackets are not
+    /// narrowed there.
     pub radius: Option<f64>,
     /// Between which radii it lies for these configurations, wherever the thresholds are in
     /// their brackets; none where the curve is over no configuration.
@@ -352,7 +355,7 @@ impl Clusters {
         values[2 * self.radii.len() + 1] = high;
     }
 
-    /// Where a curve crosses one half, straight between its points.
+    /// Returns the radius at which a curve crosses one half, straight between its points.
     fn crossing(&self, survival: &[f64]) -> f64 {
         let below = survival.iter().position(|share| *share <= HALF);
         match below {

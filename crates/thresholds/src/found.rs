@@ -1,4 +1,4 @@
-//! What was found out about one ray.
+//! Threshold found along one ray.
 
 use paired::Outcome;
 use protocol::Level;
@@ -6,7 +6,7 @@ use protocol::Level;
 use crate::ray::Known;
 use crate::search::Search;
 
-/// Where success turns to failure.
+/// Radius at which success turns to failure, as far as it is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Threshold {
     /// The nominal rollout fails: there is no success that could turn.
@@ -32,10 +32,10 @@ pub enum Threshold {
     },
 }
 
-/// What is known of a ray's threshold.
+/// Findings about a ray's threshold.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Found {
-    /// Where success turns to failure for the first time.
+    /// The first radius at which success turns to failure.
     pub threshold: Threshold,
     /// Larger radii at which it succeeds nevertheless: the ray is not monotone.
     pub recovers_at: Vec<Level>,
@@ -44,7 +44,7 @@ pub struct Found {
     pub is_on_grid: bool,
 }
 
-/// Says what is known of a ray's threshold.
+/// Derives a ray's threshold from its known outcomes.
 pub fn found(known: &Known, search: &Search) -> Found {
     let largest = search.largest().unwrap_or(Level::L0);
     let fails_at = known.levels(false).find(|level| *level <= largest);

@@ -8,7 +8,7 @@ use protocol::{Condition, Level, TaskRef};
 /// One configuration under one condition: its direction, of which radii are the places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ray {
-    /// What is perturbed.
+    /// Condition: the perturbed axes.
     pub condition: Condition,
     /// The task.
     pub task: TaskRef,
