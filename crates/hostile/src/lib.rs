@@ -1,9 +1,9 @@
-//! What must hold of every file reader and every message handler, whatever it is
-//! given: an answer, and nothing that is broken by it. One function per reader
-//! or service, which takes bytes and panics when that does not hold, with inputs
-//! to begin with. `fuzz/` drives the functions with a fuzzer, this package's
-//! tests with seeded mutations. Not responsible for what an input means; and no
-//! program uses this package.
+//! Checks of every file reader and every message handler against arbitrary
+//! input: each must answer, and leave nothing broken. One function per reader or
+//! service takes bytes and panics if that does not hold, and comes with seed
+//! inputs. `fuzz/` drives the functions with a fuzzer, this package's tests with
+//! seeded mutations. Not responsible for the meaning of an input; and no program
+//! uses this package.
 
 #![forbid(unsafe_code)]
 
