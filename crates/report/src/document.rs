@@ -22,7 +22,7 @@ const WIDTH: usize = 80;
 /// Policies, measured.
 #[derive(Clone, Debug)]
 pub struct Document {
-    /// What a reader must know first of comparing them.
+    /// Warnings about comparing the policies, to be read first.
     pub warnings: Vec<String>,
     /// One per subject, in the given order.
     pub analyses: Vec<Analysis>,
@@ -34,9 +34,9 @@ pub enum DocumentError {
     /// The same rollout twice.
     #[error("measure policy `{policy}`")]
     Duplicate {
-        /// Whose.
+        /// Name of the policy.
         policy: String,
-        /// Which.
+        /// The duplicate rollout.
         source: DuplicateRecord,
     },
     /// It cannot be written as JSON.
@@ -65,11 +65,11 @@ struct JsonReport<'a> {
     sequential: Option<&'a Sequential>,
     #[serde(flatten)]
     report: &'a Report,
-    /// What `explain --json` prints.
+    /// Form of `explain --json`.
     explanation: Option<&'a Findings>,
-    /// What `thresholds --json` prints.
+    /// Form of `thresholds --json`.
     thresholds: Option<&'a HowFar>,
-    /// What `interactions --json` prints.
+    /// Form of `interactions --json`.
     interactions: Option<interactions::JsonForm<'a>>,
 }
 
@@ -276,7 +276,7 @@ fn head(subject: &Subject) -> String {
     }
 }
 
-/// What a campaign that follows from another has found out, its warnings first.
+/// Appends the findings of a campaign that follows from another, its warnings first.
 fn push_found(text: &mut String, analysis: &Analysis) {
     for note in &analysis.report.notes {
         push_wrapped(text, "! ", note);

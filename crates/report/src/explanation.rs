@@ -1,6 +1,6 @@
-//! Which axes it takes: what a campaign that explains another has found out, as text
-//! for a terminal and as JSON. What minimal subsets are, and which to run, is
-//! `lattice`'s business.
+//! Findings of a campaign that explains another, as text for a terminal and as JSON.
+//! The definition of minimal subsets and the choice of those to run are `lattice`'s
+//! business.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -18,7 +18,7 @@ use crate::subject::{Prospect, Subject, things};
 /// Columns of a terminal for the names of axes.
 const NAMES: usize = 52;
 
-/// What was found out about a campaign's transitions.
+/// Findings about a campaign's transitions.
 #[derive(Clone, Debug, Serialize)]
 pub struct Findings {
     /// The campaign whose transitions are explained.
@@ -46,7 +46,8 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// What explaining a campaign would take.
+    /// Returns the number of transitions and rollouts that explaining a campaign
+    /// would take.
     ///
     /// # Errors
     /// If it perturbs one axis only.

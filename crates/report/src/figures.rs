@@ -46,8 +46,8 @@ pub use upset::upset;
 /// The style that the panels need; a page includes it once.
 pub const STYLE: &str = include_str!("figures/style.css");
 
-/// Where a configuration is shown rollout by rollout, named by its simultaneous rollout
-/// and its replicate: an address.
+/// Address of a configuration's page of rollouts, by its simultaneous rollout and its
+/// replicate.
 pub type Link<'a> = &'a dyn Fn(RolloutId, u32) -> String;
 
 /// Around the panel in a file of its own.
@@ -58,7 +58,7 @@ const PADDING: f64 = 14.0;
 pub struct Figure {
     /// Name of its file, without extension.
     pub name: String,
-    /// What it shows, for those who cannot see it.
+    /// Description for readers who cannot see the figure.
     pub title: String,
     has_links: bool,
     is_wide: bool,

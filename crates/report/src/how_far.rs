@@ -16,7 +16,7 @@ use crate::words;
 /// Columns of a terminal for the names of conditions.
 const NAMES: usize = 14;
 
-/// What was found out about a campaign's thresholds.
+/// Measured thresholds of a campaign.
 #[derive(Clone, Debug, Serialize)]
 pub struct HowFar {
     /// The campaign whose thresholds are measured.
@@ -33,13 +33,13 @@ pub struct HowFar {
     pub complete: bool,
     /// Thresholds that are looked for: one for each configuration under each condition.
     pub looked_for: u64,
-    /// Those of which nothing remains to be run.
+    /// Thresholds of which nothing remains to be run.
     pub found: u64,
-    /// Those that are not looked for, because the budget does not suffice.
+    /// Thresholds that are not looked for, because the budget does not suffice.
     pub beyond_budget: u64,
     /// Rollouts that were run or wait to be run, beyond those of the campaign.
     pub rollouts: u64,
-    /// Those among them without an outcome yet.
+    /// Rollouts among them without an outcome yet.
     pub waiting: u64,
     /// How many configurations still succeed at each radius, by condition.
     pub curves: Vec<Curve>,
@@ -50,13 +50,13 @@ pub struct HowFar {
 /// The threshold of one configuration under one condition.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measured {
-    /// What is perturbed.
+    /// Condition: the perturbed axes.
     pub condition: Condition,
     /// The task.
     pub task: TaskRef,
     /// The configuration's number.
     pub config: u16,
-    /// What is known of it.
+    /// Kind of the threshold, as far as it is known.
     pub threshold: Kind,
     /// The largest radius below `fails_at` at which it succeeds, 0 for the nominal
     /// rollout; without a failure, the largest at which it succeeds.
@@ -71,7 +71,7 @@ pub struct Measured {
     pub outcomes: Vec<AtRadius>,
 }
 
-/// What is known of a threshold.
+/// Kind of a threshold, as far as it is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -118,7 +118,7 @@ pub struct AtRadius {
 pub struct BudgetTooSmall {
     /// The budget.
     pub budget: u32,
-    /// What a configuration may take.
+    /// Most rollouts that a configuration may take.
     pub most: u32,
 }
 
@@ -142,7 +142,8 @@ impl HowFar {
         }
     }
 
-    /// What measuring the thresholds of a campaign would take.
+    /// Returns the number of thresholds and rollouts that measuring a campaign would
+    /// take.
     pub fn prospect(campaign: &Subject, thresholds: &Thresholds) -> Prospect {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
         let mut prospect = Prospect {
@@ -294,7 +295,7 @@ fn largest_success(known: &Known) -> Option<Level> {
 /// A row per condition, a column per radius of the grid.
 fn push_survival(text: &mut String, curves: &[&Curve]) {
     text.push_str("\nconfigurations that still succeed, %, by radius\n");
-    // Where language is perturbed, the grid is shorter.
+    // Conditions with a perturbed language have a shorter grid.
     let longest = curves
         .iter()
         .max_by(|a, b| a.largest_radius.total_cmp(&b.largest_radius));

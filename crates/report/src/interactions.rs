@@ -29,7 +29,7 @@ pub struct AxisInteractions {
     pub campaign: String,
     /// Its policy.
     pub policy: String,
-    /// What a reader must know first.
+    /// Warnings to be read first.
     pub notes: Vec<String>,
     /// How intervals were made.
     pub bootstrap: Bootstrap,
@@ -70,7 +70,7 @@ pub enum NoInteractions {
         configurations: usize,
         /// One of them.
         first: RolloutId,
-        /// What it lacks.
+        /// Subsets that its lattice lacks.
         gap: IncompleteLattice,
     },
 }
@@ -142,7 +142,7 @@ impl AxisInteractions {
         Ok(serde_json::to_string_pretty(&self.form())?)
     }
 
-    /// What becomes JSON.
+    /// Returns the JSON form.
     pub(crate) fn form(&self) -> JsonForm<'_> {
         JsonForm {
             campaign: &self.campaign,

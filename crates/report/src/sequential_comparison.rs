@@ -14,11 +14,11 @@ use crate::sequential::percent_text;
 /// The confidence sequences of A − B.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SequentialComparison {
-    /// What the order of both is drawn from.
+    /// Seed of the order of both.
     pub seed: u64,
-    /// What each round of the order has one configuration of.
+    /// Strata of the order: each round has one configuration of each.
     pub strata: Strata,
-    /// What was asked for, if anything was.
+    /// Rule that was asked for, if any.
     pub rule: Option<StopRule>,
     /// Every condition at every perturbed level.
     pub cells: Vec<SequentialCell>,
@@ -31,9 +31,10 @@ pub struct SequentialCell {
     pub level: Level,
     /// The condition.
     pub condition: Condition,
-    /// Configurations of the campaigns: what the interval is about.
+    /// Configurations of the campaigns: the population of the interval.
     pub configurations: usize,
-    /// Those that it rests on: the first in the drawn order that both have.
+    /// Configurations that it rests on: the first in the drawn order that both
+    /// have.
     pub used: usize,
     /// Both ends, fractions.
     pub difference: [f64; 2],
@@ -50,7 +51,7 @@ pub enum NoCommonOrder {
          both campaigns with `--stop`"
     )]
     NotDrawn {
-        /// Which.
+        /// Name of the subject.
         subject: String,
     },
     /// They were drawn otherwise.
@@ -59,11 +60,11 @@ pub enum NoCommonOrder {
          {order_b}; create both campaigns with the same `--stop-seed` and `--stop-strata`"
     )]
     Differ {
-        /// The one.
+        /// Name of policy A.
         a: String,
         /// Its order.
         order_a: String,
-        /// The other.
+        /// Name of policy B.
         b: String,
         /// Its order.
         order_b: String,
@@ -74,9 +75,9 @@ pub enum NoCommonOrder {
          same tasks and configurations"
     )]
     Configurations {
-        /// The one.
+        /// Name of policy A.
         a: String,
-        /// The other.
+        /// Name of policy B.
         b: String,
     },
 }
@@ -128,7 +129,7 @@ impl SequentialComparison {
         })
     }
 
-    /// What the intervals are, in words.
+    /// Defines the intervals in words.
     pub(crate) fn explanation(&self) -> String {
         format!(
             "each holds at all looks with a probability of 95 %; about all configurations, from \

@@ -1,5 +1,5 @@
-//! What a report is of: one policy's outcomes, and everything known about how
-//! they were made.
+//! Subject of a report: one policy's outcomes, and everything known about how they were
+//! made.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -12,11 +12,11 @@ use serde::{Deserialize, Serialize};
 /// One policy's outcomes under one set of circumstances.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Subject {
-    /// What the policy is called.
+    /// Name of the policy.
     pub policy: String,
-    /// Where its outcomes come from.
+    /// Source of its outcomes.
     pub origin: Origin,
-    /// Where the perturbations' random elements came from, if that is known.
+    /// Source of the perturbations' random elements, if known.
     pub realisation: Option<Realisation>,
     /// Every rollout that was meant to run, with or without an outcome.
     pub records: Vec<Record>,
@@ -29,7 +29,7 @@ pub struct Subject {
     pub left_out: u64,
     /// The distinct circumstances under which the outcomes were made.
     pub provenances: Vec<Provenance>,
-    /// What the policy answered beyond the range, if that is known.
+    /// Actions beyond the range that the policy answered, if known.
     #[serde(default)]
     pub beyond: Option<BeyondRange>,
     /// How the outcomes mix fingerprints, if they have more than one.
@@ -45,10 +45,10 @@ pub struct Subject {
     /// How its directions were assigned to configurations.
     #[serde(default)]
     pub directions: Directions,
-    /// What the policy was given to do; empty where that is not known.
+    /// Digests of the rollouts' circumstances; empty where they are not known.
     #[serde(default)]
     pub setups: Setups,
-    /// What it is to find out, if it follows from another campaign.
+    /// Purpose, if it follows from another campaign.
     #[serde(default)]
     pub derived: Option<Derived>,
     /// How its campaign may end early, or did; none of one that runs to its end.
@@ -56,17 +56,17 @@ pub struct Subject {
     pub early_stop: Option<EarlyStop>,
 }
 
-/// What a campaign is to find out that follows from another one.
+/// Purpose of a campaign that follows from another one, and that campaign's rollouts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Derived {
-    /// What, and of which campaign.
+    /// Purpose, with the campaign that it follows from.
     pub purpose: Purpose,
     /// That campaign's rollouts, with or without an outcome; of one that stopped early,
     /// those that count.
     pub records: Vec<Record>,
 }
 
-/// What a campaign that follows from another would take, before there is one.
+/// Size of a campaign that follows from another, before it is created.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Prospect {
     /// Transitions to explain or thresholds to measure, as far as the outcomes show them.
@@ -92,13 +92,13 @@ impl Prospect {
     }
 }
 
-/// What campaigns that follow from others find out.
+/// Purpose of campaigns that follow from others.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Purpose {
-    /// Which axes it takes to change an outcome.
+    /// Find the minimal subsets of axes that change an outcome.
     Explanation(Explanation),
-    /// At which radius success turns to failure.
+    /// Find the radius at which success turns to failure.
     Thresholds(Thresholds),
 }
 
@@ -111,9 +111,8 @@ pub struct EarlyStop {
     pub has_stopped: bool,
 }
 
-/// What the rollouts of a subject were, beyond their names: two subjects can
-/// have a rollout of one name that is another in each. Digests, of which only
-/// equality means something.
+/// Digests of the circumstances of a subject's rollouts, beyond their names: a rollout of
+/// one name can differ between two subjects. Digests can only be compared for equality.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Setups {
     /// Of perturbation, instruction and step budget, by rollout.
@@ -134,7 +133,7 @@ pub struct BeyondRange {
     pub rollouts: u64,
 }
 
-/// Where outcomes come from.
+/// Source of outcomes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Origin {
@@ -142,7 +141,7 @@ pub enum Origin {
     Campaign {
         /// Its name.
         name: String,
-        /// Where its policy was reached.
+        /// Endpoint of its policy.
         endpoint: String,
         /// Its design's version.
         design: String,
@@ -153,7 +152,7 @@ pub enum Origin {
         name: String,
         /// SHA-256 of the file.
         digest: String,
-        /// What its makers say of it; empty where they say nothing.
+        /// Description by its makers; empty where they give none.
         source: String,
     },
 }
@@ -192,7 +191,8 @@ pub fn counted<'a>(records: &'a [Record], early_stop: Option<&EarlyStop>) -> Cow
 }
 
 impl Subject {
-    /// What it explains and that campaign's rollouts, if it explains another campaign.
+    /// Returns the explanation and the explained campaign's rollouts, if it explains
+    /// another campaign.
     pub(crate) fn explains(&self) -> Option<(&Explanation, &[Record])> {
         let Derived { purpose, records } = self.derived.as_ref()?;
         match purpose {
@@ -201,8 +201,8 @@ impl Subject {
         }
     }
 
-    /// What it measures and that campaign's rollouts, if it measures another campaign's
-    /// thresholds.
+    /// Returns the measurement and the measured campaign's rollouts, if it measures
+    /// another campaign's thresholds.
     pub(crate) fn measures(&self) -> Option<(&Thresholds, &[Record])> {
         let Derived { purpose, records } = self.derived.as_ref()?;
         match purpose {

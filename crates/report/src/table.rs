@@ -43,7 +43,7 @@ pub fn write_parquet(document: &Document, out: impl Write + Send) -> Result<(), 
     }
 }
 
-/// What the rows of a table are.
+/// Kind of a table's rows.
 enum Rows {
     Configurations,
     MinimalSubsets,

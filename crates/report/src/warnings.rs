@@ -1,4 +1,4 @@
-//! What a reader must know before a figure is believed, in words. Pure, and the
+//! Warnings of a report, to be read before its figures, in words. Pure, and the
 //! same for the same results: no instant, no count of attempts, no worker.
 
 use std::collections::BTreeSet;

@@ -76,7 +76,7 @@ pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<F
     Some(figure)
 }
 
-/// What the squares mean, in two lines below `top`.
+/// Legend of the squares, in two lines below `top`.
 fn legend(top: f64) -> Markup {
     let entries = [
         (0.0, 0.0, Some(Transition::Emergent), "emergent failure"),

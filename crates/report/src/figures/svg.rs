@@ -1,4 +1,4 @@
-//! What the figures are drawn with: numbers, scales, axes, intervals.
+//! Primitives of the figures: numbers, scales, axes, intervals.
 
 use maud::{Markup, html};
 use paired::{Interval, NoInterval};

@@ -1,5 +1,5 @@
-//! What a campaign that explains another has found, and how axes interact where whole
-//! lattices were run.
+//! Sections on the findings of a campaign that explains another, and on the interactions
+//! of axes in whole lattices.
 
 use lattice::{Answer, Explained, Occurrence};
 use maud::{Markup, html};
@@ -62,7 +62,7 @@ fn in_words(found: &Findings, transition: Transition) -> Markup {
         .filter(|it| it.transition == transition)
         .collect();
     let most = of_kind.iter().map(|it| it.configurations).max();
-    // Those that explain equally many configurations, most of all.
+    // All subsets that explain the most configurations, where several tie.
     let first: Vec<&Occurrence> = of_kind
         .into_iter()
         .filter(|it| Some(it.configurations) == most)
@@ -107,7 +107,7 @@ fn in_words(found: &Findings, transition: Transition) -> Markup {
     }
 }
 
-/// Where more axes undo what fewer do.
+/// Table of larger subsets that undo the change of smaller ones.
 fn non_monotone(found: &Findings) -> Markup {
     let pairs = |it: &Explained| {
         let answers = it.explanation.answers.iter();

@@ -133,7 +133,7 @@ fn floor(cells: &Cells<'_>) -> Markup {
     }
 }
 
-/// What each condition costs.
+/// Table of the success lost under each condition.
 fn losses(cells: &Cells<'_>) -> Markup {
     let heads = [
         "policy",

@@ -1,4 +1,4 @@
-//! What a table is made of, and how it is written as CSV and as Parquet.
+//! Form of a table, and its writers for CSV and Parquet.
 //!
 //! Parquet's columns have types: booleans, integers, numbers, and strings for names and
 //! enumerations.
@@ -40,7 +40,7 @@ pub(super) enum Value {
     Bool(Option<bool>),
 }
 
-/// What a column holds.
+/// Type of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Number,
