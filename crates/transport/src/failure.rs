@@ -37,7 +37,7 @@ fn words(error: &(dyn Error + 'static)) -> String {
     }
 }
 
-/// What a server answered, in its words if it gave any.
+/// Returns a server's error message, or the status code if it gave none.
 pub fn answer(status: &Status) -> String {
     match status.message() {
         "" => format!("gRPC status {:?}, without a reason", status.code()),

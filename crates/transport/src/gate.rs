@@ -22,7 +22,7 @@ use crate::refusals::Refusals;
 use crate::token::{Role, Tokens};
 use crate::users::{Caller, Users};
 
-/// What is at a path, and who may have it.
+/// Kind of the resource at a path, and the callers that are let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Resource {
     /// A gRPC call. Programs make it, over HTTP/2, and no page in any browser.
@@ -31,7 +31,7 @@ pub enum Resource {
     Page(Allowed),
 }
 
-/// Who may have what is at a path.
+/// Callers that are let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowed {
     /// Everybody: it reveals nothing and changes nothing.
@@ -59,9 +59,9 @@ struct Shared {
     /// because the operator said so.
     tokens: Option<Tokens>,
     users: Users,
-    /// What is at a path.
+    /// Returns the resource at a path.
     resource: fn(&str) -> Resource,
-    /// Where people log in; none where there are no pages, only calls.
+    /// Path of the log-in page; none where there are no pages, only calls.
     log_in: Option<&'static str>,
     readers: Readers,
     rates: Mutex<Rates>,

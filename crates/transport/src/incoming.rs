@@ -282,9 +282,9 @@ pub struct Incoming {
     open: Arc<Open>,
     accepted: u64,
     pause: Duration,
-    /// Until when nothing is accepted.
+    /// End of the pause in which nothing is accepted.
     waiting: Option<Pin<Box<Sleep>>>,
-    /// When it was last logged that there are too many connections.
+    /// Time of the last log entry about too many connections.
     logged: Option<Instant>,
 }
 

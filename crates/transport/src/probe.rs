@@ -27,7 +27,7 @@ const SETTINGS_FRAME: u8 = 4;
 /// Characters quoted of what a server says.
 const QUOTED_CHARS: usize = 60;
 
-/// Where to look.
+/// Address to probe.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place<'a> {
     /// Without brackets.
@@ -37,7 +37,7 @@ pub(crate) struct Place<'a> {
     pub(crate) is_encrypted: bool,
 }
 
-/// What a server speaks that can be connected to as the client does.
+/// Protocol of a server that can be connected to as the client does.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Speech {
     Http2,
@@ -45,7 +45,7 @@ pub(crate) enum Speech {
     Http1(String),
 }
 
-/// What the first bytes of a server say.
+/// Protocol that the first bytes of a server indicate.
 #[derive(Debug, PartialEq, Eq)]
 enum Heard {
     Http2,
@@ -59,7 +59,7 @@ enum Heard {
 /// Connects as the client does, and listens.
 ///
 /// # Errors
-/// What is there, if it does not speak HTTP as the client would.
+/// The finding, if the server does not speak HTTP as the client would.
 pub(crate) async fn look(place: Place<'_>, tls: &TlsConnector) -> Result<Speech, Found> {
     let stream = connect(place).await?;
     if !place.is_encrypted {
@@ -99,7 +99,7 @@ async fn connect(place: Place<'_>) -> Result<TcpStream, Found> {
     }
 }
 
-/// What the system's error says of the way to a server, if it says anything.
+/// Maps the system's error to a finding about the way to a server, if it tells.
 pub(crate) fn no_connection(error: &io::Error) -> Option<Found> {
     match error.kind() {
         io::ErrorKind::ConnectionRefused => Some(Found::Nothing),
@@ -142,7 +142,7 @@ async fn encrypt(
     }
 }
 
-/// What a failed handshake says of the server, if TLS is what it speaks.
+/// Maps a failed handshake to a finding about the server, if it speaks TLS.
 fn of_tls(error: &io::Error) -> Option<Found> {
     let inner = error.get_ref()?.downcast_ref::<TlsError>()?;
     match inner {

@@ -76,9 +76,9 @@ pub enum SecurityError {
          --tls-key and --token-file, or --insecure if only trusted people reach this network"
     )]
     Unguarded {
-        /// Where.
+        /// Listening address.
         address: SocketAddr,
-        /// What is missing.
+        /// Missing protection, in words.
         missing: &'static str,
     },
     /// The tokens are no use.
@@ -87,9 +87,9 @@ pub enum SecurityError {
     /// A certificate or key cannot be read.
     #[error("read {}: give a PEM file that this user may read", path.display())]
     Pem {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// Other users can read or change a private key.

@@ -23,7 +23,7 @@ pub const MAX_TOKENS: usize = 256;
 /// Largest token file, bytes.
 pub const MAX_TOKEN_FILE_BYTES: u64 = 128 << 10;
 
-/// What a caller may do.
+/// Role of a caller: the calls that it may make.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
     /// Leases jobs, reports outcomes, asks policies.
@@ -114,9 +114,9 @@ pub enum TokenError {
     /// The file cannot be read.
     #[error("read token file {}", path.display())]
     Read {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// Other users can read or change it.
@@ -135,7 +135,7 @@ pub enum TokenError {
     /// The file is larger than any token file.
     #[error("read token file {}: it is larger than {MAX_TOKEN_FILE_BYTES} bytes", path.display())]
     TooLarge {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
     },
     /// A line is wrong.
@@ -146,9 +146,9 @@ pub enum TokenError {
     Line {
         /// The file, or the environment variable.
         place: String,
-        /// Which line, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// Problem of the line.
         problem: &'static str,
     },
     /// There is no token at all.
