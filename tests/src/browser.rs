@@ -13,7 +13,7 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
-/// What Debian calls it.
+/// Debian's name of the program.
 pub const CHROMIUM: &str = "chromium";
 /// Longest that anything here waits for: the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -190,7 +190,7 @@ impl Browser {
         );
     }
 
-    /// What is on the screen, PNG.
+    /// Takes a screenshot, PNG.
     ///
     /// # Panics
     /// If the browser cannot draw it.

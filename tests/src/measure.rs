@@ -14,7 +14,7 @@ pub enum Clock {
     Wall,
 }
 
-/// What a report says of its clock.
+/// Describes the clock in a report.
 impl fmt::Display for Clock {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

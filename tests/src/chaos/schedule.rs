@@ -1,5 +1,4 @@
-//! What is broken when: drawn from a seed, so that a failure can be played
-//! again.
+//! Schedules of faults: drawn from a seed, so that a failure can be replayed.
 
 use std::fmt;
 use std::time::Duration;
@@ -73,7 +72,7 @@ const KINDS: u64 = 15;
 /// Faults, each with the time at which it begins, from the campaign's start.
 #[derive(Clone, Debug)]
 pub struct Schedule {
-    /// What it was drawn from.
+    /// Seed of the schedule.
     pub seed: u64,
     /// In the order of time.
     pub faults: Vec<(Duration, Fault)>,

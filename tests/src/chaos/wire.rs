@@ -20,7 +20,7 @@ pub struct Wire {
 
 #[derive(Default)]
 struct State {
-    /// Where it leads; none: to nobody.
+    /// Address of the server; none: connections are closed at once.
     target: Mutex<Option<SocketAddr>>,
     /// Every connection that is open, both ends; those that ended go with the next.
     open: Mutex<Vec<Weak<TcpStream>>>,

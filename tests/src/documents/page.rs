@@ -1,4 +1,4 @@
-//! What a page asks its reader to do, in its order.
+//! Steps that a page asks its reader to do, in its order.
 
 use std::fmt;
 
@@ -25,11 +25,11 @@ const PROGRAMS: [&str; 11] = [
 pub struct Step {
     /// The line of the page where it begins, from 1.
     pub line: usize,
-    /// What to do.
+    /// Action of the step.
     pub action: Action,
 }
 
-/// What a block asks for.
+/// Action that a block asks for.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Action {
     /// Commands, run one after the other, and what they need beside the programs.
@@ -43,7 +43,7 @@ pub enum Action {
     Write {
         /// Its name.
         name: String,
-        /// What it holds.
+        /// Content of the file.
         text: String,
     },
     /// Leaves a block of commands out.
@@ -119,7 +119,7 @@ pub fn steps(markdown: &str) -> Result<Vec<Step>, PageError> {
     Ok(steps)
 }
 
-/// What an HTML comment says of the block after it.
+/// Instruction of an HTML comment for the block after it.
 #[derive(Debug)]
 enum Comment {
     NotRun(String),
