@@ -16,7 +16,7 @@ const END_LIMIT: Duration = Duration::from_secs(20);
 /// A program that runs beside this one and is ended with it.
 pub(crate) struct Running {
     child: Child,
-    /// Where it listens, if it does.
+    /// Listening address; empty if it has none.
     pub(crate) url: String,
 }
 

@@ -14,7 +14,7 @@ use super::archive::Archive;
 use super::native;
 use super::release::PROGRAMS;
 
-/// Where the archive lies in it.
+/// Path of the unpacked archive in it.
 pub(super) const PREFIX: &str = "/opt/rollout";
 
 /// The user whom programs run as, and who owns nothing but [`DATA`].
@@ -128,7 +128,7 @@ impl BareRoot {
     }
 }
 
-/// Where a path of the root lies outside.
+/// Path outside of a path of the root.
 fn inside(dir: &Path, path: &Path) -> PathBuf {
     dir.join(path.strip_prefix("/").unwrap_or(path))
 }

@@ -1,4 +1,4 @@
-//! What a release is called, and what is in it.
+//! Name and programs of a release.
 
 use std::path::Path;
 use std::process::Command;
