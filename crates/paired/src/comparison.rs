@@ -10,7 +10,7 @@ use crate::bootstrap::Bootstrap;
 use crate::difference::{Difference, DifferenceBounds, Pair};
 use crate::outcomes::{Outcome, Record};
 
-/// Why a rollout that both policies have is not compared: under one name they
+/// Reason why a rollout of both policies is not compared: under one name they
 /// were given different things to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -40,7 +40,7 @@ impl Obstacle {
 /// Result of comparing two policies.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Comparison {
-    /// By replicate, level (nominal first) and condition.
+    /// Cells by replicate, level (nominal first) and condition.
     pub cells: Vec<ComparedCell>,
     /// Rollouts that only A has.
     pub only_in_a: u64,

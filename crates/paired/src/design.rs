@@ -1,4 +1,4 @@
-//! How small a net effect of simultaneity a design can show at all.
+//! Smallest net effect of simultaneity that a design can show.
 
 use std::collections::BTreeMap;
 
@@ -23,8 +23,8 @@ pub struct PairedDesign {
     /// Share of configurations whose outcome changes, `r_d`: what one expects,
     /// or what was measured.
     pub r_d: f64,
-    /// How much configurations of a task resemble one another: the intraclass
-    /// correlation of simultaneous − conjunction, from [`task_correlation`].
+    /// Intraclass correlation of simultaneous − conjunction among configurations
+    /// of a task, from [`task_correlation`].
     pub task_correlation: f64,
 }
 

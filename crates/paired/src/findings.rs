@@ -40,9 +40,9 @@ pub enum FindingKind {
 pub struct Finding {
     /// Subject of the sentence.
     pub kind: FindingKind,
-    /// Of which level; absent of success, which is of all levels.
+    /// Level of the finding; absent of success, which is of all levels.
     pub level: Option<Level>,
-    /// Whether it claims an effect.
+    /// True if it claims an effect.
     pub claims: bool,
     /// The smallest corrected p-value that it rests on; absent where it rests on none.
     pub holm_p: Option<f64>,
@@ -307,9 +307,9 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
     })
 }
 
-/// How often rollouts that hardly differ end differently, and which: nominal ones of two
-/// replicates, or nominal and language. Language has an effect of its own, so that it
-/// gives an upper bound of chance.
+/// Share of rollouts that hardly differ and end differently, and their names: nominal
+/// ones of two replicates, or nominal and language. Language has an effect of its own,
+/// so that it gives an upper bound of chance.
 fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
     let replicate = report.replication.first();
     let replicate = replicate.and_then(|it| it.flips_by_condition.get(&Condition::Clean)?.rate());

@@ -26,7 +26,7 @@ pub struct Gate {
     pub nominal: Count,
     /// The measured rate − `published`; absent where nothing was counted.
     pub difference: Option<f64>,
-    /// How it came out.
+    /// Verdict on the difference.
     pub verdict: GateVerdict,
     /// p-value of the policy's rate on these tasks being beyond [`GATE_TOLERANCE`] of
     /// `published`, which is taken as exact: if small, reproduction is shown and not only
@@ -34,7 +34,7 @@ pub struct Gate {
     pub equivalence_p: Option<f64>,
 }
 
-/// How the gate came out.
+/// Verdict of the gate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GateVerdict {

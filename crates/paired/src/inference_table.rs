@@ -1,4 +1,4 @@
-//! How sure the figures are, and about what, as text for a terminal of 80 columns.
+//! Table of the inference of each level, as text for a terminal of 80 columns.
 
 use std::fmt::Write;
 

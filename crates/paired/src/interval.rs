@@ -30,7 +30,7 @@ pub const MIN_TASKS: usize = 10;
 /// Widths up to this are rounding errors of equal values.
 const NO_WIDTH: f64 = 1e-12;
 
-/// Why a value has no interval.
+/// Reason why a value has no interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoInterval {
@@ -42,7 +42,7 @@ pub enum NoInterval {
 }
 
 impl NoInterval {
-    /// In place of an interval: `too few tasks`, `no spread`.
+    /// Text in place of an interval: `too few tasks`, `no spread`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::TooFewTasks => "too few tasks",

@@ -1,4 +1,4 @@
-//! From records to a report: groups them into cells, keeps the complete
+//! Computes a report from records: groups them into cells, keeps the complete
 //! configurations, and says what is left out. The formulas are in `measures`.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -24,7 +24,7 @@ pub struct Options {
     /// Caveats that a reader must know first, one sentence each: another asset pack,
     /// a privileged policy, mixed versions. Printed at the top.
     pub notes: Vec<String>,
-    /// How intervals are made.
+    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
     /// The policy's published nominal success rate, a fraction, for the gate.
     pub published_nominal: Option<f64>,
@@ -33,7 +33,7 @@ pub struct Options {
     /// Nominal successes as published elsewhere; used where there is no nominal
     /// rollout among the records.
     pub reported_nominal: Option<Count>,
-    /// How directions were assigned to configurations.
+    /// Assignment of directions to configurations.
     pub directions: Directions,
 }
 
@@ -61,7 +61,7 @@ pub struct Report {
     pub findings: Vec<Finding>,
     /// Quarantined rollouts, in no rate: `ID` or `ID#rK`.
     pub quarantined: Vec<String>,
-    /// How the intervals were made.
+    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
 }
 
@@ -82,9 +82,9 @@ pub struct Nominal {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NominalSource {
-    /// From nominal rollouts among the records.
+    /// Nominal rollouts among the records.
     Records,
-    /// From a count that was published elsewhere.
+    /// A count that was published elsewhere.
     Reported,
 }
 
@@ -105,7 +105,7 @@ pub struct Cell {
     /// Success of the simultaneous rollouts over all their results; absent where
     /// the campaign has none.
     pub simultaneous: Option<Count>,
-    /// How many configurations the paired measures are of.
+    /// Counts of complete configurations, which the paired measures are of.
     pub completeness: Completeness,
     /// The paired measures; absent while no configuration is complete, or
     /// where the campaign has no simultaneous rollout.
@@ -115,11 +115,9 @@ pub struct Cell {
     pub solvable: Option<Measures>,
     /// Worst and best case; absent where no rollout is quarantined.
     pub bounds: Option<Bounds>,
-    /// How much configurations of a task resemble one another, see
-    /// [`task_correlation`].
+    /// Correlation of the configurations of a task, see [`task_correlation`].
     pub task_correlation: Option<f64>,
-    /// How sure these figures are, and about what; absent while no configuration is
-    /// complete.
+    /// Inference about these figures; absent while no configuration is complete.
     pub inference: Option<Inference>,
     /// The smallest |`i`| that this many configurations can show, see
     /// [`minimum_detectable_effect`].
@@ -136,7 +134,7 @@ pub struct SingleAxis {
     pub clean_relative_loss: Option<f64>,
 }
 
-/// How many configurations of a cell have all their outcomes.
+/// Numbers of configurations of a cell with and without all their outcomes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Completeness {
     /// Configurations that have all their outcomes.
@@ -150,7 +148,7 @@ pub struct Completeness {
 /// Rollouts without an outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Gap {
-    /// No result yet.
+    /// Rollouts without a result yet.
     pub missing: u64,
     /// Quarantined.
     pub quarantined: u64,

@@ -1,4 +1,4 @@
-//! How a terminal of 80 columns is written to: rows, paragraphs, numbers.
+//! Text for a terminal of 80 columns: rows, paragraphs, numbers.
 
 use std::fmt::Write;
 

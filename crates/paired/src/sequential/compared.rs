@@ -19,7 +19,7 @@ pub struct ComparedLook {
     pub condition: Condition,
     /// The interval, after the configurations that both have.
     pub look: Look,
-    /// After how many configurations the rule was first met, if it was.
+    /// Number of configurations after which the rule was first met, if it was.
     pub met_after: Option<usize>,
 }
 

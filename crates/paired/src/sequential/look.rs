@@ -33,7 +33,7 @@ impl RateInterval {
         (self.greatest - self.least) as f64 / self.units as f64
     }
 
-    /// Whether a value is outside; the ends are inside.
+    /// Returns true if a value is outside; the ends are inside.
     pub fn excludes(&self, value: f64) -> bool {
         value < self.low() || self.high() < value
     }
@@ -55,8 +55,8 @@ pub struct Look {
 }
 
 impl Look {
-    /// Whether all clauses of a rule hold. An interval that the look does not have
-    /// meets none: see [`StopRule::check`].
+    /// Returns true if all clauses of a rule hold. An interval that the look does
+    /// not have meets none: see [`StopRule::check`].
     pub fn meets(&self, rule: &StopRule) -> bool {
         rule.clauses().iter().all(|clause| self.holds(clause))
     }

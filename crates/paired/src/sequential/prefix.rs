@@ -1,4 +1,4 @@
-//! From units that complete in any order to the drawn order without gaps.
+//! Orders units that complete at any time into the drawn order without gaps.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,7 +11,7 @@ use crate::sequential::order::{Drawn, Order};
 pub struct NotInOrder {
     /// The unit given.
     pub unit: String,
-    /// How many units the order has.
+    /// Number of units in the order.
     pub units: usize,
 }
 

@@ -17,7 +17,7 @@ pub(crate) struct Population {
     pub(crate) units: Vec<(Unit, Transition)>,
 }
 
-/// How an order is drawn.
+/// Design of a drawn order.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Design {
     /// Rounds with one configuration of every task.
