@@ -24,7 +24,7 @@ struct Mean {
     rollouts: f64,
     batches: f64,
     explained: f64,
-    /// Of the explained.
+    /// Share of the explained rules that were explained exactly.
     exact: f64,
 }
 

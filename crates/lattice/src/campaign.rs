@@ -1,5 +1,5 @@
-//! From the records of two campaigns, the explained and the explaining one, to what
-//! is known of each configuration.
+//! Joins the records of two campaigns, the explained and the explaining one, into the
+//! known outcomes of each configuration.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;

@@ -71,8 +71,8 @@ pub struct MinimalSubset {
 }
 
 impl MinimalSubset {
-    /// Whether it is certainly minimal, because all subsets between the start and
-    /// it were run.
+    /// Returns true if it is certainly minimal, because all subsets between the
+    /// start and it were run.
     pub const fn is_established(&self) -> bool {
         self.open.is_empty()
     }
@@ -87,13 +87,13 @@ pub struct NonMonotone {
     pub superset: AxisSet,
 }
 
-/// Why there is nothing to explain.
+/// Reason why there is nothing to explain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unexplained {
-    /// Whether it is a transition is not known.
+    /// The transition is not known: outcomes are missing.
     #[error("an axis alone or all together have no outcome")]
     Incomplete,
-    /// All axes together do what the axes alone do.
+    /// All axes together have the effect of the axes alone.
     #[error("simultaneous perturbation changes nothing: it {}", .0.name())]
     Unchanged(Transition),
     /// The nominal rollout fails, while each axis alone succeeds: there is no

@@ -1,4 +1,4 @@
-//! How a budget of rollouts is spent on many configurations.
+//! Plans how a budget of rollouts is spent on many configurations.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +18,7 @@ pub struct Sample {
     pub budget: u32,
     /// Seed of the random order in which configurations are begun.
     pub seed: u64,
-    /// How each is explained.
+    /// Strategy for each configuration.
     pub strategy: Strategy,
     /// Replicates that the campaign itself runs under each axis alone and under
     /// all: they are not of the budget.
@@ -74,7 +74,7 @@ pub fn plan<'a>(
 struct Candidate<'a> {
     name: &'a RolloutId,
     known: &'a Known,
-    /// Its place in the random order.
+    /// Position in the random order.
     rank: u64,
     /// Rollouts beyond those of the campaign.
     spent: u32,
@@ -93,7 +93,7 @@ impl<'a> Candidate<'a> {
     }
 }
 
-/// As much of a batch as is affordable.
+/// Truncates a batch to the affordable rollouts.
 fn within(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
     let cut = |request: Request| {
         let rollouts = request.rollouts.min(left);

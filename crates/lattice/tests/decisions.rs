@@ -97,7 +97,7 @@ fn campaign(outcomes: &Outcomes) -> Known {
     known
 }
 
-/// Everything there is to know.
+/// Complete knowledge of a configuration.
 fn complete(outcomes: &Outcomes) -> Known {
     let mut known = Known::new(full_of(outcomes), Evidence::Once).expect("two axes at least");
     for (&set, &outcome) in outcomes {

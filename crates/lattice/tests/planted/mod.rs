@@ -138,7 +138,7 @@ impl Rule {
         Self(subsets.map(|set| (set, success(set))).collect())
     }
 
-    /// Whether a subset succeeds.
+    /// Returns true if a subset succeeds.
     pub(crate) fn succeeds(&self, set: AxisSet) -> bool {
         self.0[&set]
     }
@@ -182,7 +182,7 @@ pub(crate) struct Found {
 }
 
 impl Found {
-    /// Whether exactly the planted minimal subsets were found.
+    /// Returns true if exactly the planted minimal subsets were found.
     pub(crate) fn is_exact(&self, rule: &Rule) -> bool {
         let answers = self
             .explanation
