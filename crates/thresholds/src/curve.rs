@@ -35,7 +35,7 @@ const HALF: f64 = 0.5;
 const MOST_ROUNDS: u32 = 1_000;
 const CHANGE: f64 = 1e-12;
 
-/// How many configurations survive up to each radius, under one condition.
+/// Survival curve of configurations over the radius, under one condition.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Curve {
     /// Condition: the perturbed axes.
@@ -44,13 +44,12 @@ pub struct Curve {
     pub grid: Vec<f64>,
     /// The largest of them; the curve ends there.
     pub largest_radius: f64,
-    /// Whether radii between those of the grid are run: not where language is
-    /// perturbed.
+    /// True if radii between those of the grid are run: not where language is perturbed.
     pub is_bisected: bool,
     /// Configurations that it is over: those of which every radius of the grid has been
     /// run, and those that fail nominally.
     pub n: u64,
-    /// Their tasks.
+    /// Number of their tasks.
     pub tasks: usize,
     /// Configurations that it leaves out: outcomes of the grid are missing still, or the
     /// nominal rollout is in quarantine.
@@ -95,20 +94,20 @@ pub struct HalfSuccess {
     /// nominally, more than half survive up to the largest radius, or brackets are not
     /// narrowed there.
     pub radius: Option<f64>,
-    /// Between which radii it lies for these configurations, wherever the thresholds are in
-    /// their brackets; none where the curve is over no configuration.
+    /// Range of the radius for these configurations, wherever the thresholds are in their
+    /// brackets; none where the curve is over no configuration.
     pub bounds: Option<Interval>,
-    /// Its interval, by resampling tasks, brackets included. An end at 0 means less than
+    /// Interval, by resampling tasks, brackets included. An end at 0 means less than
     /// half nominally, one at the largest radius, half or more there.
     pub ci95: Option<Interval>,
-    /// Why there is no interval.
+    /// Reason why there is no interval.
     pub no_interval: Option<NoInterval>,
 }
 
 /// The threshold of one configuration.
 #[derive(Clone, Copy, Debug)]
 enum Survives {
-    /// It fails nominally.
+    /// The configuration fails nominally.
     Never,
     /// Up to a radius between these.
     Until([f64; 2]),
@@ -133,8 +132,8 @@ impl Survives {
         survives.filter(|_| found.is_on_grid)
     }
 
-    /// How likely it survives up to a radius, if its threshold is uniform in its bracket,
-    /// and, where it is censored, as likely as `others` that survive as far.
+    /// Probability that it survives up to a radius, if its threshold is uniform in its
+    /// bracket, and, where it is censored, as likely as `others` that survive as far.
     fn expected(self, radius: f64, others: impl Fn(f64) -> f64) -> f64 {
         match self {
             Self::Never => 0.0,
@@ -148,7 +147,7 @@ impl Survives {
         }
     }
 
-    /// Whether it certainly survives up to a radius, and whether it possibly does.
+    /// Returns whether it certainly survives up to a radius, and whether it possibly does.
     fn bounds(self, radius: f64) -> [bool; 2] {
         match self {
             Self::Never => [false; 2],
@@ -218,7 +217,7 @@ struct Clusters {
 /// The configurations of one task.
 struct Task {
     n: f64,
-    /// How many of them survive up to each radius: the fewest, then the most.
+    /// Number of them that survive up to each radius: the fewest, then the most.
     survive: [Vec<f64>; 2],
 }
 

@@ -13,12 +13,12 @@ pub enum Threshold {
     NominalFails,
     /// The nominal rollout has no outcome.
     NominalUnknown,
-    /// Between these radii: the smallest at which it fails, and the largest below at
-    /// which it succeeds.
+    /// The threshold is between these radii: the smallest at which it fails, and the
+    /// largest below at which it succeeds.
     Between {
-        /// It succeeds here; L0 is the nominal rollout.
+        /// Largest radius at which it succeeds; L0 is the nominal rollout.
         succeeds_at: Level,
-        /// It fails here.
+        /// Smallest radius at which it fails.
         fails_at: Level,
     },
     /// Beyond the largest radius that is run, where it succeeds: the threshold is
@@ -27,7 +27,7 @@ pub enum Threshold {
     /// No radius is known to fail, and the largest has no outcome: the threshold is
     /// censored on the right, at the largest radius that is known to succeed.
     Open {
-        /// It succeeds here; L0 is the nominal rollout.
+        /// Largest radius at which it succeeds; L0 is the nominal rollout.
         succeeds_at: Level,
     },
 }
@@ -39,7 +39,7 @@ pub struct Found {
     pub threshold: Threshold,
     /// Larger radii at which it succeeds nevertheless: the ray is not monotone.
     pub recovers_at: Vec<Level>,
-    /// Whether no outcome of the grid is missing. Before, failures can turn up at
+    /// True if no outcome of the grid is missing. Before, failures can turn up at
     /// smaller radii.
     pub is_on_grid: bool,
 }

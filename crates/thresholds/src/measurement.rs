@@ -91,7 +91,7 @@ impl Measurement {
         measured.map(|(&ray, known)| (ray, known))
     }
 
-    /// How many rays there are, measured or not.
+    /// Number of rays, measured or not.
     pub fn of_rays(&self) -> usize {
         self.rays.len()
     }
@@ -148,7 +148,7 @@ impl Measurement {
         wanted
     }
 
-    /// How many configurations still succeed at each radius, by condition.
+    /// Returns the curves of configurations that still succeed at each radius, by condition.
     pub fn curves(&self, bootstrap: &Bootstrap) -> Vec<Curve> {
         let of_one = |(condition, search): (Condition, &Search)| {
             let rays = self.rays().filter(|(ray, _)| ray.condition == condition);
