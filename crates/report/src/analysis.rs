@@ -95,8 +95,8 @@ impl Analysis {
         })
     }
 
-    /// Whether it has configurations to be paired: not if it follows from another
-    /// campaign.
+    /// Returns true if it has configurations to be paired: not if it follows from
+    /// another campaign.
     pub fn is_paired(&self) -> bool {
         self.subject.derived.is_none()
     }

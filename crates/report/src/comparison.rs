@@ -29,7 +29,7 @@ pub struct Comparison {
     /// Intervals that hold at any look, if both ran in the same drawn order.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sequential: Option<SequentialComparison>,
-    /// How the intervals were made.
+    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
     /// Fewest tasks that give an interval.
     pub min_tasks: usize,
@@ -147,7 +147,7 @@ impl Comparison {
         format!("{} − {}", self.a.label, self.b.label)
     }
 
-    /// For a terminal of 80 columns.
+    /// Writes the comparison for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
         for (letter, side) in [("A", &self.a), ("B", &self.b)] {
@@ -170,7 +170,7 @@ impl Comparison {
         text
     }
 
-    /// As JSON, several lines.
+    /// Writes the comparison as JSON, several lines.
     ///
     /// # Errors
     /// If serde cannot write it, which is a defect.

@@ -24,7 +24,7 @@ const WIDTH: usize = 80;
 pub struct Document {
     /// Warnings about comparing the policies, to be read first.
     pub warnings: Vec<String>,
-    /// One per subject, in the given order.
+    /// Analyses, one per subject, in the given order.
     pub analyses: Vec<Analysis>,
 }
 
@@ -39,7 +39,7 @@ pub enum DocumentError {
         /// The duplicate rollout.
         source: DuplicateRecord,
     },
-    /// It cannot be written as JSON.
+    /// The report cannot be written as JSON.
     #[error("write the report as JSON")]
     Json(#[from] JsonError),
 }
@@ -49,7 +49,7 @@ pub enum DocumentError {
 #[derive(Serialize)]
 struct JsonForm<'a> {
     warnings: &'a [String],
-    /// Of replicate 0; null where no configuration is complete.
+    /// Measures of replicate 0; null where no configuration is complete.
     paired: BTreeMap<&'a str, BTreeMap<Level, Option<&'a Measures>>>,
     reports: Vec<JsonReport<'a>>,
 }
@@ -95,7 +95,7 @@ impl Document {
         })
     }
 
-    /// Every policy against every later one.
+    /// Compares every policy with every later one.
     pub(crate) fn comparisons(&self) -> Vec<Result<Comparison, Unpairable>> {
         let pairs = self.analyses.iter().enumerate().flat_map(|(index, a)| {
             let later = self.analyses[index + 1..].iter();

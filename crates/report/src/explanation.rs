@@ -27,19 +27,19 @@ pub struct Findings {
     pub explained_by: String,
     /// The policy.
     pub policy: String,
-    /// Whether nothing remains to be run.
+    /// True if nothing remains to be run.
     pub complete: bool,
     /// Configurations with a transition to be explained.
     pub transitions: u64,
-    /// Those whose explanation is finished.
+    /// Transitions whose explanation is finished.
     pub explained: u64,
     /// Emergent failures that are left out because the nominal rollout fails too.
     pub nominal_fails: u64,
     /// Rollouts that were run or wait to be run, beyond those of the campaign.
     pub rollouts: u64,
-    /// Those among them without an outcome yet.
+    /// Rollouts among them without an outcome yet.
     pub waiting: u64,
-    /// How often each minimal subset occurs.
+    /// Occurrences of each minimal subset.
     pub subsets: Vec<Occurrence>,
     /// Each configuration of which a subset was run.
     pub configurations: Vec<Explained>,
@@ -123,7 +123,7 @@ impl Findings {
         Ok(Some(findings))
     }
 
-    /// As JSON, several lines.
+    /// Writes the findings as JSON, several lines.
     ///
     /// # Errors
     /// If serde cannot write it, which is a defect.
@@ -131,7 +131,7 @@ impl Findings {
         Ok(serde_json::to_string_pretty(self)?)
     }
 
-    /// As text for a terminal of 80 columns.
+    /// Writes the findings as text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
         push_wrapped(
@@ -161,7 +161,7 @@ impl Findings {
         text
     }
 
-    /// How far it is, in a sentence without its subject and its stop.
+    /// Progress of the explanation, in a sentence without its subject and its stop.
     pub(crate) fn standing(&self) -> String {
         let Self {
             transitions,
@@ -193,7 +193,7 @@ fn is_settled(record: &Record) -> bool {
     record.outcome != Outcome::Missing
 }
 
-/// How often each minimal subset occurs.
+/// Appends the occurrences of each minimal subset.
 fn push_subsets(text: &mut String, title: &str, occurrences: &[&Occurrence]) {
     if occurrences.is_empty() {
         return;

@@ -82,7 +82,8 @@ impl Figure {
         }
     }
 
-    /// As wide as a page, for which a narrow page needs a box that scrolls.
+    /// Makes the figure as wide as a page, for which a narrow page needs a box that
+    /// scrolls.
     fn wide(self) -> Self {
         Self {
             is_wide: true,
@@ -90,12 +91,12 @@ impl Figure {
         }
     }
 
-    /// For a page that includes [`STYLE`].
+    /// Renders the figure for a page that includes [`STYLE`].
     pub fn inline(&self) -> Markup {
         self.svg(html! {}, 0.0)
     }
 
-    /// For a file of its own.
+    /// Renders the figure for a file of its own.
     pub fn standalone(&self) -> String {
         // A viewer's own background may be of the other scheme than the text.
         let style = html! {

@@ -25,11 +25,11 @@ pub struct HowFar {
     pub measured_by: String,
     /// The policy.
     pub policy: String,
-    /// How narrow a bracket has to be, radius.
+    /// Width that a bracket must not exceed, radius.
     pub tolerance: f64,
     /// The largest radius that is run.
     pub max_radius: f64,
-    /// Whether nothing remains to be run.
+    /// True if nothing remains to be run.
     pub complete: bool,
     /// Thresholds that are looked for: one for each configuration under each condition.
     pub looked_for: u64,
@@ -41,7 +41,7 @@ pub struct HowFar {
     pub rollouts: u64,
     /// Rollouts among them without an outcome yet.
     pub waiting: u64,
-    /// How many configurations still succeed at each radius, by condition.
+    /// Curves of configurations that still succeed at each radius, by condition.
     pub curves: Vec<Curve>,
     /// Each threshold that is looked for.
     pub thresholds: Vec<Measured>,
@@ -65,7 +65,7 @@ pub struct Measured {
     pub fails_at: Option<f64>,
     /// Larger radii at which it succeeds again: it is not monotone.
     pub recovers_at: Vec<f64>,
-    /// Whether nothing remains to be run.
+    /// True if nothing remains to be run.
     pub is_found: bool,
     /// Every radius that was asked for, from the smallest; the nominal rollout first.
     pub outcomes: Vec<AtRadius>,
@@ -79,16 +79,16 @@ pub enum Kind {
     NominalFails,
     /// The nominal rollout has no outcome.
     NominalUnknown,
-    /// It is between two radii.
+    /// The threshold is between two radii.
     Between,
-    /// It is beyond the largest radius.
+    /// The threshold is beyond the largest radius.
     Beyond,
     /// Nothing failed so far, and the largest radius has no outcome.
     Open,
 }
 
 impl Kind {
-    /// Its name, as JSON and tables have it.
+    /// Name in JSON and tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::NominalFails => "nominal_fails",
@@ -100,12 +100,12 @@ impl Kind {
     }
 }
 
-/// How the rollout at a radius ended.
+/// Outcome of the rollout at a radius.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct AtRadius {
     /// The radius.
     pub radius: f64,
-    /// How it ended.
+    /// Outcome of the rollout.
     pub outcome: Outcome,
 }
 
@@ -186,7 +186,7 @@ impl HowFar {
         })
     }
 
-    /// As JSON, several lines.
+    /// Writes the measurement as JSON, several lines.
     ///
     /// # Errors
     /// If serde cannot write it, which is a defect.
@@ -194,7 +194,7 @@ impl HowFar {
         Ok(serde_json::to_string_pretty(self)?)
     }
 
-    /// As text for a terminal of 80 columns.
+    /// Writes the measurement as text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
         push_wrapped(
@@ -220,7 +220,7 @@ impl HowFar {
         text
     }
 
-    /// How far the measurement is, in a sentence without its subject and its stop.
+    /// Progress of the measurement, in a sentence without its subject and its stop.
     pub(crate) fn standing(&self) -> String {
         let mut words = format!(
             "measures thresholds of {}: {} of {} found in {}",

@@ -58,7 +58,7 @@ pub enum ImportError {
         /// Path of the file.
         path: PathBuf,
     },
-    /// No row at all.
+    /// The file has no row.
     #[error("import {path}: it has no row")]
     Empty {
         /// Path of the file.
@@ -77,7 +77,7 @@ pub enum ImportError {
 /// A line that is no result row.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BadLine {
-    /// Its number, from 1.
+    /// Number of the line, from 1.
     pub number: usize,
     /// Reason why it is no row.
     pub reason: String,

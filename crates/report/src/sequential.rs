@@ -24,7 +24,7 @@ pub struct Sequential {
     pub seed: u64,
     /// Strata of the order: each round has one configuration of each.
     pub strata: Strata,
-    /// Whether it did end early.
+    /// True if it did end early.
     pub has_stopped: bool,
     /// Configurations of the campaign: the population of the intervals.
     pub configurations: usize,
@@ -34,7 +34,7 @@ pub struct Sequential {
     pub rollouts: usize,
     /// Rollouts without an outcome because it ended early.
     pub saved: usize,
-    /// By level and measure, both ends, fractions.
+    /// Both ends by level and measure, fractions.
     pub levels: BTreeMap<Level, BTreeMap<Measure, [f64; 2]>>,
 }
 
@@ -53,7 +53,7 @@ pub fn stopped_in_words(
 }
 
 impl Sequential {
-    /// Of a campaign that may end early and has configurations.
+    /// Computes the sequences of a campaign that may end early and has configurations.
     pub(crate) fn of(subject: &Subject) -> Result<Option<Self>, DuplicateRecord> {
         let Some(EarlyStop { stop, has_stopped }) = &subject.early_stop else {
             return Ok(None);
@@ -152,7 +152,7 @@ impl Sequential {
         )
     }
 
-    /// For a terminal of 80 columns: percent and points.
+    /// Writes the sequences for a terminal of 80 columns: percent and points.
     pub(crate) fn text(&self) -> String {
         let names = self.levels.keys().map(ToString::to_string);
         let widest = names.map(|name| name.len()).max().unwrap_or_default();

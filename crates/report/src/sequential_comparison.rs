@@ -38,14 +38,14 @@ pub struct SequentialCell {
     pub used: usize,
     /// Both ends, fractions.
     pub difference: [f64; 2],
-    /// After how many configurations the rule was first met, if it was.
+    /// Number of configurations after which the rule was first met, if it was.
     pub met_after: Option<usize>,
 }
 
 /// Two subjects that did not run their configurations in the same drawn order.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoCommonOrder {
-    /// One was not drawn at all.
+    /// A subject was not drawn at all.
     #[error(
         "compare {subject} sequentially: its configurations did not run in a drawn order; create \
          both campaigns with `--stop`"
@@ -54,7 +54,7 @@ pub enum NoCommonOrder {
         /// Name of the subject.
         subject: String,
     },
-    /// They were drawn otherwise.
+    /// The subjects were drawn in different orders.
     #[error(
         "compare {a} with {b} sequentially: {a} ran in the order of {order_a}, {b} in that of \
          {order_b}; create both campaigns with the same `--stop-seed` and `--stop-strata`"
@@ -62,14 +62,14 @@ pub enum NoCommonOrder {
     Differ {
         /// Name of policy A.
         a: String,
-        /// Its order.
+        /// Order of policy A.
         order_a: String,
         /// Name of policy B.
         b: String,
-        /// Its order.
+        /// Order of policy B.
         order_b: String,
     },
-    /// They were drawn of different configurations.
+    /// The subjects were drawn of different configurations.
     #[error(
         "compare {a} with {b} sequentially: they have different configurations; give both the \
          same tasks and configurations"
@@ -139,7 +139,7 @@ impl SequentialComparison {
         )
     }
 
-    /// For a terminal of 80 columns: points.
+    /// Writes the sequences for a terminal of 80 columns: points.
     pub(crate) fn text(&self) -> String {
         let mut text = format!("{:<30}{:>14}{:>20}\n", "", "configurations", "A - B");
         for cell in &self.cells {

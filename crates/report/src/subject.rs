@@ -32,7 +32,7 @@ pub struct Subject {
     /// Actions beyond the range that the policy answered, if known.
     #[serde(default)]
     pub beyond: Option<BeyondRange>,
-    /// How the outcomes mix fingerprints, if they have more than one.
+    /// Mix of fingerprints among the outcomes, if they have more than one.
     #[serde(default)]
     pub fingerprints: Option<Fingerprints>,
     /// The published nominal success rate, a fraction.
@@ -42,7 +42,7 @@ pub struct Subject {
     pub published_by_suite: Vec<(Suite, f64)>,
     /// Nominal successes as published elsewhere.
     pub reported_nominal: Option<Count>,
-    /// How its directions were assigned to configurations.
+    /// Assignment of its directions to configurations.
     #[serde(default)]
     pub directions: Directions,
     /// Digests of the rollouts' circumstances; empty where they are not known.
@@ -51,7 +51,7 @@ pub struct Subject {
     /// Purpose, if it follows from another campaign.
     #[serde(default)]
     pub derived: Option<Derived>,
-    /// How its campaign may end early, or did; none of one that runs to its end.
+    /// Early stop of its campaign, possible or done; none of one that runs to its end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub early_stop: Option<EarlyStop>,
 }
@@ -102,12 +102,12 @@ pub enum Purpose {
     Thresholds(Thresholds),
 }
 
-/// How a campaign may end early.
+/// Early stop of a campaign.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EarlyStop {
     /// The rule, and what its order is drawn from.
     pub stop: Stop,
-    /// Whether it did.
+    /// True if it stopped early.
     pub has_stopped: bool,
 }
 
@@ -115,17 +115,17 @@ pub struct EarlyStop {
 /// one name can differ between two subjects. Digests can only be compared for equality.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Setups {
-    /// Of perturbation, instruction and step budget, by rollout.
+    /// Digest of perturbation, instruction and step budget, by rollout.
     pub rollouts: BTreeMap<RolloutId, String>,
-    /// Of scene and initial state, by the nominal rollout from that state,
-    /// where any result tells.
+    /// Digest of scene and initial state, by the nominal rollout from that state, where
+    /// any result tells.
     pub scenes: BTreeMap<RolloutId, String>,
 }
 
 /// Actions with a number outside [-1, 1], of all that were executed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BeyondRange {
-    /// So many of them.
+    /// Actions beyond the range.
     pub actions: u64,
     /// All actions.
     pub of_actions: u64,
@@ -139,11 +139,11 @@ pub struct BeyondRange {
 pub enum Origin {
     /// A campaign of a coordinator.
     Campaign {
-        /// Its name.
+        /// Name of the campaign.
         name: String,
         /// Endpoint of its policy.
         endpoint: String,
-        /// Its design's version.
+        /// Version of its design.
         design: String,
     },
     /// A file of result rows.
@@ -166,7 +166,7 @@ pub struct Quarantined {
     pub last_error: String,
 }
 
-/// How a rollout of a replicate is called: `ID` or `ID#rK`.
+/// Name of a rollout of a replicate: `ID` or `ID#rK`.
 pub fn rollout_name(rollout_id: &str, replicate: u32) -> String {
     match replicate {
         0 => rollout_id.to_owned(),
@@ -211,7 +211,7 @@ impl Subject {
         }
     }
 
-    /// Whether its campaign stopped early: what has no outcome gets none.
+    /// Returns true if its campaign stopped early: rollouts without an outcome get none.
     pub fn has_stopped(&self) -> bool {
         let early = self.early_stop.as_ref();
         early.is_some_and(|early| early.has_stopped)

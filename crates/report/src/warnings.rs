@@ -150,7 +150,8 @@ fn mixed(provenances: &[Provenance], what: &str, so: &str, of: Of) -> Option<Str
     })
 }
 
-/// How many results have each fingerprint, and which configurations mix them.
+/// Names the number of results with each fingerprint, and the configurations
+/// that mix them.
 pub fn fingerprints_in_words(mix: &Fingerprints) -> String {
     let results = mix.results.iter();
     let results: Vec<String> = results

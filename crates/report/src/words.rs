@@ -1,5 +1,5 @@
-//! How numbers are written for people: percent and percentage points with one
-//! decimal, a proper minus sign, intervals in brackets.
+//! Formats numbers for people: percent and percentage points with one decimal, a
+//! proper minus sign, intervals in brackets.
 
 use std::collections::BTreeSet;
 

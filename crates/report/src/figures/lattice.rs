@@ -15,7 +15,7 @@ const LAYER: f64 = 76.0;
 const LEGEND: f64 = 86.0;
 /// Radius of the ring around a minimal subset.
 const RING: f64 = 11.0;
-/// From a node to the words below it.
+/// Distance from a node to the words below it.
 const WORDS: f64 = 26.0;
 
 /// Address of the rollout under a subset.

@@ -1,5 +1,5 @@
-//! How many configurations still succeed at each radius: one panel per condition, with
-//! the protocol's levels on the axis, and the radius at which half of them still do.
+//! Configurations that still succeed at each radius: one panel per condition, with the
+//! protocol's levels on the axis, and the radius at which half of them still do.
 
 use maud::{Markup, html};
 use protocol::Level;
@@ -82,7 +82,7 @@ fn half(curve: &Curve) -> String {
     }
 }
 
-/// From radii and shares to places.
+/// Map from radii and shares to coordinates.
 struct Place {
     scale: Scale,
     bottom: f64,

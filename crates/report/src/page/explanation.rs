@@ -47,7 +47,8 @@ fn of_campaign(found: &Findings, link: Option<Link>) -> Markup {
     }
 }
 
-/// How many configurations have a transition of this kind, and which subset explains most.
+/// Counts the configurations with a transition of this kind and names the subset that
+/// explains most.
 fn in_words(found: &Findings, transition: Transition) -> Markup {
     let of_kind = |it: &&Explained| it.explanation.transition == transition;
     let all: Vec<&Explained> = found.configurations.iter().filter(of_kind).collect();
@@ -196,7 +197,7 @@ fn unflipped(answer: &Answer) -> Markup {
     html! { div { (names.join(", ")) } }
 }
 
-/// How the axes interact, for every subject with whole lattices.
+/// Sections on the interactions of the axes, for every subject with whole lattices.
 pub(super) fn interactions(document: &Document) -> Markup {
     let found = document.analyses.iter();
     let found = found.filter_map(|it| Some((it, it.interactions.as_ref()?)));

@@ -1,5 +1,5 @@
-//! How sure the figures are, and about what: intervals for each target, what exceeds the
-//! noise floor, and losses against matched nominal rollouts.
+//! Inference about the figures: intervals for each target, what exceeds the noise floor,
+//! and losses against matched nominal rollouts.
 
 use maud::{Markup, html};
 use paired::{Cell, Estimate, Inference, Simultaneity};
