@@ -42,7 +42,7 @@ pub struct CampaignSpec {
     pub rollouts: Rollouts,
     /// Source of random elements.
     pub realisation: Realisation,
-    /// How often every rollout runs, each time with another policy seed.
+    /// Number of runs of every rollout, each with another policy seed.
     pub replicates: u32,
     /// Rollouts that are filmed.
     pub record: Record,
@@ -56,14 +56,13 @@ pub struct CampaignSpec {
 /// Source of a campaign's rows.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Rollouts {
-    /// From a design, expanded with the protocol's figures and this project's
-    /// paraphrases.
+    /// Rows of a design, expanded with the protocol's figures and this project's paraphrases.
     Design(Design),
-    /// From a manifest: the rows as they stand, instructions included.
+    /// Rows of a manifest as they stand, instructions included.
     Manifest(Vec<ManifestRow>),
-    /// From the outcomes of another campaign: subsets of its axes.
+    /// Subsets of the axes that follow from the outcomes of another campaign.
     Explanation(Explanation),
-    /// From the outcomes of another campaign: further radii.
+    /// Further radii that follow from the outcomes of another campaign.
     Thresholds(Thresholds),
 }
 
@@ -91,7 +90,7 @@ impl Rollouts {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyRoute {
-    /// Its name at the endpoint.
+    /// Name of the policy at the endpoint.
     pub name: String,
     /// URL of the gateway, or of the policy itself.
     pub endpoint: String,
@@ -175,7 +174,7 @@ pub enum SpecError {
         field: &'static str,
         /// The radius given.
         given: f64,
-        /// Its range.
+        /// Valid range.
         valid: [f64; 2],
     },
     /// A rule that cannot end the campaign.

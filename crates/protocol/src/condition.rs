@@ -11,7 +11,7 @@ use crate::names::{UnknownName, serde_as_text};
 /// Perturbed axes of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Condition {
-    /// None: the nominal rollout.
+    /// Nominal rollout: no axis is perturbed.
     Clean,
     /// One axis alone.
     Single(Axis),
@@ -100,12 +100,12 @@ serde_as_text!(Condition);
 /// Source of the random elements of a perturbation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Realisation {
-    /// From a stream keyed by configuration and axis, so that an axis alone
-    /// and the same axis in a combination are realised identically.
+    /// A stream keyed by configuration and axis, so that an axis alone and the same axis in
+    /// a combination are realised identically.
     #[default]
     Matched,
-    /// From NumPy's streams seeded by the rollout id, as the reference
-    /// implementation draws them.
+    /// NumPy's streams seeded by the rollout id, as the reference implementation draws
+    /// them.
     Reference,
 }
 

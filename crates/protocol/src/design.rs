@@ -34,11 +34,11 @@ pub struct Design {
     pub configs: Vec<u16>,
     /// Nominal rollouts that go with them.
     pub nominal: Nominal,
-    /// From what configurations beyond the presets are drawn, and tasks' own directions.
+    /// Seed of the configurations beyond the presets, and of tasks' own directions.
     pub seed: u64,
     /// Source of the directions of its configurations.
     pub directions: Directions,
-    /// How the placebo level is run, if it is among `levels`.
+    /// Form of the placebo level, if it is among `levels`.
     pub placebo: Placebo,
 }
 
@@ -51,7 +51,7 @@ pub enum Nominal {
     All,
     /// The initial states of the design's configurations.
     Eval,
-    /// None.
+    /// No nominal rollout.
     None,
 }
 
@@ -73,7 +73,7 @@ pub enum DesignError {
         field: &'static str,
         /// The number.
         given: u64,
-        /// Its range.
+        /// Valid range.
         valid: String,
     },
     /// A subset that is none of several axes.
@@ -119,7 +119,7 @@ pub enum DesignError {
     /// More rows than can be run.
     #[error("it has {rows} rollouts, at most {MAX_ROWS} are expanded: divide it")]
     TooLarge {
-        /// How many it has.
+        /// Number of rows.
         rows: usize,
     },
 }
@@ -233,18 +233,18 @@ impl Design {
         }
     }
 
-    /// Whether it has the placebo level.
+    /// Returns true if it has the placebo level.
     pub fn has_placebo(&self) -> bool {
         self.levels.contains(&Level::L0)
     }
 
-    /// Whether a configuration is run at a level: all are at all levels but the
+    /// Returns true if a configuration is run at a level: all are at all levels but the
     /// placebo's.
     pub(crate) fn runs(&self, level: Level, config: u16) -> bool {
         level != Level::L0 || self.placebo.has(config)
     }
 
-    /// All its axes.
+    /// Returns all its axes.
     pub fn axis_set(&self) -> AxisSet {
         self.axes.iter().copied().collect()
     }
@@ -290,7 +290,7 @@ impl Design {
         DesignVersion(format!("{CUSTOM}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
-    /// Whether both have the same rollouts.
+    /// Returns true if both have the same rollouts.
     fn is(&self, other: &Self) -> bool {
         let seedless = |design: &Self| Self {
             seed: 0,

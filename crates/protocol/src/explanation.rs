@@ -17,12 +17,12 @@ pub struct Explanation {
     /// Seed of the order in which transitions are explained.
     #[serde(default)]
     pub seed: u64,
-    /// Whether every subset is run, and not only those that decide which of them
+    /// True if every subset is run, and not only those that decide which of them
     /// are minimal.
     #[serde(default)]
     pub exhaustive: bool,
-    /// For a policy that samples: most replicates by which it is decided whether a
-    /// subset succeeds. Without it, one rollout decides.
+    /// Most replicates, for a policy that samples, by which it is decided whether
+    /// a subset succeeds. Without it, one rollout decides.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeats: Option<u32>,
 }

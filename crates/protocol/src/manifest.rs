@@ -21,7 +21,7 @@ use crate::wording::JsonError;
 /// Errors that are listed; more are counted.
 const MAX_LISTED: usize = 20;
 
-/// How far the radius of a row's parameters may be from its level's, relative:
+/// Largest relative deviation of the radius of a row's parameters from its level's:
 /// the published directions have four or five decimals.
 const RADIUS_TOLERANCE: f64 = 2e-3;
 
@@ -142,7 +142,7 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Why a manifest is refused.
+/// Reasons why a manifest is refused.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ManifestErrors {
     listed: Vec<LineError>,
@@ -161,7 +161,7 @@ pub struct LineError {
 /// The ways in which a line is wrong.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LineProblem {
-    /// Not a row.
+    /// The line is not a row.
     #[error("{0}")]
     Row(String),
     /// An id for the second time.
@@ -186,7 +186,7 @@ pub enum LineProblem {
     /// More rows than can be run.
     #[error("more than {MAX_ROWS} rows: divide it")]
     TooMany,
-    /// Nothing at all.
+    /// The manifest has no rows.
     #[error("it has no rows")]
     NoRows,
     /// Parameters of another level.
@@ -211,7 +211,7 @@ impl ManifestErrors {
         &self.listed
     }
 
-    /// How many there are.
+    /// Returns the number of bad lines, listed or not.
     pub fn count(&self) -> usize {
         self.count
     }

@@ -38,7 +38,8 @@ macro_rules! parameters {
         }
 
         impl From<[f64; $count]> for $name {
-            /// From values in the order of [`Self::KEYS`].
+            /// Builds the parameters from values in the order of
+            /// [`Self::KEYS`].
             fn from([$($field),+]: [f64; $count]) -> Self {
                 Self { $($field),+ }
             }
@@ -193,8 +194,8 @@ impl Perturbation {
         .unwrap_or_default()
     }
 
-    /// As the `perturb` object of a manifest row: nested by axis for several
-    /// axes, flat for one axis alone, empty where nothing is perturbed.
+    /// Returns the `perturb` object of a manifest row: nested by axis for
+    /// several axes, flat for one axis alone, empty where nothing is perturbed.
     pub fn to_manifest(&self, condition: Condition) -> Map<String, Value> {
         let nested = match serde_json::to_value(self) {
             Ok(Value::Object(nested)) => nested,
@@ -209,7 +210,7 @@ impl Perturbation {
         }
     }
 
-    /// From the `perturb` object of a manifest row.
+    /// Parses the `perturb` object of a manifest row.
     ///
     /// # Errors
     /// If a key is unknown or missing, or the object is not that of the

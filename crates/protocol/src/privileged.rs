@@ -14,9 +14,9 @@ pub struct Privileged {
     pub goal: Vec<Predicate>,
     /// Site between the fingertips, world frame, m.
     pub grip_pos: [f64; 3],
-    /// Its orientation, w x y z.
+    /// Orientation of that site, world frame, w x y z.
     pub grip_quat_wxyz: [f64; 4],
-    /// Between the finger joints, m; 0 is closed, 0.08 open.
+    /// Distance of the finger joints, m; 0 is closed, 0.08 open.
     pub gripper_opening: f64,
 }
 
@@ -56,7 +56,7 @@ pub enum EntityKind {
 pub struct Predicate {
     /// Lower case: `on`, `in`, `open`, `close`, `turnon`, `turnoff`.
     pub name: String,
-    /// One or two names.
+    /// Names of the arguments, one or two.
     pub arguments: Vec<String>,
 }
 

@@ -75,8 +75,8 @@ impl RolloutId {
         self.level
     }
 
-    /// Whether it is a rollout of the placebo level: perturbed, but so little that no
-    /// policy should care.
+    /// Returns true if it is a rollout of the placebo level: perturbed, but so little that
+    /// no policy should care.
     pub fn is_placebo(&self) -> bool {
         self.level == Level::L0 && self.condition != Condition::Clean
     }

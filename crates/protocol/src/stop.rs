@@ -14,7 +14,7 @@ use crate::row::ManifestRow;
 use crate::stop_rule::{Measure, StopRule};
 use crate::suite::TaskRef;
 
-/// How a campaign ends early. Its configurations run in an order that is drawn
+/// Early stop of a campaign. Its configurations run in an order that is drawn
 /// before anything is known of their outcomes, and it ends as soon as the rule
 /// holds at every one of its levels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,7 +42,7 @@ pub enum Strata {
 }
 
 impl Strata {
-    /// Its name in specifications.
+    /// Name in specifications.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Suites => "suites",
@@ -54,10 +54,10 @@ impl Strata {
 /// A rule for a campaign that it cannot end.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StopError {
-    /// It is about a measure that a campaign has not.
+    /// The rule is about a measure that a campaign has not.
     #[error("`stop`: {0}")]
     Measure(UnknownName),
-    /// One axis, or none.
+    /// The campaign has one axis, or none.
     #[error(
         "`stop` needs simultaneous rollouts, and those of each axis alone: name two axes or more, \
          or take `stop` out"

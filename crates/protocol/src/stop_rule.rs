@@ -1,4 +1,4 @@
-//! When a campaign may end: `width(I) < 0.08 and S_sim excludes 0.5`.
+//! Rule by which a campaign may end: `width(I) < 0.08 and S_sim excludes 0.5`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::names::UnknownName;
 
-/// Between two clauses.
+/// Separator of two clauses.
 const AND: &str = " and ";
 
 const VALID: &str = "width(M) < X with X above 0 and up to 2, M excludes X with X from -1 to 1, \
@@ -32,7 +32,7 @@ pub enum Measure {
 }
 
 impl Measure {
-    /// All.
+    /// All measures.
     pub const ALL: [Self; 6] = [
         Self::SSim,
         Self::RE,
@@ -42,7 +42,7 @@ impl Measure {
         Self::Difference,
     ];
 
-    /// Those of one policy.
+    /// Measures of one policy.
     pub const OF_ONE_POLICY: [Self; 5] = [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I];
 
     /// Name in stop rules: `S_sim`, `R_e`, `R_c`, `R_d`, `I`, `difference`.

@@ -42,7 +42,7 @@ impl Wanted {
 }
 
 impl RendererKind {
-    /// Its name in a specification and on a worker's command line.
+    /// Name in a specification and on a worker's command line.
     pub fn name(self) -> &'static str {
         match self {
             RendererKind::Software => "software",

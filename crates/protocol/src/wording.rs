@@ -96,7 +96,7 @@ pub fn plain_words(message: &str) -> String {
     }
 }
 
-/// Without what follows a comma.
+/// Returns the text before the first comma.
 fn first(text: &str) -> &str {
     text.split(',').next().unwrap_or(text)
 }

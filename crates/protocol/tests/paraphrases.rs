@@ -310,7 +310,7 @@ fn task_text(task: TaskRef) -> String {
     lines.into_iter().map(|(_, _, line)| line).collect()
 }
 
-/// For reading them.
+/// Prints the sentences for reviewers.
 #[test]
 #[ignore = "prints the 1,200 sentences for a reviewer"]
 fn print_all() {

@@ -19,7 +19,7 @@ pub struct LegacyState {
     pub words: [u32; STATE_WORDS],
     /// The word to be read next; [`STATE_WORDS`] once all have been.
     pub position: usize,
-    /// Whether `randn` returns `gauss` next.
+    /// True if `randn` returns `gauss` next.
     pub has_gauss: bool,
     /// The second value of the last polar pair.
     pub gauss: f64,

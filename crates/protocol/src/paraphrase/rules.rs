@@ -27,7 +27,7 @@ pub(super) fn rules() -> &'static Rules {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Rules {
-    /// For people who edit the file.
+    /// Notes for people who edit the file.
     #[serde(rename = "about")]
     _about: IgnoredAny,
     pub(super) frames: [Frame; VARIANTS],
