@@ -5,11 +5,11 @@ use serde::{Deserialize, Serialize};
 /// Result of a rollout: outcome, steps and timing.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RolloutResult {
-    /// Whether the goal was reached within the step budget.
+    /// True if the goal was reached within the step budget.
     pub success: bool,
     /// The policy's control steps: up to the one that reached the goal, or all.
     pub steps: u32,
-    /// From the start of composition to the last step, seconds.
+    /// Duration from the start of composition to the last step, seconds.
     pub wall_secs: f64,
     /// Residual of the inverse kinematics, if the robot axis is perturbed.
     pub ik: Option<IkResidual>,
@@ -20,12 +20,12 @@ pub struct RolloutResult {
     /// Parts of `wall_secs`. None from workers of the first release.
     #[serde(default)]
     pub parts: Option<Parts>,
-    /// How much of the goal held. None from workers of earlier releases.
+    /// Progress towards the goal. None from workers of earlier releases.
     #[serde(default)]
     pub goal: Option<GoalProgress>,
 }
 
-/// How much of a goal held during a rollout: of its predicates, how many. `at_end` ≤
+/// Progress towards a goal during a rollout, in predicates that held. `at_end` ≤
 /// `at_most` ≤ `predicates`, and `at_end` = `predicates` exactly in a success.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GoalProgress {
@@ -38,14 +38,15 @@ pub struct GoalProgress {
 }
 
 impl GoalProgress {
-    /// Takes which predicates hold after a further step.
+    /// Records the predicates that hold after a further step.
     pub fn record(&mut self, truths: &[bool]) {
         self.predicates = truths.len() as u32;
         self.at_end = truths.iter().filter(|holds| **holds).count() as u32;
         self.at_most = self.at_most.max(self.at_end);
     }
 
-    /// Whether the numbers agree with one another, and with how the rollout ended.
+    /// Returns true if the numbers agree with one another, and with the rollout's
+    /// outcome.
     pub fn agrees_with(&self, success: bool) -> bool {
         let Self {
             predicates,
@@ -67,7 +68,7 @@ pub struct Parts {
     pub physics_secs: f64,
     /// Processor time of drawing what the policy looks at.
     pub drawing_secs: f64,
-    /// From asking the policy to its answer, by the clock.
+    /// Time from asking the policy to its answer, by the clock.
     pub policy_secs: f64,
 }
 
@@ -82,8 +83,8 @@ pub struct IkResidual {
     pub clamped_joints: u32,
 }
 
-/// How the robot of a rollout moved, packed as it is sent and stored: little
-/// endian, without gaps.
+/// Motion of a rollout's robot, packed as it is sent and stored: little endian,
+/// without gaps.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Motion {
     /// Position of the site between the fingertips, at rest and after every
@@ -119,7 +120,7 @@ impl Motion {
         numbers.as_chunks().0.to_vec()
     }
 
-    /// Whether both hold whole positions and actions.
+    /// Returns true if both hold whole positions and actions.
     pub fn is_whole(&self) -> bool {
         self.path.len().is_multiple_of(6) && self.actions.len().is_multiple_of(28)
     }
