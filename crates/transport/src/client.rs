@@ -83,10 +83,10 @@ pub enum AccessError {
         /// Path of the file.
         path: PathBuf,
     },
-    /// Nothing that a certificate could be for.
+    /// The host is nothing that a certificate could be for.
     #[error("call {host} over TLS: write the name of a host, or its IP address")]
     Host {
-        /// As given.
+        /// Host as given.
         host: String,
     },
 }
@@ -104,7 +104,7 @@ impl ClientArguments {
 }
 
 impl Access {
-    /// Nothing: for servers on this machine.
+    /// Returns no credentials: for servers on this machine.
     pub fn none() -> Access {
         Access::default()
     }
@@ -151,7 +151,7 @@ impl Access {
     /// this machine; to anybody else it is not shown.
     ///
     /// # Errors
-    /// When no certificate can be for the endpoint's host.
+    /// If no certificate can be for the endpoint's host.
     pub fn connect_lazy(&self, endpoint: Endpoint) -> Result<Connection, AccessError> {
         let bearer = self.bearer(endpoint.uri());
         let channel = self.guarded(endpoint)?.connect_lazy();
@@ -174,7 +174,7 @@ impl Access {
     /// Encrypts a connection to `host` that is no gRPC.
     ///
     /// # Errors
-    /// When the certificate authority is no use, the host's name is none, or the
+    /// If the certificate authority is no use, the host's name is none, or the
     /// server's certificate is not to be trusted.
     pub async fn encrypt(
         &self,
@@ -274,7 +274,7 @@ fn authority(path: &Path) -> Result<Vec<u8>, AccessError> {
     }
 }
 
-/// None if one of the certificates is none.
+/// Returns none if one of the certificates is invalid.
 fn roots(pem: &[u8]) -> Option<RootCertStore> {
     let mut roots = RootCertStore::empty();
     for certificate in CertificateDer::pem_slice_iter(pem) {

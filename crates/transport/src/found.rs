@@ -111,7 +111,7 @@ pub enum Found {
     NoAnswer,
     /// The system would not connect.
     System(
-        /// Its words.
+        /// Message of the system.
         String,
     ),
     /// A server over TLS, asked in the clear.
@@ -129,19 +129,19 @@ pub enum Found {
     Web {
         /// The first line of its answer, or its HTTP status.
         said: String,
-        /// Whether it is a proxy whose own server is away.
+        /// True if it is a proxy whose own server is away.
         is_proxy_waiting: bool,
     },
     /// An SSH server.
     Ssh,
     /// Something else that speaks.
     Other {
-        /// How it begins.
+        /// Beginning of its answer.
         said: String,
     },
     /// Something that takes the connection, and says nothing or hangs up.
     Mute,
-    /// Another of our servers.
+    /// Another kind of this project's servers.
     OtherKind(ServerKind),
     /// A gRPC server that is none of ours.
     OtherGrpc,
@@ -175,8 +175,8 @@ impl Found {
         }
     }
 
-    /// Whether the client's settings or the server's are wrong, so that trying
-    /// again changes nothing.
+    /// Returns true if the client's settings or the server's are wrong, so that
+    /// trying again changes nothing.
     pub fn is_final(&self) -> bool {
         match self {
             Found::Encrypted
@@ -201,7 +201,7 @@ impl Found {
     }
 }
 
-/// Why a server could not be called: what was found in its place, and the
+/// Reason why a server could not be called: the finding in its place, and the
 /// remedy. Reads after the server's address and a colon.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}; {}", self.finding(), Remedy(self))]
@@ -212,7 +212,7 @@ pub struct Trouble {
     pub host: String,
     /// Finding at the address.
     pub found: Found,
-    /// Whether the client knows a certificate authority.
+    /// True if the client knows a certificate authority.
     pub has_authority: bool,
     /// Settings that the remedy names.
     pub settings: Settings,

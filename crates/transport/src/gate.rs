@@ -55,8 +55,8 @@ pub struct Gated<S> {
 
 #[derive(Debug)]
 struct Shared {
-    /// None: everybody is let in, because only this machine can connect, or
-    /// because the operator said so.
+    /// Tokens that are let in; with none, everybody is, because only this machine can connect,
+    /// or because the operator said so.
     tokens: Option<Tokens>,
     users: Users,
     /// Returns the resource at a path.
@@ -247,8 +247,8 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     value.strip_prefix("Bearer ")
 }
 
-/// Whether a call was the caller's fault, not the server's, which is logged
-/// where it is handled.
+/// Returns true if a call was the caller's fault, not the server's, which is logged where it is
+/// handled.
 fn is_refusal(code: Code) -> bool {
     matches!(
         code,

@@ -16,7 +16,7 @@ use crate::client::Access;
 use crate::found::{Found, ServerKind, Settings, Trouble};
 use crate::probe::{self, Place, Speech};
 
-/// How tonic begins to say that an answer is no gRPC server's.
+/// Beginning of tonic's message that an answer is no gRPC server's.
 const NO_GRPC_STATUS: &str = "grpc-status header missing";
 /// Longest wait for a second connection, and for its answer.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -44,8 +44,8 @@ impl Peer {
         }
     }
 
-    /// Why a call came to nothing, if that was not the server's own answer. Takes
-    /// a few seconds at most: it looks at what is there.
+    /// Returns the reason why a call failed, if that was not the server's own
+    /// answer. Takes a few seconds at most: it probes the address.
     pub async fn trouble(&self, status: &Status) -> Option<Trouble> {
         let found = match status.source() {
             Some(_) => match refused(status) {
@@ -128,7 +128,7 @@ impl Peer {
         there
     }
 
-    /// Whether a gRPC server has the call of a path.
+    /// Returns true if a gRPC server has the call of a path.
     ///
     /// # Errors
     /// The finding, if there is no gRPC server.

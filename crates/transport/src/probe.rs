@@ -16,7 +16,8 @@ use crate::found::{CertificateFault, Found};
 
 /// Longest wait for each answer.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// How a client of HTTP/2 begins: its preface, and settings that change nothing.
+/// First bytes of an HTTP/2 client: its preface, and settings that change
+/// nothing.
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 /// The protocol's name in TLS.
 pub(crate) const HTTP2: &[u8] = b"h2";
@@ -30,10 +31,10 @@ const QUOTED_CHARS: usize = 60;
 /// Address to probe.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place<'a> {
-    /// Without brackets.
+    /// Name or address, without brackets.
     pub(crate) host: &'a str,
     pub(crate) port: u16,
-    /// Whether the client asks over TLS.
+    /// True if the client asks over TLS.
     pub(crate) is_encrypted: bool,
 }
 
@@ -41,7 +42,7 @@ pub(crate) struct Place<'a> {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Speech {
     Http2,
-    /// With the first line of its answer.
+    /// HTTP/1, with the first line of its answer.
     Http1(String),
 }
 
@@ -115,9 +116,9 @@ fn system(error: &io::Error) -> Found {
 }
 
 enum Handshake {
-    /// It does not speak TLS, or said nothing of it.
+    /// The server does not speak TLS, or said nothing of it.
     NotTls,
-    /// It does, and something is wrong.
+    /// The server speaks TLS, and something is wrong.
     Failed(Found),
 }
 

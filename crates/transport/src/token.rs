@@ -35,10 +35,10 @@ pub enum Role {
 }
 
 impl Role {
-    /// All of them.
+    /// All roles.
     pub const ALL: [Role; 3] = [Role::Worker, Role::Operator, Role::Viewer];
 
-    /// As a token file writes it.
+    /// Name in a token file.
     pub fn name(self) -> &'static str {
         match self {
             Role::Worker => "worker",
@@ -73,7 +73,7 @@ impl Token {
     /// Checks a token: visible ASCII without spaces, of a sensible length.
     ///
     /// # Errors
-    /// With what is wrong, and never the token itself.
+    /// With the problem, and never the token itself.
     pub fn parse(text: &str) -> Result<Token, &'static str> {
         if text.len() < MIN_TOKEN_BYTES {
             return Err("the token is too short to be a secret: take 32 random hex digits");
@@ -129,7 +129,7 @@ pub enum TokenError {
     Exposed {
         /// The file.
         path: PathBuf,
-        /// Its permissions.
+        /// Permissions of the file.
         mode: u32,
     },
     /// The file is larger than any token file.
