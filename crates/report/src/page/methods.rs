@@ -132,7 +132,7 @@ fn of_policy(analysis: &Analysis) -> Markup {
     }
 }
 
-/// Bound on the effect of the order of clipping and of the actuation axis.
+/// Actions that were clipped: a bound on the effect of clipping before or after the actuation axis.
 fn beyond(of: BeyondRange, realisation: Option<Realisation>) -> String {
     let BeyondRange {
         actions,
