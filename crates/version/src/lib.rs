@@ -41,8 +41,8 @@ struct Commit {
 }
 
 impl Commit {
-    /// Of the package in a folder; none if git does not know the package, which may
-    /// lie unpacked in somebody's own repository.
+    /// Commit of the package in a folder; none if git does not know the package,
+    /// which may lie unpacked in somebody's own repository.
     fn of(package: &Path) -> Option<Self> {
         let git = |words: &[&str]| {
             let mut git = Command::new("git");
