@@ -18,7 +18,7 @@ mod script;
 /// A reader or a service under hostile input.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
-    /// Its name: that of the fuzz target too.
+    /// Name of the target: that of the fuzz target too.
     pub name: &'static str,
     /// Gives it an input; says whether nothing of it was refused.
     pub run: fn(&[u8]) -> bool,
@@ -26,7 +26,7 @@ pub struct Target {
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 
-/// All of them.
+/// All targets.
 pub const TARGETS: [Target; 15] = [
     target("bddl", scenes::bddl, scenes::bddl_seeds),
     target("mjcf", scenes::mjcf, scenes::mjcf_seeds),

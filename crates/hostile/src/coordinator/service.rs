@@ -19,7 +19,7 @@ use super::messages::{SEED, Said, registration};
 use super::methods::CLAIM;
 use crate::call::{block_on, call};
 
-/// How long a claim's caller waits before it hangs up.
+/// Time that a claim's caller waits before it hangs up.
 const PATIENCE: Duration = Duration::from_millis(20);
 /// Constant time of the stopped clock.
 const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
