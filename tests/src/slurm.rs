@@ -43,7 +43,7 @@ pub struct Job {
     pub state: String,
     /// The node that it runs on.
     pub node: String,
-    /// How often it was queued again.
+    /// Number of times that it was queued again.
     pub restarts: u32,
 }
 
@@ -223,7 +223,7 @@ impl Cluster {
             .to_owned()
     }
 
-    /// How a job stands, `12` or `12_1`.
+    /// State of a job, `12` or `12_1`.
     pub fn job(&self, id: &str) -> Job {
         let output = self
             .command("scontrol")

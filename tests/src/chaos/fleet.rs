@@ -13,7 +13,7 @@ use super::schedule::{Fault, Schedule, Way};
 use super::wire::Wire;
 use crate::programs::{Process, program};
 
-/// How long a lease lasts without a heartbeat.
+/// Duration of a lease without a heartbeat.
 pub const LEASE: Duration = Duration::from_secs(3);
 /// Longest time that a campaign takes after the last fault. Outages and charged
 /// attempts wait some seconds, doubling.

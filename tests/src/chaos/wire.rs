@@ -24,13 +24,13 @@ struct State {
     target: Mutex<Option<SocketAddr>>,
     /// Every connection that is open, both ends; those that ended go with the next.
     open: Mutex<Vec<Weak<TcpStream>>>,
-    /// Before each piece that is forwarded.
+    /// Delay before each piece that is forwarded, milliseconds.
     delay_ms: AtomicU64,
-    /// Whether what is said on new connections is said twice.
+    /// True if the bytes of new connections are sent twice.
     duplicates: AtomicBool,
-    /// Whether what the server answers is lost.
+    /// True if the server's answers are lost.
     loses_answers: AtomicBool,
-    /// Whether no connection is let through.
+    /// True if no connection is let through.
     is_blocked: AtomicBool,
     is_closed: AtomicBool,
 }

@@ -46,7 +46,7 @@ impl Thing {
         }
     }
 
-    /// Why it is not there; none if it is.
+    /// Reason why it is not there; none if it is.
     pub fn lacks(self) -> Option<String> {
         match self {
             Self::ReferenceData => {
@@ -70,7 +70,7 @@ fn python_packages() -> Option<PathBuf> {
     std::env::var_os("ROLLOUT_PYTHON_PACKAGES").map(PathBuf::from)
 }
 
-/// How pages that use the same ports are kept apart.
+/// Separation of pages that use the same ports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Network {
     /// A network of its own, as root.

@@ -41,14 +41,14 @@ pub enum Action {
     },
     /// Writes a file into the folder of the session.
     Write {
-        /// Its name.
+        /// Name of the file.
         name: String,
         /// Content of the file.
         text: String,
     },
     /// Leaves a block of commands out.
     Leave {
-        /// Why, as the page's source says.
+        /// Reason that the page's source gives.
         reason: String,
     },
 }
@@ -62,7 +62,7 @@ pub struct Command {
     pub text: String,
 }
 
-/// Why a page cannot be read.
+/// Reason why a page cannot be read.
 #[derive(Debug, PartialEq, Eq)]
 pub struct PageError {
     line: usize,

@@ -55,7 +55,7 @@ pub struct Failure {
     pub problem: String,
     /// Output of the command, of long outputs the end.
     pub output: String,
-    /// Whether the shell can be given no more commands.
+    /// True if the shell can be given no more commands.
     pub fatal: bool,
 }
 
@@ -221,7 +221,7 @@ fn without_comment(command: &str) -> &str {
     }
 }
 
-/// Whether a command goes on until it is stopped.
+/// Returns true if a command goes on until it is stopped.
 fn stays(command: &str) -> bool {
     let mut words = command
         .split_whitespace()
@@ -244,7 +244,7 @@ fn stays(command: &str) -> bool {
     }
 }
 
-/// Whether a command shows something until its reader has seen enough.
+/// Returns true if a command shows something until its reader has seen enough.
 fn watches(command: &str) -> bool {
     command.split_whitespace().any(|word| word == "--watch")
 }

@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::frames::{FrameFindings, FrameLimits, Kinship};
 
-/// How far a task's simulation may be from the original's.
+/// Largest differences of a task's simulation from the original's.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
     /// Model arrays, relative.

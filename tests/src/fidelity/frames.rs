@@ -31,7 +31,7 @@ pub enum Kinship {
     AnotherRenderer,
 }
 
-/// How equal frames must be to the reference's.
+/// Limits on the difference of frames from the reference's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameLimits {
     /// Kind of comparison: decides the other limits, and messages name it.
@@ -53,7 +53,7 @@ impl Kinship {
         }
     }
 
-    /// How equal such frames must be.
+    /// Returns the limits for such frames.
     pub fn limits(self) -> FrameLimits {
         let (equal, close) = match self {
             Self::ThisMachine => (1.0, 1.0),

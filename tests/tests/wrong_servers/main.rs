@@ -16,11 +16,11 @@ use tests::programs::{Process, program};
 struct Case {
     /// `HOST:PORT`.
     at: String,
-    /// Whether the client asks over TLS.
+    /// True if the client asks over TLS.
     is_encrypted: bool,
     /// Words of the finding and of the remedy.
     expected: Vec<&'static str>,
-    /// Whether the client gives up at once.
+    /// True if the client gives up at once.
     is_final: bool,
 }
 
