@@ -35,7 +35,7 @@ const TESTED_WITH: [&str; 10] = [
 /// Largest wheel, bytes.
 const LARGEST: u64 = 25 * 1024 * 1024;
 
-/// How the extension is compiled.
+/// Profile with which the extension is compiled.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Profile {
     /// To be handed out.

@@ -79,7 +79,7 @@ impl BareRoot {
         })
     }
 
-    /// Its folder.
+    /// Path of its folder.
     pub(super) fn dir(&self) -> &Path {
         &self.dir
     }
@@ -94,7 +94,7 @@ impl BareRoot {
         Ok(())
     }
 
-    /// Why this machine lets nobody in, if it does not.
+    /// Reason why this machine lets nobody in, if it does not.
     pub(super) fn closed(&self) -> Option<String> {
         capture(Command::new("unshare").args(self.spaces()).arg("true"))
             .err()

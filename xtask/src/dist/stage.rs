@@ -171,7 +171,7 @@ fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether a file is a source: Python leaves others beside those.
+/// Returns true if a file is a source: Python leaves others beside those.
 fn is_source(file: &Path) -> bool {
     let of_python = |part: &str| part == "__pycache__" || part.ends_with(".egg-info");
     !file.iter().filter_map(|part| part.to_str()).any(of_python)
