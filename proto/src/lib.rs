@@ -11,8 +11,8 @@ pub mod policy {
 }
 
 impl policy::DescribeResponse {
-    /// What keeps the settings from being recorded, in words that read after "it";
-    /// none if they can be.
+    /// Returns the reason why the settings cannot be recorded, in words that read
+    /// after "it"; none if they can be.
     pub fn settings_problem(&self) -> Option<String> {
         let count = self.settings.len();
         if count > MAX_SETTINGS {

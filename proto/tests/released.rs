@@ -59,7 +59,7 @@ fn promises(pool: &DescriptorPool) -> Vec<String> {
     promises
 }
 
-/// What was promised and is not kept.
+/// Returns the released promises that are not kept.
 fn broken(released: &DescriptorPool, now: &DescriptorPool) -> Vec<String> {
     let kept = promises(now);
     let promised = promises(released).into_iter();

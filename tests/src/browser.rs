@@ -13,11 +13,11 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
-/// What Debian calls it.
+/// Debian's name of the program.
 pub const CHROMIUM: &str = "chromium";
 /// Longest that anything here waits for: the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Between two looks at a page.
+/// Interval of two looks at a page.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// A browser with one page.
@@ -36,13 +36,14 @@ pub struct Browser {
 pub struct Screen {
     /// Width of the window, CSS pixels.
     pub width: u32,
-    /// Its height.
+    /// Height of the window, CSS pixels.
     pub height: u32,
-    /// Whether the reader prefers a dark page.
+    /// True if the reader prefers a dark page.
     pub is_dark: bool,
 }
 
-/// Whether the browser is installed; if not, says which test is skipped.
+/// Returns true if the browser is installed; if not, says which test is
+/// skipped.
 pub fn is_installed(test: &str) -> bool {
     let found = Command::new(CHROMIUM).arg("--version").output().is_ok();
     if !found {
@@ -190,7 +191,7 @@ impl Browser {
         );
     }
 
-    /// What is on the screen, PNG.
+    /// Takes a screenshot, PNG.
     ///
     /// # Panics
     /// If the browser cannot draw it.

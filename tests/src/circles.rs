@@ -1,5 +1,5 @@
-//! Which files of a crate import in a circle: each of them uses, directly or by
-//! way of others, what is in every other one.
+//! Finds files of a crate that import in a circle: each of them uses, directly or
+//! by way of others, what is in every other one.
 //!
 //! An import is a path to another file of the crate, in a `use` or anywhere else:
 //! `use crate::a::B`, `super::c()`, `child::D`. Left out are what a file publishes

@@ -87,7 +87,7 @@ fn differing_array(model: &Model, task: &ReferenceTask) -> Result<Worst> {
     let ours = model.arrays();
     let mut worst = Worst::default();
     for (name, expected) in &reference {
-        // Where file names start in the model's text: a matter of folders.
+        // Offsets of file names in the model's text depend on the folders.
         if name.ends_with("_pathadr") {
             continue;
         }

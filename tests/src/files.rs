@@ -1,5 +1,5 @@
-//! Where tests find what they read: the sources that the set-up unpacked, and
-//! the reference data that only some machines have.
+//! Locates the files that tests read: the sources that the set-up unpacked, and the
+//! reference data that only some machines have.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;

@@ -1,4 +1,4 @@
-//! What the tests under `tests/` and the parity command share.
+//! Helpers shared by the tests under `tests/` and the parity command.
 
 #![forbid(unsafe_code)]
 

@@ -4,7 +4,7 @@ use std::fmt;
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// By which clock work is timed.
+/// Clock by which work is timed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Clock {
     /// Processor time of the calling thread: what others do on the machine
@@ -14,7 +14,7 @@ pub enum Clock {
     Wall,
 }
 
-/// What a report says of its clock.
+/// Describes the clock in a report.
 impl fmt::Display for Clock {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -28,7 +28,7 @@ impl fmt::Display for Clock {
 }
 
 impl Clock {
-    /// In a word or two, for reports in JSON.
+    /// Name of the clock in a word or two, for reports in JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::ThreadCpu => "processor time of the thread",

@@ -1,5 +1,5 @@
-//! What no message of ours may hold: phrases of libraries that say nothing to
-//! whoever reads them, and slips of sentences that are put together.
+//! Phrases that no message of this project may hold: those of libraries that
+//! say nothing to readers, and slips of assembled sentences.
 
 /// Phrases of libraries, in lower case.
 const OF_LIBRARIES: [&str; 33] = [
@@ -41,8 +41,8 @@ const OF_LIBRARIES: [&str; 33] = [
 /// Slips of sentences that are put together, in lower case.
 const SLIPS: [&str; 5] = ["failed to failed", "failed to cannot", "``", ": :", "; ;"];
 
-/// What is wrong with a message, if anything is: a raw phrase, a word twice, or
-/// nothing after "failed to".
+/// Returns the fault of a message, if it has one: a raw phrase, a word twice,
+/// or nothing after "failed to".
 pub fn raw_phrase(message: &str) -> Option<String> {
     let lower = message.to_lowercase();
     let raw = OF_LIBRARIES.into_iter().chain(SLIPS);

@@ -86,7 +86,7 @@ impl Process {
         }
     }
 
-    /// Its number.
+    /// Process id.
     pub fn id(&self) -> u32 {
         self.child.id()
     }

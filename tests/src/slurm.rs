@@ -23,7 +23,7 @@ const PROGRAMS: [&str; 8] = [
     "sinfo",
     "squeue",
 ];
-/// Where Debian keeps daemons, which are not on everybody's path.
+/// Debian's folder of daemons, which is not on everybody's path.
 const DAEMONS: &str = "/usr/sbin";
 /// Longest that the cluster takes to do what it is told.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -43,7 +43,7 @@ pub struct Job {
     pub state: String,
     /// The node that it runs on.
     pub node: String,
-    /// How often it was queued again.
+    /// Number of times that it was queued again.
     pub restarts: u32,
 }
 
@@ -197,7 +197,7 @@ impl Cluster {
         command
     }
 
-    /// What a command says that must succeed.
+    /// Runs a command that must succeed and returns its output.
     ///
     /// # Panics
     /// If it does not.
@@ -223,7 +223,7 @@ impl Cluster {
             .to_owned()
     }
 
-    /// How a job stands, `12` or `12_1`.
+    /// State of a job, `12` or `12_1`.
     pub fn job(&self, id: &str) -> Job {
         let output = self
             .command("scontrol")
@@ -260,7 +260,7 @@ impl Cluster {
         }
     }
 
-    /// What the cluster and its jobs say, for a test that failed.
+    /// Returns the queue and the end of the controller's log, for a test that failed.
     pub fn state(&self) -> String {
         let queue = self.command("squeue").args(["--all", "--array"]).output();
         let queue = queue.map(|it| String::from_utf8_lossy(&it.stdout).into_owned());
@@ -304,7 +304,7 @@ impl Drop for Cluster {
     }
 }
 
-/// What a program printed that must have succeeded.
+/// Returns the output of a program that must have succeeded.
 ///
 /// # Panics
 /// If it did not.

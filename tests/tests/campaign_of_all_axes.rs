@@ -137,8 +137,8 @@ fn check_stored(stored: &BTreeMap<RolloutId, Stored>) {
     }
 }
 
-/// What the coordinator's database keeps of the committed rollouts. The manifest
-/// row is what was leased, and its instruction goes to the policy verbatim.
+/// Reads the committed rollouts from the coordinator's database. The manifest row is the
+/// one that was leased, and its instruction goes to the policy verbatim.
 fn stored(data: &Path) -> BTreeMap<RolloutId, Stored> {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let rows: Vec<(String, String)> = runtime.block_on(async {

@@ -1,5 +1,5 @@
-//! What all programs do alike: exit codes, as docs/OPERATING.md has them, and options
-//! from the environment.
+//! Tests of all programs' command lines: exit codes, as docs/OPERATING.md has them,
+//! and options from the environment.
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Command, Output, Stdio};
@@ -19,7 +19,7 @@ fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Comman
     command
         .env_clear()
         .env("PATH", std::env::var_os("PATH").expect("a path"));
-    // Where the libraries of the build are.
+    // Variables by which the build's libraries are found.
     for kept in ["HOME", "LD_LIBRARY_PATH"] {
         command.envs(std::env::var_os(kept).map(|value| (kept, value)));
     }
@@ -154,7 +154,7 @@ fn exit_codes_are_those_of_the_table() {
 fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
     let help = run(name, &[words, &["--help"]].concat(), &[]);
     let help = String::from_utf8(help.stdout).expect("UTF-8");
-    // What is said of an option may go over several lines, which may end anywhere.
+    // Help of an option may go over several lines, which may end anywhere.
     let mut said: Vec<(String, String)> = Vec::new();
     for line in help.lines() {
         let indent = line.len() - line.trim_start().len();
@@ -273,7 +273,7 @@ fn a_variable_that_cannot_be_meant_is_named_by_what_serves_and_is_nothing_to_oth
         let named = format!("it stands in the environment, as {variable}");
         assert!(said.contains(&named) && said.contains(value), "{said}");
     }
-    // What is on the command line stands nowhere else.
+    // Errors about a value of the command line do not name the environment.
     let given = ["serve", "--data", "d", "--listen", "there"];
     let output = run("coordinator", &given, &[("ROLLOUT_LISTEN", "127.0.0.1:0")]);
     let said = String::from_utf8_lossy(&output.stderr);

@@ -64,7 +64,7 @@ fn create(campaigns: &Campaigns, name: &str, levels: &str) {
 /// Longest that what follows from a campaign may take.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What is planted into the tasks of one suite: which axes it takes to fail.
+/// Returns true if the planted rule of a task and configuration fails under these axes.
 fn is_planted_to_fail(task: usize, config: u16, axes: AxisSet) -> bool {
     let has = |text: &str| text.parse::<AxisSet>().unwrap().is_subset(axes);
     match (task + usize::from(config)) % 7 {

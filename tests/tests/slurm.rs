@@ -83,7 +83,7 @@ fn create(endpoint: &str) -> Vec<&str> {
     create
 }
 
-/// What a worker beside its coordinator comes to.
+/// Returns the report of a campaign run by a worker beside its coordinator.
 fn report_of_one_machine(endpoint: &str) -> String {
     let data = tempfile::tempdir().expect("a folder");
     let campaigns = Campaigns::start(data.path());
@@ -108,8 +108,8 @@ struct Lab {
 }
 
 impl Lab {
-    /// What a user does: writes the scripts, starts the coordinator, submits, and
-    /// creates a campaign.
+    /// Does the steps of a user: writes the scripts, starts the coordinator,
+    /// submits, and creates a campaign.
     fn open(cluster: Cluster) -> Self {
         let scripts = cluster.path("a lab's \"scripts\"");
         let [own, gateway] = free_ports().map(|port| port.to_string());

@@ -215,7 +215,7 @@ fn a_program_that_ends_is_named_and_takes_the_others_with_it() {
             "{name} lives on"
         );
     }
-    // What cannot start says so, and nothing is left over.
+    // A program that cannot start reports it, and nothing is left over.
     let bad = Up::start(&data.path().join("data"), &["--assets", "/nowhere"]);
     let (code, said) = bad.end();
     assert_eq!(code, Some(1), "{said}");

@@ -9,7 +9,7 @@ use tests::programs::program;
 
 /// Values that few flags can mean.
 const VALUES: [&str; 5] = ["", "0", "-1", "x y", "99999999999999999999"];
-/// What keeps a command that is right from doing anything.
+/// Options that keep a valid command from having any effect.
 const HARMLESS: [(&str, &str); 4] = [
     ("--connect", "http://127.0.0.1:9"),
     ("--retry-secs", "0"),

@@ -133,7 +133,7 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     Ok(())
 }
 
-/// Where the reference has recorded actions of a task.
+/// Returns the path of the reference's recorded actions of a task.
 fn actions_of(oracle: &Path, task: &str) -> Result<PathBuf> {
     let parts = task.split_once('/');
     let parts = parts.and_then(|(suite, index)| Some((suite, index.parse::<u32>().ok()?)));

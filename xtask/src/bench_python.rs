@@ -13,7 +13,7 @@ use crate::original::Original;
 use crate::setup;
 use crate::wheel::{self, Profile};
 
-/// What Python's share is measured against.
+/// Program that the share of Python is measured against.
 const WITHOUT_PYTHON: &str = "bench_environments";
 /// How often a round runs both, in turn: they differ by less than a shared machine does
 /// from one minute to the next.
@@ -50,7 +50,7 @@ struct Row {
     of: fn(&Round) -> Result<[f64; 3]>,
 }
 
-/// What the programs of one round printed.
+/// Output of the programs of one round.
 struct Round {
     ours: Value,
     theirs: Value,

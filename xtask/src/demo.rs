@@ -227,7 +227,7 @@ fn transitions(results: &Path) -> Result<Vec<(Transition, RolloutId)>> {
     Ok(changed)
 }
 
-/// What a line of the results says of a rollout.
+/// Line of the results about one rollout.
 #[derive(serde::Deserialize)]
 struct ResultRow {
     rollout_id: RolloutId,

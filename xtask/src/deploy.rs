@@ -1,5 +1,4 @@
-//! What the tests of `deploy` and of releases hold files against: the schemas of Kubernetes
-//! and CycloneDX.
+//! Schemas for the tests of `deploy` and of releases: those of Kubernetes and CycloneDX.
 
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,5 @@
-//! What is handed out: an archive of the programs and all that they need but glibc, and
-//! an image for containers made of it.
+//! Distribution: an archive of the programs and all that they need but glibc, and an
+//! image for containers made of it.
 
 mod archive;
 mod bare_root;

@@ -1,5 +1,5 @@
-//! What the README's commands call: `cargo xtask setup|demo|test|dist|parity`. Each
-//! does whatever it needs by itself, and nothing twice.
+//! Commands of the README: `cargo xtask setup|demo|test|dist|parity`. Each does whatever it
+//! needs by itself, and nothing twice.
 
 #![forbid(unsafe_code)]
 
@@ -252,8 +252,8 @@ mod tests {
 
     use super::*;
 
-    /// What the pages say of `cargo xtask`: commands in blocks, and in sentences, which
-    /// may name a command without its arguments.
+    /// Mentions of `cargo xtask` in the pages: commands in blocks, and in sentences, which may
+    /// name a command without its arguments.
     fn documented() -> (Vec<String>, Vec<String>) {
         let pages = std::fs::read_dir(root().join("docs")).expect("the pages");
         let pages = pages.map(|page| page.expect("a page").path());

@@ -11,7 +11,7 @@ use crate::process::capture;
 use crate::setup;
 use crate::step::step;
 
-/// What the original imports.
+/// Packages that the original imports.
 const PACKAGES: [&str; 15] = [
     "mujoco==3.3.7",
     "numpy",

@@ -1,4 +1,5 @@
-//! What the tests of the Python package and of the documentation need of Python.
+//! Python environments for the tests of the Python package and of the
+//! documentation.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -8,15 +9,15 @@ use anyhow::{Context, Result};
 use crate::process::capture;
 use crate::step::step;
 
-/// What the tests compare the gateway's messages with: the client with which
-/// openpi's robots query its servers, and vla-eval, whose model servers and LIBERO
-/// benchmark they run.
+/// Packages that the tests compare the gateway's messages with: the client with
+/// which openpi's robots query its servers, and vla-eval, whose model servers and
+/// LIBERO benchmark they run.
 const COMPARED_WITH: [&str; 2] = ["openpi-client==0.1.2", "vla-eval==0.8.0"];
 
-/// What `pip install ./policies` builds the package with.
+/// Build requirement of `pip install ./policies`.
 const BUILT_WITH: &str = "setuptools>=61";
 
-/// What `docs/PYTHON.md` installs beside what the package needs.
+/// Requirement of `docs/PYTHON.md` beside those of the package.
 const NOTEBOOKS_NEED: &str = "pandas>=2";
 
 /// Written into the folder of packages once all are there; holds what was wanted.

@@ -9,7 +9,7 @@ use crate::process::run as run_command;
 use crate::step::step;
 use crate::venv::environment;
 
-/// What is installed, in an environment of its own.
+/// Packages of the tests, in an environment of their own.
 const TESTED_WITH: [&str; 2] = ["ray==2.60.0", "pytest>=7"];
 
 /// Runs its tests, where Ray can be had.

@@ -8,15 +8,15 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 
-/// How long a program may take to say that it listens.
+/// Time limit of a program to say that it listens.
 const START_LIMIT: Duration = Duration::from_secs(30);
-/// How long a program may take to end when asked to.
+/// Time limit of a program to end when asked to.
 const END_LIMIT: Duration = Duration::from_secs(20);
 
 /// A program that runs beside this one and is ended with it.
 pub(crate) struct Running {
     child: Child,
-    /// Where it listens, if it does.
+    /// Listening address; empty if it has none.
     pub(crate) url: String,
 }
 

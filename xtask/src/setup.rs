@@ -23,7 +23,7 @@ const GL_PACKAGES: [&str; 5] = [
 ];
 const GL_LIBRARIES: [&str; 3] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0"];
 
-/// What drawing in Python needs beside these, and its library.
+/// Package for drawing in Python beside these, and its library.
 const GLES_PACKAGE: &str = "libgles2";
 const GLES_LIBRARY: &str = "libGLESv2.so.2";
 
@@ -74,15 +74,16 @@ pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result
 /// Installs what drawing through OpenGL without a screen needs.
 ///
 /// # Errors
-/// When it is missing and cannot be installed.
+/// If it is missing and cannot be installed.
 pub(crate) fn opengl() -> Result<()> {
     step("OpenGL without a screen", gl_packages).map(|_| ())
 }
 
-/// What the original LIBERO draws with: PyOpenGL loads one library more.
+/// Installs the packages that the original LIBERO draws with: PyOpenGL loads one
+/// library more.
 ///
 /// # Errors
-/// When it is missing and cannot be installed.
+/// If it is missing and cannot be installed.
 pub(crate) fn original_packages() -> Result<&'static str> {
     gl_packages()?;
     if known_libraries().contains(GLES_LIBRARY) {
@@ -95,7 +96,7 @@ pub(crate) fn original_packages() -> Result<&'static str> {
 /// Installs the browser that the live page is tested and pictured with.
 ///
 /// # Errors
-/// When it is missing and cannot be installed.
+/// If it is missing and cannot be installed.
 pub(crate) fn browser() -> Result<&'static str> {
     if capture(Command::new(BROWSER_PACKAGE).arg("--version")).is_ok() {
         return Ok("already there");
@@ -107,7 +108,7 @@ pub(crate) fn browser() -> Result<&'static str> {
 /// Installs the scheduler whose jobs the scripts of `deploy/slurm` are tested as.
 ///
 /// # Errors
-/// When it is missing and cannot be installed.
+/// If it is missing and cannot be installed.
 pub(crate) fn slurm() -> Result<&'static str> {
     let there = |program: &str| {
         let daemon = Path::new("/usr/sbin").join(program);
@@ -197,7 +198,7 @@ fn install(packages: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// What the dynamic linker lists.
+/// Libraries that the dynamic linker lists.
 fn known_libraries() -> String {
     ["ldconfig", "/sbin/ldconfig"]
         .iter()

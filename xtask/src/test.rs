@@ -151,7 +151,7 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
     }
     run_command(&mut tests)?;
     if nextest {
-        // Where nextest keeps its own things, whatever the build folder is.
+        // Path of nextest's own report, whatever the build folder is.
         let report = root.join("target/nextest/default/junit.xml");
         skipped::check(&report, &root.join("../shared"))?;
     }

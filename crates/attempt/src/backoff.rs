@@ -1,14 +1,14 @@
-//! How long to wait after something failed, before it is tried again: longer
-//! after every failure in a row, and not in step with others.
+//! Waiting times before something that failed is tried again: longer after
+//! every failure in a row, and not in step with others.
 
 use std::time::Duration;
 
 /// The waits between two attempts at something: doubled after every failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Waits {
-    /// After the first failure.
+    /// Wait after the first failure.
     pub first: Duration,
-    /// After many.
+    /// Wait after many failures.
     pub longest: Duration,
 }
 
@@ -21,7 +21,7 @@ pub struct Backoff {
 }
 
 impl Waits {
-    /// One second to a minute: for machines that call one another.
+    /// Waits of one second to a minute: for machines that call one another.
     pub const USUAL: Waits = Waits {
         first: Duration::from_secs(1),
         longest: Duration::from_secs(60),

@@ -9,9 +9,8 @@ use serde::{Deserialize, Serialize};
 /// drawn when its lease is granted and never used again. As text, 32 digits of
 /// lower-case hex.
 ///
-/// Job numbers, attempt numbers and worker names are facts about an attempt.
-/// None of them is its name: a deleted campaign's numbers come back, and two
-/// coordinators count alike.
+/// Job numbers, attempt numbers and worker names do not identify an attempt: a
+/// deleted campaign's numbers are reused, and two coordinators count alike.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct AttemptId(u128);

@@ -1,4 +1,4 @@
-//! Where a result came from.
+//! Provenance of a result.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -6,14 +6,15 @@ use std::fmt;
 use protocol::{RendererKind, Wanted};
 use serde::{Deserialize, Serialize};
 
-/// What the names of our own renderer's versions begin with.
+/// Prefix of the version names of this project's renderer.
 pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
 
 /// Name of the setting in which a policy says on which asset pack it was taught.
 pub const TAUGHT_ON: &str = "taught on";
 
-/// What a worker runs on. A campaign is pinned to one of these: results of two
-/// asset packs, simulators or renderers are two benchmarks, never pooled.
+/// Asset pack, simulator and renderer of a worker. A campaign is pinned to one
+/// combination: results of two asset packs, simulators or renderers are two benchmarks,
+/// never pooled.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Pin {
     /// Name of the asset pack.
@@ -28,12 +29,12 @@ pub struct Pin {
     pub renderer: String,
 }
 
-/// Where a result came from, as far as many results share it.
+/// Provenance of a result, as far as many results share it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Provenance {
     /// The machine's name.
     pub host: String,
-    /// What the worker ran on.
+    /// The worker's asset pack, simulator and renderer.
     #[serde(flatten)]
     pub pin: Pin,
     /// SHA-256 of a fixed motion and its frames, hex: equal fingerprints mean
@@ -44,38 +45,38 @@ pub struct Provenance {
     pub realisation: String,
     /// The policy's own name.
     pub policy_name: String,
-    /// Its checkpoint, as the publisher writes it.
+    /// Checkpoint of the policy, as the publisher writes it.
     pub policy_checkpoint: String,
     /// Digest of its weights, as the policy gives it.
     pub policy_checkpoint_digest: String,
-    /// Whether it saw the simulator's own state.
+    /// True if it saw the simulator's own state.
     pub policy_privileged: bool,
-    /// Whether it got the canonical instruction under every condition.
+    /// True if it got the canonical instruction under every condition.
     #[serde(default)]
     pub policy_canonical_only: bool,
-    /// What its server resolved and its actions depend on, by name: chunk and
-    /// executed actions, image slots, statistics, revision. Empty in results of
-    /// database schema 3 and before.
+    /// Settings that its server resolved and its actions depend on, by name: chunk and
+    /// executed actions, image slots, statistics, revision. Empty in results of database
+    /// schema 3 and before.
     #[serde(default)]
     pub policy_settings: BTreeMap<String, String>,
-    /// How a gateway asked it.
+    /// Batch mode in which a gateway asked it.
     pub batch_mode: String,
     /// Version of the worker's program.
     pub program_version: String,
 }
 
-/// What two rollouts of one initial state must share, SHA-256 in hex.
+/// Digests that two rollouts of one initial state must share, SHA-256 in hex.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Digests {
-    /// Of the composed MJCF.
+    /// Digest of the composed MJCF.
     pub scene: String,
-    /// Of the initial state's bytes, before any perturbation.
+    /// Digest of the initial state's bytes, before any perturbation.
     pub init_state: String,
-    /// Of the first frames that the policy saw; empty if it looks at none.
+    /// Digest of the first frames that the policy saw; empty if it looks at none.
     pub first_frame: String,
 }
 
-/// How the results of a campaign mix fingerprints.
+/// Mix of fingerprints among the results of a campaign.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fingerprints {
     /// Results of each fingerprint.
@@ -85,7 +86,7 @@ pub struct Fingerprints {
 }
 
 impl Pin {
-    /// Whether a campaign that is pinned to this takes results of a worker that
+    /// Returns true if a campaign that is pinned to this takes results of a worker that
     /// runs on the other.
     pub fn takes(&self, worker: &Pin) -> bool {
         self.asset_pack_digest == worker.asset_pack_digest
@@ -93,7 +94,7 @@ impl Pin {
             && (self.renderer.is_empty() || self.renderer == worker.renderer)
     }
 
-    /// Whether a worker that runs on this is what a campaign asks for.
+    /// Returns true if a worker that runs on this meets a campaign's requirements.
     pub fn suits(&self, wanted: &Wanted) -> bool {
         let has_pack = |name: &String| {
             self.asset_pack == *name || self.asset_pack_digest.starts_with(name.as_str())
@@ -105,8 +106,8 @@ impl Pin {
 }
 
 impl Provenance {
-    /// Its policy's settings in words: `execute 8, horizon 50`; empty where there are
-    /// none.
+    /// Returns the policy's settings in words: `execute 8, horizon 50`; empty where
+    /// there are none.
     pub fn policy_settings_in_words(&self) -> String {
         let settings = self.policy_settings.iter();
         let settings: Vec<String> = settings

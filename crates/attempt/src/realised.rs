@@ -20,15 +20,15 @@ pub const TOLERANCE: f64 = 1e-8;
 #[serde(transparent)]
 pub struct Realised(BTreeMap<Axis, RealisedAxis>);
 
-/// What was realised of one axis.
+/// Realised values of one axis, or their digest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum RealisedAxis {
     /// The values themselves.
     Values {
-        /// Those of the manifest row.
+        /// Parameters of the manifest row.
         parameters: Vec<f64>,
-        /// What became of them: poses, light arrays, joints, drawn elements.
+        /// Realised elements: poses, light arrays, joints, drawn elements.
         elements: Vec<f64>,
     },
     /// Their SHA-256, hex: all that database schema 2 and before kept. It agrees
@@ -51,7 +51,7 @@ impl Realised {
         self.0.iter().map(|(axis, realised)| (*axis, realised))
     }
 
-    /// What was realised of one axis, if it is perturbed.
+    /// Returns the realisation of one axis, if it is perturbed.
     pub fn of(&self, axis: Axis) -> Option<&RealisedAxis> {
         self.0.get(&axis)
     }

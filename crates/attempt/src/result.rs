@@ -1,51 +1,52 @@
-//! What an attempt came to.
+//! Result of an attempt.
 
 use serde::{Deserialize, Serialize};
 
-/// What a rollout came to: its outcome, and how it got there.
+/// Result of a rollout: outcome, steps and timing.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RolloutResult {
-    /// Whether the goal was reached within the step budget.
+    /// True if the goal was reached within the step budget.
     pub success: bool,
     /// The policy's control steps: up to the one that reached the goal, or all.
     pub steps: u32,
-    /// From the start of composition to the last step, seconds.
+    /// Duration from the start of composition to the last step, seconds.
     pub wall_secs: f64,
-    /// What the inverse kinematics left over, if the robot axis is perturbed.
+    /// Residual of the inverse kinematics, if the robot axis is perturbed.
     pub ik: Option<IkResidual>,
     /// Executed actions that were clipped into [-1, 1].
     pub clipped_actions: u32,
     /// Observations that the policy answered.
     pub policy_queries: u32,
-    /// Where `wall_secs` went. None from workers of the first release.
+    /// Parts of `wall_secs`. None from workers of the first release.
     #[serde(default)]
     pub parts: Option<Parts>,
-    /// How much of the goal held. None from workers of earlier releases.
+    /// Progress towards the goal. None from workers of earlier releases.
     #[serde(default)]
     pub goal: Option<GoalProgress>,
 }
 
-/// How much of a goal held during a rollout: of its predicates, how many. `at_end` ≤
+/// Progress towards a goal during a rollout, in predicates that held. `at_end` ≤
 /// `at_most` ≤ `predicates`, and `at_end` = `predicates` exactly in a success.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GoalProgress {
     /// Predicates of the goal; 1 or more.
     pub predicates: u32,
-    /// Those that held after the last control step.
+    /// Predicates that held after the last control step.
     pub at_end: u32,
     /// The most that held together, from rest to the last control step.
     pub at_most: u32,
 }
 
 impl GoalProgress {
-    /// Takes which predicates hold after a further step.
+    /// Records the predicates that hold after a further step.
     pub fn record(&mut self, truths: &[bool]) {
         self.predicates = truths.len() as u32;
         self.at_end = truths.iter().filter(|holds| **holds).count() as u32;
         self.at_most = self.at_most.max(self.at_end);
     }
 
-    /// Whether the numbers agree with one another, and with how the rollout ended.
+    /// Returns true if the numbers agree with one another, and with the rollout's
+    /// outcome.
     pub fn agrees_with(&self, success: bool) -> bool {
         let Self {
             predicates,
@@ -59,19 +60,19 @@ impl GoalProgress {
     }
 }
 
-/// Where the time of a rollout went, seconds. What they leave of its duration it
-/// waited: for a core that others used, for a graphics card, for a disk.
+/// Parts of a rollout's duration, seconds. The rest of the duration was spent
+/// waiting: for a core that others used, for a graphics card, for a disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Parts {
     /// Processor time of loading the initial state, settling and control steps.
     pub physics_secs: f64,
     /// Processor time of drawing what the policy looks at.
     pub drawing_secs: f64,
-    /// From asking the policy to its answer, by the clock.
+    /// Time from asking the policy to its answer, by the clock.
     pub policy_secs: f64,
 }
 
-/// What inverse kinematics left over.
+/// Residual of the inverse kinematics.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct IkResidual {
     /// Distance to the target position, mm.
@@ -82,8 +83,8 @@ pub struct IkResidual {
     pub clamped_joints: u32,
 }
 
-/// How the robot of a rollout moved, packed as it is sent and stored: little
-/// endian, without gaps.
+/// Motion of a rollout's robot, packed as it is sent and stored: little endian,
+/// without gaps.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Motion {
     /// Position of the site between the fingertips, at rest and after every
@@ -119,7 +120,7 @@ impl Motion {
         numbers.as_chunks().0.to_vec()
     }
 
-    /// Whether both hold whole positions and actions.
+    /// Returns true if both hold whole positions and actions.
     pub fn is_whole(&self) -> bool {
         self.path.len().is_multiple_of(6) && self.actions.len().is_multiple_of(28)
     }

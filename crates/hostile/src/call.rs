@@ -34,7 +34,7 @@ pub(crate) async fn call(
     }
 }
 
-/// Whether a service says that it is at fault itself.
+/// Returns true if a service says that it is at fault itself.
 pub(crate) fn blames_itself(refusal: &Status) -> bool {
     match refusal.code() {
         // tonic's code for bytes that do not decode as a message.

@@ -1,4 +1,4 @@
-//! What strangers send the coordinator: every method of both services, on a real
+//! Hostile calls to the coordinator: every method of both services, on a real
 //! queue with a real database, in which worker `w` holds a job of campaign `c`.
 //!
 //! Held here: a call that is refused has changed nothing, neither the database

@@ -17,7 +17,7 @@ use tonic::service::Routes;
 use crate::call::{blames_itself, block_on, call};
 use crate::script;
 
-/// How the gateway says that a policy did not want a query.
+/// Prefix of the gateway's message that a policy did not want a query.
 const POLICY: &str = "the policy failed: ";
 /// Every method; an input names one by its place.
 const METHODS: [&str; 5] = ["Describe", "Reset", "Infer", "InferBatch", "End"];

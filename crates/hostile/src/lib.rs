@@ -1,9 +1,9 @@
-//! What must hold of every file reader and every message handler, whatever it is
-//! given: an answer, and nothing that is broken by it. One function per reader
-//! or service, which takes bytes and panics when that does not hold, with inputs
-//! to begin with. `fuzz/` drives the functions with a fuzzer, this package's
-//! tests with seeded mutations. Not responsible for what an input means; and no
-//! program uses this package.
+//! Checks of every file reader and every message handler against arbitrary
+//! input: each must answer, and leave nothing broken. One function per reader or
+//! service takes bytes and panics if that does not hold, and comes with seed
+//! inputs. `fuzz/` drives the functions with a fuzzer, this package's tests with
+//! seeded mutations. Not responsible for the meaning of an input; and no program
+//! uses this package.
 
 #![forbid(unsafe_code)]
 
@@ -18,7 +18,7 @@ mod script;
 /// A reader or a service under hostile input.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
-    /// Its name: that of the fuzz target too.
+    /// Name of the target: that of the fuzz target too.
     pub name: &'static str,
     /// Gives it an input; says whether nothing of it was refused.
     pub run: fn(&[u8]) -> bool,
@@ -26,7 +26,7 @@ pub struct Target {
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 
-/// All of them.
+/// All targets.
 pub const TARGETS: [Target; 15] = [
     target("bddl", scenes::bddl, scenes::bddl_seeds),
     target("mjcf", scenes::mjcf, scenes::mjcf_seeds),

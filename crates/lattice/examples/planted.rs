@@ -1,4 +1,4 @@
-//! What each strategy costs and finds where the truth is planted:
+//! Cost and findings of each strategy on planted rules:
 //! `cargo run --release -p lattice --example planted`.
 //!
 //! Per kind of rule: subsets that were run beyond those of a campaign, and their
@@ -24,7 +24,7 @@ struct Mean {
     rollouts: f64,
     batches: f64,
     explained: f64,
-    /// Of the explained.
+    /// Share of the explained rules that were explained exactly.
     exact: f64,
 }
 

@@ -1,5 +1,5 @@
-//! From the records of two campaigns, the explained and the explaining one, to what
-//! is known of each configuration.
+//! Joins the records of two campaigns, the explained and the explaining one, into the
+//! known outcomes of each configuration.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -81,8 +81,7 @@ pub fn own_configurations(records: &[Record]) -> Result<BTreeMap<RolloutId, Know
 }
 
 impl Sample {
-    /// What a campaign that explains another one spends on it, whose records are
-    /// `explained`.
+    /// Sample of a campaign that explains another one, whose records are `explained`.
     pub fn of(explanation: &Explanation, explained: &[Record]) -> Self {
         let replicates = explained.iter().map(|record| record.replicate + 1).max();
         Self {

@@ -1,4 +1,4 @@
-//! How many rollouts under one subset decide whether it succeeds.
+//! Number of rollouts under one subset that decide its verdict.
 
 use paired::{Count, Outcome, mcnemar_exact};
 use serde::{Deserialize, Serialize};
@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 /// replicates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Tally {
-    /// Those that succeeded.
+    /// Rollouts that succeeded.
     pub successes: u32,
-    /// Those that failed.
+    /// Rollouts that failed.
     pub failures: u32,
-    /// Those that were asked for and have no result yet.
+    /// Rollouts that were asked for and have no result yet.
     pub pending: u32,
-    /// Those in quarantine: without a result, and not to be run again.
+    /// Rollouts in quarantine: without a result, and not to be run again.
     pub quarantined: u32,
 }
 
@@ -50,13 +50,13 @@ impl Tally {
     }
 }
 
-/// What the rollouts under one subset say.
+/// Verdict of the rollouts under one subset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// It succeeds.
+    /// The rollout or the majority succeeds.
     Success,
-    /// It fails.
+    /// The rollout or the majority fails.
     Failure,
     /// No rollout was asked for.
     NotRun,
@@ -64,7 +64,7 @@ pub enum Verdict {
     Pending,
     /// Undecided so far, and to be decided by more rollouts.
     Short {
-        /// How many.
+        /// Number of further replicates.
         more: u32,
     },
     /// Every rollout is in quarantine: unknown, and never run again.
@@ -74,7 +74,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// Whether the subset succeeds, where that is known.
+    /// Returns true if the subset succeeds; none where that is not known.
     pub const fn success(self) -> Option<bool> {
         match self {
             Self::Success => Some(true),
@@ -84,7 +84,7 @@ impl Verdict {
     }
 }
 
-/// How a verdict is reached.
+/// Rule by which a verdict is reached.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Evidence {
@@ -131,7 +131,7 @@ impl Default for Repeats {
 }
 
 impl Repeats {
-    /// As usual, with at most so many rollouts.
+    /// The usual rule with at most so many rollouts.
     pub fn up_to(most: u32) -> Self {
         let usual = Self::default();
         Self {

@@ -1,4 +1,4 @@
-//! Which axes it takes: the minimal subsets that explain a transition.
+//! Explains a transition by the minimal subsets of axes that cause it.
 //!
 //! # Terms
 //! An *emergent failure* is a configuration in which every axis alone succeeds
@@ -39,7 +39,7 @@ pub struct Explanation {
     pub answers: Vec<Answer>,
 }
 
-/// What is found from one start.
+/// Minimal subsets found from one start.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Answer {
     /// The set from which the search starts: empty for an emergent failure, the
@@ -71,8 +71,8 @@ pub struct MinimalSubset {
 }
 
 impl MinimalSubset {
-    /// Whether it is certainly minimal, because all subsets between the start and
-    /// it were run.
+    /// Returns true if it is certainly minimal, because all subsets between the
+    /// start and it were run.
     pub const fn is_established(&self) -> bool {
         self.open.is_empty()
     }
@@ -87,13 +87,13 @@ pub struct NonMonotone {
     pub superset: AxisSet,
 }
 
-/// Why there is nothing to explain.
+/// Reason why there is nothing to explain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unexplained {
-    /// Whether it is a transition is not known.
+    /// The transition is not known: outcomes are missing.
     #[error("an axis alone or all together have no outcome")]
     Incomplete,
-    /// All axes together do what the axes alone do.
+    /// All axes together have the effect of the axes alone.
     #[error("simultaneous perturbation changes nothing: it {}", .0.name())]
     Unchanged(Transition),
     /// The nominal rollout fails, while each axis alone succeeds: there is no
@@ -140,11 +140,11 @@ pub(crate) fn transition(
 #[derive(Debug)]
 pub(crate) struct Search {
     start: AxisSet,
-    /// Those that flip the outcome, the full set among them.
+    /// Subsets that flip the outcome, the full set among them.
     pub(crate) flipping: Vec<AxisSet>,
-    /// Those that were run and do not, without the start.
+    /// Subsets that were run and do not flip it, without the start.
     pub(crate) unflipped: Vec<AxisSet>,
-    /// Those without a verdict.
+    /// Subsets without a verdict.
     pub(crate) open: Vec<AxisSet>,
 }
 

@@ -1,4 +1,4 @@
-//! How the axes interact over configurations of which the whole lattice was run.
+//! Interactions of the axes over configurations of which the whole lattice was run.
 //!
 //! v(A) is the success rate under the subset A of the axes: a set function, or
 //! a cooperative game in which the axes are the players and success the worth. Its
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 pub struct CompleteLattice {
     task: TaskRef,
     full: AxisSet,
-    /// By subset, in order.
+    /// Successes by subset, in order.
     successes: Vec<bool>,
 }
 
@@ -59,16 +59,16 @@ impl CompleteLattice {
 /// An exact number with its interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
-    /// Of the exact value. All estimates of one kind have one denominator, so
+    /// Numerator of the exact value. All estimates of one kind have one denominator, so
     /// they add up by their numerators.
     pub numerator: i64,
-    /// Of the exact value, not reduced.
+    /// Denominator of the exact value, not reduced.
     pub denominator: i64,
     /// `numerator` / `denominator`.
     pub value: f64,
     /// Its 95 % interval, by resampling tasks ([`Bootstrap`]).
     pub ci95: Option<Interval>,
-    /// Why the interval is absent; absent where it is not.
+    /// Reason why the interval is absent; absent where it is not.
     pub no_interval: Option<NoInterval>,
     /// The interval that holds together with those of all others of its kind, 95 %
     /// ([`max_t`]): of Möbius interactions, Shapley values, or pairs. Absent of success and
@@ -185,8 +185,8 @@ impl Interactions {
     }
 }
 
-/// How far each task's contribution is from its expectation, a row per estimate: with N the
-/// task's numerator and m its denominator, N − θ·m over the mean m. Rows sum to 0.
+/// Deviation of each task's contribution from its expectation, a row per estimate: with N
+/// the task's numerator and m its denominator, N − θ·m over the mean m. Rows sum to 0.
 fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -> Vec<Vec<f64>> {
     let tasks = clusters.len() as f64;
     let mean = clusters.iter().map(|task| task.n).sum::<i64>() as f64 / tasks;
@@ -219,7 +219,7 @@ fn hold_together(estimates: &mut [Estimate], deviations: &[Vec<f64>], bootstrap:
 /// Counts of some configurations, additive over tasks.
 struct Tally {
     n: i64,
-    /// By subset, in order.
+    /// Successes by subset, in order.
     successes: Vec<i64>,
 }
 
@@ -268,14 +268,15 @@ struct Numerators {
     success: Vec<i64>,
     moebius: Vec<i64>,
     sizes: Vec<i64>,
-    /// Of 60ths.
+    /// Shapley values in 60ths.
     shapley: Vec<i64>,
-    /// Of 60ths.
+    /// Pair interactions in 60ths.
     pairs: Vec<i64>,
 }
 
 impl Numerators {
-    /// From the counts of successes by subset, the subsets being in order.
+    /// Computes the interactions from the counts of successes by subset, the subsets being
+    /// in order.
     fn of(subsets: &[AxisSet], successes: &[i64]) -> Self {
         let sets = || subsets.iter().copied().zip(successes);
         let coefficient = |set: AxisSet| -> i64 {
@@ -317,8 +318,8 @@ impl Numerators {
         }
     }
 
-    /// Where in [`Self::all`] those are that hold together: Möbius interactions, Shapley
-    /// values, pairs.
+    /// Index ranges in [`Self::all`] of the families whose intervals hold together: Möbius
+    /// interactions, Shapley values, pairs.
     fn families(&self) -> [Range<usize>; 3] {
         let moebius = self.success.len()..self.success.len() + self.moebius.len();
         let shapley = moebius.end + self.sizes.len();
@@ -326,8 +327,7 @@ impl Numerators {
         [moebius, shapley..pairs, pairs..pairs + self.pairs.len()]
     }
 
-    /// All of them in order, each with its denominator if there is one
-    /// configuration.
+    /// All estimates in order, each with its denominator if there is one configuration.
     fn all(&self) -> impl Iterator<Item = (i64, i64)> {
         let rates = self.success.iter().chain(&self.moebius).chain(&self.sizes);
         let sixtieths = self.shapley.iter().chain(&self.pairs);

@@ -1,5 +1,4 @@
-//! What is known of one configuration: the outcomes of its rollouts under
-//! subsets of the axes.
+//! Known outcomes of one configuration's rollouts under subsets of the axes.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +17,7 @@ pub struct Known {
     tallies: BTreeMap<AxisSet, Tally>,
 }
 
-/// Why outcomes cannot be those of one configuration.
+/// Reason why outcomes cannot be those of one configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum KnownError {
     /// A single axis is its own combination.
@@ -35,10 +34,11 @@ pub enum KnownError {
 }
 
 impl Known {
-    /// Nothing yet of a configuration of a campaign with the axes `full`.
+    /// Starts without outcomes of a configuration of a campaign with the axes
+    /// `full`.
     ///
     /// # Errors
-    /// With fewer than two axes.
+    /// If there are fewer than two axes.
     pub fn new(full: AxisSet, evidence: Evidence) -> Result<Self, KnownError> {
         match full.len() < 2 {
             true => Err(KnownError::TooFewAxes(full)),
@@ -50,12 +50,12 @@ impl Known {
         }
     }
 
-    /// What a campaign knows of a configuration in one replicate: under each axis
-    /// alone, under all, and nominally. A nominal rollout without an outcome is left
-    /// out, because nothing waits for it.
+    /// Known outcomes of a configuration in one replicate of a campaign: under each
+    /// axis alone, under all, and nominally. A nominal rollout without an outcome is
+    /// left out, because nothing waits for it.
     ///
     /// # Errors
-    /// With fewer than two axes.
+    /// If there are fewer than two axes.
     pub fn of_campaign(matched: &Matched, evidence: Evidence) -> Result<Self, KnownError> {
         let full: AxisSet = matched.alone.keys().copied().collect();
         let mut known = Self::new(full, evidence)?;
@@ -92,12 +92,12 @@ impl Known {
         Ok(())
     }
 
-    /// All axes of the campaign.
+    /// Returns all axes of the campaign.
     pub const fn full(&self) -> AxisSet {
         self.full
     }
 
-    /// How verdicts are reached.
+    /// Returns the rule for verdicts.
     pub const fn evidence(&self) -> Evidence {
         self.evidence
     }
@@ -107,7 +107,7 @@ impl Known {
         self.tallies.get(&set).copied().unwrap_or_default()
     }
 
-    /// What the rollouts under a subset say.
+    /// Returns the verdict of the rollouts under a subset.
     pub fn verdict(&self, set: AxisSet) -> Verdict {
         self.evidence.verdict(&self.tally(set))
     }
@@ -117,12 +117,13 @@ impl Known {
         self.tallies.iter().map(|(&set, &tally)| (set, tally))
     }
 
-    /// Each axis of the campaign alone.
+    /// Returns each axis of the campaign alone.
     pub(crate) fn singles(&self) -> impl Iterator<Item = AxisSet> + use<> {
         self.full.axes().map(AxisSet::of as fn(Axis) -> AxisSet)
     }
 
-    /// Whether every campaign runs this subset: none of the axes, one, or all.
+    /// Returns true if every campaign runs this subset: none of the axes, one, or
+    /// all.
     pub(crate) fn is_of_campaign(&self, set: AxisSet) -> bool {
         set.len() < 2 || set == self.full
     }

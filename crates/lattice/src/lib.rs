@@ -1,4 +1,4 @@
-//! Which subsets of the axes change an outcome, and how the axes interact.
+//! Subsets of the axes that change an outcome, and interactions of the axes.
 //!
 //! A campaign runs a configuration under each axis alone and under all axes at
 //! once. A system that pairs exactly can run it under any other subset as well:

@@ -1,4 +1,4 @@
-//! Which subsets of one configuration to run next.
+//! Selects the subsets of one configuration to run next.
 //!
 //! A decision is a function of what is known of the configuration, of nothing
 //! else. So it may be made at any time and as often as one likes: what was asked
@@ -14,8 +14,8 @@ use crate::explain::{MinimalSubset, Search, transition};
 use crate::known::Known;
 use crate::order::{maximal, minimal};
 
-/// How to look for minimal subsets. Each strategy runs in batches; a batch is
-/// chosen when all outcomes of the one before are known.
+/// Strategy of the search for minimal subsets. Each strategy runs in batches; a batch is chosen
+/// when all outcomes of the one before are known.
 ///
 /// All three name only subsets that were seen to flip the outcome. They differ in
 /// which they can miss:
@@ -38,7 +38,7 @@ use crate::order::{maximal, minimal};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strategy {
-    /// All pairs, then as `TopDown`.
+    /// All pairs, then like `TopDown`.
     #[default]
     Adaptive,
     /// The fewest rollouts. A subset is *settled* if it contains one that flips
@@ -81,11 +81,11 @@ impl Strategy {
 pub struct Request {
     /// The axes to perturb.
     pub set: AxisSet,
-    /// How many replicates, beyond those that were asked for.
+    /// Number of replicates beyond those that were asked for.
     pub rollouts: u32,
 }
 
-/// What to do about a configuration.
+/// Next step for a configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Decision {
     /// Run this batch; it is not empty.

@@ -1,4 +1,4 @@
-//! How a budget of rollouts is spent on many configurations.
+//! Plans how a budget of rollouts is spent on many configurations.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +18,7 @@ pub struct Sample {
     pub budget: u32,
     /// Seed of the random order in which configurations are begun.
     pub seed: u64,
-    /// How each is explained.
+    /// Strategy for each configuration.
     pub strategy: Strategy,
     /// Replicates that the campaign itself runs under each axis alone and under
     /// all: they are not of the budget.
@@ -34,9 +34,8 @@ pub struct Sample {
 /// be finished. Towards the end, when nothing else is under way, the rest of the
 /// budget goes to one after the other, and the last may remain unfinished.
 ///
-/// What was spent is counted from the known rollouts, so nothing has to be
-/// remembered: pass every configuration of the sample each time, including those
-/// that are explained.
+/// Spending is counted from the known rollouts, so no state is kept: pass every
+/// configuration of the sample each time, including those that are explained.
 pub fn plan<'a>(
     configurations: &'a BTreeMap<RolloutId, Known>,
     sample: &Sample,
@@ -45,7 +44,7 @@ pub fn plan<'a>(
         .iter()
         .map(|(name, known)| Candidate::of(name, known, sample))
         .collect();
-    // What is under way comes first: it was begun with the promise of being finished.
+    // Configurations under way come first: one is begun only if it can be finished.
     candidates.sort_by_key(|candidate| (candidate.spent == 0, candidate.rank, candidate.name));
     let spent: u32 = candidates.iter().map(|candidate| candidate.spent).sum();
     let mut left = sample.budget.saturating_sub(spent);
@@ -75,7 +74,7 @@ pub fn plan<'a>(
 struct Candidate<'a> {
     name: &'a RolloutId,
     known: &'a Known,
-    /// Its place in the random order.
+    /// Position in the random order.
     rank: u64,
     /// Rollouts beyond those of the campaign.
     spent: u32,
@@ -94,7 +93,7 @@ impl<'a> Candidate<'a> {
     }
 }
 
-/// As much of a batch as is affordable.
+/// Truncates a batch to the affordable rollouts.
 fn within(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
     let cut = |request: Request| {
         let rollouts = request.rollouts.min(left);

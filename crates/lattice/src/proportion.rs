@@ -26,7 +26,8 @@ pub fn clopper_pearson(count: Count, level: f64) -> Option<Interval> {
     Some([1.0 - high(n - successes), high(successes)])
 }
 
-/// Where a condition that holds at 0 and not at 1 ceases to hold.
+/// Returns the point in [0, 1] at which a condition that holds at 0 and not at 1
+/// ceases to hold.
 fn bisect(holds: impl Fn(f64) -> bool) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..BISECTIONS {

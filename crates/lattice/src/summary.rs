@@ -20,7 +20,7 @@ pub struct Explained {
     pub configuration: RolloutId,
     /// All axes of the campaign.
     pub full: AxisSet,
-    /// How verdicts were reached.
+    /// Rule by which verdicts were reached.
     pub evidence: Evidence,
     /// The transition and its minimal subsets.
     pub explanation: Explanation,
@@ -32,12 +32,12 @@ pub struct Explained {
     pub rollouts: u32,
 }
 
-/// What is known under one subset.
+/// Verdict and rollouts under one subset.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SubsetOutcome {
     /// The axes that are perturbed.
     pub set: AxisSet,
-    /// Whether it succeeds, as far as that is decided.
+    /// Verdict, as far as it is decided.
     pub verdict: Verdict,
     /// Its rollouts.
     pub tally: Tally,
@@ -65,7 +65,8 @@ impl Explained {
     }
 }
 
-/// What is known under every subset of which a rollout was asked for, in order.
+/// Returns the outcomes under every subset of which a rollout was asked for, in
+/// order.
 pub fn outcomes(known: &Known) -> Vec<SubsetOutcome> {
     let evidence = known.evidence();
     let outcome = |(set, tally): (AxisSet, Tally)| SubsetOutcome {
@@ -82,7 +83,7 @@ pub fn outcomes(known: &Known) -> Vec<SubsetOutcome> {
     known.tallies().map(outcome).collect()
 }
 
-/// How often a minimal subset occurs: a bar of an UpSet plot.
+/// Frequency of a minimal subset: a bar of an UpSet plot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Occurrence {
     /// Emergent or compensated.
@@ -93,13 +94,13 @@ pub struct Occurrence {
     pub set: AxisSet,
     /// Configurations in which it is minimal, as far as was run.
     pub configurations: u64,
-    /// Those among them in which that is established.
+    /// Configurations among them in which that is established.
     pub established: u64,
 }
 
-/// How often each minimal subset occurs. Emergent failures come first, and of
-/// each transition the most frequent subsets; equally frequent ones are ordered by
-/// size, then by their axes.
+/// Counts the occurrences of each minimal subset. Emergent failures come first, and
+/// of each transition the most frequent subsets; equally frequent ones are ordered
+/// by size, then by their axes.
 pub fn occurrences(explained: &[Explained]) -> Vec<Occurrence> {
     let mut counts: BTreeMap<(Transition, AxisSet, AxisSet), (u64, u64)> = BTreeMap::new();
     for Explained { explanation, .. } in explained {

@@ -1,4 +1,4 @@
-//! What explanations and decisions promise for any outcomes whatever.
+//! Properties of explanations and decisions that hold for any outcomes.
 
 use std::collections::BTreeMap;
 
@@ -85,7 +85,7 @@ fn is_of_campaign(set: AxisSet, full: AxisSet) -> bool {
     set.len() < 2 || set == full
 }
 
-/// What a campaign knows.
+/// Outcomes that a campaign knows: those under fewer than two axes, and under all.
 fn campaign(outcomes: &Outcomes) -> Known {
     let full = full_of(outcomes);
     let mut known = Known::new(full, Evidence::Once).expect("two axes at least");
@@ -97,7 +97,7 @@ fn campaign(outcomes: &Outcomes) -> Known {
     known
 }
 
-/// Everything there is to know.
+/// Complete knowledge of a configuration.
 fn complete(outcomes: &Outcomes) -> Known {
     let mut known = Known::new(full_of(outcomes), Evidence::Once).expect("two axes at least");
     for (&set, &outcome) in outcomes {

@@ -1,4 +1,4 @@
-//! How long the statistics of a whole evaluation take: six policies, 10,400
+//! Benchmark of the statistics of a whole evaluation: six policies, 10,400
 //! random outcomes each, all intervals. Called by `cargo xtask bench report`.
 
 use std::num::NonZero;

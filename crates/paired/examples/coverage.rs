@@ -1,4 +1,4 @@
-//! How often intervals hold the truth, for 5, 10, 20 and 40 tasks of ten configurations.
+//! Coverage of intervals for 5, 10, 20 and 40 tasks of ten configurations.
 //!
 //! `cargo run --release -p paired --example coverage [CAMPAIGNS]`
 //!
@@ -27,7 +27,7 @@ const ALL_TASKS: usize = 2000;
 const ALL_DIRECTIONS: u16 = 2000;
 const TARGETS: [&str; 3] = ["these", "new tasks", "new both"];
 
-/// How often intervals were made, and held the truth.
+/// Counts of the intervals made and of those that hold the truth.
 #[derive(Clone, Copy, Default)]
 struct Coverage {
     made: u64,

@@ -1,5 +1,5 @@
-//! What confidence sequences save, and whether they hold: OpenVLA-OFT's published
-//! outcomes replayed in random orders.
+//! Savings and coverage of confidence sequences: OpenVLA-OFT's published outcomes
+//! replayed in random orders.
 //!
 //! `cargo run --release -p paired --example sequential [ORDERS]`
 
@@ -13,9 +13,9 @@ use replay::{Design, Population};
 
 /// Orders per level, unless another number is given.
 const ORDERS: u64 = 2000;
-/// How orders are drawn, and of how many times as many orders by task there is
-/// one: with a look after four configurations, or after each, there is more to
-/// compute.
+/// Designs of orders, each with the factor by which it has fewer orders than
+/// those by task: with a look after four configurations, or after each, there is
+/// more to compute.
 const DESIGNS: [(&str, Design, u64); 3] = [
     ("rounds of tasks", Design::Tasks, 1),
     ("rounds of suites", Design::Suites, 10),
@@ -71,11 +71,11 @@ fn variance(population: &Population, measure: Measure) -> f64 {
     squares.sum::<f64>() / (n - 1.0)
 }
 
-/// What replaying one level gives.
+/// Result of replaying one level.
 struct Replayed {
     orders: u64,
     held: u64,
-    /// For each rule, the share of configurations that each order saves.
+    /// Share of configurations that each order saves, by rule.
     saved: Vec<Vec<f64>>,
 }
 

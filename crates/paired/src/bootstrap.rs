@@ -17,8 +17,8 @@ pub type Interval = [f64; 2];
 /// it saves.
 const MAX_THREADS: usize = 8;
 
-/// How intervals are made. The default is the protocol's: 4,000 replicates, and
-/// a fixed seed, so that a report is a function of its records.
+/// Settings of the bootstrap. The default is the protocol's: 4,000 replicates,
+/// and a fixed seed, so that a report is a function of its records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bootstrap {
     /// Resamplings.

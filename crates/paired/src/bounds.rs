@@ -18,7 +18,7 @@ use crate::outcomes::{Matched, Outcome};
 pub struct Bounds {
     /// Configurations: those without a rollout that is still missing.
     pub n: u64,
-    /// Those among them with a quarantined rollout.
+    /// Configurations among them with a quarantined rollout.
     pub affected: u64,
     /// Success rate under each axis alone.
     pub s_axis: BTreeMap<Axis, [f64; 2]>,
@@ -41,7 +41,7 @@ pub struct Bounds {
     pub r_d: [f64; 2],
 }
 
-/// Whether something certainly holds, and whether it possibly does.
+/// Certainty and possibility of a statement.
 #[derive(Clone, Copy)]
 struct Possible {
     surely: bool,
@@ -49,7 +49,7 @@ struct Possible {
 }
 
 impl Possible {
-    /// None for a rollout that is still missing.
+    /// Returns none for a rollout that is still missing.
     fn of(outcome: Outcome) -> Option<Self> {
         match outcome {
             Outcome::Missing => None,

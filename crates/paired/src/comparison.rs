@@ -10,7 +10,7 @@ use crate::bootstrap::Bootstrap;
 use crate::difference::{Difference, DifferenceBounds, Pair};
 use crate::outcomes::{Outcome, Record};
 
-/// Why a rollout that both policies have is not compared: under one name they
+/// Reason why a rollout of both policies is not compared: under one name they
 /// were given different things to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -26,7 +26,7 @@ pub enum Obstacle {
 }
 
 impl Obstacle {
-    /// What differs, in words.
+    /// Returns the difference in words.
     pub const fn name(self) -> &'static str {
         match self {
             Self::InitialState => "another initial state",
@@ -37,10 +37,10 @@ impl Obstacle {
     }
 }
 
-/// What is found by comparing two policies.
+/// Result of comparing two policies.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Comparison {
-    /// By replicate, level (nominal first) and condition.
+    /// Cells by replicate, level (nominal first) and condition.
     pub cells: Vec<ComparedCell>,
     /// Rollouts that only A has.
     pub only_in_a: u64,
@@ -61,10 +61,10 @@ pub struct ComparedCell {
     pub condition: Condition,
     /// Rollouts that can be paired.
     pub shared: u64,
-    /// Those without a result yet of A or of B: in no figure.
+    /// Rollouts without a result yet of A or of B: in no figure.
     pub missing: u64,
-    /// Those that are missing of neither and in quarantine of A or of B: in no
-    /// rate, and bounded.
+    /// Rollouts that are missing of neither and in quarantine of A or of B: in
+    /// no rate, and bounded.
     pub quarantined: u64,
     /// Over the others; absent where there is none.
     pub difference: Option<Difference>,
@@ -162,7 +162,8 @@ impl Comparison {
         cells.map(|difference| difference.n).sum()
     }
 
-    /// Which rollouts are in no figure, and why, one line each.
+    /// Returns the rollouts that are in no figure and the reason, one line
+    /// each.
     pub fn left_out(&self) -> Vec<String> {
         let reasons = self.unpaired.iter();
         let mut lines: Vec<String> = reasons

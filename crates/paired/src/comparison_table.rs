@@ -93,7 +93,7 @@ fn push_further(text: &mut String, comparison: &Comparison) {
     }
 }
 
-/// Of no rollout.
+/// Columns of a difference over no rollout.
 fn nothing() -> Vec<String> {
     let mut values = vec![NOTHING.to_owned(); heads().1.len()];
     "0".clone_into(&mut values[0]);

@@ -1,4 +1,4 @@
-//! How many rollouts succeeded.
+//! Counts of successful rollouts.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,4 @@
-//! How small a net effect of simultaneity a design can show at all.
+//! Smallest net effect of simultaneity that a design can show.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ pub(crate) const Z_POWER: f64 = 0.8416212335729143;
 /// Halvings of the interval in which the effect is sought: enough for doubles.
 const BISECTIONS: u32 = 60;
 
-/// What the smallest detectable effect depends on.
+/// Parameters that the smallest detectable effect depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairedDesign {
     /// Tasks.
@@ -23,8 +23,8 @@ pub struct PairedDesign {
     /// Share of configurations whose outcome changes, `r_d`: what one expects,
     /// or what was measured.
     pub r_d: f64,
-    /// How much configurations of a task resemble one another: the intraclass
-    /// correlation of simultaneous − conjunction, from [`task_correlation`].
+    /// Intraclass correlation of simultaneous − conjunction among configurations
+    /// of a task, from [`task_correlation`].
     pub task_correlation: f64,
 }
 

@@ -1,5 +1,5 @@
-//! How two policies, A and B, differ over the same rollouts: success rates, the
-//! rollouts that only one of them solves, and how sure that is.
+//! Differences of two policies, A and B, over the same rollouts: success rates, the
+//! rollouts that only one of them solves, and the intervals of both.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -24,9 +24,9 @@ pub struct Pair {
     pub task: TaskRef,
     /// Its configuration, or initial state if it is nominal.
     pub number: u16,
-    /// How it ended for A.
+    /// Outcome for A.
     pub a: Outcome,
-    /// How it ended for B.
+    /// Outcome for B.
     pub b: Outcome,
 }
 
@@ -47,7 +47,7 @@ pub struct Difference {
     /// Its 95 % interval, by the same cluster bootstrap over tasks as
     /// [`Measures`](crate::Measures).
     pub difference_ci95: Option<Interval>,
-    /// Why the interval is absent; absent where it is not.
+    /// Reason why the interval is absent; absent where it is not.
     pub no_interval: Option<NoInterval>,
     /// Rollouts that both solve.
     pub both: u64,
@@ -98,13 +98,13 @@ pub struct Profile {
 pub struct DifferenceBounds {
     /// Rollouts: those that are missing of neither.
     pub n: u64,
-    /// Those among them that are quarantined of A or of B.
+    /// Rollouts among them that are quarantined of A or of B.
     pub affected: u64,
     /// Range of `difference`.
     pub difference: [f64; 2],
 }
 
-/// What is counted of the rollouts of one task.
+/// Counts of one task's rollouts by the policies that succeed.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tally {
     both: u64,

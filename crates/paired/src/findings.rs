@@ -1,4 +1,4 @@
-//! What a report says in words. Every sentence follows from figures of the report;
+//! Findings of a report as sentences. Every sentence follows from figures of the report;
 //! docs/REPORT.md lists under which condition each is written.
 
 use std::collections::BTreeMap;
@@ -178,7 +178,7 @@ fn cost(cell: &Cell) -> Option<Finding> {
     })
 }
 
-/// What simultaneity changes beyond chance.
+/// Writes the finding about the change by simultaneity beyond chance.
 fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding> {
     let inference = cell.inference.as_ref()?;
     let level = cell.level;
@@ -278,9 +278,9 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
     })
 }
 
-/// How often rollouts that hardly differ end differently, and which: nominal ones of two
-/// replicates, or nominal and language. Language has an effect of its own, so that it
-/// gives an upper bound of chance.
+/// Share of rollouts that hardly differ and end differently, and their names: nominal
+/// ones of two replicates, or nominal and language. Language has an effect of its own,
+/// so that it gives an upper bound of chance.
 fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
     let replicate = report.replication.first();
     let replicate = replicate.and_then(|it| it.flips_by_condition.get(&Condition::Clean)?.rate());

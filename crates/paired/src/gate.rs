@@ -22,11 +22,11 @@ pub const GATE_ROLLOUTS_OF_A_SUITE: u64 = 500;
 pub struct Gate {
     /// The published success rate, a fraction.
     pub published: f64,
-    /// What was counted.
+    /// Nominal rollouts and their successes.
     pub nominal: Count,
     /// The measured rate − `published`; absent where nothing was counted.
     pub difference: Option<f64>,
-    /// How it came out.
+    /// Verdict on the difference.
     pub verdict: GateVerdict,
     /// p-value of the policy's rate on these tasks being beyond [`GATE_TOLERANCE`] of
     /// `published`, which is taken as exact: if small, reproduction is shown and not only
@@ -34,7 +34,7 @@ pub struct Gate {
     pub equivalence_p: Option<f64>,
 }
 
-/// How the gate came out.
+/// Verdict of the gate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GateVerdict {
@@ -70,7 +70,7 @@ impl Gate {
 
     fn over(rollouts: u64, published: f64, nominal: Count) -> Self {
         let difference = nominal.rate().map(|rate| rate - published);
-        // What is exactly at the tolerance passes, whatever the last bit says.
+        // A difference of exactly the tolerance passes, whatever the last bit says.
         let close = |difference: f64| difference.abs() <= GATE_TOLERANCE + 1e-9;
         let verdict = match difference {
             Some(difference) if nominal.n >= rollouts => match close(difference) {

@@ -1,6 +1,6 @@
-//! How sure the figures of one level are, and about what: intervals for each target of
-//! inference, matched losses, predictions of independence, and what exceeds the noise
-//! floor. The paper's own measures and intervals are in `measures`.
+//! Statistical inference of one level: intervals for each target of inference, matched
+//! losses, predictions of independence, and what exceeds the noise floor. The paper's own
+//! measures and intervals are in `measures`.
 
 pub(crate) mod components;
 pub(crate) mod direction;
@@ -28,7 +28,7 @@ use crate::outcomes::Matched;
 pub struct Inference {
     /// The paper's measures over complete configurations, with intervals for each target.
     pub paired: PairedEstimates,
-    /// Of configurations that can change in a direction, those that do.
+    /// Share that changes among configurations that can change in a direction.
     pub eligible: Eligible,
     /// Exact two-sided sign-flip p-value of I over tasks.
     pub i_sign_flip_p: f64,

@@ -1,4 +1,4 @@
-//! How sure the figures are, and about what, as text for a terminal of 80 columns.
+//! Table of the inference of each level, as text for a terminal of 80 columns.
 
 use std::fmt::Write;
 
@@ -130,7 +130,8 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], of: &str) {
     push_losses(text, cells, of);
 }
 
-/// What each condition costs, against matched nominal rollouts.
+/// Writes the table of success lost under each condition, against matched nominal
+/// rollouts.
 fn push_losses(text: &mut String, cells: &[&Cell], of: &str) {
     let heads = [
         "n",

@@ -1,6 +1,6 @@
-//! Which intervals may be shown. A percentile interval always comes out as two
-//! numbers, also where they mean nothing; here such intervals are withheld,
-//! with the reason.
+//! Decides which intervals may be shown. A percentile interval always comes out
+//! as two numbers, also where they mean nothing; here such intervals are
+//! withheld, with the reason.
 
 use std::fmt;
 
@@ -30,7 +30,7 @@ pub const MIN_TASKS: usize = 10;
 /// Widths up to this are rounding errors of equal values.
 const NO_WIDTH: f64 = 1e-12;
 
-/// Why a value has no interval.
+/// Reason why a value has no interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoInterval {
@@ -42,7 +42,7 @@ pub enum NoInterval {
 }
 
 impl NoInterval {
-    /// In place of an interval: `too few tasks`, `no spread`.
+    /// Text in place of an interval: `too few tasks`, `no spread`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::TooFewTasks => "too few tasks",
@@ -65,7 +65,7 @@ pub(crate) fn intervals<const N: usize>(
     tasks: usize,
     statistics: impl Fn(&[u32]) -> [f64; N] + Sync,
 ) -> ([Option<Interval>; N], Option<NoInterval>) {
-    // What is withheld is not made.
+    // Intervals that would be withheld are not computed.
     let intervals = (tasks >= MIN_TASKS).then(|| bootstrap.intervals(tasks, statistics));
     let intervals = intervals.flatten().map_or([None; N], |all| all.map(Some));
     let shown = intervals.map(|interval| shown(tasks, interval));

@@ -1,5 +1,5 @@
-//! What the symbols of the table mean, for readers who have not the paper at
-//! hand: a line for each that is printed, and for no other.
+//! Legend of the table's symbols, for readers without the paper at hand: a line
+//! for each that is printed, and for no other.
 
 use crate::bootstrap::Bootstrap;
 use crate::inference_table;
@@ -101,7 +101,8 @@ pub fn legend(reports: &[&Report]) -> String {
     text
 }
 
-/// What intervals are, and what stands in place of those that are absent.
+/// Legend entries that define the intervals and the marks of those that are
+/// absent.
 pub(crate) fn of_intervals(
     bootstrap: &Bootstrap,
     absent: impl IntoIterator<Item = Option<NoInterval>>,

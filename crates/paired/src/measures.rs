@@ -73,7 +73,7 @@ pub struct Measures {
     pub r_d: f64,
     /// Interval of `r_d`.
     pub r_d_ci95: Option<Interval>,
-    /// Why the absent intervals are; absent where none is.
+    /// Reason why intervals are absent; absent where none is.
     pub no_interval: Option<NoInterval>,
     /// `b` / number of simultaneous failures; absent where there are none.
     pub emergent_share: Option<f64>,

@@ -1,4 +1,4 @@
-//! What is known of rollouts, and the matching of those of one configuration.
+//! Records of rollouts, and the matching of those of one configuration.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::measures::Configuration;
 
-/// How a rollout ended, if it did.
+/// Outcome of a rollout, if it has ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// The goal held within the step budget.
     Success,
-    /// It did not.
+    /// The task failed.
     Failure,
     /// Expanded, and without a result yet.
     #[default]
@@ -23,7 +23,7 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// Whether the task succeeded, where that is known.
+    /// Returns true if the task succeeded; none where that is not known.
     pub const fn success(self) -> Option<bool> {
         match self {
             Self::Success => Some(true),
@@ -56,14 +56,14 @@ impl From<bool> for Outcome {
 /// One row of a campaign × one replicate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Record {
-    /// Which rollout.
+    /// Identity of the rollout.
     pub id: RolloutId,
     /// The initial state that it started from; pairs a configuration with its
     /// nominal rollout.
     pub init_id: u16,
-    /// Which replicate.
+    /// Number of the replicate, from 0.
     pub replicate: u32,
-    /// How it ended.
+    /// Outcome of the rollout.
     pub outcome: Outcome,
 }
 
@@ -94,16 +94,16 @@ pub struct Matched {
     /// The unperturbed rollout from the same initial state; missing too where
     /// the campaign has none.
     pub nominal: Outcome,
-    /// Under each axis alone, all axes of the campaign.
+    /// Outcomes under each axis alone, all axes of the campaign.
     pub alone: BTreeMap<Axis, Outcome>,
-    /// Under several axes but not all, what is among the records.
+    /// Outcomes under several axes but not all, those among the records.
     pub subsets: BTreeMap<AxisSet, Outcome>,
-    /// Under simultaneous perturbation; missing too where the campaign has none.
+    /// Outcome under simultaneous perturbation; missing too where the campaign has
+    /// none.
     pub simultaneous: Outcome,
 }
 
-/// What simultaneous perturbation does to an outcome that the axes alone would
-/// lead one to expect.
+/// Effect of simultaneous perturbation on the outcome expected from the axes alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Transition {
@@ -119,7 +119,7 @@ pub enum Transition {
 }
 
 impl Transition {
-    /// All.
+    /// All transitions.
     pub const ALL: [Self; 4] = [
         Self::StillSucceeds,
         Self::StillFails,
@@ -247,14 +247,14 @@ impl Records {
         self.axes.iter().copied()
     }
 
-    /// How a rollout ended; missing where it is not among the records.
+    /// Returns the outcome of a rollout; missing where it is not among the records.
     pub(crate) fn outcome(&self, replicate: u32, id: RolloutId) -> Outcome {
         let outcome = self.outcomes.get(&(replicate, id));
         outcome.copied().unwrap_or_default()
     }
 
-    /// Whether some rollout of a configuration has not ended, among those that there
-    /// are: its nominal rollout is one of them.
+    /// Returns true if some rollout of a configuration has not ended, among those
+    /// that there are: its nominal rollout is one of them.
     pub(crate) fn is_open(&self, matched: &Matched) -> bool {
         let nominal = RolloutId::clean(matched.task, matched.init_id);
         let nominal = self.outcomes.get(&(matched.replicate, nominal));

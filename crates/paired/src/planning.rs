@@ -61,13 +61,13 @@ pub enum Against {
 /// possible one is too small, or there are too few tasks for intervals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detectable {
-    /// Of the success rates of two policies under simultaneous perturbation that are as good
-    /// as each other and independent, in configurations and, for new tasks, in tasks: those
-    /// that fail alike are told apart sooner.
+    /// Difference of the success rates of two policies under simultaneous perturbation that
+    /// are as good as each other and independent, in configurations and, for new tasks, in
+    /// tasks: those that fail alike are told apart sooner.
     pub difference: Option<f64>,
-    /// Of I from 0.
+    /// Difference of I from 0.
     pub i: Option<f64>,
-    /// Of `R_d` from the measure that it is compared with.
+    /// Difference of `R_d` from the measure that it is compared with.
     pub r_d: Option<f64>,
 }
 
@@ -140,7 +140,7 @@ impl Assumed {
         }
     }
 
-    /// The one of a level, or of the perturbed level with the nearest radius.
+    /// Returns the entry of a level, or of the perturbed level with the nearest radius.
     pub fn nearest(all: &[Self], level: Level) -> Option<&Self> {
         let perturbed = all.iter().filter(|it| it.level != Level::L0);
         perturbed.min_by(|a, b| {

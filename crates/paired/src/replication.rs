@@ -31,7 +31,7 @@ pub struct Replication {
 pub struct Flips {
     /// Rollouts with an outcome in both replicates.
     pub compared: u64,
-    /// Those whose outcomes differ.
+    /// Rollouts whose outcomes differ.
     pub flipped: u64,
 }
 
@@ -54,11 +54,11 @@ impl Flips {
 pub struct Change {
     /// Configurations that are complete in both.
     pub n: u64,
-    /// Those with the same transition in both.
+    /// Configurations with the same transition in both.
     pub same_transition: u64,
     /// Emergent or compensated in replicate 0.
     pub changed: u64,
-    /// Those among them with the same transition in this replicate.
+    /// Configurations among them with the same transition in this replicate.
     pub changed_again: u64,
     /// Change of `s_sim`.
     pub s_sim: f64,
@@ -82,7 +82,7 @@ pub struct Change {
     pub r_d: f64,
     /// Interval of it.
     pub r_d_ci95: Option<Interval>,
-    /// Why the absent intervals are; absent where none is.
+    /// Reason why intervals are absent; absent where none is.
     pub no_interval: Option<NoInterval>,
 }
 
@@ -130,7 +130,7 @@ fn changes(all: &[Matched], replicate: u32, bootstrap: &Bootstrap) -> BTreeMap<L
 }
 
 impl Change {
-    /// Between the same configurations, in the same order.
+    /// Compares the same configurations, in the same order.
     fn between(then: &[Configuration], now: &[Configuration], bootstrap: &Bootstrap) -> Self {
         let axes: Vec<_> = then[0].alone.keys().copied().collect();
         let clusters = [then, now].map(|outcomes| Tally::of_tasks(outcomes, &axes));

@@ -15,13 +15,13 @@ use crate::inference::components::Components;
 use crate::measures::Measures;
 use crate::replication::Replication;
 
-/// What the caller decides.
+/// Options of a report.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// What a reader must know first, one sentence each: another asset pack, a
-    /// privileged policy, mixed versions. Printed at the top.
+    /// Caveats that a reader must know first, one sentence each: another asset pack,
+    /// a privileged policy, mixed versions. Printed at the top.
     pub notes: Vec<String>,
-    /// How intervals are made.
+    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
     /// The policy's published nominal success rate, a fraction, for the gate.
     pub published_nominal: Option<f64>,
@@ -30,7 +30,7 @@ pub struct Options {
     /// Nominal successes as published elsewhere; used where there is no nominal
     /// rollout among the records.
     pub reported_nominal: Option<Count>,
-    /// How directions were assigned to configurations.
+    /// Assignment of directions to configurations.
     pub directions: Directions,
 }
 
@@ -52,13 +52,13 @@ pub struct Report {
     pub cells: Vec<Cell>,
     /// Each further replicate against the first.
     pub replication: Vec<Replication>,
-    /// Where variance comes from, by level; empty without replicates.
+    /// Variance components by level; empty without replicates.
     pub components: Vec<Components>,
-    /// What it says in words, see [`findings`].
+    /// Sentences about the figures, see [`findings`].
     pub findings: Vec<Finding>,
     /// Quarantined rollouts, in no rate: `ID` or `ID#rK`.
     pub quarantined: Vec<String>,
-    /// How the intervals were made.
+    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
 }
 
@@ -67,21 +67,21 @@ pub struct Report {
 pub struct Nominal {
     /// The replicate.
     pub replicate: u32,
-    /// Where the count comes from.
+    /// Source of the count.
     pub source: NominalSource,
-    /// What succeeded.
+    /// Rollouts and their successes.
     pub count: Count,
-    /// What is left out.
+    /// Rollouts without an outcome.
     pub gap: Gap,
 }
 
-/// Where nominal counts come from.
+/// Source of nominal counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NominalSource {
-    /// From nominal rollouts among the records.
+    /// Nominal rollouts among the records.
     Records,
-    /// From a count that was published elsewhere.
+    /// A count that was published elsewhere.
     Reported,
 }
 
@@ -102,7 +102,7 @@ pub struct Cell {
     /// Success of the simultaneous rollouts over all their results; absent where
     /// the campaign has none.
     pub simultaneous: Option<Count>,
-    /// How many configurations the paired measures are of.
+    /// Counts of complete configurations, which the paired measures are of.
     pub completeness: Completeness,
     /// The paired measures; absent while no configuration is complete, or
     /// where the campaign has no simultaneous rollout.
@@ -115,8 +115,7 @@ pub struct Cell {
     /// How much configurations of a task resemble one another, see
     /// [`task_correlation`](crate::design::task_correlation).
     pub task_correlation: Option<f64>,
-    /// How sure these figures are, and about what; absent while no configuration is
-    /// complete.
+    /// Inference about these figures; absent while no configuration is complete.
     pub inference: Option<Inference>,
     /// The smallest |`i`| that this many configurations can show, see
     /// [`minimum_detectable_effect`].
@@ -126,28 +125,28 @@ pub struct Cell {
 /// One axis alone at one level.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SingleAxis {
-    /// What succeeded.
+    /// Rollouts and their successes.
     pub count: Count,
     /// 1 − success / nominal success; absent where either is unknown or the
     /// nominal success is nought.
     pub clean_relative_loss: Option<f64>,
 }
 
-/// How many configurations of a cell have all their outcomes.
+/// Numbers of configurations of a cell with and without all their outcomes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Completeness {
-    /// Those that have.
+    /// Configurations that have all their outcomes.
     pub complete: u64,
-    /// All.
+    /// All configurations of the cell.
     pub expected: u64,
-    /// What the others lack, by condition.
+    /// Outcomes that the others lack, by condition.
     pub gaps: BTreeMap<Condition, Gap>,
 }
 
 /// Rollouts without an outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Gap {
-    /// No result yet.
+    /// Rollouts without a result yet.
     pub missing: u64,
     /// Quarantined.
     pub quarantined: u64,

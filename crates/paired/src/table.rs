@@ -99,7 +99,7 @@ fn nominal_line(nominal: &Nominal, report: &Report) -> String {
     format!("nominal success{of}: {rate} % ({successes}/{n}{source}){missing}")
 }
 
-/// How each gate came out, over all suites and of single ones.
+/// Lines of the gates' verdicts, over all suites and of single ones.
 pub fn gate_lines(report: &Report) -> String {
     let mut text = String::new();
     if let Some(gate) = &report.gate {

@@ -1,4 +1,4 @@
-//! How a terminal of 80 columns is written to: rows, paragraphs, numbers.
+//! Text for a terminal of 80 columns: rows, paragraphs, numbers.
 
 use std::fmt::Write;
 
@@ -8,7 +8,7 @@ use crate::interval::NoInterval;
 /// Columns of the terminal.
 pub(crate) const WIDTH: usize = 80;
 
-/// What stands where nothing is known.
+/// Mark of an absent value.
 pub(crate) const NOTHING: &str = "-";
 
 /// Words over as many lines of a terminal as they need, the first after

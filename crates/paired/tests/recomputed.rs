@@ -1,5 +1,5 @@
-//! Everything that reports infer, against an independent implementation in Python:
-//! tests/statistics/recompute.py.
+//! Comparison of all inference of reports with an independent implementation in
+//! Python: tests/statistics/recompute.py.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -16,10 +16,11 @@ use replay::{ALPHA, Design, Population, Unit, value};
 
 /// Orders per level.
 const ORDERS: u64 = 100;
-/// Of orders with a look after each configuration, which take longer.
+/// Number of orders with a look after each configuration, which take longer.
 const FEW_ORDERS: u64 = 10;
 
-/// In how many orders of all levels a way to make intervals ever misses.
+/// Number of orders, over all levels, in which a way to make intervals ever
+/// misses.
 fn misses(orders: u64, design: Design, holds: impl Fn(&Population, &Order<Unit>) -> bool) -> usize {
     let populations = Level::PERTURBED.map(Population::published);
     let of_level = |population: &Population| {
@@ -57,8 +58,8 @@ fn all_intervals_hold_at_all_looks_at_published_outcomes() {
     }
 }
 
-/// Whether the normal interval of a fixed sample size, with the correction for
-/// finite populations, holds after every round from the second on.
+/// Returns true if the normal interval of a fixed sample size, with the correction
+/// for finite populations, holds after every round from the second on.
 fn fixed_size_interval_holds(
     population: &Population,
     order: &Order<Unit>,
@@ -154,8 +155,8 @@ fn threes() -> Vec<[Transition; 3]> {
     threes.filter(|it| it.is_sorted()).collect()
 }
 
-/// Whether all intervals hold at all looks if the units of each stratum have
-/// these transitions.
+/// Returns true if all intervals hold at all looks if the units of each stratum
+/// have these transitions.
 fn all_hold(order: &Order<Small>, strata: &[[Transition; 3]], alpha: f64) -> bool {
     let mut sequential = SequentialMeasures::new(order, alpha);
     order.units().all(|unit| {
@@ -169,7 +170,7 @@ fn all_hold(order: &Order<Small>, strata: &[[Transition; 3]], alpha: f64) -> boo
     })
 }
 
-/// Of all orders of both strata's units, the share in which some interval misses.
+/// Share of all orders of both strata's units in which some interval misses.
 fn share_missed(order: &Order<Small>, strata: [[Transition; 3]; 2], alpha: f64) -> f64 {
     let orders = PERMUTATIONS.iter();
     let orders = orders.flat_map(|first| PERMUTATIONS.iter().map(move |second| [first, second]));

@@ -1,4 +1,4 @@
-//! Where campaigns end early, on published outcomes.
+//! Tests of early stops of campaigns, on published outcomes.
 
 use std::collections::BTreeSet;
 
@@ -43,7 +43,7 @@ fn when_met(records: &[Record], stop: &Stop) -> Option<CampaignLook> {
     CampaignLook::when_met(&records, stop)
 }
 
-/// After how many configurations a rule is met at one level alone.
+/// Number of configurations after which a rule is met at one level alone.
 fn met_at(records: &Records, level: Level, stop: &Stop) -> Option<usize> {
     let matched = records.configurations().iter();
     let of_level: Vec<_> = matched.filter(|it| it.level == level).collect();

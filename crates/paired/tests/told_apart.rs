@@ -13,8 +13,8 @@ use simulated::{Chance, Planted};
 
 const CAMPAIGNS: u64 = 100;
 
-/// Of a hundred campaigns, those whose sentences about simultaneity and directions claim
-/// what was planted and nothing else.
+/// Number of campaigns, of a hundred, whose sentences about simultaneity and directions
+/// claim what was planted and nothing else.
 fn right(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
     let options = Options {
         // The paper's intervals are in no sentence.

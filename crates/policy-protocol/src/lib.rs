@@ -145,23 +145,23 @@ fn camera_bytes(camera: &CameraRequest) -> Result<u64, DescriptionFault> {
     Ok(3 * u64::from(*width) * u64::from(*height))
 }
 
-/// Why an answer is not a chunk of actions. Reads as a sentence about the policy,
-/// which it calls "it".
+/// Reason why an answer is not a chunk of actions. Reads as a sentence about the
+/// policy, which it calls "it".
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ActionFault {
     /// Actions of another width than a robot's.
     #[error("its actions are {width} numbers wide, not {ACTION_WIDTH}")]
     Width {
-        /// As answered.
+        /// Width as answered.
         width: u32,
     },
-    /// No action at all.
+    /// The answer has no action.
     #[error("it answered no action")]
     Empty,
     /// Numbers left over.
     #[error("it answered {numbers} numbers, which are no whole actions of {ACTION_WIDTH}")]
     Ragged {
-        /// As answered.
+        /// Count of numbers as answered.
         numbers: usize,
     },
     /// More actions than declared.
@@ -169,7 +169,7 @@ pub enum ActionFault {
     TooMany {
         /// Actions answered.
         count: usize,
-        /// As declared.
+        /// Horizon as declared.
         horizon: u32,
     },
     /// NaN or infinite.
@@ -179,7 +179,7 @@ pub enum ActionFault {
         action: usize,
         /// Index of the number in its action.
         component: usize,
-        /// As answered.
+        /// Number as answered.
         value: f32,
     },
     /// Beyond [`LARGEST_NUMBER`].
@@ -192,13 +192,13 @@ pub enum ActionFault {
         action: usize,
         /// Index of the number in its action.
         component: usize,
-        /// As answered.
+        /// Number as answered.
         value: f32,
     },
 }
 
-/// Why no rollout can work with a description. Reads as a sentence about the
-/// policy, which it calls "it".
+/// Reason why no rollout can work with a description. Reads as a sentence about
+/// the policy, which it calls "it".
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DescriptionFault {
     /// Another version of the policy protocol.
@@ -213,30 +213,30 @@ pub enum DescriptionFault {
     /// Results could not say what they belong to.
     #[error("it has no name")]
     Nameless,
-    /// No chunk, or one longer than any episode.
+    /// The horizon is 0, or longer than any episode.
     #[error("its horizon is {horizon}, not within 1..={MAX_HORIZON}")]
     Horizon {
-        /// As declared.
+        /// Horizon as declared.
         horizon: u32,
     },
     /// Executes nothing, or more than it answers.
     #[error("it wants {execute} actions executed per query, of a horizon of {horizon}")]
     Execute {
-        /// As declared.
+        /// Executed actions as declared.
         execute: u32,
-        /// As declared.
+        /// Horizon as declared.
         horizon: u32,
     },
-    /// Not in the protocol's list.
+    /// The field is not in the protocol's list.
     #[error("it wants robot reading {field}, which this protocol version does not have")]
     StateField {
         /// The number on the wire.
         field: i32,
     },
-    /// Not in the scene.
+    /// The camera is not in the scene.
     #[error("it wants frames of camera {name:?}, and a scene has {}", CAMERAS.join(" and "))]
     Camera {
-        /// As declared.
+        /// Name as declared.
         name: String,
     },
     /// A frame that is never drawn.
@@ -247,9 +247,9 @@ pub enum DescriptionFault {
     FrameSide {
         /// Name of the camera.
         camera: String,
-        /// As declared.
+        /// Width as declared.
         width: u32,
-        /// As declared.
+        /// Height as declared.
         height: u32,
     },
     /// An observation would not fit a message.
@@ -258,7 +258,7 @@ pub enum DescriptionFault {
         proto::MAX_MESSAGE_BYTES
     )]
     FramesTooLarge {
-        /// Of all frames together.
+        /// Size of all frames together.
         bytes: u64,
     },
     /// Settings that no result can carry.

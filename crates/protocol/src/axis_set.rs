@@ -16,9 +16,9 @@ use crate::names::{UnknownName, serde_as_text};
 pub struct AxisSet(u8);
 
 impl AxisSet {
-    /// No axis.
+    /// Empty set.
     pub const EMPTY: Self = Self(0);
-    /// All six.
+    /// Set of all six axes.
     pub const ALL: Self = Self((1 << Axis::ALL.len()) - 1);
 
     /// The set of one axis.
@@ -26,27 +26,27 @@ impl AxisSet {
         Self(1 << axis as u8)
     }
 
-    /// How many axes it has.
+    /// Returns the number of axes.
     pub const fn len(self) -> usize {
         self.0.count_ones() as usize
     }
 
-    /// Whether it has none.
+    /// Returns true if it has no axis.
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }
 
-    /// Whether an axis is in it.
+    /// Returns true if an axis is in it.
     pub const fn contains(self, axis: Axis) -> bool {
         self.0 & (1 << axis as u8) != 0
     }
 
-    /// Whether all its axes are in another set; every set is a subset of itself.
+    /// Returns true if all its axes are in another set; every set is a subset of itself.
     pub const fn is_subset(self, of: Self) -> bool {
         self.0 & of.0 == self.0
     }
 
-    /// Whether it is a subset of another set, and not that set itself.
+    /// Returns true if it is a subset of another set, and not that set itself.
     pub const fn is_proper_subset(self, of: Self) -> bool {
         self.is_subset(of) && self.0 != of.0
     }
@@ -61,19 +61,19 @@ impl AxisSet {
         Self(self.0 & !other.0)
     }
 
-    /// Its axes' names with `+` between, or `none`.
+    /// Returns its axes' names with `+` between, or `none`.
     pub fn name(self) -> &'static str {
         &NAMES[usize::from(self.0)]
     }
 
-    /// Its axes, in the protocol's order.
+    /// Returns its axes, in the protocol's order.
     pub fn axes(self) -> impl Iterator<Item = Axis> + Clone {
         Axis::ALL
             .into_iter()
             .filter(move |&axis| self.contains(axis))
     }
 
-    /// All its subsets in order, from the empty one to itself.
+    /// Returns all its subsets in order, from the empty one to itself.
     pub fn subsets(self) -> Vec<Self> {
         let mut subsets: Vec<Self> = (0..=Self::ALL.0)
             .map(Self)

@@ -40,30 +40,29 @@ pub struct CampaignSpec {
     pub policy: PolicyRoute,
     /// The rollouts to run.
     pub rollouts: Rollouts,
-    /// Where random elements come from.
+    /// Source of random elements.
     pub realisation: Realisation,
-    /// How often every rollout runs, each time with another policy seed.
+    /// Number of runs of every rollout, each with another policy seed.
     pub replicates: u32,
-    /// Which rollouts are filmed.
+    /// Rollouts that are filmed.
     pub record: Record,
-    /// What its workers must run on, where that matters before the first result
-    /// decides it.
+    /// Asset pack and renderer required of its workers; what is left open is decided by the first
+    /// result.
     pub wanted: Wanted,
-    /// When it ends early; without it, it runs to its end.
+    /// Rule by which it ends early; without one it runs to its end.
     pub stop: Option<Stop>,
 }
 
-/// Where the rows of a campaign come from.
+/// Source of a campaign's rows.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Rollouts {
-    /// From a design, expanded with the protocol's figures and this project's
-    /// paraphrases.
+    /// Rows of a design, expanded with the protocol's figures and this project's paraphrases.
     Design(Design),
-    /// From a manifest: the rows as they stand, instructions included.
+    /// Rows of a manifest as they stand, instructions included.
     Manifest(Vec<ManifestRow>),
-    /// From the outcomes of another campaign: subsets of its axes.
+    /// Subsets of the axes that follow from the outcomes of another campaign.
     Explanation(Explanation),
-    /// From the outcomes of another campaign: further radii.
+    /// Further radii that follow from the outcomes of another campaign.
     Thresholds(Thresholds),
 }
 
@@ -91,26 +90,26 @@ impl Rollouts {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyRoute {
-    /// Its name at the endpoint.
+    /// Name of the policy at the endpoint.
     pub name: String,
     /// URL of the gateway, or of the policy itself.
     pub endpoint: String,
 }
 
-/// Which rollouts of a campaign are filmed.
+/// Rollouts of a campaign that are filmed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Record {
-    /// None.
+    /// No rollout.
     #[default]
     None,
-    /// Those that fail.
+    /// Rollouts that fail.
     Failures,
-    /// Those of configurations whose outcome simultaneous perturbation changes,
+    /// Rollouts of configurations whose outcome simultaneous perturbation changes,
     /// and their nominal rollouts: afterwards, from the actions that are kept
     /// with every rollout.
     Transitions,
-    /// All.
+    /// Every rollout.
     All,
 }
 
@@ -120,7 +119,7 @@ pub enum SpecError {
     /// Not JSON, an unknown or missing field, or an unknown name in one.
     #[error("read campaign specification: {problem}")]
     Json {
-        /// Which, and in which line.
+        /// Problem and its line.
         problem: String,
     },
     /// A field that must not be empty.
@@ -128,7 +127,7 @@ pub enum SpecError {
     Empty {
         /// The field.
         field: &'static str,
-        /// What to write.
+        /// Remedy: the value to write.
         remedy: &'static str,
     },
     /// Too few or too many replicates.
@@ -136,7 +135,7 @@ pub enum SpecError {
         "read campaign specification: `replicates` has {given}, valid are 1 to {MAX_REPLICATES}"
     )]
     Replicates {
-        /// What it says.
+        /// The number given.
         given: u32,
     },
     /// Not a URL.
@@ -145,7 +144,7 @@ pub enum SpecError {
          write a URL such as http://127.0.0.1:50051"
     )]
     Endpoint {
-        /// What it says.
+        /// The text given.
         given: String,
     },
     /// No asset pack's name or digest.
@@ -154,7 +153,7 @@ pub enum SpecError {
          first {MIN_DIGEST_DIGITS} digits or more of a pack's digest (workers are given the folder)"
     )]
     Assets {
-        /// What it says.
+        /// The text given.
         given: String,
     },
     /// Another realisation than `matched`, in a campaign that follows from outcomes.
@@ -173,9 +172,9 @@ pub enum SpecError {
     Radius {
         /// The field.
         field: &'static str,
-        /// What it says.
+        /// The radius given.
         given: f64,
-        /// Its range.
+        /// Valid range.
         valid: [f64; 2],
     },
     /// A rule that cannot end the campaign.
@@ -286,7 +285,7 @@ impl CampaignSpec {
         }
     }
 
-    /// Which design this is.
+    /// Returns the version of the design that its rollouts belong to.
     pub fn version(&self) -> DesignVersion {
         match &self.rollouts {
             Rollouts::Design(design) => design.version(),

@@ -1,5 +1,5 @@
-//! What is done to a rollout: its condition, and how that is realised. How much is in
-//! `level` and `presets`.
+//! Condition of a rollout (its perturbed axes) and realisation of its random elements.
+//! Strengths are in `level` and `presets`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,10 +8,10 @@ use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::names::{UnknownName, serde_as_text};
 
-/// Which axes are perturbed in a rollout.
+/// Perturbed axes of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Condition {
-    /// None: the nominal rollout.
+    /// Nominal rollout: no axis is perturbed.
     Clean,
     /// One axis alone.
     Single(Axis),
@@ -35,7 +35,7 @@ impl Condition {
         }
     }
 
-    /// What it perturbs in a campaign of these axes.
+    /// Returns the axes that it perturbs in a campaign of the given axes.
     pub const fn axes(self, campaign: AxisSet) -> AxisSet {
         match self {
             Self::Clean => AxisSet::EMPTY,
@@ -97,15 +97,15 @@ impl FromStr for Condition {
 
 serde_as_text!(Condition);
 
-/// Where the random elements of a perturbation come from.
+/// Source of the random elements of a perturbation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Realisation {
-    /// From a stream keyed by configuration and axis, so that an axis alone
-    /// and the same axis in a combination are realised identically.
+    /// A stream keyed by configuration and axis, so that an axis alone and the same axis in
+    /// a combination are realised identically.
     #[default]
     Matched,
-    /// From NumPy's streams seeded by the rollout id, as the reference
-    /// implementation draws them.
+    /// NumPy's streams seeded by the rollout id, as the reference implementation draws
+    /// them.
     Reference,
 }
 

@@ -32,17 +32,17 @@ pub struct Design {
     pub levels: Vec<Level>,
     /// Configurations: 0 to 9 are the protocol's presets, others are drawn.
     pub configs: Vec<u16>,
-    /// Which nominal rollouts go with them.
+    /// Nominal rollouts that go with them.
     pub nominal: Nominal,
-    /// From what configurations beyond the presets are drawn, and tasks' own directions.
+    /// Seed of the configurations beyond the presets, and of tasks' own directions.
     pub seed: u64,
     /// Source of the directions of its configurations.
     pub directions: Directions,
-    /// How the placebo level is run, if it is among `levels`.
+    /// Form of the placebo level, if it is among `levels`.
     pub placebo: Placebo,
 }
 
-/// Which nominal rollouts a design contains.
+/// Nominal rollouts of a design.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Nominal {
@@ -51,7 +51,7 @@ pub enum Nominal {
     All,
     /// The initial states of the design's configurations.
     Eval,
-    /// None.
+    /// No nominal rollout.
     None,
 }
 
@@ -63,7 +63,7 @@ pub enum DesignError {
     Empty {
         /// The field.
         field: &'static str,
-        /// What to write.
+        /// Remedy: the value to write.
         remedy: &'static str,
     },
     /// A number outside its range.
@@ -73,7 +73,7 @@ pub enum DesignError {
         field: &'static str,
         /// The number.
         given: u64,
-        /// Its range.
+        /// Valid range.
         valid: String,
     },
     /// A subset that is none of several axes.
@@ -119,7 +119,7 @@ pub enum DesignError {
     /// More rows than can be run.
     #[error("it has {rows} rollouts, at most {MAX_ROWS} are expanded: divide it")]
     TooLarge {
-        /// How many it has.
+        /// Number of rows.
         rows: usize,
     },
 }
@@ -233,18 +233,18 @@ impl Design {
         }
     }
 
-    /// Whether it has the placebo level.
+    /// Returns true if it has the placebo level.
     pub fn has_placebo(&self) -> bool {
         self.levels.contains(&Level::L0)
     }
 
-    /// Whether a configuration is run at a level: all are at all levels but the
+    /// Returns true if a configuration is run at a level: all are at all levels but the
     /// placebo's.
     pub(crate) fn runs(&self, level: Level, config: u16) -> bool {
         level != Level::L0 || self.placebo.has(config)
     }
 
-    /// All its axes.
+    /// Returns all its axes.
     pub fn axis_set(&self) -> AxisSet {
         self.axes.iter().copied().collect()
     }
@@ -261,7 +261,7 @@ impl Design {
         conditions
     }
 
-    /// Which design this is.
+    /// Returns the version that identifies this design.
     pub fn version(&self) -> DesignVersion {
         if self.is(&Self::v0_1()) {
             return DesignVersion(V0_1.to_owned());
@@ -290,7 +290,7 @@ impl Design {
         DesignVersion(format!("{CUSTOM}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
-    /// Whether both have the same rollouts.
+    /// Returns true if both have the same rollouts.
     fn is(&self, other: &Self) -> bool {
         let seedless = |design: &Self| Self {
             seed: 0,
@@ -316,9 +316,9 @@ impl Design {
     }
 }
 
-/// Which design results belong to: `v0.1` exactly for LIBERO-CTRL v0.1, else
-/// `custom-` and a checksum of the design, `manifest-` and a checksum of the
-/// imported rows, or `explains-` or `thresholds-` and a checksum of what is found out.
+/// Identifier of the design that results belong to: `v0.1` exactly for LIBERO-CTRL v0.1,
+/// else `custom-` and a checksum of the design, `manifest-` and a checksum of the
+/// imported rows, or `explains-` or `thresholds-` and a checksum of that specification.
 /// Results of different designs are never pooled.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DesignVersion(String);

@@ -1,5 +1,5 @@
-//! From a design to manifest rows: which rollouts it has, in which order,
-//! with which values. Replicates are not rows: they repeat them.
+//! Expands a design into manifest rows: its rollouts, their order and their values.
+//! Replicates are not rows: they repeat them.
 
 use std::collections::{BTreeMap, BTreeSet};
 

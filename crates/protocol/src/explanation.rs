@@ -1,4 +1,4 @@
-//! What a campaign is to find out that explains another one.
+//! Specification of a campaign that explains another one.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,15 +14,15 @@ pub struct Explanation {
     /// Most rollouts; without it, every transition is explained.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<u32>,
-    /// What the order is drawn from in which transitions are explained.
+    /// Seed of the order in which transitions are explained.
     #[serde(default)]
     pub seed: u64,
-    /// Whether every subset is run, and not only those that decide which of them
+    /// True if every subset is run, and not only those that decide which of them
     /// are minimal.
     #[serde(default)]
     pub exhaustive: bool,
-    /// For a policy that samples: most replicates by which it is decided whether a
-    /// subset succeeds. Without it, one rollout decides.
+    /// Most replicates, for a policy that samples, by which it is decided whether
+    /// a subset succeeds. Without it, one rollout decides.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeats: Option<u32>,
 }

@@ -47,7 +47,7 @@ impl Level {
         f64::from(self.radius_micros) / f64::from(MICROS)
     }
 
-    /// Whether it is one of [`Self::PERTURBED`].
+    /// Returns true if it is one of [`Self::PERTURBED`].
     pub fn is_named(self) -> bool {
         Self::PERTURBED.contains(&self)
     }

@@ -21,7 +21,7 @@ use crate::wording::JsonError;
 /// Errors that are listed; more are counted.
 const MAX_LISTED: usize = 20;
 
-/// How far the radius of a row's parameters may be from its level's, relative:
+/// Largest relative deviation of the radius of a row's parameters from its level's:
 /// the published directions have four or five decimals.
 const RADIUS_TOLERANCE: f64 = 2e-3;
 
@@ -81,7 +81,8 @@ pub fn to_text<'a>(rows: impl IntoIterator<Item = &'a ManifestRow>) -> String {
     text
 }
 
-/// Where two manifests differ, by rollout id. The order of rows does not count.
+/// Returns the differences of two manifests by rollout id. The order of rows does
+/// not count.
 pub fn diff(left: &[ManifestRow], right: &[ManifestRow]) -> Vec<Difference> {
     let by_id = |rows: &[ManifestRow]| -> BTreeMap<RolloutId, Value> {
         let json = |row: &ManifestRow| serde_json::to_value(row).expect("a row serialises");
@@ -141,26 +142,26 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Why a manifest is refused.
+/// Reasons why a manifest is refused.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ManifestErrors {
     listed: Vec<LineError>,
     count: usize,
 }
 
-/// What is wrong with one line.
+/// Problem of one line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineError {
     /// The line, from 1.
     pub line: usize,
-    /// What is wrong with it.
+    /// The problem.
     pub problem: LineProblem,
 }
 
 /// The ways in which a line is wrong.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LineProblem {
-    /// Not a row.
+    /// The line is not a row.
     #[error("{0}")]
     Row(String),
     /// An id for the second time.
@@ -168,7 +169,7 @@ pub enum LineProblem {
     Duplicate {
         /// The id.
         id: RolloutId,
-        /// Where it was first.
+        /// Line in which it was first, from 1.
         first: usize,
     },
     /// Another initial state or other parameters than the configuration's
@@ -177,7 +178,7 @@ pub enum LineProblem {
     Unpaired {
         /// The row.
         id: RolloutId,
-        /// What differs.
+        /// Names of the columns that differ.
         column: String,
         /// The row that it should agree with.
         first: usize,
@@ -185,7 +186,7 @@ pub enum LineProblem {
     /// More rows than can be run.
     #[error("more than {MAX_ROWS} rows: divide it")]
     TooMany,
-    /// Nothing at all.
+    /// The manifest has no rows.
     #[error("it has no rows")]
     NoRows,
     /// Parameters of another level.
@@ -210,7 +211,7 @@ impl ManifestErrors {
         &self.listed
     }
 
-    /// How many there are.
+    /// Returns the number of bad lines, listed or not.
     pub fn count(&self) -> usize {
         self.count
     }
@@ -251,7 +252,8 @@ struct Checker {
     errors: ManifestErrors,
 }
 
-/// What all rows of a configuration share, and the line that it was read from.
+/// Initial state and axis parameters that all rows of a configuration share, each
+/// with the line it was read from.
 struct Configuration {
     init_id: (usize, u16),
     values: BTreeMap<Axis, (usize, Vec<f64>)>,

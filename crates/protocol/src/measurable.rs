@@ -1,4 +1,4 @@
-//! Of which campaigns thresholds can be measured.
+//! Checks which campaigns can have thresholds measured.
 
 use crate::campaign::Rollouts;
 use crate::design::Nominal;
@@ -8,19 +8,19 @@ use crate::thresholds::Thresholds;
 /// A campaign whose thresholds cannot be measured, and what to do about it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotMeasurable {
-    /// Its rows are imported, or follow from outcomes.
+    /// The rows are imported, or follow from outcomes.
     #[error(
         "its rows come from no design, so that nothing says what they are at another radius; \
          create a campaign with `tasks`, `axes` and `levels`"
     )]
     NoDesign,
-    /// It has no nominal rollouts, where every threshold begins.
+    /// The campaign has no nominal rollouts, where every threshold begins.
     #[error(
         "it has no nominal rollouts, from which a threshold is counted; create it with `nominal` \
          eval"
     )]
     NoNominal,
-    /// It perturbs nothing, or nothing but at the placebo level.
+    /// The campaign perturbs nothing, or nothing but at the placebo level.
     #[error(
         "it perturbs nothing, or at the placebo level only; create a campaign with axes and levels"
     )]
@@ -30,7 +30,7 @@ pub enum NotMeasurable {
     OtherCondition {
         /// The condition that was asked for.
         given: &'static str,
-        /// Those that there are.
+        /// Conditions that it runs, for people.
         valid: String,
     },
 }

@@ -1,19 +1,19 @@
-//! The one error of every name that people type: it says what was given and
-//! what would have been understood.
+//! Error of every name that people type: it quotes the name and lists the valid
+//! ones.
 
 /// A name that means nothing here.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("read {kind}{}: valid are {valid}", quoted(given))]
 pub struct UnknownName {
-    /// What was expected: "suite", "task", "axis", ...
+    /// Kind of name expected: "suite", "task", "axis", ...
     pub kind: &'static str,
-    /// What was given, verbatim.
+    /// Name given, verbatim.
     pub given: String,
-    /// What would have been understood, for people.
+    /// Valid names, for people.
     pub valid: String,
 }
 
-/// What was given, after what was expected.
+/// Quotes the name for the message, where it follows the kind of name expected.
 fn quoted(given: &str) -> String {
     match given {
         "" => ", of which nothing was given".to_owned(),

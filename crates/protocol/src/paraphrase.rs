@@ -37,8 +37,8 @@ pub struct Paraphrase {
     /// The policy's instruction, verbatim: lower-case English without final
     /// punctuation, at most 160 characters.
     pub text: String,
-    /// Its name in manifests: `t0/L1/v01` is variant 1 of task 0 of the row's
-    /// suite at L1, `t0/L0/canonical` the task's own instruction.
+    /// Name in manifests: `t0/L1/v01` is variant 1 of task 0 of the row's suite at L1,
+    /// `t0/L0/canonical` the task's own instruction.
     pub variant_id: String,
 }
 

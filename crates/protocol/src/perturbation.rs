@@ -38,7 +38,8 @@ macro_rules! parameters {
         }
 
         impl From<[f64; $count]> for $name {
-            /// From values in the order of [`Self::KEYS`].
+            /// Builds the parameters from values in the order of
+            /// [`Self::KEYS`].
             fn from([$($field),+]: [f64; $count]) -> Self {
                 Self { $($field),+ }
             }
@@ -129,9 +130,9 @@ parameters! {
     }
 }
 
-/// What is perturbed in one rollout, by how much. Nothing set: a nominal
-/// rollout, or one of the language axis, whose perturbation is the row's
-/// instruction.
+/// Perturbation of one rollout: the parameters of each perturbed axis. With
+/// none set it is a nominal rollout, or one of the language axis, whose
+/// perturbation is the row's instruction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Perturbation {
@@ -193,8 +194,8 @@ impl Perturbation {
         .unwrap_or_default()
     }
 
-    /// As the `perturb` object of a manifest row: nested by axis for several
-    /// axes, flat for one axis alone, empty where nothing is perturbed.
+    /// Returns the `perturb` object of a manifest row: nested by axis for
+    /// several axes, flat for one axis alone, empty where nothing is perturbed.
     pub fn to_manifest(&self, condition: Condition) -> Map<String, Value> {
         let nested = match serde_json::to_value(self) {
             Ok(Value::Object(nested)) => nested,
@@ -209,7 +210,7 @@ impl Perturbation {
         }
     }
 
-    /// From the `perturb` object of a manifest row.
+    /// Parses the `perturb` object of a manifest row.
     ///
     /// # Errors
     /// If a key is unknown or missing, or the object is not that of the
@@ -261,7 +262,7 @@ pub enum PerturbError {
     OtherAxes {
         /// The row's condition.
         condition: Condition,
-        /// What there are parameters of.
+        /// The axes that have parameters.
         given: AxisSet,
     },
     /// An unknown, missing or non-numeric parameter.
@@ -269,7 +270,7 @@ pub enum PerturbError {
     Parameters {
         /// The row's condition.
         condition: Condition,
-        /// Which parameter, and what is wrong with it.
+        /// Name of the parameter and its problem.
         problem: String,
     },
 }

@@ -6,7 +6,7 @@ use crate::level::Level;
 /// Smallest and largest radius of a placebo.
 pub const PLACEBO_RADII: [f64; 2] = [0.001, 0.5];
 
-/// How a design runs its level `L0`. Directions, initial states and seeds' recipes are
+/// Form of a design's level `L0`. Directions, initial states and seeds' recipes are
 /// those of its other levels; the instruction stays canonical.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Placebo {
@@ -20,12 +20,12 @@ impl Placebo {
     /// The radius unless another is asked for: a camera turns by less than 0.1°.
     pub const DEFAULT_RADIUS: Level = Level::of_radius_micros(20_000);
 
-    /// Whether a radius may be a placebo's.
+    /// Returns true if a radius may be a placebo's.
     pub(crate) fn may_have(radius: Level) -> bool {
         (PLACEBO_RADII[0]..=PLACEBO_RADII[1]).contains(&radius.radius())
     }
 
-    /// Whether a configuration of the design is run at it.
+    /// Returns true if a configuration of the design is run at it.
     pub(crate) fn has(&self, config: u16) -> bool {
         let configs = self.configs.as_ref();
         configs.is_none_or(|configs| configs.contains(&config))

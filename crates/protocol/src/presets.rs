@@ -129,7 +129,7 @@ impl TaskRef {
     }
 }
 
-/// What the figures say about one suite.
+/// Protocol figures of one suite.
 struct SuitePresets {
     max_steps: u32,
     demo_action_rms: [f64; 2],

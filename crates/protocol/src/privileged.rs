@@ -3,20 +3,20 @@
 
 use std::fmt;
 
-/// Where everything is: true at the end of the control step, without lag.
+/// State of the scene and the gripper at the end of the control step, without lag.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Privileged {
     /// Objects, fixtures, and region sites.
     pub entities: Vec<Entity>,
     /// Joints of objects and fixtures, free joints left out: name, m or rad.
     pub joints: Vec<(String, f64)>,
-    /// What must hold.
+    /// Predicates that must all hold.
     pub goal: Vec<Predicate>,
     /// Site between the fingertips, world frame, m.
     pub grip_pos: [f64; 3],
-    /// Its orientation, w x y z.
+    /// Orientation of that site, world frame, w x y z.
     pub grip_quat_wxyz: [f64; 4],
-    /// Between the finger joints, m; 0 is closed, 0.08 open.
+    /// Distance of the finger joints, m; 0 is closed, 0.08 open.
     pub gripper_opening: f64,
 }
 
@@ -25,7 +25,7 @@ pub struct Privileged {
 pub struct Entity {
     /// Instance name, or the site's.
     pub name: String,
-    /// What it is.
+    /// Kind of entity.
     pub kind: EntityKind,
     /// Category; of a site, the instance that carries it.
     pub category: String,
@@ -56,7 +56,7 @@ pub enum EntityKind {
 pub struct Predicate {
     /// Lower case: `on`, `in`, `open`, `close`, `turnon`, `turnoff`.
     pub name: String,
-    /// One or two names.
+    /// Names of the arguments, one or two.
     pub arguments: Vec<String>,
 }
 

@@ -64,18 +64,19 @@ impl RolloutId {
         self.task
     }
 
-    /// What is perturbed.
+    /// Returns the condition: the perturbed axes.
     pub const fn condition(&self) -> Condition {
         self.condition
     }
 
-    /// How strongly; L0 in clean rollouts and those of the placebo level.
+    /// Returns the level of perturbation; L0 in clean rollouts and those of the placebo
+    /// level.
     pub const fn level(&self) -> Level {
         self.level
     }
 
-    /// Whether it is a rollout of the placebo level: perturbed, but so little that no
-    /// policy should care.
+    /// Returns true if it is a rollout of the placebo level: perturbed, but so little that
+    /// no policy should care.
     pub fn is_placebo(&self) -> bool {
         self.level == Level::L0 && self.condition != Condition::Clean
     }

@@ -27,22 +27,23 @@ pub const MAX_ROWS: usize = 250_000;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "FlatRow", into = "FlatRow")]
 pub struct ManifestRow {
-    /// Which rollout.
+    /// Identity of the rollout.
     pub id: RolloutId,
     /// Place of the initial state among those of the design: the configuration,
     /// or in a clean row the initial state itself.
     pub init_slot: u16,
-    /// Which of the task's released initial states.
+    /// Number of the initial state among the task's released ones.
     pub init_id: u16,
     /// The policy's instruction, verbatim.
     pub instruction: String,
-    /// Which paraphrase the instruction is; none where language is not perturbed.
+    /// Identifier of the instruction's paraphrase; none where language is not
+    /// perturbed.
     pub variant_id: Option<String>,
     /// Control steps that the policy has.
     pub max_steps: u32,
     /// Control steps without action before the policy starts.
     pub settle_steps: u32,
-    /// What is perturbed, by how much.
+    /// Perturbed axes and their parameters.
     pub perturbation: Perturbation,
     /// The radius of a row at the placebo level, and of no other.
     pub placebo_radius: Option<Level>,
@@ -110,9 +111,9 @@ pub enum RowError {
         id: RolloutId,
         /// The column.
         column: &'static str,
-        /// What it says.
+        /// Text of the column.
         given: String,
-        /// What the id says.
+        /// Text that follows from the id.
         expected: String,
     },
     /// No such initial state.
@@ -120,7 +121,7 @@ pub enum RowError {
     InitState {
         /// The row's id.
         id: RolloutId,
-        /// What the row says.
+        /// The row's initial state.
         given: u16,
     },
     /// A placebo's radius where there is no placebo, none where there is, or none that
@@ -133,7 +134,7 @@ pub enum RowError {
     Placebo {
         /// The row's id.
         id: RolloutId,
-        /// What the row says.
+        /// The row's radius.
         given: Option<f64>,
     },
     /// A policy seed in the row.
@@ -141,7 +142,7 @@ pub enum RowError {
     PolicySeed {
         /// The row's id.
         id: RolloutId,
-        /// What the row says.
+        /// The row's policy seed.
         given: u64,
     },
     /// Parameters that do not belong to the row's condition.
@@ -149,8 +150,8 @@ pub enum RowError {
     Perturb {
         /// The row's id.
         id: RolloutId,
-        /// What is wrong with them. Part of the message, because readers of
-        /// JSON keep no chain of causes.
+        /// The parameters' problem. Part of the message, because readers of JSON keep
+        /// no chain of causes.
         problem: PerturbError,
     },
 }

@@ -1,4 +1,4 @@
-//! From a rollout's id to its manifest row.
+//! Derives the manifest row of a rollout's id.
 
 use crate::axis::Axis;
 use crate::axis_set::AxisSet;
@@ -14,7 +14,7 @@ use crate::suite::INIT_STATES_PER_TASK;
 pub struct NoSuchRow {
     /// The id.
     pub id: RolloutId,
-    /// Why not.
+    /// Reason of the failure.
     pub problem: String,
 }
 

@@ -14,23 +14,23 @@ use crate::row::ManifestRow;
 use crate::stop_rule::{Measure, StopRule};
 use crate::suite::TaskRef;
 
-/// How a campaign ends early. Its configurations run in an order that is drawn
+/// Early stop of a campaign. Its configurations run in an order that is drawn
 /// before anything is known of their outcomes, and it ends as soon as the rule
 /// holds at every one of its levels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stop {
-    /// What must hold.
+    /// Condition under which the campaign ends.
     pub rule: StopRule,
-    /// What the order is drawn from.
+    /// Seed of the order.
     #[serde(default)]
     pub seed: u64,
-    /// What each round of the order has one configuration of.
+    /// Strata of the order: each round has one configuration of each.
     #[serde(default)]
     pub strata: Strata,
 }
 
-/// What each round of a drawn order has one configuration of.
+/// Strata of a drawn order: each round has one configuration of each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strata {
@@ -42,7 +42,7 @@ pub enum Strata {
 }
 
 impl Strata {
-    /// Its name in specifications.
+    /// Name in specifications.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Suites => "suites",
@@ -54,10 +54,10 @@ impl Strata {
 /// A rule for a campaign that it cannot end.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StopError {
-    /// It is about a measure that a campaign has not.
+    /// The rule is about a measure that a campaign has not.
     #[error("`stop`: {0}")]
     Measure(UnknownName),
-    /// One axis, or none.
+    /// The campaign has one axis, or none.
     #[error(
         "`stop` needs simultaneous rollouts, and those of each axis alone: name two axes or more, \
          or take `stop` out"
@@ -69,7 +69,7 @@ pub enum StopError {
          or take `stop` out"
     )]
     Replicates {
-        /// What it says.
+        /// The number of replicates given.
         given: u32,
     },
     /// A campaign that follows from another's outcomes.

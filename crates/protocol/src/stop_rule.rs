@@ -1,4 +1,4 @@
-//! When a campaign may end: `width(I) < 0.08 and S_sim excludes 0.5`.
+//! Rule by which a campaign may end: `width(I) < 0.08 and S_sim excludes 0.5`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::names::UnknownName;
 
-/// Between two clauses.
+/// Separator of two clauses.
 const AND: &str = " and ";
 
 const VALID: &str = "width(M) < X with X above 0 and up to 2, M excludes X with X from -1 to 1, \
                      or several of them with ` and ` between";
 
-/// What an interval is about.
+/// Quantity that an interval estimates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "&'static str", try_from = "String")]
 pub enum Measure {
@@ -32,7 +32,7 @@ pub enum Measure {
 }
 
 impl Measure {
-    /// All.
+    /// All measures.
     pub const ALL: [Self; 6] = [
         Self::SSim,
         Self::RE,
@@ -42,7 +42,7 @@ impl Measure {
         Self::Difference,
     ];
 
-    /// Those of one policy.
+    /// Measures of one policy.
     pub const OF_ONE_POLICY: [Self; 5] = [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I];
 
     /// Name in stop rules: `S_sim`, `R_e`, `R_c`, `R_d`, `I`, `difference`.
@@ -135,7 +135,7 @@ impl StopRule {
 }
 
 impl Clause {
-    /// What it is about.
+    /// Returns the quantity that the clause constrains.
     pub const fn measure(&self) -> Measure {
         match *self {
             Self::Width(measure, _) | Self::Excludes(measure, _) => measure,

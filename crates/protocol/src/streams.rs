@@ -1,5 +1,5 @@
-//! Where the random elements of a perturbation come from: the blur's angle, the
-//! bias direction, the misalignment axis, the noise of each step.
+//! Random streams of a perturbation: the blur's angle, the bias direction, the
+//! misalignment axis, the noise of each step.
 //!
 //! In the `matched` realisation the key of a stream names the configuration and
 //! the axis, and neither the condition nor the replicate: an axis alone and the
@@ -71,13 +71,14 @@ impl MatchedStream {
         }
     }
 
-    /// What is drawn once per rollout.
+    /// Returns the generator of the draws made once per rollout.
     pub fn fixed(&self) -> MatchedRng {
         self.rng(0)
     }
 
-    /// What is drawn at control step `step` on `lane`, for example a camera:
-    /// independent of how often the other steps and lanes were asked for.
+    /// Returns the generator of the draws at control step `step` on `lane`, for
+    /// example a camera: independent of how often the other steps and lanes
+    /// were asked for.
     pub fn at(&self, step: u32, lane: u32) -> MatchedRng {
         self.rng(1 + (u64::from(lane) << 32 | u64::from(step)))
     }

@@ -1,4 +1,5 @@
-//! What a campaign is to find out that measures how far another one's policy goes.
+//! Specification of a campaign that measures the perturbation thresholds of another
+//! one's policy.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,10 +19,10 @@ pub const MAX_RADII: [f64; 2] = [2.0, 100.0];
 pub struct Thresholds {
     /// The campaign whose configurations are run at further radii.
     pub campaign: String,
-    /// Under which of that campaign's conditions; empty for all of them.
+    /// Conditions of that campaign that are measured; empty for all of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
-    /// How narrow a bracket between success and failure has to be, radius.
+    /// Width that a bracket between success and failure must not exceed, radius.
     #[serde(default = "default_tolerance")]
     pub tolerance: f64,
     /// The largest radius that is run.
@@ -30,7 +31,7 @@ pub struct Thresholds {
     /// Most rollouts; without it, every configuration is measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<u32>,
-    /// What the order is drawn from in which configurations are measured.
+    /// Seed of the order in which configurations are measured.
     #[serde(default)]
     pub seed: u64,
 }

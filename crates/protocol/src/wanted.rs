@@ -1,5 +1,5 @@
-//! What a campaign asks of its workers. What it leaves open, its first result
-//! decides.
+//! Requirements of a campaign on its workers. Those left open are decided by
+//! its first result.
 
 use std::fmt;
 
@@ -10,17 +10,17 @@ pub(crate) const MIN_DIGEST_DIGITS: usize = 8;
 /// Asset packs by name.
 const PACKS: [&str; 2] = ["primitives", "libero"];
 
-/// What a campaign's workers must run on.
+/// Asset pack and renderer required of a campaign's workers.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Wanted {
     /// The asset pack: `primitives`, `libero`, or the first digits of a pack's
     /// digest, at least eight.
     pub assets: Option<String>,
-    /// What draws.
+    /// The renderer.
     pub renderer: Option<RendererKind>,
 }
 
-/// What draws a worker's frames.
+/// Renderer of a worker's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RendererKind {
@@ -42,7 +42,7 @@ impl Wanted {
 }
 
 impl RendererKind {
-    /// Its name in a specification and on a worker's command line.
+    /// Name in a specification and on a worker's command line.
     pub fn name(self) -> &'static str {
         match self {
             RendererKind::Software => "software",

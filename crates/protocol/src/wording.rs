@@ -1,5 +1,5 @@
-//! What readers of JSON and TOML say of a text, in the words of those who wrote
-//! it. Their messages name Rust's types; the field and the value in them are kept.
+//! Rewords the errors of JSON and TOML readers for authors of the text. Their
+//! messages name Rust's types; the field and the value in them are kept.
 
 use std::fmt;
 
@@ -12,7 +12,7 @@ pub struct JsonError {
 }
 
 impl JsonError {
-    /// What is wrong, without the place.
+    /// Returns the problem, without the place.
     pub fn problem(&self) -> &str {
         &self.problem
     }
@@ -96,7 +96,7 @@ pub fn plain_words(message: &str) -> String {
     }
 }
 
-/// Without what follows a comma.
+/// Returns the text before the first comma.
 fn first(text: &str) -> &str {
     text.split(',').next().unwrap_or(text)
 }
@@ -114,7 +114,7 @@ fn choice(word: &str, known: &str) -> String {
     }
 }
 
-/// What was given: "string \"x\"", "integer `7`", "map", "null".
+/// Names the value given: "string \"x\"", "integer `7`", "map", "null".
 fn value(given: &str) -> String {
     for kind in ["string ", "integer ", "floating point ", "boolean "] {
         if let Some(value) = given.strip_prefix(kind) {
@@ -128,7 +128,7 @@ fn value(given: &str) -> String {
     }
 }
 
-/// What was wanted, which is often a type's name.
+/// Names the kind of value expected; `wanted` is often a Rust type's name.
 fn kind(wanted: &str) -> String {
     match wanted {
         "u8" => "a whole number, 0 to 255,".to_owned(),

@@ -1,4 +1,4 @@
-//! What pairing rests on: an axis means the same alone and among any others.
+//! Tests of pairing: an axis is perturbed the same alone and among any others.
 
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};

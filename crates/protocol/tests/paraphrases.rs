@@ -16,7 +16,7 @@ const MAX_CHARS: usize = 160;
 /// the changed ones, and write here what the failing test names.
 const DIGEST: &str = "9f0453463c67776c6cf0d85e7408cf93ce29aa134419c8b8a8ef7b2577e2a23b";
 
-/// What a sentence must name: of every row, one of the alternatives.
+/// Words that a sentence must contain: of every row, one of the alternatives.
 type Required = &'static [&'static [&'static str]];
 
 const BOWL: &[&str] = &["black bowl"];
@@ -310,7 +310,7 @@ fn task_text(task: TaskRef) -> String {
     lines.into_iter().map(|(_, _, line)| line).collect()
 }
 
-/// For reading them.
+/// Prints the sentences for reviewers.
 #[test]
 #[ignore = "prints the 1,200 sentences for a reviewer"]
 fn print_all() {

@@ -1,6 +1,6 @@
-//! Which seeds differ and which agree: a replicate changes the policy's seed
-//! and nothing else, and the matched streams know neither replicate nor
-//! condition.
+//! Tests of seeds that differ and seeds that agree: a replicate changes the
+//! policy's seed and nothing else, and the matched streams depend on neither
+//! replicate nor condition.
 
 use std::collections::BTreeSet;
 
@@ -52,8 +52,9 @@ fn conditions_of_a_configuration_differ_in_the_policys_seed_and_agree_in_the_mat
     }
 }
 
-/// What the `matched` realisation mends: the reference draws the bias, the
-/// misalignment, the blur's angle and all noise anew in the combination.
+/// Defect that the `matched` realisation corrects: the reference draws the
+/// bias, the misalignment, the blur's angle and all noise anew in the
+/// combination.
 #[test]
 fn the_references_streams_of_a_configuration_never_agree_between_conditions() {
     let rows = rows();

@@ -17,9 +17,9 @@ use crate::warnings;
 /// One policy, measured.
 #[derive(Clone, Debug)]
 pub struct Analysis {
-    /// What it is called in this document, unlike all others.
+    /// Name of the policy in this document, unlike all others.
     pub label: String,
-    /// What it is of.
+    /// Subject: the outcomes and their circumstances.
     pub subject: Subject,
     /// Its outcomes, matched. Of a campaign that stopped early, those of the
     /// configurations that its confidence sequences rest on.
@@ -31,12 +31,11 @@ pub struct Analysis {
     /// The statistics; without figures if it follows from another campaign, whose
     /// configurations it has only parts of.
     pub report: Report,
-    /// What it has found out of the campaign that it explains, if it explains one.
+    /// Explanations of another campaign's transitions, if it explains one.
     pub findings: Option<Findings>,
-    /// What it has found out about the thresholds of another campaign, if it measures
-    /// them.
+    /// Thresholds of another campaign, if it measures them.
     pub how_far: Option<HowFar>,
-    /// How the axes interact, where configurations have their whole lattice.
+    /// Interactions of the axes, where configurations have their whole lattice.
     pub interactions: Option<AxisInteractions>,
 }
 
@@ -96,8 +95,8 @@ impl Analysis {
         })
     }
 
-    /// Whether it has configurations to be paired: not if it follows from another
-    /// campaign.
+    /// Returns true if it has configurations to be paired: not if it follows from
+    /// another campaign.
     pub fn is_paired(&self) -> bool {
         self.subject.derived.is_none()
     }

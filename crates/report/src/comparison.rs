@@ -19,9 +19,9 @@ pub struct Comparison {
     pub a: Side,
     /// The policy B.
     pub b: Side,
-    /// What a reader must know first of comparing them.
+    /// Warnings about the comparison, to be read first.
     pub warnings: Vec<String>,
-    /// What a reader must know first of either.
+    /// Warnings about either policy, to be read first.
     pub notes: Vec<String>,
     /// The statistics.
     #[serde(flatten)]
@@ -29,7 +29,7 @@ pub struct Comparison {
     /// Intervals that hold at any look, if both ran in the same drawn order.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sequential: Option<SequentialComparison>,
-    /// How the intervals were made.
+    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
     /// Fewest tasks that give an interval.
     pub min_tasks: usize,
@@ -38,11 +38,11 @@ pub struct Comparison {
 /// One of the policies that are compared.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Side {
-    /// What it is called here, unlike the other.
+    /// Name of the policy in this comparison, unlike the other's.
     pub label: String,
     /// The policy's name.
     pub policy: String,
-    /// Where its outcomes come from.
+    /// Source of its outcomes.
     pub origin: Origin,
 }
 
@@ -50,15 +50,15 @@ pub struct Side {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("compare {a} with {b}: {}", .reasons.join("; "))]
 pub struct Unpairable {
-    /// The one.
+    /// Label of policy A.
     pub a: String,
-    /// The other.
+    /// Label of policy B.
     pub b: String,
-    /// Why, each with what to do.
+    /// Reasons, each with a remedy.
     pub reasons: Vec<String>,
 }
 
-/// What both policies must have been measured with.
+/// Circumstances in which both policies must have been measured.
 const SHARED: [(&str, Of); 3] = [
     ("asset pack", pack),
     ("MuJoCo version", mujoco),
@@ -147,7 +147,7 @@ impl Comparison {
         format!("{} − {}", self.a.label, self.b.label)
     }
 
-    /// For a terminal of 80 columns.
+    /// Writes the comparison for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
         for (letter, side) in [("A", &self.a), ("B", &self.b)] {
@@ -170,7 +170,7 @@ impl Comparison {
         text
     }
 
-    /// As JSON, several lines.
+    /// Writes the comparison as JSON, several lines.
     ///
     /// # Errors
     /// If serde cannot write it, which is a defect.
@@ -216,7 +216,7 @@ fn sides(a: &Analysis, b: &Analysis) -> [Side; 2] {
     [side(a, "A"), side(b, "B")]
 }
 
-/// What of a subject is not known, though both must share it.
+/// Names the unknown circumstances of a subject, though both must share them.
 fn unknown(subject: &Subject, side: &Side) -> Option<String> {
     // A campaign without any result has nothing yet that could be known.
     let has_results = !subject.provenances.is_empty();
@@ -275,7 +275,8 @@ fn different_realisation([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<Str
     })
 }
 
-/// What keeps a rollout of both from being paired, as far as digests are known.
+/// Returns the reason why a rollout of both cannot be paired, as far as digests
+/// are known.
 fn obstacle(record: &Record, [a, b]: [&Setups; 2]) -> Option<Obstacle> {
     let differ = |a: Option<&String>, b: Option<&String>| a.zip(b).is_some_and(|(a, b)| a != b);
     let state = RolloutId::clean(record.id.task(), record.init_id);

@@ -22,9 +22,9 @@ const WIDTH: usize = 80;
 /// Policies, measured.
 #[derive(Clone, Debug)]
 pub struct Document {
-    /// What a reader must know first of comparing them.
+    /// Warnings about comparing the policies, to be read first.
     pub warnings: Vec<String>,
-    /// One per subject, in the given order.
+    /// Analyses, one per subject, in the given order.
     pub analyses: Vec<Analysis>,
 }
 
@@ -34,12 +34,12 @@ pub enum DocumentError {
     /// The same rollout twice.
     #[error("measure policy `{policy}`")]
     Duplicate {
-        /// Whose.
+        /// Name of the policy.
         policy: String,
-        /// Which.
+        /// The duplicate rollout.
         source: DuplicateRecord,
     },
-    /// It cannot be written as JSON.
+    /// The report cannot be written as JSON.
     #[error("write the report as JSON")]
     Json(#[from] JsonError),
 }
@@ -49,7 +49,7 @@ pub enum DocumentError {
 #[derive(Serialize)]
 struct JsonForm<'a> {
     warnings: &'a [String],
-    /// Of replicate 0; null where no configuration is complete.
+    /// Measures of replicate 0; null where no configuration is complete.
     paired: BTreeMap<&'a str, BTreeMap<Level, Option<&'a Measures>>>,
     reports: Vec<JsonReport<'a>>,
 }
@@ -65,11 +65,11 @@ struct JsonReport<'a> {
     sequential: Option<&'a Sequential>,
     #[serde(flatten)]
     report: &'a Report,
-    /// What `explain --json` prints.
+    /// Form of `explain --json`.
     explanation: Option<&'a Findings>,
-    /// What `thresholds --json` prints.
+    /// Form of `thresholds --json`.
     thresholds: Option<&'a HowFar>,
-    /// What `interactions --json` prints.
+    /// Form of `interactions --json`.
     interactions: Option<interactions::JsonForm<'a>>,
 }
 
@@ -95,7 +95,7 @@ impl Document {
         })
     }
 
-    /// Every policy against every later one.
+    /// Compares every policy with every later one.
     pub(crate) fn comparisons(&self) -> Vec<Result<Comparison, Unpairable>> {
         let pairs = self.analyses.iter().enumerate().flat_map(|(index, a)| {
             let later = self.analyses[index + 1..].iter();
@@ -276,7 +276,7 @@ fn head(subject: &Subject) -> String {
     }
 }
 
-/// What a campaign that follows from another has found out, its warnings first.
+/// Appends the findings of a campaign that follows from another, its warnings first.
 fn push_found(text: &mut String, analysis: &Analysis) {
     for note in &analysis.report.notes {
         push_wrapped(text, "! ", note);

@@ -1,6 +1,6 @@
-//! Which axes it takes: what a campaign that explains another has found out, as text
-//! for a terminal and as JSON. What minimal subsets are, and which to run, is
-//! `lattice`'s business.
+//! Findings of a campaign that explains another, as text for a terminal and as JSON.
+//! The definition of minimal subsets and the choice of those to run are `lattice`'s
+//! business.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -18,7 +18,7 @@ use crate::subject::{Prospect, Subject, things};
 /// Columns of a terminal for the names of axes.
 const NAMES: usize = 52;
 
-/// What was found out about a campaign's transitions.
+/// Findings about a campaign's transitions.
 #[derive(Clone, Debug, Serialize)]
 pub struct Findings {
     /// The campaign whose transitions are explained.
@@ -27,26 +27,27 @@ pub struct Findings {
     pub explained_by: String,
     /// The policy.
     pub policy: String,
-    /// Whether nothing remains to be run.
+    /// True if nothing remains to be run.
     pub complete: bool,
     /// Configurations with a transition to be explained.
     pub transitions: u64,
-    /// Those whose explanation is finished.
+    /// Transitions whose explanation is finished.
     pub explained: u64,
     /// Emergent failures that are left out because the nominal rollout fails too.
     pub nominal_fails: u64,
     /// Rollouts that were run or wait to be run, beyond those of the campaign.
     pub rollouts: u64,
-    /// Those among them without an outcome yet.
+    /// Rollouts among them without an outcome yet.
     pub waiting: u64,
-    /// How often each minimal subset occurs.
+    /// Occurrences of each minimal subset.
     pub subsets: Vec<Occurrence>,
     /// Each configuration of which a subset was run.
     pub configurations: Vec<Explained>,
 }
 
 impl Findings {
-    /// What explaining a campaign would take.
+    /// Returns the number of transitions and rollouts that explaining a campaign
+    /// would take.
     ///
     /// # Errors
     /// If it perturbs one axis only.
@@ -122,7 +123,7 @@ impl Findings {
         Ok(Some(findings))
     }
 
-    /// As JSON, several lines.
+    /// Writes the findings as JSON, several lines.
     ///
     /// # Errors
     /// If serde cannot write it, which is a defect.
@@ -130,7 +131,7 @@ impl Findings {
         Ok(serde_json::to_string_pretty(self)?)
     }
 
-    /// As text for a terminal of 80 columns.
+    /// Writes the findings as text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
         push_wrapped(
@@ -160,7 +161,7 @@ impl Findings {
         text
     }
 
-    /// How far it is, in a sentence without its subject and its stop.
+    /// Progress of the explanation, in a sentence without its subject and its stop.
     pub(crate) fn standing(&self) -> String {
         let Self {
             transitions,
@@ -192,7 +193,7 @@ fn is_settled(record: &Record) -> bool {
     record.outcome != Outcome::Missing
 }
 
-/// How often each minimal subset occurs.
+/// Appends the occurrences of each minimal subset.
 fn push_subsets(text: &mut String, title: &str, occurrences: &[&Occurrence]) {
     if occurrences.is_empty() {
         return;

@@ -46,8 +46,8 @@ pub use upset::upset;
 /// The style that the panels need; a page includes it once.
 pub const STYLE: &str = include_str!("figures/style.css");
 
-/// Where a configuration is shown rollout by rollout, named by its simultaneous rollout
-/// and its replicate: an address.
+/// Address of a configuration's page of rollouts, by its simultaneous rollout and its
+/// replicate.
 pub type Link<'a> = &'a dyn Fn(RolloutId, u32) -> String;
 
 /// Around the panel in a file of its own.
@@ -58,7 +58,7 @@ const PADDING: f64 = 14.0;
 pub struct Figure {
     /// Name of its file, without extension.
     pub name: String,
-    /// What it shows, for those who cannot see it.
+    /// Description for readers who cannot see the figure.
     pub title: String,
     has_links: bool,
     is_wide: bool,
@@ -82,7 +82,8 @@ impl Figure {
         }
     }
 
-    /// As wide as a page, for which a narrow page needs a box that scrolls.
+    /// Makes the figure as wide as a page, for which a narrow page needs a box that
+    /// scrolls.
     fn wide(self) -> Self {
         Self {
             is_wide: true,
@@ -90,12 +91,12 @@ impl Figure {
         }
     }
 
-    /// For a page that includes [`STYLE`].
+    /// Renders the figure for a page that includes [`STYLE`].
     pub fn inline(&self) -> Markup {
         self.svg(html! {}, 0.0)
     }
 
-    /// For a file of its own.
+    /// Renders the figure for a file of its own.
     pub fn standalone(&self) -> String {
         // A viewer's own background may be of the other scheme than the text.
         let style = html! {

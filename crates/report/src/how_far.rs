@@ -16,7 +16,7 @@ use crate::words;
 /// Columns of a terminal for the names of conditions.
 const NAMES: usize = 14;
 
-/// What was found out about a campaign's thresholds.
+/// Measured thresholds of a campaign.
 #[derive(Clone, Debug, Serialize)]
 pub struct HowFar {
     /// The campaign whose thresholds are measured.
@@ -25,23 +25,23 @@ pub struct HowFar {
     pub measured_by: String,
     /// The policy.
     pub policy: String,
-    /// How narrow a bracket has to be, radius.
+    /// Width that a bracket must not exceed, radius.
     pub tolerance: f64,
     /// The largest radius that is run.
     pub max_radius: f64,
-    /// Whether nothing remains to be run.
+    /// True if nothing remains to be run.
     pub complete: bool,
     /// Thresholds that are looked for: one for each configuration under each condition.
     pub looked_for: u64,
-    /// Those of which nothing remains to be run.
+    /// Thresholds of which nothing remains to be run.
     pub found: u64,
-    /// Those that are not looked for, because the budget does not suffice.
+    /// Thresholds that are not looked for, because the budget does not suffice.
     pub beyond_budget: u64,
     /// Rollouts that were run or wait to be run, beyond those of the campaign.
     pub rollouts: u64,
-    /// Those among them without an outcome yet.
+    /// Rollouts among them without an outcome yet.
     pub waiting: u64,
-    /// How many configurations still succeed at each radius, by condition.
+    /// Curves of configurations that still succeed at each radius, by condition.
     pub curves: Vec<Curve>,
     /// Each threshold that is looked for.
     pub thresholds: Vec<Measured>,
@@ -50,13 +50,13 @@ pub struct HowFar {
 /// The threshold of one configuration under one condition.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measured {
-    /// What is perturbed.
+    /// Condition: the perturbed axes.
     pub condition: Condition,
     /// The task.
     pub task: TaskRef,
     /// The configuration's number.
     pub config: u16,
-    /// What is known of it.
+    /// Kind of the threshold, as far as it is known.
     pub threshold: Kind,
     /// The largest radius below `fails_at` at which it succeeds, 0 for the nominal
     /// rollout; without a failure, the largest at which it succeeds.
@@ -65,13 +65,13 @@ pub struct Measured {
     pub fails_at: Option<f64>,
     /// Larger radii at which it succeeds again: it is not monotone.
     pub recovers_at: Vec<f64>,
-    /// Whether nothing remains to be run.
+    /// True if nothing remains to be run.
     pub is_found: bool,
     /// Every radius that was asked for, from the smallest; the nominal rollout first.
     pub outcomes: Vec<AtRadius>,
 }
 
-/// What is known of a threshold.
+/// Kind of a threshold, as far as it is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -79,16 +79,16 @@ pub enum Kind {
     NominalFails,
     /// The nominal rollout has no outcome.
     NominalUnknown,
-    /// It is between two radii.
+    /// The threshold is between two radii.
     Between,
-    /// It is beyond the largest radius.
+    /// The threshold is beyond the largest radius.
     Beyond,
     /// Nothing failed so far, and the largest radius has no outcome.
     Open,
 }
 
 impl Kind {
-    /// Its name, as JSON and tables have it.
+    /// Name in JSON and tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::NominalFails => "nominal_fails",
@@ -100,12 +100,12 @@ impl Kind {
     }
 }
 
-/// How the rollout at a radius ended.
+/// Outcome of the rollout at a radius.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct AtRadius {
     /// The radius.
     pub radius: f64,
-    /// How it ended.
+    /// Outcome of the rollout.
     pub outcome: Outcome,
 }
 
@@ -118,7 +118,7 @@ pub struct AtRadius {
 pub struct BudgetTooSmall {
     /// The budget.
     pub budget: u32,
-    /// What a configuration may take.
+    /// Most rollouts that a configuration may take.
     pub most: u32,
 }
 
@@ -142,7 +142,8 @@ impl HowFar {
         }
     }
 
-    /// What measuring the thresholds of a campaign would take.
+    /// Returns the number of thresholds and rollouts that measuring a campaign would
+    /// take.
     pub fn prospect(campaign: &Subject, thresholds: &Thresholds) -> Prospect {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
         let mut prospect = Prospect {
@@ -185,7 +186,7 @@ impl HowFar {
         })
     }
 
-    /// As JSON, several lines.
+    /// Writes the measurement as JSON, several lines.
     ///
     /// # Errors
     /// If serde cannot write it, which is a defect.
@@ -193,7 +194,7 @@ impl HowFar {
         Ok(serde_json::to_string_pretty(self)?)
     }
 
-    /// As text for a terminal of 80 columns.
+    /// Writes the measurement as text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
         push_wrapped(
@@ -219,7 +220,7 @@ impl HowFar {
         text
     }
 
-    /// How far the measurement is, in a sentence without its subject and its stop.
+    /// Progress of the measurement, in a sentence without its subject and its stop.
     pub(crate) fn standing(&self) -> String {
         let mut words = format!(
             "measures thresholds of {}: {} of {} found in {}",
@@ -294,7 +295,7 @@ fn largest_success(known: &Known) -> Option<Level> {
 /// A row per condition, a column per radius of the grid.
 fn push_survival(text: &mut String, curves: &[&Curve]) {
     text.push_str("\nconfigurations that still succeed, %, by radius\n");
-    // Where language is perturbed, the grid is shorter.
+    // Conditions with a perturbed language have a shorter grid.
     let longest = curves
         .iter()
         .max_by(|a, b| a.largest_radius.total_cmp(&b.largest_radius));

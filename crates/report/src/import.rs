@@ -20,7 +20,7 @@ use crate::subject::{Origin, Setups, Subject};
 
 /// The rows, inside a folder.
 const ROWS: &str = "rollouts.jsonl";
-/// What the rows do not say, inside a folder.
+/// Name of the file about the rows' circumstances, inside a folder.
 const ABOUT: &str = "about.json";
 /// Longest line that is read, bytes.
 const MAX_LINE_BYTES: u64 = 64 << 10;
@@ -37,39 +37,39 @@ pub enum ImportError {
     /// The file system.
     #[error("read {path}: name a folder that holds {ROWS}, or such a file")]
     Read {
-        /// Where.
+        /// Path of the folder or file.
         path: PathBuf,
-        /// What happened.
+        /// Error of the system.
         source: std::io::Error,
     },
     /// Lines that are no result rows.
     #[error("import {path}: {} bad, nothing was taken of it: {}", counted(.bad), said(.named, .bad))]
     Lines {
-        /// Where.
+        /// Path of the file.
         path: PathBuf,
-        /// How many.
+        /// Number of bad lines.
         bad: usize,
-        /// The first of them.
+        /// First of the bad lines.
         named: Vec<BadLine>,
     },
     /// More rows than any design has.
     #[error("import {path}: it has more than {MAX_FILE_ROWS} rows: divide it")]
     TooLong {
-        /// Where.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// No row at all.
+    /// The file has no row.
     #[error("import {path}: it has no row")]
     Empty {
-        /// Where.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// What is said about the rows does not read.
+    /// The file about the rows does not parse.
     #[error("read {path}, which says what the rows are")]
     About {
-        /// Where.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Error in its JSON.
         source: JsonError,
     },
 }
@@ -77,13 +77,13 @@ pub enum ImportError {
 /// A line that is no result row.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BadLine {
-    /// Its number, from 1.
+    /// Number of the line, from 1.
     pub number: usize,
-    /// What is wrong with it.
+    /// Reason why it is no row.
     pub reason: String,
 }
 
-/// What `about.json` may say.
+/// Content of `about.json`; every field may be absent.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct About {
@@ -204,7 +204,7 @@ fn read_about(path: &Path) -> Result<About, ImportError> {
     })
 }
 
-/// What was read so far.
+/// Rows and bad lines read so far.
 #[derive(Default)]
 struct Reading {
     number: usize,

@@ -1,5 +1,5 @@
-//! How the axes interact in a campaign, over the configurations of which the whole
-//! lattice was run, level by level: as text for a terminal and as JSON. The
+//! Interactions of the axes in a campaign, over the configurations of which the
+//! whole lattice was run, level by level: as text for a terminal and as JSON. The
 //! definitions are `lattice`'s.
 
 use std::collections::BTreeMap;
@@ -22,16 +22,16 @@ const NAMES: usize = 48;
 const RATE: usize = 7;
 const CHANGE: usize = 8;
 
-/// How the axes of a campaign interact.
+/// Interactions of a campaign's axes.
 #[derive(Clone, Debug)]
 pub struct AxisInteractions {
     /// The campaign.
     pub campaign: String,
-    /// Its policy.
+    /// Name of its policy.
     pub policy: String,
-    /// What a reader must know first.
+    /// Warnings to be read first.
     pub notes: Vec<String>,
-    /// How intervals were made.
+    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
     /// Each level with a configuration whose whole lattice was run, by radius.
     pub levels: Vec<LevelInteractions>,
@@ -51,10 +51,10 @@ pub struct LevelInteractions {
 /// A campaign without a configuration whose whole lattice was run.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum NoInteractions {
-    /// It perturbs one axis.
+    /// The campaign perturbs one axis.
     #[error(transparent)]
     Axes(#[from] KnownError),
-    /// It has no perturbed configuration.
+    /// The campaign has no perturbed configuration.
     #[error("compute the interactions of `{0}`: it perturbs nothing; create it with `--axes`")]
     Empty(String),
     /// Every configuration has a gap.
@@ -66,18 +66,18 @@ pub enum NoInteractions {
     Incomplete {
         /// The campaign.
         campaign: String,
-        /// Its configurations.
+        /// Number of its configurations.
         configurations: usize,
-        /// One of them.
+        /// First of its configurations.
         first: RolloutId,
-        /// What it lacks.
+        /// Subsets that its lattice lacks.
         gap: IncompleteLattice,
     },
 }
 
 impl AxisInteractions {
-    /// Those of a subject: of the subsets that it ran itself, or together with the
-    /// campaign that it explains.
+    /// Computes the interactions of a subject: of the subsets that it ran itself,
+    /// or together with the campaign that it explains.
     ///
     /// # Errors
     /// If no configuration has its whole lattice.
@@ -134,7 +134,7 @@ impl AxisInteractions {
         }
     }
 
-    /// As JSON, several lines.
+    /// Writes the interactions as JSON, several lines.
     ///
     /// # Errors
     /// If serde cannot write it, which is a defect.
@@ -142,7 +142,7 @@ impl AxisInteractions {
         Ok(serde_json::to_string_pretty(&self.form())?)
     }
 
-    /// What becomes JSON.
+    /// Returns the JSON form.
     pub(crate) fn form(&self) -> JsonForm<'_> {
         JsonForm {
             campaign: &self.campaign,
@@ -153,7 +153,7 @@ impl AxisInteractions {
         }
     }
 
-    /// As text for a terminal of 80 columns.
+    /// Writes the interactions as text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = format!("campaign {}\npolicy {}\n\n", self.campaign, self.policy);
         for note in &self.notes {

@@ -1,8 +1,7 @@
-//! From outcomes to what people read: text for a terminal, JSON, one page of
-//! HTML, its figures as SVG, and the table of configurations as CSV or Parquet.
-//! Not responsible for the statistics, which are `paired`'s, nor for where
-//! outcomes are kept: a [`Subject`] comes from a coordinator or from
-//! [`import`].
+//! Reports of outcomes: text for a terminal, JSON, one page of HTML, its
+//! figures as SVG, and the table of configurations as CSV or Parquet. Not
+//! responsible for the statistics, which are `paired`'s, nor for where outcomes
+//! are kept: a [`Subject`] comes from a coordinator or from [`import`].
 //!
 //! The same subjects give the same bytes: no instant, no machine, no order of
 //! arrival.

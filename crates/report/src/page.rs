@@ -52,14 +52,14 @@ pub fn page(document: &Document) -> String {
     page.into_string()
 }
 
-/// What to know before believing anything, for another page that includes
-/// [`STYLE`].
+/// Renders the warnings, for another page that includes [`STYLE`].
 pub fn warnings(document: &Document) -> Markup {
     findings::warnings(document)
 }
 
-/// What the page says below its warnings, for another page that includes
-/// [`STYLE`]. The squares of the outcome matrices lead to where `link` says.
+/// Renders the sections below the warnings, for another page that includes
+/// [`STYLE`]. The squares of the outcome matrices lead to the addresses that
+/// `link` returns.
 pub fn sections(document: &Document, link: Option<Link>) -> Markup {
     let levels = levels(document);
     let per_level = |panel: fn(&Document, protocol::Level) -> Option<Figure>| {

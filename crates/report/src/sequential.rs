@@ -18,23 +18,23 @@ const POINTS_COLUMNS: usize = 17;
 /// which it did, of any other now.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Sequential {
-    /// When it ends early.
+    /// Rule by which it ends early.
     pub rule: StopRule,
-    /// What the order of its configurations is drawn from.
+    /// Seed of the order of its configurations.
     pub seed: u64,
-    /// What each round of the order has one configuration of.
+    /// Strata of the order: each round has one configuration of each.
     pub strata: Strata,
-    /// Whether it did end early.
+    /// True if it did end early.
     pub has_stopped: bool,
-    /// Configurations of the campaign: what the intervals are about.
+    /// Configurations of the campaign: the population of the intervals.
     pub configurations: usize,
-    /// Those that the intervals rest on: the first in the drawn order.
+    /// Configurations that the intervals rest on: the first in the drawn order.
     pub used: usize,
     /// Rollouts of the campaign.
     pub rollouts: usize,
-    /// Those without an outcome because it ended early.
+    /// Rollouts without an outcome because it ended early.
     pub saved: usize,
-    /// By level and measure, both ends, fractions.
+    /// Both ends by level and measure, fractions.
     pub levels: BTreeMap<Level, BTreeMap<Measure, [f64; 2]>>,
 }
 
@@ -53,7 +53,7 @@ pub fn stopped_in_words(
 }
 
 impl Sequential {
-    /// Of a campaign that may end early and has configurations.
+    /// Computes the sequences of a campaign that may end early and has configurations.
     pub(crate) fn of(subject: &Subject) -> Result<Option<Self>, DuplicateRecord> {
         let Some(EarlyStop { stop, has_stopped }) = &subject.early_stop else {
             return Ok(None);
@@ -90,7 +90,7 @@ impl Sequential {
         }))
     }
 
-    /// What can be said at any look, in place of the findings of a fixed sample: intervals
+    /// Findings that are valid at any look, in place of those of a fixed sample: intervals
     /// of simultaneous success and its net effect over the campaign's configurations.
     pub(crate) fn findings(&self) -> Vec<Finding> {
         let levels = self.levels.iter().filter_map(|(&level, measures)| {
@@ -114,7 +114,8 @@ impl Sequential {
         levels.collect()
     }
 
-    /// What a reader must know first; nothing where every configuration counts.
+    /// Returns the warning that figures rest on fewer configurations; none where every one
+    /// counts.
     pub(crate) fn warning(&self) -> Option<String> {
         if self.has_stopped {
             let configurations = [self.used as u64, self.configurations as u64];
@@ -138,7 +139,7 @@ impl Sequential {
         })
     }
 
-    /// What the intervals are, and are about, in words.
+    /// Defines the intervals and their population in words.
     pub(crate) fn explanation(&self) -> String {
         format!(
             "confidence sequences: at each level, the five hold together at all looks with a \
@@ -151,7 +152,7 @@ impl Sequential {
         )
     }
 
-    /// For a terminal of 80 columns: percent and points.
+    /// Writes the sequences for a terminal of 80 columns: percent and points.
     pub(crate) fn text(&self) -> String {
         let names = self.levels.keys().map(ToString::to_string);
         let widest = names.map(|name| name.len()).max().unwrap_or_default();

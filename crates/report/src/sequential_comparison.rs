@@ -14,11 +14,11 @@ use crate::sequential::percent_text;
 /// The confidence sequences of A − B.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SequentialComparison {
-    /// What the order of both is drawn from.
+    /// Seed of the order of both.
     pub seed: u64,
-    /// What each round of the order has one configuration of.
+    /// Strata of the order: each round has one configuration of each.
     pub strata: Strata,
-    /// What was asked for, if anything was.
+    /// Rule that was asked for, if any.
     pub rule: Option<StopRule>,
     /// Every condition at every perturbed level.
     pub cells: Vec<SequentialCell>,
@@ -31,52 +31,53 @@ pub struct SequentialCell {
     pub level: Level,
     /// The condition.
     pub condition: Condition,
-    /// Configurations of the campaigns: what the interval is about.
+    /// Configurations of the campaigns: the population of the interval.
     pub configurations: usize,
-    /// Those that it rests on: the first in the drawn order that both have.
+    /// Configurations that it rests on: the first in the drawn order that both
+    /// have.
     pub used: usize,
     /// Both ends, fractions.
     pub difference: [f64; 2],
-    /// After how many configurations the rule was first met, if it was.
+    /// Number of configurations after which the rule was first met, if it was.
     pub met_after: Option<usize>,
 }
 
 /// Two subjects that did not run their configurations in the same drawn order.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoCommonOrder {
-    /// One was not drawn at all.
+    /// A subject was not drawn at all.
     #[error(
         "compare {subject} sequentially: its configurations did not run in a drawn order; create \
          both campaigns with `--stop`"
     )]
     NotDrawn {
-        /// Which.
+        /// Name of the subject.
         subject: String,
     },
-    /// They were drawn otherwise.
+    /// The subjects were drawn in different orders.
     #[error(
         "compare {a} with {b} sequentially: {a} ran in the order of {order_a}, {b} in that of \
          {order_b}; create both campaigns with the same `--stop-seed` and `--stop-strata`"
     )]
     Differ {
-        /// The one.
+        /// Name of policy A.
         a: String,
-        /// Its order.
+        /// Order of policy A.
         order_a: String,
-        /// The other.
+        /// Name of policy B.
         b: String,
-        /// Its order.
+        /// Order of policy B.
         order_b: String,
     },
-    /// They were drawn of different configurations.
+    /// The subjects were drawn of different configurations.
     #[error(
         "compare {a} with {b} sequentially: they have different configurations; give both the \
          same tasks and configurations"
     )]
     Configurations {
-        /// The one.
+        /// Name of policy A.
         a: String,
-        /// The other.
+        /// Name of policy B.
         b: String,
     },
 }
@@ -128,7 +129,7 @@ impl SequentialComparison {
         })
     }
 
-    /// What the intervals are, in words.
+    /// Defines the intervals in words.
     pub(crate) fn explanation(&self) -> String {
         format!(
             "each holds at all looks with a probability of 95 %; about all configurations, from \
@@ -138,7 +139,7 @@ impl SequentialComparison {
         )
     }
 
-    /// For a terminal of 80 columns: points.
+    /// Writes the sequences for a terminal of 80 columns: points.
     pub(crate) fn text(&self) -> String {
         let mut text = format!("{:<30}{:>14}{:>20}\n", "", "configurations", "A - B");
         for cell in &self.cells {

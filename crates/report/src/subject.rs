@@ -1,5 +1,5 @@
-//! What a report is of: one policy's outcomes, and everything known about how
-//! they were made.
+//! Subject of a report: one policy's outcomes, and everything known about how they were
+//! made.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -12,11 +12,11 @@ use serde::{Deserialize, Serialize};
 /// One policy's outcomes under one set of circumstances.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Subject {
-    /// What the policy is called.
+    /// Name of the policy.
     pub policy: String,
-    /// Where its outcomes come from.
+    /// Source of its outcomes.
     pub origin: Origin,
-    /// Where the perturbations' random elements came from, if that is known.
+    /// Source of the perturbations' random elements, if known.
     pub realisation: Option<Realisation>,
     /// Every rollout that was meant to run, with or without an outcome.
     pub records: Vec<Record>,
@@ -29,10 +29,10 @@ pub struct Subject {
     pub left_out: u64,
     /// The distinct circumstances under which the outcomes were made.
     pub provenances: Vec<Provenance>,
-    /// What the policy answered beyond the range, if that is known.
+    /// Actions beyond the range that the policy answered, if known.
     #[serde(default)]
     pub beyond: Option<BeyondRange>,
-    /// How the outcomes mix fingerprints, if they have more than one.
+    /// Mix of fingerprints among the outcomes, if they have more than one.
     #[serde(default)]
     pub fingerprints: Option<Fingerprints>,
     /// The published nominal success rate, a fraction.
@@ -42,31 +42,31 @@ pub struct Subject {
     pub published_by_suite: Vec<(Suite, f64)>,
     /// Nominal successes as published elsewhere.
     pub reported_nominal: Option<Count>,
-    /// How its directions were assigned to configurations.
+    /// Assignment of its directions to configurations.
     #[serde(default)]
     pub directions: Directions,
-    /// What the policy was given to do; empty where that is not known.
+    /// Digests of the rollouts' circumstances; empty where they are not known.
     #[serde(default)]
     pub setups: Setups,
-    /// What it is to find out, if it follows from another campaign.
+    /// Purpose, if it follows from another campaign.
     #[serde(default)]
     pub derived: Option<Derived>,
-    /// How its campaign may end early, or did; none of one that runs to its end.
+    /// Early stop of its campaign, possible or done; none of one that runs to its end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub early_stop: Option<EarlyStop>,
 }
 
-/// What a campaign is to find out that follows from another one.
+/// Purpose of a campaign that follows from another one, and that campaign's rollouts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Derived {
-    /// What, and of which campaign.
+    /// Purpose, with the campaign that it follows from.
     pub purpose: Purpose,
     /// That campaign's rollouts, with or without an outcome; of one that stopped early,
     /// those that count.
     pub records: Vec<Record>,
 }
 
-/// What a campaign that follows from another would take, before there is one.
+/// Size of a campaign that follows from another, before it is created.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Prospect {
     /// Transitions to explain or thresholds to measure, as far as the outcomes show them.
@@ -92,41 +92,40 @@ impl Prospect {
     }
 }
 
-/// What campaigns that follow from others find out.
+/// Purpose of campaigns that follow from others.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Purpose {
-    /// Which axes it takes to change an outcome.
+    /// Find the minimal subsets of axes that change an outcome.
     Explanation(Explanation),
-    /// At which radius success turns to failure.
+    /// Find the radius at which success turns to failure.
     Thresholds(Thresholds),
 }
 
-/// How a campaign may end early.
+/// Early stop of a campaign.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EarlyStop {
     /// The rule, and what its order is drawn from.
     pub stop: Stop,
-    /// Whether it did.
+    /// True if it stopped early.
     pub has_stopped: bool,
 }
 
-/// What the rollouts of a subject were, beyond their names: two subjects can
-/// have a rollout of one name that is another in each. Digests, of which only
-/// equality means something.
+/// Digests of the circumstances of a subject's rollouts, beyond their names: a rollout of
+/// one name can differ between two subjects. Digests can only be compared for equality.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Setups {
-    /// Of perturbation, instruction and step budget, by rollout.
+    /// Digest of perturbation, instruction and step budget, by rollout.
     pub rollouts: BTreeMap<RolloutId, String>,
-    /// Of scene and initial state, by the nominal rollout from that state,
-    /// where any result tells.
+    /// Digest of scene and initial state, by the nominal rollout from that state, where
+    /// any result tells.
     pub scenes: BTreeMap<RolloutId, String>,
 }
 
 /// Actions with a number outside [-1, 1], of all that were executed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BeyondRange {
-    /// So many of them.
+    /// Actions beyond the range.
     pub actions: u64,
     /// All actions.
     pub of_actions: u64,
@@ -134,17 +133,17 @@ pub struct BeyondRange {
     pub rollouts: u64,
 }
 
-/// Where outcomes come from.
+/// Source of outcomes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Origin {
     /// A campaign of a coordinator.
     Campaign {
-        /// Its name.
+        /// Name of the campaign.
         name: String,
-        /// Where its policy was reached.
+        /// Endpoint of its policy.
         endpoint: String,
-        /// Its design's version.
+        /// Version of its design.
         design: String,
     },
     /// A file of result rows.
@@ -153,7 +152,7 @@ pub enum Origin {
         name: String,
         /// SHA-256 of the file.
         digest: String,
-        /// What its makers say of it; empty where they say nothing.
+        /// Description by its makers; empty where they give none.
         source: String,
     },
 }
@@ -167,7 +166,7 @@ pub struct Quarantined {
     pub last_error: String,
 }
 
-/// How a rollout of a replicate is called: `ID` or `ID#rK`.
+/// Name of a rollout of a replicate: `ID` or `ID#rK`.
 pub fn rollout_name(rollout_id: &str, replicate: u32) -> String {
     match replicate {
         0 => rollout_id.to_owned(),
@@ -192,7 +191,8 @@ pub fn counted<'a>(records: &'a [Record], early_stop: Option<&EarlyStop>) -> Cow
 }
 
 impl Subject {
-    /// What it explains and that campaign's rollouts, if it explains another campaign.
+    /// Returns the explanation and the explained campaign's rollouts, if it explains
+    /// another campaign.
     pub(crate) fn explains(&self) -> Option<(&Explanation, &[Record])> {
         let Derived { purpose, records } = self.derived.as_ref()?;
         match purpose {
@@ -201,8 +201,8 @@ impl Subject {
         }
     }
 
-    /// What it measures and that campaign's rollouts, if it measures another campaign's
-    /// thresholds.
+    /// Returns the measurement and the measured campaign's rollouts, if it measures
+    /// another campaign's thresholds.
     pub(crate) fn measures(&self) -> Option<(&Thresholds, &[Record])> {
         let Derived { purpose, records } = self.derived.as_ref()?;
         match purpose {
@@ -211,7 +211,7 @@ impl Subject {
         }
     }
 
-    /// Whether its campaign stopped early: what has no outcome gets none.
+    /// Returns true if its campaign stopped early: rollouts without an outcome get none.
     pub fn has_stopped(&self) -> bool {
         let early = self.early_stop.as_ref();
         early.is_some_and(|early| early.has_stopped)

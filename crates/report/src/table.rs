@@ -21,7 +21,7 @@ pub use results::{ResultRow, write_results_parquet};
 /// another, configurations otherwise.
 ///
 /// # Errors
-/// When `out` fails.
+/// If `out` fails.
 pub fn write_csv(document: &Document, out: impl Write) -> Result<(), TableError> {
     match rows(document) {
         Rows::Configurations => configurations::table(document).csv(out),
@@ -34,7 +34,7 @@ pub fn write_csv(document: &Document, out: impl Write) -> Result<(), TableError>
 /// needs to read nullable columns as what they are.
 ///
 /// # Errors
-/// When `out` fails.
+/// If `out` fails.
 pub fn write_parquet(document: &Document, out: impl Write + Send) -> Result<(), TableError> {
     match rows(document) {
         Rows::Configurations => configurations::table(document).parquet(out),
@@ -43,7 +43,7 @@ pub fn write_parquet(document: &Document, out: impl Write + Send) -> Result<(), 
     }
 }
 
-/// What the rows of a table are.
+/// Kind of a table's rows.
 enum Rows {
     Configurations,
     MinimalSubsets,

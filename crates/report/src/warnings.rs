@@ -1,4 +1,4 @@
-//! What a reader must know before a figure is believed, in words. Pure, and the
+//! Warnings of a report, to be read before its figures, in words. Pure, and the
 //! same for the same results: no instant, no count of attempts, no worker.
 
 use std::collections::BTreeSet;
@@ -150,7 +150,8 @@ fn mixed(provenances: &[Provenance], what: &str, so: &str, of: Of) -> Option<Str
     })
 }
 
-/// How many results have each fingerprint, and which configurations mix them.
+/// Names the number of results with each fingerprint, and the configurations
+/// that mix them.
 pub fn fingerprints_in_words(mix: &Fingerprints) -> String {
     let results = mix.results.iter();
     let results: Vec<String> = results

@@ -1,5 +1,5 @@
-//! How numbers are written for people: percent and percentage points with one
-//! decimal, a proper minus sign, intervals in brackets.
+//! Formats numbers for people: percent and percentage points with one decimal, a
+//! proper minus sign, intervals in brackets.
 
 use std::collections::BTreeSet;
 
@@ -69,8 +69,9 @@ pub(crate) fn p_value(p: f64) -> String {
     }
 }
 
-/// Where half of the configurations survive, as it is printed: `4.25`, `2 to 4` where
-/// no radius between was run, `> 16`, or `none` where fewer than half succeed nominally.
+/// Radius at which half of the configurations survive, as it is printed: `4.25`, `2 to
+/// 4` where no radius between was run, `> 16`, or `none` where fewer than half succeed
+/// nominally.
 pub(crate) fn half_success(curve: &Curve) -> String {
     let share = |point: Option<&Point>| point.map_or(0.0, |point| point.survival);
     match (curve.half_success.radius, curve.half_success.bounds) {

@@ -9,9 +9,9 @@ use clap::builder::BoolishValueParser;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Arg, ArgAction, ArgMatches, Command};
 
-/// What the variables' names begin with.
+/// Prefix of the variables' names.
 const PREFIX: &str = "ROLLOUT_";
-/// Between the values of an option that may be given several times.
+/// Separator of the values of an option that may be given several times.
 const BETWEEN: char = ';';
 
 /// A command whose options can all be given as variables. Those that have a variable
@@ -35,7 +35,7 @@ pub fn with_variables(command: Command) -> Command {
 /// command: then the variables are for others, such as the one that started it.
 ///
 /// # Errors
-/// When it cannot be meant, or asks for help.
+/// If the arguments are invalid or help was requested.
 pub fn read(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
     let first = words.get(1).and_then(|word| word.to_str());
     let is_command = |word| word == "help" || program.find_subcommand(word).is_some();
@@ -49,7 +49,7 @@ pub fn read(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::
 /// Reads a command line. Of a value that stands in the environment, an error says so.
 ///
 /// # Errors
-/// When it cannot be meant, or asks for help.
+/// If the arguments are invalid or help was requested.
 pub fn parse(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
     let read = program.try_get_matches_from(&words);
     read.map_err(|error| with_its_variable(error, &words))

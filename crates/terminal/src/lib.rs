@@ -1,6 +1,6 @@
-//! What all programs do alike on a terminal: their log, what they print, their
-//! manual pages, options from the environment, and how they refuse a flag's value.
-//! Not responsible for what is logged, printed or asked for.
+//! Terminal conventions of all programs: their log, output, manual pages, options
+//! from the environment, and the refusal of a flag's value. Not responsible for
+//! the content of logs and output.
 
 #![forbid(unsafe_code)]
 

@@ -1,4 +1,4 @@
-//! What programs print: results on standard output, and a log on standard error.
+//! Output of programs: results on standard output, and a log on standard error.
 
 use std::env::var_os;
 use std::error::Error;

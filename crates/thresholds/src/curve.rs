@@ -35,38 +35,39 @@ const HALF: f64 = 0.5;
 const MOST_ROUNDS: u32 = 1_000;
 const CHANGE: f64 = 1e-12;
 
-/// How many configurations survive up to each radius, under one condition.
+/// Survival curve of configurations over the radius, under one condition.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Curve {
-    /// What is perturbed.
+    /// Condition: the perturbed axes.
     pub condition: Condition,
     /// The radii that were run of every configuration.
     pub grid: Vec<f64>,
     /// The largest of them; the curve ends there.
     pub largest_radius: f64,
-    /// Whether radii between those of the grid are run: not where language is
-    /// perturbed.
+    /// True if radii between those of the grid are run: not where language is perturbed.
     pub is_bisected: bool,
     /// Configurations that it is over: those of which every radius of the grid has been
     /// run, and those that fail nominally.
     pub n: u64,
-    /// Their tasks.
+    /// Number of their tasks.
     pub tasks: usize,
     /// Configurations that it leaves out: outcomes of the grid are missing still, or the
     /// nominal rollout is in quarantine.
     pub left_out: u64,
-    /// Those that fail nominally.
+    /// Configurations that fail nominally.
     pub nominal_fails: u64,
-    /// Those that survive up to the largest radius: there, their threshold is censored.
+    /// Configurations that survive up to the largest radius: there, their threshold is
+    /// censored.
     pub beyond: u64,
-    /// Those that are censored below it, because the outcome there is in quarantine.
+    /// Configurations that are censored below it, because the outcome there is in
+    /// quarantine.
     pub censored: u64,
-    /// Those that succeed again at a larger radius than one at which they fail.
+    /// Configurations that succeed again at a larger radius than one at which they fail.
     pub not_monotone: u64,
     /// The curve, from radius 0 on, straight between these points. None where it is over
     /// no configuration.
     pub points: Vec<Point>,
-    /// Where half of the configurations survive.
+    /// Radius at which half of the configurations survive.
     pub half_success: HalfSuccess,
 }
 
@@ -89,23 +90,24 @@ pub struct Point {
 /// The radius up to which half of all configurations survive.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HalfSuccess {
-    /// Where the curve crosses one half; none if fewer than half succeed nominally, more
-    /// than half survive up to the largest radius, or brackets are not narrowed there.
+    /// Radius at which the curve crosses one half; none if fewer than half succeed
+    /// nominally, more than half survive up to the largest radius, or brackets are not
+    /// narrowed there.
     pub radius: Option<f64>,
-    /// Between which radii it lies for these configurations, wherever the thresholds are in
-    /// their brackets; none where the curve is over no configuration.
+    /// Range of the radius for these configurations, wherever the thresholds are in their
+    /// brackets; none where the curve is over no configuration.
     pub bounds: Option<Interval>,
-    /// Its interval, by resampling tasks, brackets included. An end at 0 means less than
+    /// Interval, by resampling tasks, brackets included. An end at 0 means less than
     /// half nominally, one at the largest radius, half or more there.
     pub ci95: Option<Interval>,
-    /// Why there is no interval.
+    /// Reason why there is no interval.
     pub no_interval: Option<NoInterval>,
 }
 
 /// The threshold of one configuration.
 #[derive(Clone, Copy, Debug)]
 enum Survives {
-    /// It fails nominally.
+    /// The configuration fails nominally.
     Never,
     /// Up to a radius between these.
     Until([f64; 2]),
@@ -130,8 +132,8 @@ impl Survives {
         survives.filter(|_| found.is_on_grid)
     }
 
-    /// How likely it survives up to a radius, if its threshold is uniform in its bracket,
-    /// and, where it is censored, as likely as `others` that survive as far.
+    /// Probability that it survives up to a radius, if its threshold is uniform in its
+    /// bracket, and, where it is censored, as likely as `others` that survive as far.
     fn expected(self, radius: f64, others: impl Fn(f64) -> f64) -> f64 {
         match self {
             Self::Never => 0.0,
@@ -145,7 +147,7 @@ impl Survives {
         }
     }
 
-    /// Whether it certainly survives up to a radius, and whether it possibly does.
+    /// Returns whether it certainly survives up to a radius, and whether it possibly does.
     fn bounds(self, radius: f64) -> [bool; 2] {
         match self {
             Self::Never => [false; 2],
@@ -215,7 +217,7 @@ struct Clusters {
 /// The configurations of one task.
 struct Task {
     n: f64,
-    /// How many of them survive up to each radius: the fewest, then the most.
+    /// Number of them that survive up to each radius: the fewest, then the most.
     survive: [Vec<f64>; 2],
 }
 
@@ -352,7 +354,7 @@ impl Clusters {
         values[2 * self.radii.len() + 1] = high;
     }
 
-    /// Where a curve crosses one half, straight between its points.
+    /// Returns the radius at which a curve crosses one half, straight between its points.
     fn crossing(&self, survival: &[f64]) -> f64 {
         let below = survival.iter().position(|share| *share <= HALF);
         match below {

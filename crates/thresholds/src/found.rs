@@ -1,4 +1,4 @@
-//! What was found out about one ray.
+//! Threshold found along one ray.
 
 use paired::Outcome;
 use protocol::Level;
@@ -6,19 +6,19 @@ use protocol::Level;
 use crate::ray::Known;
 use crate::search::Search;
 
-/// Where success turns to failure.
+/// Radius at which success turns to failure, as far as it is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Threshold {
     /// The nominal rollout fails: there is no success that could turn.
     NominalFails,
     /// The nominal rollout has no outcome.
     NominalUnknown,
-    /// Between these radii: the smallest at which it fails, and the largest below at
-    /// which it succeeds.
+    /// The threshold is between these radii: the smallest at which it fails, and the
+    /// largest below at which it succeeds.
     Between {
-        /// It succeeds here; L0 is the nominal rollout.
+        /// Largest radius at which it succeeds; L0 is the nominal rollout.
         succeeds_at: Level,
-        /// It fails here.
+        /// Smallest radius at which it fails.
         fails_at: Level,
     },
     /// Beyond the largest radius that is run, where it succeeds: the threshold is
@@ -27,24 +27,24 @@ pub enum Threshold {
     /// No radius is known to fail, and the largest has no outcome: the threshold is
     /// censored on the right, at the largest radius that is known to succeed.
     Open {
-        /// It succeeds here; L0 is the nominal rollout.
+        /// Largest radius at which it succeeds; L0 is the nominal rollout.
         succeeds_at: Level,
     },
 }
 
-/// What is known of a ray's threshold.
+/// Findings about a ray's threshold.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Found {
-    /// Where success turns to failure for the first time.
+    /// The first radius at which success turns to failure.
     pub threshold: Threshold,
     /// Larger radii at which it succeeds nevertheless: the ray is not monotone.
     pub recovers_at: Vec<Level>,
-    /// Whether no outcome of the grid is missing. Before, failures can turn up at
+    /// True if no outcome of the grid is missing. Before, failures can turn up at
     /// smaller radii.
     pub is_on_grid: bool,
 }
 
-/// Says what is known of a ray's threshold.
+/// Derives a ray's threshold from its known outcomes.
 pub fn found(known: &Known, search: &Search) -> Found {
     let largest = search.largest().unwrap_or(Level::L0);
     let fails_at = known.levels(false).find(|level| *level <= largest);

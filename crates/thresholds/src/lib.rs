@@ -1,4 +1,4 @@
-//! How far: the radius at which a policy's success turns to failure.
+//! Thresholds: the radius at which a policy's success turns to failure.
 //!
 //! A configuration under one condition has a direction that is the same at every
 //! radius: a [`Ray`], which begins at the nominal rollout. From the outcomes that are

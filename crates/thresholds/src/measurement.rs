@@ -91,7 +91,7 @@ impl Measurement {
         measured.map(|(&ray, known)| (ray, known))
     }
 
-    /// How many rays there are, measured or not.
+    /// Number of rays, measured or not.
     pub fn of_rays(&self) -> usize {
         self.rays.len()
     }
@@ -114,12 +114,12 @@ impl Measurement {
         sampled.map(|((task, _), most)| (*task, *most))
     }
 
-    /// What is known of a ray's threshold.
+    /// Returns a ray's threshold as far as it is known.
     pub fn found(&self, ray: Ray, known: &Known) -> Found {
         found(known, &self.searches[&ray.condition])
     }
 
-    /// What to do about a ray.
+    /// Returns the next step for a ray.
     pub fn decision(&self, ray: Ray, known: &Known) -> Decision {
         next(known, &self.searches[&ray.condition])
     }
@@ -148,7 +148,7 @@ impl Measurement {
         wanted
     }
 
-    /// How many configurations still succeed at each radius, by condition.
+    /// Returns the curves of configurations that still succeed at each radius, by condition.
     pub fn curves(&self, bootstrap: &Bootstrap) -> Vec<Curve> {
         let of_one = |(condition, search): (Condition, &Search)| {
             let rays = self.rays().filter(|(ray, _)| ray.condition == condition);
@@ -179,10 +179,9 @@ fn alone(condition: Condition) -> AxisSet {
 /// The configurations that are measured: all of them, or as many as the budget suffices
 /// for whatever their outcomes turn out to be.
 ///
-/// Which they are depends on the seed and on what the campaign has, and on no outcome:
-/// they are a random sample. They come in rounds, one of each task, so that a small
-/// sample has many tasks, and with all conditions, so that these are compared over the same
-/// configurations.
+/// The choice depends on the seed and on the campaign's rows, and on no outcome: it is a random
+/// sample. Configurations come in rounds, one of each task, so that a small sample has many tasks,
+/// and with all conditions, so that these are compared over the same configurations.
 fn sample(
     costs: &BTreeMap<Configuration, u32>,
     thresholds: &Thresholds,

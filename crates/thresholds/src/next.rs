@@ -1,4 +1,4 @@
-//! Which radii of one ray to run next.
+//! Selects the radii of one ray to run next.
 //!
 //! A decision is a function of what is known along the ray, of nothing else. So it may
 //! be made at any time and as often as one likes: what was asked for is known as
@@ -15,7 +15,7 @@ use crate::search::Search;
 /// only: radii have six decimals.
 const ROUNDING: f64 = 1e-5;
 
-/// What to do about a ray.
+/// Next step for a ray.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Decision {
     /// Run these radii; there is one at least.
@@ -57,7 +57,8 @@ pub fn next(known: &Known, search: &Search) -> Decision {
         .is_some_and(|it| high - low > it + ROUNDING);
     let halfway = Level::of_radius(f64::midpoint(low, high)).filter(|_| is_wide);
     match halfway {
-        // What is there already is in quarantine: the bracket stays as wide as it is.
+        // A known outcome halfway is in quarantine: the bracket stays as wide as it
+        // is.
         Some(level) if known.at(level).is_none() => Decision::Run(vec![level]),
         _ => Decision::Done,
     }

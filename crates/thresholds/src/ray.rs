@@ -1,14 +1,14 @@
-//! One configuration under one condition, and what is known along it.
+//! Ray of one configuration under one condition, and the outcomes along it.
 
 use std::collections::BTreeMap;
 
 use paired::Outcome;
 use protocol::{Condition, Level, TaskRef};
 
-/// One configuration under one condition: its direction, of which radii are the places.
+/// Direction of one configuration under one condition; radii are positions on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ray {
-    /// What is perturbed.
+    /// Condition: the perturbed axes.
     pub condition: Condition,
     /// The task.
     pub task: TaskRef,
@@ -44,12 +44,12 @@ impl Known {
         self.further += 1;
     }
 
-    /// How the nominal rollout ended.
+    /// Returns the outcome of the nominal rollout.
     pub const fn nominal(&self) -> Outcome {
         self.nominal
     }
 
-    /// How the rollout at a radius ended; none where none was asked for.
+    /// Returns the outcome of the rollout at a radius; none where none was asked for.
     pub fn at(&self, level: Level) -> Option<Outcome> {
         self.points.get(&level).copied()
     }

@@ -1,8 +1,8 @@
-//! How thresholds are looked for.
+//! Search for thresholds.
 
 use protocol::{Axis, AxisSet, Condition, Level, Thresholds};
 
-/// How a threshold is looked for.
+/// Parameters of the search for a threshold.
 ///
 /// First all radii of a grid are run, whatever their outcomes, so that every ray is
 /// seen to fail and to recover with the same resolution. Then the first bracket in
@@ -12,15 +12,15 @@ use protocol::{Axis, AxisSet, Condition, Level, Thresholds};
 pub struct Search {
     /// The radii that are run in any case, from the smallest.
     pub grid: Vec<Level>,
-    /// How narrow the bracket has to be; none where there are no radii between those of
-    /// the grid.
+    /// Width that the bracket must not exceed, radius; none where there are no radii
+    /// between those of the grid.
     pub tolerance: Option<f64>,
 }
 
 impl Search {
-    /// How the thresholds of a condition are looked for in a campaign of these axes.
-    /// Language has wordings at the protocol's levels and nothing between or beyond, so
-    /// that a condition with it is run at those only.
+    /// Search for the thresholds of a condition in a campaign of these axes. Language
+    /// has wordings at the protocol's levels and nothing between or beyond, so that a
+    /// condition with it is run at those only.
     pub fn of(thresholds: &Thresholds, condition: Condition, axes: AxisSet) -> Self {
         let mut grid = thresholds.grid();
         if !condition.axes(axes).contains(Axis::Language) {

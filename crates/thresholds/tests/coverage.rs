@@ -105,7 +105,7 @@ impl Population {
         measurement.curves(&BOOTSTRAP).remove(0)
     }
 
-    /// In how many campaigns the interval holds the median.
+    /// Number of campaigns in which the interval holds the median.
     fn covered(self) -> u64 {
         let holds = |seed: &u64| {
             let half = self.curve(*seed).half_success;

@@ -19,8 +19,8 @@ fn thresholds(budget: Option<u32>, seed: u64) -> Thresholds {
     }
 }
 
-/// Where a configuration fails: evenly from 0 to 12 over configurations, earlier where
-/// two axes act together; the first of each task fails nominally.
+/// Radius from which a configuration fails: evenly from 0 to 12 over configurations,
+/// earlier where two axes act together; the first of each task fails nominally.
 fn fails_at(id: RolloutId) -> f64 {
     let config = f64::from(id.number()) + f64::from(id.task().index()) / 10.0;
     let share = match id.condition() {

@@ -1,5 +1,5 @@
-//! What is looked for along one ray is found, in as few rollouts as halving needs, in
-//! whatever order outcomes come.
+//! Tests of the search along one ray: it finds the threshold in as few rollouts as
+//! halving needs, in whatever order outcomes come.
 
 use std::collections::BTreeMap;
 
@@ -184,7 +184,7 @@ fn what_fails_nominally_is_not_perturbed_further() {
     let mut known = Known::new(Outcome::Failure);
     assert_eq!(next(&known, &search), Decision::Done);
     assert_eq!(found(&known, &search).threshold, Threshold::NominalFails);
-    // What the campaign has run of it already may contradict, and is named.
+    // A rollout that the campaign ran already may contradict this, and is named.
     known.record(Level::L2, Outcome::Success);
     let found_out = found(&known, &search);
     assert_eq!(found_out.threshold, Threshold::NominalFails);

@@ -1,4 +1,4 @@
-//! What browsers need of a gate: a session's name in a cookie, because a browser sends no
+//! Gate rules for browsers: a session's name in a cookie, because a browser sends no
 //! `Authorization` by itself; refusals as pages and text instead of gRPC statuses; and the rules
 //! that keep another site's page, open in the same browser, away from this server.
 //!
@@ -20,8 +20,8 @@ use tonic::{Code, Status};
 const MAX_NEXT_BYTES: usize = 512;
 /// Longest name of a session that is looked up, bytes.
 const MAX_SESSION_BYTES: usize = 64;
-/// Where a request came from, relative to the page's site. Browsers send these three with
-/// every request to a trustworthy address, loopback included.
+/// Headers that tell the origin of a request, relative to the page's site. Browsers send these
+/// three with every request to a trustworthy address, loopback included.
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
 const FETCH_DEST: HeaderName = HeaderName::from_static("sec-fetch-dest");

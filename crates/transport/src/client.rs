@@ -1,5 +1,5 @@
-//! What a client brings along: the certificate authority that it trusts, and
-//! the token that it shows.
+//! Credentials of a client: the certificate authority that it trusts, and the
+//! token that it shows.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -22,7 +22,7 @@ use crate::server::{HANDSHAKE_TIMEOUT, SecurityError, read_pem, tokens};
 use crate::token::{Role, Token, TokenError, Tokens};
 use crate::users::Listener;
 
-/// Where `http://` leads without a port.
+/// Default port of `http://` addresses.
 const HTTP_PORT: u16 = 80;
 
 /// The credentials for a server that requires them.
@@ -43,7 +43,7 @@ pub struct ClientArguments {
     pub ca: Option<PathBuf>,
 }
 
-/// What a client brings along, read.
+/// Credentials of a client, read from its files.
 #[derive(Clone, Debug, Default)]
 pub struct Access {
     token: Option<Token>,
@@ -58,7 +58,7 @@ pub type Connection = InterceptedService<Channel, Bearer>;
 #[derive(Clone, Debug)]
 pub struct Bearer {
     value: Option<MetadataValue<Ascii>>,
-    /// Who the token is shown to, if it is shown in the clear.
+    /// Server that the token is shown to, if it is shown in the clear.
     listener: Option<Listener>,
 }
 
@@ -68,7 +68,7 @@ pub enum AccessError {
     /// The tokens are no use.
     #[error(transparent)]
     Tokens(#[from] TokenError),
-    /// None of the tokens is for this program.
+    /// The token file has no token for this program.
     #[error("find a token of role {roles}: add a line `ROLE TOKEN` to the token file")]
     NoToken {
         /// The roles that would do.
@@ -80,13 +80,13 @@ pub enum AccessError {
     /// The certificate authority is none.
     #[error("use {} as a certificate authority: it must hold certificates as PEM", path.display())]
     Authority {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// Nothing that a certificate could be for.
+    /// The host is nothing that a certificate could be for.
     #[error("call {host} over TLS: write the name of a host, or its IP address")]
     Host {
-        /// As given.
+        /// Host as given.
         host: String,
     },
 }
@@ -104,7 +104,7 @@ impl ClientArguments {
 }
 
 impl Access {
-    /// Nothing: for servers on this machine.
+    /// Returns no credentials: for servers on this machine.
     pub fn none() -> Access {
         Access::default()
     }
@@ -151,7 +151,7 @@ impl Access {
     /// this machine; to anybody else it is not shown.
     ///
     /// # Errors
-    /// When no certificate can be for the endpoint's host.
+    /// If no certificate can be for the endpoint's host.
     pub fn connect_lazy(&self, endpoint: Endpoint) -> Result<Connection, AccessError> {
         let bearer = self.bearer(endpoint.uri());
         let channel = self.guarded(endpoint)?.connect_lazy();
@@ -174,7 +174,7 @@ impl Access {
     /// Encrypts a connection to `host` that is no gRPC.
     ///
     /// # Errors
-    /// When the certificate authority is no use, the host's name is none, or the
+    /// If the certificate authority is no use, the host's name is none, or the
     /// server's certificate is not to be trusted.
     pub async fn encrypt(
         &self,
@@ -186,11 +186,11 @@ impl Access {
         tokio::time::timeout(HANDSHAKE_TIMEOUT, handshake).await?
     }
 
-    /// What encrypts connections over which one of these protocols is spoken; any,
-    /// if none is named.
+    /// Returns the TLS connector for connections that speak one of these
+    /// protocols; any, if none is named.
     pub(crate) fn tls(&self, protocols: &[&[u8]]) -> std::io::Result<TlsConnector> {
         let wrong = std::io::Error::other;
-        // Looked at when it was read.
+        // Parsed and checked when it was read.
         let roots =
             roots(self.ca.as_deref().unwrap_or_default()).unwrap_or_else(RootCertStore::empty);
         let provider = Arc::new(crypto::ring::default_provider());
@@ -274,7 +274,7 @@ fn authority(path: &Path) -> Result<Vec<u8>, AccessError> {
     }
 }
 
-/// None if one of the certificates is none.
+/// Returns none if one of the certificates is invalid.
 fn roots(pem: &[u8]) -> Option<RootCertStore> {
     let mut roots = RootCertStore::empty();
     for certificate in CertificateDer::pem_slice_iter(pem) {

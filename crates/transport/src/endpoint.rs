@@ -7,12 +7,12 @@ use tonic::transport::Endpoint;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("read {given:?} as a server's address: {}", EndpointError::REMEDY)]
 pub struct EndpointError {
-    /// What was given.
+    /// Text given.
     pub given: String,
 }
 
 impl EndpointError {
-    /// What to write.
+    /// Remedy: the form of a valid address.
     pub const REMEDY: &str = "write http://HOST:PORT or grpc://HOST:PORT, and for a server over \
                               TLS https:// or grpcs://";
 }

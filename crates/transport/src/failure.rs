@@ -37,7 +37,7 @@ fn words(error: &(dyn Error + 'static)) -> String {
     }
 }
 
-/// What a server answered, in its words if it gave any.
+/// Returns a server's error message, or the status code if it gave none.
 pub fn answer(status: &Status) -> String {
     match status.message() {
         "" => format!("gRPC status {:?}, without a reason", status.code()),
@@ -45,8 +45,8 @@ pub fn answer(status: &Status) -> String {
     }
 }
 
-/// Whether a server's answer of this code is about the server or the way to it,
-/// rather than about what was asked.
+/// Returns true if a server's answer of this code is about the server or the way
+/// to it, rather than about what was asked.
 pub fn is_outage_code(code: Code) -> bool {
     matches!(
         code,
@@ -54,18 +54,18 @@ pub fn is_outage_code(code: Code) -> bool {
     )
 }
 
-/// Whether a call failed because of the server or the way to it, rather than
-/// because of what was asked. INTERNAL is an answer: of a policy, that it failed
-/// on this observation.
+/// Returns true if a call failed because of the server or the way to it, rather
+/// than because of what was asked. INTERNAL is an answer: of a policy, that it
+/// failed on this observation.
 pub fn is_outage(status: &Status) -> bool {
     // A status that this side made out of a broken connection has a cause; one
     // that the server sent has none.
     is_outage_code(status.code()) || status.source().is_some()
 }
 
-/// Whether the same call may succeed later: everything but a refusal that says
-/// why. INTERNAL is a failure to try again after: of a coordinator, that its disk
-/// is full.
+/// Returns true if the same call may succeed later: everything but a refusal that
+/// says why. INTERNAL is a failure to try again after: of a coordinator, that its
+/// disk is full.
 pub fn may_succeed_later(status: &Status) -> bool {
     !matches!(
         status.code(),

@@ -1,9 +1,9 @@
-//! What was found where a call failed, and what to do about it, in words. Pure:
-//! `probe` looks.
+//! Diagnosis of a failed call and its remedy, in words. Pure: `probe` does the
+//! probing.
 
 use std::fmt;
 
-/// What a client expects at an address.
+/// Kind of server that a client expects at an address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ServerKind {
     /// A coordinator.
@@ -17,10 +17,10 @@ pub enum ServerKind {
 }
 
 impl ServerKind {
-    /// Those that a gRPC call tells apart.
+    /// Kinds that a gRPC call tells apart.
     pub(crate) const OF_GRPC: [ServerKind; 2] = [ServerKind::Coordinator, ServerKind::Policy];
 
-    /// With its article.
+    /// Name with the indefinite article.
     fn article(self) -> &'static str {
         match self {
             ServerKind::Coordinator => "a coordinator",
@@ -30,7 +30,7 @@ impl ServerKind {
         }
     }
 
-    /// The one that is meant.
+    /// Name with the definite article.
     fn definite(self) -> &'static str {
         match self {
             ServerKind::Coordinator => "the coordinator",
@@ -60,46 +60,47 @@ impl ServerKind {
     }
 }
 
-/// Where a client's user sets what it connects with: remedies name these.
+/// Settings of a client's address and certificate authority: remedies name
+/// these.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
-    /// What holds the address, such as `--connect`.
+    /// Setting of the address, such as `--connect`.
     pub address: &'static str,
-    /// What holds the certificate authority, such as `--ca`.
+    /// Setting of the certificate authority, such as `--ca`.
     pub authority: &'static str,
-    /// How addresses begin without TLS, such as `http://`.
+    /// Prefix of addresses without TLS, such as `http://`.
     pub clear: &'static str,
-    /// How they begin with TLS, such as `https://`.
+    /// Prefix of addresses with TLS, such as `https://`.
     pub encrypted: &'static str,
 }
 
-/// What is wrong with a server's certificate.
+/// Fault of a server's certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CertificateFault {
     /// No known authority signed it.
     Untrusted,
-    /// It was valid once.
+    /// It has expired.
     Expired {
-        /// Since when, whole days.
+        /// Days since it expired.
         days: u64,
     },
-    /// It will be valid once.
+    /// It is not valid yet.
     NotYetValid,
     /// It is for other names.
     OtherName {
-        /// Which.
+        /// The names that it is for.
         names: Vec<String>,
     },
     /// It is a certificate authority's own.
     Authority,
-    /// Anything else.
+    /// Any other fault.
     Unusable(
-        /// In TLS's words.
+        /// Message of the TLS library.
         String,
     ),
 }
 
-/// What is at an address where a call failed.
+/// Finding at an address where a call failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Found {
     /// The name has no address.
@@ -110,7 +111,7 @@ pub enum Found {
     NoAnswer,
     /// The system would not connect.
     System(
-        /// Its words.
+        /// Message of the system.
         String,
     ),
     /// A server over TLS, asked in the clear.
@@ -128,19 +129,19 @@ pub enum Found {
     Web {
         /// The first line of its answer, or its HTTP status.
         said: String,
-        /// Whether it is a proxy whose own server is away.
+        /// True if it is a proxy whose own server is away.
         is_proxy_waiting: bool,
     },
     /// An SSH server.
     Ssh,
     /// Something else that speaks.
     Other {
-        /// How it begins.
+        /// Beginning of its answer.
         said: String,
     },
     /// Something that takes the connection, and says nothing or hangs up.
     Mute,
-    /// Another of our servers.
+    /// Another kind of this project's servers.
     OtherKind(ServerKind),
     /// A gRPC server that is none of ours.
     OtherGrpc,
@@ -174,8 +175,8 @@ impl Found {
         }
     }
 
-    /// Whether the client's settings or the server's are wrong, so that trying
-    /// again changes nothing.
+    /// Returns true if the client's settings or the server's are wrong, so that
+    /// trying again changes nothing.
     pub fn is_final(&self) -> bool {
         match self {
             Found::Encrypted
@@ -200,25 +201,25 @@ impl Found {
     }
 }
 
-/// Why a server could not be called: what was found in its place, and the
+/// Reason why a server could not be called: the finding in its place, and the
 /// remedy. Reads after the server's address and a colon.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}; {}", self.finding(), Remedy(self))]
 pub struct Trouble {
-    /// What should have been there.
+    /// Kind of server expected there.
     pub expected: ServerKind,
     /// The host's name.
     pub host: String,
-    /// What was there.
+    /// Finding at the address.
     pub found: Found,
-    /// Whether the client knows a certificate authority.
+    /// True if the client knows a certificate authority.
     pub has_authority: bool,
-    /// Where the remedy is applied.
+    /// Settings that the remedy names.
     pub settings: Settings,
 }
 
 impl Trouble {
-    /// What was found, without the remedy.
+    /// Describes the finding, without the remedy.
     pub fn finding(&self) -> impl fmt::Display {
         Finding(self)
     }

@@ -22,7 +22,7 @@ use crate::refusals::Refusals;
 use crate::token::{Role, Tokens};
 use crate::users::{Caller, Users};
 
-/// What is at a path, and who may have it.
+/// Kind of the resource at a path, and the callers that are let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Resource {
     /// A gRPC call. Programs make it, over HTTP/2, and no page in any browser.
@@ -31,7 +31,7 @@ pub enum Resource {
     Page(Allowed),
 }
 
-/// Who may have what is at a path.
+/// Callers that are let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowed {
     /// Everybody: it reveals nothing and changes nothing.
@@ -55,13 +55,13 @@ pub struct Gated<S> {
 
 #[derive(Debug)]
 struct Shared {
-    /// None: everybody is let in, because only this machine can connect, or
-    /// because the operator said so.
+    /// Tokens that are let in; with none, everybody is, because only this machine can connect,
+    /// or because the operator said so.
     tokens: Option<Tokens>,
     users: Users,
-    /// What is at a path.
+    /// Returns the resource at a path.
     resource: fn(&str) -> Resource,
-    /// Where people log in; none where there are no pages, only calls.
+    /// Path of the log-in page; none where there are no pages, only calls.
     log_in: Option<&'static str>,
     readers: Readers,
     rates: Mutex<Rates>,
@@ -247,8 +247,8 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     value.strip_prefix("Bearer ")
 }
 
-/// Whether a call was the caller's fault, not the server's, which is logged
-/// where it is handled.
+/// Returns true if a call was the caller's fault, not the server's, which is logged where it is
+/// handled.
 fn is_refusal(code: Code) -> bool {
     matches!(
         code,

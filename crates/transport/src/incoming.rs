@@ -63,7 +63,7 @@ pub fn raise_file_limit() -> u64 {
     getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
 }
 
-/// How many connections there may be.
+/// Limits on the number of connections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Limits {
     total: usize,
@@ -160,7 +160,7 @@ pub struct Watched {
     deadline: Pin<Box<Sleep>>,
     /// Bytes received, up to [`GREETING_BYTES`].
     greeting_bytes: usize,
-    /// When bytes passed last, in either direction.
+    /// Time at which bytes last passed, in either direction.
     last_passed: Instant,
 }
 
@@ -282,9 +282,9 @@ pub struct Incoming {
     open: Arc<Open>,
     accepted: u64,
     pause: Duration,
-    /// Until when nothing is accepted.
+    /// End of the pause in which nothing is accepted.
     waiting: Option<Pin<Box<Sleep>>>,
-    /// When it was last logged that there are too many connections.
+    /// Time of the last log entry about too many connections.
     logged: Option<Instant>,
 }
 

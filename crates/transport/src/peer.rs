@@ -16,7 +16,7 @@ use crate::client::Access;
 use crate::found::{Found, ServerKind, Settings, Trouble};
 use crate::probe::{self, Place, Speech};
 
-/// How tonic begins to say that an answer is no gRPC server's.
+/// Beginning of tonic's message that an answer is no gRPC server's.
 const NO_GRPC_STATUS: &str = "grpc-status header missing";
 /// Longest wait for a second connection, and for its answer.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -33,7 +33,8 @@ pub struct Peer {
 }
 
 impl Peer {
-    /// What should be at an endpoint, and where its address is set.
+    /// Describes the server expected at an endpoint, and the settings of its
+    /// address.
     pub fn new(endpoint: Endpoint, access: &Access, kind: ServerKind, settings: Settings) -> Peer {
         Peer {
             endpoint,
@@ -43,8 +44,8 @@ impl Peer {
         }
     }
 
-    /// Why a call came to nothing, if that was not the server's own answer. Takes
-    /// a few seconds at most: it looks at what is there.
+    /// Returns the reason why a call failed, if that was not the server's own
+    /// answer. Takes a few seconds at most: it probes the address.
     pub async fn trouble(&self, status: &Status) -> Option<Trouble> {
         let found = match status.source() {
             Some(_) => match refused(status) {
@@ -63,7 +64,7 @@ impl Peer {
         Some(self.found(found))
     }
 
-    /// What is there now, for a client that speaks no gRPC.
+    /// Probes the server's address, for a client that speaks no gRPC.
     pub async fn look_around(&self) -> Trouble {
         self.found(self.look().await)
     }
@@ -105,7 +106,7 @@ impl Peer {
         }
     }
 
-    /// Which of our servers answers there.
+    /// Determines which kind of this project's servers answers there.
     async fn kind_there(&self) -> Found {
         let Some(channel) = self.access.channel(self.http_endpoint()).await else {
             return Found::Broken;
@@ -127,10 +128,10 @@ impl Peer {
         there
     }
 
-    /// Whether a gRPC server has the call of a path.
+    /// Returns true if a gRPC server has the call of a path.
     ///
     /// # Errors
-    /// What is there, if it is no gRPC server.
+    /// The finding, if there is no gRPC server.
     async fn has_call(&self, mut channel: Channel, path: &str) -> Result<bool, Found> {
         let mut request = Request::post(path)
             .body(Body::new(EMPTY_MESSAGE.to_owned()))
@@ -173,7 +174,8 @@ impl Peer {
     }
 }
 
-/// What the system said of the connection, if that is clear without another look.
+/// Returns the system's error of the connection, if it is clear without another
+/// probe.
 fn refused(status: &Status) -> Option<Found> {
     let mut cause = status.source();
     while let Some(error) = cause {

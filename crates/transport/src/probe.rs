@@ -16,7 +16,8 @@ use crate::found::{CertificateFault, Found};
 
 /// Longest wait for each answer.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// How a client of HTTP/2 begins: its preface, and settings that change nothing.
+/// First bytes of an HTTP/2 client: its preface, and settings that change
+/// nothing.
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 /// The protocol's name in TLS.
 pub(crate) const HTTP2: &[u8] = b"h2";
@@ -27,25 +28,25 @@ const SETTINGS_FRAME: u8 = 4;
 /// Characters quoted of what a server says.
 const QUOTED_CHARS: usize = 60;
 
-/// Where to look.
+/// Address to probe.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place<'a> {
-    /// Without brackets.
+    /// Name or address, without brackets.
     pub(crate) host: &'a str,
     pub(crate) port: u16,
-    /// Whether the client asks over TLS.
+    /// True if the client asks over TLS.
     pub(crate) is_encrypted: bool,
 }
 
-/// What a server speaks that can be connected to as the client does.
+/// Protocol of a server that can be connected to as the client does.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Speech {
     Http2,
-    /// With the first line of its answer.
+    /// HTTP/1, with the first line of its answer.
     Http1(String),
 }
 
-/// What the first bytes of a server say.
+/// Protocol that the first bytes of a server indicate.
 #[derive(Debug, PartialEq, Eq)]
 enum Heard {
     Http2,
@@ -59,7 +60,7 @@ enum Heard {
 /// Connects as the client does, and listens.
 ///
 /// # Errors
-/// What is there, if it does not speak HTTP as the client would.
+/// The finding, if the server does not speak HTTP as the client would.
 pub(crate) async fn look(place: Place<'_>, tls: &TlsConnector) -> Result<Speech, Found> {
     let stream = connect(place).await?;
     if !place.is_encrypted {
@@ -99,7 +100,7 @@ async fn connect(place: Place<'_>) -> Result<TcpStream, Found> {
     }
 }
 
-/// What the system's error says of the way to a server, if it says anything.
+/// Maps the system's error to a finding about the way to a server, if it tells.
 pub(crate) fn no_connection(error: &io::Error) -> Option<Found> {
     match error.kind() {
         io::ErrorKind::ConnectionRefused => Some(Found::Nothing),
@@ -115,9 +116,9 @@ fn system(error: &io::Error) -> Found {
 }
 
 enum Handshake {
-    /// It does not speak TLS, or said nothing of it.
+    /// The server does not speak TLS, or said nothing of it.
     NotTls,
-    /// It does, and something is wrong.
+    /// The server speaks TLS, and something is wrong.
     Failed(Found),
 }
 
@@ -142,7 +143,7 @@ async fn encrypt(
     }
 }
 
-/// What a failed handshake says of the server, if TLS is what it speaks.
+/// Maps a failed handshake to a finding about the server, if it speaks TLS.
 fn of_tls(error: &io::Error) -> Option<Found> {
     let inner = error.get_ref()?.downcast_ref::<TlsError>()?;
     match inner {

@@ -1,5 +1,5 @@
-//! How often one connection may ask: a bucket per connection that fills with
-//! time and empties with requests. Pure; the gate passes the time in.
+//! Rate limit of one connection: a bucket per connection that fills with time
+//! and empties with requests. Pure; the gate passes the time in.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;

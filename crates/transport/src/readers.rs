@@ -13,7 +13,7 @@ use tonic::codegen::http::HeaderMap;
 
 use crate::browser::SessionCookie;
 
-/// How long a session lasts, however much it is used: a working day.
+/// Duration of a session, however much it is used: a working day.
 pub const SESSION_LIFETIME: Duration = Duration::from_secs(12 * 3600);
 /// Sessions at a time. The oldest makes room for the next.
 pub const MAX_SESSIONS: usize = 1_024;
@@ -64,8 +64,8 @@ impl Readers {
 
 #[derive(Debug, Default)]
 struct Sessions {
-    /// When each ends, by the SHA-256 of its name: how long a lookup takes tells nothing about
-    /// the names.
+    /// End of each session, by the SHA-256 of its name: the duration of a lookup tells nothing
+    /// about the names.
     ends: HashMap<[u8; 32], Instant>,
 }
 

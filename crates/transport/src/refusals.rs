@@ -22,7 +22,7 @@ pub(crate) struct Refusals {
 }
 
 impl Refusals {
-    /// Whether this refusal is to be logged now.
+    /// Returns true if this refusal is to be logged now.
     pub(crate) fn is_news(&mut self, caller: IpAddr, code: Code, now: Instant) -> bool {
         self.logged
             .retain(|_, at| now.saturating_duration_since(*at) < LOG_AGAIN_AFTER);

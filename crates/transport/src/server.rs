@@ -24,8 +24,8 @@ pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 pub const MAX_STREAMS_PER_CONNECTION: u32 = 1_024;
 /// Largest headers of a call, bytes.
 pub const MAX_HEADER_BYTES: u32 = 16 << 10;
-/// Between pings on a silent connection, and how long an answer may take: a
-/// peer whose machine vanished frees its connection.
+/// Interval of pings on a silent connection, and the time limit of an answer: a peer whose
+/// machine vanished frees its connection.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(30);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
 /// The environment variable that holds the lines of a token file.
@@ -54,7 +54,7 @@ pub struct ServerArguments {
     pub insecure_loopback: bool,
 }
 
-/// How a server guards its port.
+/// Security of a server's port.
 #[derive(Clone, Debug)]
 pub struct Security {
     identity: Option<Identity>,
@@ -76,9 +76,9 @@ pub enum SecurityError {
          --tls-key and --token-file, or --insecure if only trusted people reach this network"
     )]
     Unguarded {
-        /// Where.
+        /// Listening address.
         address: SocketAddr,
-        /// What is missing.
+        /// Missing protection, in words.
         missing: &'static str,
     },
     /// The tokens are no use.
@@ -87,9 +87,9 @@ pub enum SecurityError {
     /// A certificate or key cannot be read.
     #[error("read {}: give a PEM file that this user may read", path.display())]
     Pem {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// Other users can read or change a private key.
@@ -102,7 +102,7 @@ pub enum SecurityError {
     Exposed {
         /// The file.
         path: PathBuf,
-        /// Its permissions.
+        /// Permissions of the file.
         mode: u32,
     },
     /// The certificate and the key are no use.
@@ -163,12 +163,12 @@ impl Security {
         }
     }
 
-    /// Whether clients write https://.
+    /// Returns true if clients write https://.
     pub fn is_encrypted(&self) -> bool {
         self.identity.is_some()
     }
 
-    /// Whether callers need a token.
+    /// Returns true if callers need a token.
     pub fn asks_for_tokens(&self) -> bool {
         self.tokens.is_some()
     }
@@ -194,7 +194,7 @@ impl Security {
     /// A server of calls with these guards.
     ///
     /// # Errors
-    /// When the certificate and the key are no use.
+    /// If the certificate and the key are no use.
     pub fn server(&self, resource: fn(&str) -> Resource) -> Result<GatedServer, SecurityError> {
         self.guarded(self.gate(resource, None))
     }
@@ -203,7 +203,7 @@ impl Security {
     /// `log_in` where they have no session.
     ///
     /// # Errors
-    /// When the certificate and the key are no use.
+    /// If the certificate and the key are no use.
     pub fn server_with_pages(
         &self,
         resource: fn(&str) -> Resource,

@@ -23,7 +23,7 @@ pub const MAX_TOKENS: usize = 256;
 /// Largest token file, bytes.
 pub const MAX_TOKEN_FILE_BYTES: u64 = 128 << 10;
 
-/// What a caller may do.
+/// Role of a caller: the calls that it may make.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
     /// Leases jobs, reports outcomes, asks policies.
@@ -35,10 +35,10 @@ pub enum Role {
 }
 
 impl Role {
-    /// All of them.
+    /// All roles.
     pub const ALL: [Role; 3] = [Role::Worker, Role::Operator, Role::Viewer];
 
-    /// As a token file writes it.
+    /// Name in a token file.
     pub fn name(self) -> &'static str {
         match self {
             Role::Worker => "worker",
@@ -73,7 +73,7 @@ impl Token {
     /// Checks a token: visible ASCII without spaces, of a sensible length.
     ///
     /// # Errors
-    /// With what is wrong, and never the token itself.
+    /// With the problem, and never the token itself.
     pub fn parse(text: &str) -> Result<Token, &'static str> {
         if text.len() < MIN_TOKEN_BYTES {
             return Err("the token is too short to be a secret: take 32 random hex digits");
@@ -114,9 +114,9 @@ pub enum TokenError {
     /// The file cannot be read.
     #[error("read token file {}", path.display())]
     Read {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// Other users can read or change it.
@@ -129,13 +129,13 @@ pub enum TokenError {
     Exposed {
         /// The file.
         path: PathBuf,
-        /// Its permissions.
+        /// Permissions of the file.
         mode: u32,
     },
     /// The file is larger than any token file.
     #[error("read token file {}: it is larger than {MAX_TOKEN_FILE_BYTES} bytes", path.display())]
     TooLarge {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
     },
     /// A line is wrong.
@@ -146,9 +146,9 @@ pub enum TokenError {
     Line {
         /// The file, or the environment variable.
         place: String,
-        /// Which line, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// Problem of the line.
         problem: &'static str,
     },
     /// There is no token at all.

@@ -1,5 +1,5 @@
-//! Which user of this machine is at the other end of a connection. The kernel knows, and says
-//! so in its table of sockets: nobody can claim to be another.
+//! Identifies the user of this machine at the other end of a connection. The source is the
+//! kernel's table of sockets: nobody can claim to be another.
 
 use std::io;
 use std::net::{IpAddr, SocketAddr};
@@ -17,7 +17,7 @@ const ROOT: u32 = 0;
 /// A server is looked at again after so long.
 const LISTENER_AGE: Duration = Duration::from_secs(1);
 
-/// Which users of this machine a server lets in.
+/// Users of this machine that a server lets in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Users {
     /// The server's own, and root, which may do anything in any case.
@@ -60,7 +60,7 @@ impl Caller {
 #[derive(Clone, Debug)]
 pub(crate) struct Listener {
     port: u16,
-    /// When it was last found to be trusted.
+    /// Time at which it was last found to be trusted.
     found: Arc<Mutex<Option<Instant>>>,
 }
 

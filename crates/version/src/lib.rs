@@ -1,4 +1,4 @@
-//! What `--version` prints: the release, and the commit that a program was built from.
+//! Text of `--version`: the release, and the commit that a program was built from.
 //!
 //! A macro, because only what calls it is compiled again after a commit: the three
 //! programs. A build script would have their libraries compiled again too, and all
@@ -31,7 +31,7 @@ pub fn version(_: TokenStream) -> TokenStream {
     code.parse().expect("Rust")
 }
 
-/// What a folder's files were checked out from.
+/// Commit that a folder's files were checked out from.
 #[derive(Debug, PartialEq)]
 struct Commit {
     /// `807e12a, 2026-11-23`.
@@ -41,8 +41,8 @@ struct Commit {
 }
 
 impl Commit {
-    /// Of the package in a folder; none if git does not know the package, which may
-    /// lie unpacked in somebody's own repository.
+    /// Commit of the package in a folder; none if git does not know the package,
+    /// which may lie unpacked in somebody's own repository.
     fn of(package: &Path) -> Option<Self> {
         let git = |words: &[&str]| {
             let mut git = Command::new("git");

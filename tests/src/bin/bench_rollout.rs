@@ -1,6 +1,6 @@
-//! Where the time of a rollout goes: a worker's own loop runs whole rollouts
-//! with actions that are known beforehand, and every phase is timed. Prints one
-//! JSON object. `cargo xtask bench rollout` calls it, and so does `bench compare`;
+//! Benchmark of a rollout's phases: a worker's own loop runs whole rollouts with
+//! actions that are known beforehand, and every phase is timed. Prints one JSON
+//! object. `cargo xtask bench rollout` calls it, and so does `bench compare`;
 //! docs/PERFORMANCE.md says what the phases are.
 
 #![forbid(unsafe_code)]
@@ -98,13 +98,13 @@ impl Phases {
     }
 }
 
-/// Where the time since the last event goes.
+/// Assigns the time since the last event to a phase.
 struct Timer {
     clock: Clock,
     /// Reading of the clock at the last event, milliseconds.
     last: f64,
     phases: Phases,
-    /// What the coming control step's physics took on a copy.
+    /// Time of the coming control step's physics on a copy, milliseconds.
     bare: f64,
     alone: Option<Data>,
     /// Whether physics is timed on copies, which takes time itself.
@@ -424,7 +424,7 @@ impl Bench {
         }))
     }
 
-    /// What bare physics takes of the settling steps, on copies of their states:
+    /// Times the bare physics of the settling steps, on copies of their states:
     /// the worker's loop does not expose the scene before it has settled.
     fn settling_physics(&mut self) -> Result<f64> {
         let row = &self.assignment.row;

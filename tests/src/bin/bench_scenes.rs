@@ -56,10 +56,10 @@ struct Arguments {
     slot: bool,
 }
 
-/// What a slot says of a scene.
+/// Message of a slot about a scene.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 struct Begun {
-    /// Until the rollout's first state was there, s.
+    /// Seconds until the rollout's first state was there.
     secs: f64,
 }
 
@@ -200,9 +200,10 @@ impl Slot {
 /// Memory of a process, MiB.
 struct Memory {
     resident: f64,
-    /// What no other process shares, with its page tables.
+    /// Memory that no other process shares, with its page tables.
     alone: f64,
-    /// What it shares is divided among those that do; with its page tables.
+    /// Proportional set size: shared memory is divided among its processes; with its page
+    /// tables.
     proportional: f64,
 }
 

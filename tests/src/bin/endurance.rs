@@ -175,7 +175,7 @@ fn roll_out(simulator: &mut Simulator, task: TaskRef, config: usize) -> Result<(
     Ok(())
 }
 
-/// What this process uses.
+/// Resources that this process uses.
 struct Memory {
     resident_mib: f64,
     threads: usize,

@@ -21,7 +21,7 @@ const LOOK: Duration = Duration::from_millis(500);
 /// Between two faults of the churn, milliseconds.
 const CALM_MILLIS: (u64, u64) = (1_000, 4_000);
 
-/// What happens once, and after what share of the rollouts.
+/// Events that happen once, each after a share of the rollouts.
 const EVENTS: [(f64, Event); 7] = [
     (0.10, Event::PolicyOutage),
     (0.25, Event::Upgrade),
@@ -138,7 +138,7 @@ fn plan(arguments: &Arguments) -> Plan {
 /// A campaign that is disturbed.
 struct Rehearsal<'a> {
     fleet: &'a mut Fleet,
-    /// What happened how often.
+    /// Number of times that each event happened.
     happened: BTreeMap<String, u32>,
     rng: ChaCha8Rng,
     /// How long policy and disk are out.

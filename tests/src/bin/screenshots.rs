@@ -35,7 +35,8 @@ struct Arguments {
 struct Picture {
     name: &'static str,
     path: String,
-    /// What is scrolled to the top; the page's top if this is empty.
+    /// Selector of the element that is scrolled to the top; the page's top if
+    /// this is empty.
     from: &'static str,
     screen: Screen,
 }

@@ -29,7 +29,7 @@ use worker::policy::{OF_A_CAMPAIGN, PolicyClient};
 /// asked for.
 const STEPS: u32 = 12;
 const STEP_MILLIS: u64 = 12;
-/// What is said to draw, and has a fingerprint of its own.
+/// Name of the simulated renderer, with a fingerprint of its own.
 const RENDERER: &str = "simulated";
 /// The policy is asked before every so many of them.
 const STEPS_PER_QUERY: u32 = 4;
@@ -57,7 +57,7 @@ fn main() {
     }
 }
 
-/// What was asked for through the environment.
+/// Settings from the environment.
 struct Script {
     /// By rollout id.
     outcomes: HashMap<String, bool>,
@@ -140,7 +140,7 @@ fn play(
             }
         }
         thread::sleep(script.step);
-        // What it pretends to compute.
+        // The sleep counts as physics.
         parts.physics_secs += script.step.as_secs_f64();
         tell(RolloutEvent::Progress(row.settle_steps + step + 1));
     }

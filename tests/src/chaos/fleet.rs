@@ -13,7 +13,7 @@ use super::schedule::{Fault, Schedule, Way};
 use super::wire::Wire;
 use crate::programs::{Process, program};
 
-/// How long a lease lasts without a heartbeat.
+/// Duration of a lease without a heartbeat.
 pub const LEASE: Duration = Duration::from_secs(3);
 /// Longest time that a campaign takes after the last fault. Outages and charged
 /// attempts wait some seconds, doubling.
@@ -22,13 +22,13 @@ const PATIENCE: Duration = Duration::from_secs(120);
 const LAST_LINES: usize = 60;
 /// The campaign's name.
 const CAMPAIGN: &str = "chaos";
-/// Where the campaign takes its policy to be. Reports name it; the workers are
-/// told where the wire to the gateway is.
+/// Endpoint of the policy according to the campaign. Reports name it; the workers are
+/// told the address of the wire to the gateway.
 const ENDPOINT: &str = "http://gateway.invalid:7412";
 /// A user who may write nothing of ours.
 const NOBODY: &str = "65534";
 
-/// What the slots are.
+/// Kind of the slots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SlotKind {
     /// `simulated_slot`: takes milliseconds, its results mean nothing.
@@ -37,10 +37,10 @@ pub enum SlotKind {
     Real,
 }
 
-/// What a system runs.
+/// Programs of a system and the campaign that it runs.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// What the slots are.
+    /// Kind of the slots.
     pub slots: SlotKind,
     /// Workers, and the slots of each.
     pub workers: usize,
@@ -73,7 +73,7 @@ pub struct Fleet {
     workers: Vec<Worker>,
     /// The worker whose slots were killed all at once, last.
     wounded: Option<u32>,
-    /// What shows the coordinator another wall clock, and how far it is off.
+    /// Library that shows the coordinator another wall clock, and the clock's offset.
     clock: Option<(PathBuf, &'static str)>,
 }
 
@@ -548,7 +548,7 @@ fn as_somebody_who_may_not_write(folder: &Path) -> Option<Command> {
         set_modes(folder, 0o555, 0o444);
         return Some(Command::new("env"));
     }
-    // What root may not do is no question of modes.
+    // Root is not bound by modes, so the coordinator runs as another user.
     set_modes(folder, 0o755, 0o644);
     let mut command = Command::new("setpriv");
     command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]);

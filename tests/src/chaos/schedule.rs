@@ -1,5 +1,4 @@
-//! What is broken when: drawn from a seed, so that a failure can be played
-//! again.
+//! Schedules of faults: drawn from a seed, so that a failure can be replayed.
 
 use std::fmt;
 use std::time::Duration;
@@ -20,11 +19,11 @@ const LAST_BEGINNING_MS: u64 = 2_500;
 /// A wire that can be broken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
-    /// From the workers.
+    /// Way from the workers to the coordinator.
     ToCoordinator,
-    /// From the slots.
+    /// Way from the slots to the gateway.
     ToGateway,
-    /// From the gateway.
+    /// Way from the gateway to the policy.
     ToPolicy,
 }
 
@@ -73,9 +72,9 @@ const KINDS: u64 = 15;
 /// Faults, each with the time at which it begins, from the campaign's start.
 #[derive(Clone, Debug)]
 pub struct Schedule {
-    /// What it was drawn from.
+    /// Seed of the schedule.
     pub seed: u64,
-    /// In the order of time.
+    /// Faults in the order of time.
     pub faults: Vec<(Duration, Fault)>,
 }
 
@@ -101,7 +100,7 @@ impl Schedule {
         Self { seed, faults }
     }
 
-    /// How many of its faults are charged: each costs one attempt at most, as workers
+    /// Number of its faults that are charged: each costs one attempt at most, as workers
     /// have one slot here.
     pub fn charged_faults(&self) -> usize {
         let faults = self.faults.iter();

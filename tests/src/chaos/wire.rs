@@ -20,17 +20,17 @@ pub struct Wire {
 
 #[derive(Default)]
 struct State {
-    /// Where it leads; none: to nobody.
+    /// Address of the server; none: connections are closed at once.
     target: Mutex<Option<SocketAddr>>,
     /// Every connection that is open, both ends; those that ended go with the next.
     open: Mutex<Vec<Weak<TcpStream>>>,
-    /// Before each piece that is forwarded.
+    /// Delay before each piece that is forwarded, milliseconds.
     delay_ms: AtomicU64,
-    /// Whether what is said on new connections is said twice.
+    /// True if the bytes of new connections are sent twice.
     duplicates: AtomicBool,
-    /// Whether what the server answers is lost.
+    /// True if the server's answers are lost.
     loses_answers: AtomicBool,
-    /// Whether no connection is let through.
+    /// True if no connection is let through.
     is_blocked: AtomicBool,
     is_closed: AtomicBool,
 }

@@ -1,5 +1,5 @@
-//! Where the commands of a page run: a folder like the checkout, whose own files
-//! they cannot change, and a network of its own.
+//! Folder for the commands of a page: like the checkout, whose own files they
+//! cannot change, with a network of its own.
 
 use std::fs::{self, File};
 use std::os::unix::fs::symlink;
@@ -13,7 +13,8 @@ use crate::programs::program;
 /// Folders of the checkout that commands write into; the others are links.
 const COPIED: [&str; 2] = ["assets", "policies"];
 
-/// What other programs and the machine's owner have set, and a newcomer has not.
+/// Variables that other programs and the machine's owner have set, and a
+/// newcomer has not.
 const UNSET: [&str; 6] = [
     "COORDINATOR_URL",
     "ROLLOUT_TOKENS",
@@ -35,7 +36,7 @@ pub enum Thing {
 }
 
 impl Thing {
-    /// What a `needs` comment means.
+    /// Parses the word of a `needs` comment.
     pub fn named(word: &str) -> Option<Self> {
         match word {
             "reference data" => Some(Self::ReferenceData),
@@ -45,7 +46,7 @@ impl Thing {
         }
     }
 
-    /// Why it is not there; none if it is.
+    /// Reason why it is not there; none if it is.
     pub fn lacks(self) -> Option<String> {
         match self {
             Self::ReferenceData => {
@@ -61,7 +62,7 @@ impl Thing {
     }
 }
 
-/// What npm builds.
+/// Path of the file that npm builds.
 const BUILT: &str = "policies/typescript/dist/src/main.js";
 
 /// Wheels for the pages' `pip install`, which a test never downloads.
@@ -69,7 +70,7 @@ fn python_packages() -> Option<PathBuf> {
     std::env::var_os("ROLLOUT_PYTHON_PACKAGES").map(PathBuf::from)
 }
 
-/// How pages that use the same ports are kept apart.
+/// Separation of pages that use the same ports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Network {
     /// A network of its own, as root.

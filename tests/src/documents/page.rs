@@ -1,4 +1,4 @@
-//! What a page asks its reader to do, in its order.
+//! Steps that a page asks its reader to do, in its order.
 
 use std::fmt;
 
@@ -25,11 +25,11 @@ const PROGRAMS: [&str; 11] = [
 pub struct Step {
     /// The line of the page where it begins, from 1.
     pub line: usize,
-    /// What to do.
+    /// Action of the step.
     pub action: Action,
 }
 
-/// What a block asks for.
+/// Action that a block asks for.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Action {
     /// Commands, run one after the other, and what they need beside the programs.
@@ -41,14 +41,14 @@ pub enum Action {
     },
     /// Writes a file into the folder of the session.
     Write {
-        /// Its name.
+        /// Name of the file.
         name: String,
-        /// What it holds.
+        /// Content of the file.
         text: String,
     },
     /// Leaves a block of commands out.
     Leave {
-        /// Why, as the page's source says.
+        /// Reason that the page's source gives.
         reason: String,
     },
 }
@@ -62,7 +62,7 @@ pub struct Command {
     pub text: String,
 }
 
-/// Why a page cannot be read.
+/// Reason why a page cannot be read.
 #[derive(Debug, PartialEq, Eq)]
 pub struct PageError {
     line: usize,
@@ -119,7 +119,7 @@ pub fn steps(markdown: &str) -> Result<Vec<Step>, PageError> {
     Ok(steps)
 }
 
-/// What an HTML comment says of the block after it.
+/// Instruction of an HTML comment for the block after it.
 #[derive(Debug)]
 enum Comment {
     NotRun(String),

@@ -26,9 +26,9 @@ done
 kill -KILL 0
 "#;
 
-/// What a server says once it can be used.
+/// Messages of a server that is ready.
 const READY: [&str; 2] = ["listening on ", "registered with the coordinator"];
-/// What `coordinator up` says once all of its programs can be used.
+/// Message of `coordinator up` once all of its programs are ready.
 const ALL_READY: [&str; 1] = ["Ctrl-C stops all three"];
 
 /// A shell in the folder of a page.
@@ -51,11 +51,11 @@ struct Server {
 /// A command that failed, for people.
 #[derive(Debug)]
 pub struct Failure {
-    /// What is wrong, in a line.
+    /// Problem in one line.
     pub problem: String,
-    /// What was printed, of long outputs the end.
+    /// Output of the command, of long outputs the end.
     pub output: String,
-    /// Whether the shell can be given no more commands.
+    /// True if the shell can be given no more commands.
     pub fatal: bool,
 }
 
@@ -221,7 +221,7 @@ fn without_comment(command: &str) -> &str {
     }
 }
 
-/// Whether a command goes on until it is stopped.
+/// Returns true if a command goes on until it is stopped.
 fn stays(command: &str) -> bool {
     let mut words = command
         .split_whitespace()
@@ -244,7 +244,7 @@ fn stays(command: &str) -> bool {
     }
 }
 
-/// Whether a command shows something until its reader has seen enough.
+/// Returns true if a command shows something until its reader has seen enough.
 fn watches(command: &str) -> bool {
     command.split_whitespace().any(|word| word == "--watch")
 }

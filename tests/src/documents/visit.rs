@@ -61,7 +61,7 @@ pub fn failures(page: &str, text: &str) -> Vec<String> {
     failures
 }
 
-/// What becomes of a step on this machine.
+/// Handling of a step on this machine.
 enum Todo<'a> {
     Run(&'a [Command]),
     Write(&'a str, &'a str),

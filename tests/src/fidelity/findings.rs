@@ -1,10 +1,10 @@
-//! What a comparison found, and what is good enough.
+//! Findings of a comparison, and their limits.
 
 use std::fmt;
 
 use super::frames::{FrameFindings, FrameLimits, Kinship};
 
-/// How far a task's simulation may be from the original's.
+/// Largest differences of a task's simulation from the original's.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
     /// Model arrays, relative.
@@ -32,7 +32,7 @@ impl Limits {
     }
 }
 
-/// What was found for one task.
+/// Findings for one task.
 #[derive(Debug, Clone, Default)]
 pub struct Findings {
     /// The first name that differs, if any: ours and the original's.
@@ -75,7 +75,7 @@ pub struct ContactFindings {
 pub struct Worst {
     /// The difference.
     pub value: f64,
-    /// Where.
+    /// Name of the array or step.
     pub place: String,
 }
 
@@ -101,7 +101,8 @@ impl fmt::Display for Worst {
 }
 
 impl Findings {
-    /// What exceeds the limits, in words; empty if nothing does.
+    /// Returns the findings beyond the limits in words; empty if there are
+    /// none.
     pub fn violations(&self, limits: &Limits) -> Vec<String> {
         let mut found = Vec::new();
         let mut check = |what: &str, worst: &Worst, limit: f64| {

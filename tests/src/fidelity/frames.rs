@@ -12,8 +12,8 @@ const SIZE: u32 = 256;
 /// Grey levels by which a pixel may be off and still count as close.
 pub const CLOSE_LEVELS: u8 = 2;
 
-/// What drew the reference's frames, in the driver's words: its version, and how
-/// wide the processor's instructions are that it used.
+/// Driver that drew the reference's frames, in its own words: its version, and the
+/// width of the processor's instructions that it used.
 const REFERENCE_DRIVER: &str = "llvmpipe (LLVM 15.0.6, 256 bits)";
 
 /// How the reference's frames came about, seen from ours. The original draws
@@ -31,10 +31,10 @@ pub enum Kinship {
     AnotherRenderer,
 }
 
-/// How equal frames must be to the reference's.
+/// Limits on the difference of frames from the reference's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameLimits {
-    /// What is compared: decides the other limits, and messages say so.
+    /// Kind of comparison: decides the other limits, and messages name it.
     pub kinship: Kinship,
     /// Share of pixels that must be equal.
     pub equal: f64,
@@ -43,7 +43,7 @@ pub struct FrameLimits {
 }
 
 impl Kinship {
-    /// What is compared when this renderer draws.
+    /// Returns the kind of comparison when this renderer draws.
     pub fn of(drawer: &Drawer, frames_of_this_machine: bool) -> Self {
         match drawer {
             Drawer::Software => Self::AnotherRenderer,
@@ -53,7 +53,7 @@ impl Kinship {
         }
     }
 
-    /// How equal such frames must be.
+    /// Returns the limits for such frames.
     pub fn limits(self) -> FrameLimits {
         let (equal, close) = match self {
             Self::ThisMachine => (1.0, 1.0),
@@ -71,7 +71,7 @@ impl Kinship {
     }
 }
 
-/// What frames are held against, and why to that bound.
+/// Names the frames compared with, and the reason for their bound.
 impl fmt::Display for Kinship {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -98,7 +98,7 @@ impl fmt::Display for Kinship {
     }
 }
 
-/// What was found in the frames of a task.
+/// Findings in the frames of a task.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameFindings {
     /// The frame with the smallest share of equal pixels.
@@ -114,7 +114,7 @@ pub struct FrameFindings {
 pub struct Least {
     /// The share, 0..1.
     pub share: f64,
-    /// Which frame; empty while every frame has a share of 1.
+    /// Name of the frame; empty while every frame has a share of 1.
     pub place: String,
 }
 
@@ -155,7 +155,8 @@ impl FrameFindings {
         self.close.see(share(close), place);
     }
 
-    /// Which bounds are broken, in words that also say why they are the bounds.
+    /// Returns the bounds that are broken, in words that also give the bounds'
+    /// reason.
     pub(super) fn violations(&self, limits: &FrameLimits) -> Vec<String> {
         let mut found = Vec::new();
         let mut check = |least: &Least, limit: f64, what: &str| {
@@ -227,7 +228,7 @@ impl<'a> Comparison<'a> {
         Ok(())
     }
 
-    /// What was found; none if the reference has no frames.
+    /// Returns the findings; none if the reference has no frames.
     pub(super) fn result(self) -> Option<FrameFindings> {
         (self.seen > 0).then_some(self.findings)
     }

@@ -55,7 +55,7 @@ pub fn find_tasks(reference: &Path) -> Result<Vec<ReferenceTask>> {
          SUITE/NN_TASK folders",
         reference.display()
     );
-    // What lies beside `.` or `..` cannot be told from its name.
+    // A path of `.` or `..` does not name its parent folder.
     let whole = reference.canonicalize()?;
     let root = whole.parent().unwrap_or(&whole);
     let mut tasks = Vec::new();

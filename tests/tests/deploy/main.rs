@@ -1,4 +1,4 @@
-//! What `deploy` says to systemd and Kubernetes is understood by them, and by the programs.
+//! Tests that systemd, Kubernetes and the programs accept the files of `deploy`.
 
 mod kubernetes;
 mod systemd;
@@ -15,16 +15,17 @@ fn folder(name: &str) -> PathBuf {
     checkout().join("deploy").join(name)
 }
 
-/// Whether a tool runs here.
+/// Returns true if a tool runs here.
 fn runs(tool: &str, argument: &str) -> bool {
     Command::new(tool).arg(argument).output().is_ok()
 }
 
-/// What a worker needs, once it has no more time to finish rollouts, to give them back.
+/// Seconds that a worker needs to give back rollouts once it has no more time to finish
+/// them.
 const GIVE_BACK_SECS: u32 = 30;
 
-/// What the program of a command line says that it has. The first word is the program; a
-/// second one without dashes is its command.
+/// Returns the help of a command line's program. The first word is the program; a second
+/// one without dashes is its command.
 fn help(words: &[String]) -> String {
     let (name, arguments) = words.split_first().expect("a program");
     let mut help = Command::new(program(name));

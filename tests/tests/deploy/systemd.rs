@@ -18,7 +18,7 @@ fn unit(name: &str) -> String {
     fs::read_to_string(folder("systemd").join(name)).expect("a unit")
 }
 
-/// What systemd complains about in units of these texts.
+/// Returns the complaints of systemd about units of these texts.
 fn complaints(units: &[(&str, String)]) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let paths = units.iter().map(|(name, text)| {

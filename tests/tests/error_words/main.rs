@@ -84,7 +84,7 @@ pub(crate) fn io_error() -> io::Error {
     io::Error::from(io::ErrorKind::PermissionDenied)
 }
 
-/// What a reader of JSON says of a text that lacks a field.
+/// Error of parsing JSON that lacks a field.
 pub(crate) fn json_error() -> protocol::JsonError {
     #[derive(Debug, serde::Deserialize)]
     struct Asked {

@@ -184,7 +184,7 @@ fn put(
     None
 }
 
-/// Where in a place a predicate's object leaves room for the goal's others: the
+/// Offset at which a predicate's object leaves room for the goal's others: the
 /// middle of its share of the longer side, from the place's centre, m.
 fn own_part(goal: &[Predicate], index: usize, place: &Entity) -> [f64; 2] {
     let shares = |predicate: &Predicate| predicate.arguments.get(1) == Some(&place.name);

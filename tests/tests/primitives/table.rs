@@ -63,7 +63,8 @@ impl<'a> Released<'a> {
         Self { problem, objects }
     }
 
-    /// What has left its place since, by more than `drift` m for one.
+    /// Names the objects that have left their place since, by more than `drift`
+    /// m for one.
     pub(crate) fn compare(&self, episode: &mut Episode<'_>, drift: f64) -> Vec<String> {
         let now = entities(episode);
         let workspace = workspace_height(self.problem);

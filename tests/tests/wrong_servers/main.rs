@@ -12,15 +12,15 @@ use servers::{Authority, authority, coordinator, gateway, nothing, speaking};
 use tests::phrases::raw_phrase;
 use tests::programs::{Process, program};
 
-/// What a client is to say of a server.
+/// Expected message of a client about a server.
 struct Case {
     /// `HOST:PORT`.
     at: String,
-    /// Whether the client asks over TLS.
+    /// True if the client asks over TLS.
     is_encrypted: bool,
     /// Words of the finding and of the remedy.
     expected: Vec<&'static str>,
-    /// Whether the client gives up at once.
+    /// True if the client gives up at once.
     is_final: bool,
 }
 
@@ -33,8 +33,8 @@ fn case(at: impl ToString, scheme: &str, is_final: bool, expected: &[&'static st
     }
 }
 
-/// What clients of any kind can meet. A name, since no certificate is for an
-/// address.
+/// Cases that clients of any kind can meet. Hosts are names, since no
+/// certificate is for an address.
 fn anywhere() -> Vec<Case> {
     let mail = speaking("220 mail.example ESMTP\r\n", "");
     let web = speaking("", "HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n");
@@ -74,7 +74,7 @@ fn anywhere() -> Vec<Case> {
     ]
 }
 
-/// What they can meet over TLS, at a server of the right kind.
+/// Cases that they can meet over TLS, at a server of the right kind.
 fn over_tls(serve: impl Fn([String; 4]) -> Process, mine: &Authority) -> (Vec<Process>, Vec<Case>) {
     let other = Authority::new();
     let processes = [

@@ -116,7 +116,7 @@ fn policy(secs: f64) -> String {
 }
 
 const HEADER: &str =
-    "slots    steps/s   frames/s  slowest–fastest slot  MiB a slot    PSS  one more adds";
+    "slots    steps/s   frames/s  slowest–fastest  MiB a slot    PSS  one more adds";
 
 fn line(row: &Measured) -> String {
     format!(

@@ -20,9 +20,9 @@ pub(super) const SUMS: &str = "SHA256SUMS";
 pub(super) struct Archive {
     /// The file.
     pub(super) file: PathBuf,
-    /// The one folder in it.
+    /// Name of its only folder.
     pub(super) name: String,
-    /// What reads and writes ELF files.
+    /// Tool that reads and writes ELF files.
     pub(super) elf: native::Elf,
 }
 

@@ -14,7 +14,7 @@ use super::archive::Archive;
 use super::native;
 use super::release::PROGRAMS;
 
-/// Where the archive lies in it.
+/// Path of the unpacked archive in it.
 pub(super) const PREFIX: &str = "/opt/rollout";
 
 /// The user whom programs run as, and who owns nothing but [`DATA`].
@@ -79,7 +79,7 @@ impl BareRoot {
         })
     }
 
-    /// Its folder.
+    /// Path of its folder.
     pub(super) fn dir(&self) -> &Path {
         &self.dir
     }
@@ -94,7 +94,7 @@ impl BareRoot {
         Ok(())
     }
 
-    /// Why this machine lets nobody in, if it does not.
+    /// Reason why this machine lets nobody in, if it does not.
     pub(super) fn closed(&self) -> Option<String> {
         capture(Command::new("unshare").args(self.spaces()).arg("true"))
             .err()
@@ -128,7 +128,7 @@ impl BareRoot {
     }
 }
 
-/// Where a path of the root lies outside.
+/// Path outside of a path of the root.
 fn inside(dir: &Path, path: &Path) -> PathBuf {
     dir.join(path.strip_prefix("/").unwrap_or(path))
 }

@@ -43,7 +43,7 @@ pub(super) fn add(bill: &mut Value, component: &Component) {
     }
 }
 
-/// What a bill lists.
+/// Names of the components of a bill of materials.
 pub(super) fn names(bill: &Value) -> Vec<&str> {
     let listed = bill["components"].as_array();
     let listed = listed.into_iter().flatten();

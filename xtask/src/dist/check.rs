@@ -1,4 +1,4 @@
-//! Whether the archive is whole, and runs where there is nothing but glibc.
+//! Checks that the archive is whole, and runs where there is nothing but glibc.
 
 use std::path::Path;
 use std::process::Command;

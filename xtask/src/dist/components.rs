@@ -1,4 +1,4 @@
-//! What is in the archive beside our own files and crates.
+//! Third-party components of the archive beside its crates.
 
 use std::path::Path;
 use std::process::Command;
@@ -14,7 +14,7 @@ pub(super) struct Component {
     pub(super) version: String,
     /// SPDX expression.
     pub(super) licence: &'static str,
-    /// What its authors want to go with it.
+    /// Licence texts and notices that must go with it.
     pub(super) texts: Vec<String>,
 }
 

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 use super::components::Component;
 use super::crates::Crate;
 
-/// How files with a licence begin.
+/// Prefixes of the names of files with a licence.
 const NAMES: [&str; 6] = [
     "license",
     "licence",
@@ -22,7 +22,7 @@ const NAMES: [&str; 6] = [
 /// How deep they lie: libraries in C have theirs in a folder of the crate.
 const DEPTH: usize = 3;
 
-/// Between two texts.
+/// Separator of two texts.
 const RULE: &str = "\n-----------------------------------------------------------------------\n";
 
 /// Names of all parts with the texts that their authors want to go with them; a text
@@ -107,7 +107,7 @@ fn standard(root: &Path, licence: &str) -> Result<String> {
     Ok(lines.collect::<Vec<_>>().join("\n"))
 }
 
-/// As SPDX has it, without the copyright.
+/// Licence text as SPDX has it, without the copyright.
 const BSD_2_CLAUSE: &str = "\
 Redistribution and use in source and binary forms, with or without modification, are \
 permitted provided that the following conditions are met:

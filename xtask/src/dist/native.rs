@@ -10,7 +10,7 @@ use anyhow::{Context, Result, ensure};
 use crate::process::capture;
 use crate::wheel;
 
-/// What every machine with glibc has.
+/// Libraries that every machine with glibc has.
 const GLIBC: [&str; 8] = [
     "ld-linux-aarch64.so.1",
     "ld-linux-x86-64.so.2",
@@ -26,13 +26,13 @@ const GLIBC: [&str; 8] = [
 /// of OpenGL are made for the machine's own, and a process has one of each.
 const OF_COMPILER: [&str; 2] = ["libgcc_s.so.1", "libstdc++.so.6"];
 
-/// Where programs look for libraries: beside themselves, on the machine, then once more
-/// beside themselves for what the machine lacks.
+/// Search path of programs for libraries: beside themselves, on the machine, then once
+/// more beside themselves for those that the machine lacks.
 const LOOKS_IN: &str = "$ORIGIN/../lib:/lib64:/usr/lib64:/lib/x86_64-linux-gnu:\
                         /usr/lib/x86_64-linux-gnu:/lib/aarch64-linux-gnu:\
                         /usr/lib/aarch64-linux-gnu:/lib:/usr/lib:$ORIGIN/../lib/fallback";
 
-/// What reads and writes these files.
+/// Tool that reads and writes ELF files.
 pub(super) struct Elf {
     patchelf: PathBuf,
 }
@@ -104,7 +104,7 @@ pub(super) fn glibc() -> Vec<PathBuf> {
     found.collect()
 }
 
-/// Where this machine has a library, as the compiler finds it.
+/// Path of a library on this machine, as the compiler finds it.
 fn installed(library: &str) -> Result<PathBuf> {
     let mut cc = Command::new("cc");
     let found = capture(cc.arg(format!("-print-file-name={library}")))?;

@@ -29,11 +29,11 @@ const SHELLS: [(&str, &str, &str, &str); 3] = [
 /// which nothing reads, of twice their size.
 const OF_SCENES: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
 
-/// Where the archive keeps documents, and what scenes are made from.
+/// Folders of the archive for documents and for the files that scenes are made from.
 pub(super) const DOCUMENTS: &str = "share/doc/rollout";
 const SOURCES: &str = "share/rollout/sources";
 
-/// Where it keeps what its users build on: the Python package for policies and the
+/// Folder of the files that users build on: the Python package for policies and the
 /// protocol, scripts and manifests of `deploy`, published outcomes.
 pub(super) const FOR_USERS: &str = "share/rollout";
 
@@ -171,7 +171,7 @@ fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether a file is a source: Python leaves others beside those.
+/// Returns true if a file is a source: Python leaves others beside those.
 fn is_source(file: &Path) -> bool {
     let of_python = |part: &str| part == "__pycache__" || part.ends_with(".egg-info");
     !file.iter().filter_map(|part| part.to_str()).any(of_python)

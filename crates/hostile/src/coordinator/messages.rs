@@ -15,12 +15,12 @@ pub(super) type Said = (&'static str, Vec<u8>);
 const SPEC: &str = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
     "tasks":["libero_object/0"],"axes":["camera"],"levels":["L1"],"configs":[0],
     "nominal":"eval"}"#;
-/// What the coordinator's attempts follow from.
+/// Seed of the coordinator's attempt ids.
 pub(super) const SEED: u64 = 1;
 /// Control steps of the rollout.
 const STEPS: u32 = 100;
 
-/// What was said before an input begins.
+/// Calls made before an input starts: worker `w` is left with a lease.
 pub(super) fn a_lease() -> [Said; 3] {
     [create(), registration("w"), claim()]
 }

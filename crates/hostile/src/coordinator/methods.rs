@@ -29,5 +29,5 @@ pub(super) const METHODS: [&str; 25] = [
     "OperatorService/SkipJobs",
 ];
 
-/// The one method that may wait, for a job.
+/// Only method whose answer may wait: for a job.
 pub(super) const CLAIM: &str = "WorkerService/Claim";

@@ -11,7 +11,7 @@ use super::methods::METHODS;
 use super::service::after;
 use crate::script;
 
-/// What a worker calls its video.
+/// File name of a worker's video.
 const VIDEO: &str = "video.mp4";
 
 /// Inputs: every method by itself, and a rollout from its lease to its export.

@@ -19,12 +19,12 @@ use super::messages::{SEED, Said, registration};
 use super::methods::CLAIM;
 use crate::call::{block_on, call};
 
-/// How long a claim's caller waits before it hangs up.
+/// Time that a claim's caller waits before it hangs up.
 const PATIENCE: Duration = Duration::from_millis(20);
-/// What a clock that stands still shows.
+/// Constant time of the stopped clock.
 const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
 
-/// What a service answers: its messages, or that it refuses.
+/// Answer of a service: its messages, or a refusal.
 pub(super) type Answer = Result<Vec<Bytes>, Status>;
 
 /// A coordinator without a listener; tests call its services directly.

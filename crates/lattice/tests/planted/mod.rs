@@ -9,7 +9,7 @@ use protocol::{Axis, AxisSet};
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// What is planted.
+/// Kind of planted rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     /// A pair fails.
@@ -113,7 +113,8 @@ impl Rule {
                     Self(coins)
                 }
             };
-            // What a draw planted may hide behind a part of it.
+            // A drawn rule may be hidden by a part of it: draw until the rule is
+            // of its kind.
             let sizes: Vec<usize> = rule
                 .truth()
                 .iter()
@@ -137,7 +138,7 @@ impl Rule {
         Self(subsets.map(|set| (set, success(set))).collect())
     }
 
-    /// Whether a subset succeeds.
+    /// Returns true if a subset succeeds.
     pub(crate) fn succeeds(&self, set: AxisSet) -> bool {
         self.0[&set]
     }
@@ -167,7 +168,7 @@ impl Rule {
     }
 }
 
-/// What a search came to.
+/// Cost and result of a search.
 #[derive(Debug)]
 pub(crate) struct Found {
     /// Subsets that were run beyond those of a campaign.
@@ -181,7 +182,7 @@ pub(crate) struct Found {
 }
 
 impl Found {
-    /// Whether exactly the planted minimal subsets were found.
+    /// Returns true if exactly the planted minimal subsets were found.
     pub(crate) fn is_exact(&self, rule: &Rule) -> bool {
         let answers = self
             .explanation

@@ -1,5 +1,5 @@
-//! Where the variance of simultaneous success comes from, from replicates: tasks,
-//! configurations within tasks, or chance.
+//! Variance components of simultaneous success, from replicates: tasks, configurations
+//! within tasks, or chance.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,5 +1,5 @@
-//! Whether success depends on the direction: all tasks share configuration c's direction,
-//! so that ten directions, not four hundred, stand for all others.
+//! Test of success depending on the direction: all tasks share configuration c's
+//! direction, so that ten directions, not four hundred, stand for all others.
 
 use std::collections::BTreeMap;
 

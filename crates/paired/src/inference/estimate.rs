@@ -34,7 +34,7 @@ pub struct Estimate {
     pub df: Option<f64>,
 }
 
-/// How an interval is made of a figure and its variance.
+/// Scale on which an interval is computed from a figure and its variance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Scale {
     /// A share, by Wilson's score interval of as many independent outcomes as have this

@@ -21,7 +21,7 @@ pub struct Simultaneity {
     pub r_e: Estimate,
     /// Share of compensated successes.
     pub r_c: Estimate,
-    /// Their sum.
+    /// Sum of both.
     pub r_d: Estimate,
     /// `r_c` − `r_e`.
     pub i: Estimate,

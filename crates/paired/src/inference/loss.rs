@@ -1,4 +1,5 @@
-//! What each condition costs, against the nominal rollouts of the same initial states.
+//! Success lost under each condition, against the nominal rollouts of the same initial
+//! states.
 
 use std::collections::BTreeMap;
 

@@ -101,7 +101,7 @@ fn product(sums: &[f64]) -> f64 {
 }
 
 impl PairedEstimates {
-    /// None where no configuration is complete.
+    /// Returns none where no configuration is complete.
     pub(crate) fn of(matched: &[Matched], directions: Directions) -> Option<Self> {
         let rows = complete(matched);
         let sample = Sample::new(&rows, directions)?;

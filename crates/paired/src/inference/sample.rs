@@ -67,7 +67,7 @@ pub(crate) struct Variances {
 }
 
 impl Sample {
-    /// None of no row.
+    /// Returns none if there are no rows.
     pub(crate) fn new(rows: &[Row], directions: Directions) -> Option<Self> {
         if rows.is_empty() {
             return None;

@@ -41,7 +41,7 @@ pub fn drawn_order(stop: &Stop, units: impl IntoIterator<Item = Unit>) -> Order<
 }
 
 impl CampaignLook {
-    /// What is known now; none of a campaign without configurations.
+    /// Returns the look at the current outcomes; none of a campaign without configurations.
     pub fn now(records: &Records, stop: &Stop) -> Option<Self> {
         Walk::begin(records, stop).map(|mut walk| {
             while walk.step() {}

@@ -10,7 +10,7 @@ use crate::sequential::campaign::{SEQUENTIAL_ALPHA, Unit, drawn_order};
 use crate::sequential::difference::SequentialDifference;
 use crate::sequential::look::Look;
 
-/// What is known of the difference A − B under one condition at one level.
+/// Look at the difference A − B under one condition at one level.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ComparedLook {
     /// The level.
@@ -19,7 +19,7 @@ pub struct ComparedLook {
     pub condition: Condition,
     /// The interval, after the configurations that both have.
     pub look: Look,
-    /// After how many configurations the rule was first met, if it was.
+    /// Number of configurations after which the rule was first met, if it was.
     pub met_after: Option<usize>,
 }
 

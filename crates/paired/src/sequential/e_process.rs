@@ -1,5 +1,5 @@
-//! How strongly the draws so far speak against each candidate for the
-//! population's total. The proof is in `sequential`.
+//! Evidence of the draws so far against each candidate for the population's total.
+//! The proof is in `sequential`.
 
 /// Sizes of bets, for and against: relative to the values' unit, and made
 /// larger as a stratum runs out ([`Stratum::stake`]). Each is about best for one
@@ -48,7 +48,7 @@ impl EValues {
     }
 }
 
-/// What is known of a stratum.
+/// Units of a stratum, drawn and remaining.
 #[derive(Clone, Debug)]
 struct Stratum {
     remaining: i64,
@@ -82,7 +82,7 @@ impl Stratum {
         (middle(self.seen) + POOLED_DRAWS * pooled) / (self.drawn as f64 + POOLED_DRAWS)
     }
 
-    /// How much a bet stakes on the next draw. The fewer units remain, the
+    /// Returns the stake of a bet on the next draw. The fewer units remain, the
     /// further a wrong total moves the expectation of the next.
     fn stake(&self, size: f64, mean_size: f64, centre: f64, [least, greatest]: [i64; 2]) -> f64 {
         let stake = size * mean_size / self.remaining as f64;

@@ -1,4 +1,4 @@
-//! What one sees at a look.
+//! Looks of a sequential analysis: intervals after some units.
 
 use std::collections::BTreeMap;
 
@@ -33,14 +33,14 @@ impl RateInterval {
         (self.greatest - self.least) as f64 / self.units as f64
     }
 
-    /// Whether a value is outside; the ends are inside.
+    /// Returns true if a value is outside; the ends are inside.
     pub fn excludes(&self, value: f64) -> bool {
         value < self.low() || self.high() < value
     }
 }
 
-/// What is known after some units. All intervals hold together, at all looks,
-/// with a probability of 1 − α.
+/// Intervals after some units. All of them hold together, at all looks, with a
+/// probability of 1 − α.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Look {
     /// Units that the intervals rest on: the drawn order up to its first
@@ -55,8 +55,8 @@ pub struct Look {
 }
 
 impl Look {
-    /// Whether all clauses of a rule hold. An interval that the look does not have
-    /// meets none: see [`StopRule::check`].
+    /// Returns true if all clauses of a rule hold. An interval that the look does
+    /// not have meets none: see [`StopRule::check`].
     pub fn meets(&self, rule: &StopRule) -> bool {
         rule.clauses().iter().all(|clause| self.holds(clause))
     }

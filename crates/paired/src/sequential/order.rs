@@ -17,7 +17,7 @@ pub struct Order<U> {
 /// A unit of an [`Order`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Drawn<U> {
-    /// Its stratum's place among the strata.
+    /// Index of its stratum.
     pub stratum: usize,
     /// The unit.
     pub unit: U,
@@ -78,8 +78,8 @@ impl<U: Ord> Order<U> {
     }
 }
 
-/// Every order equally likely. Source: R. Durstenfeld, Algorithm 235,
-/// Communications of the ACM 7 (1964), 420.
+/// Shuffles items, every order equally likely. Source: R. Durstenfeld, Algorithm
+/// 235, Communications of the ACM 7 (1964), 420.
 fn shuffle<T>(rng: &mut impl Rng, items: &mut [T]) {
     for last in (1..items.len()).rev() {
         items.swap(last, below(rng, last as u64 + 1) as usize);

@@ -1,4 +1,4 @@
-//! From units that complete in any order to the drawn order without gaps.
+//! Orders units that complete at any time into the drawn order without gaps.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -9,9 +9,9 @@ use crate::sequential::order::{Drawn, Order};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("take the outcome of {unit}: it is not in the drawn order of {units} configurations")]
 pub struct NotInOrder {
-    /// What was given.
+    /// The unit given.
     pub unit: String,
-    /// How many units the order has.
+    /// Number of units in the order.
     pub units: usize,
 }
 
@@ -19,7 +19,7 @@ pub struct NotInOrder {
 #[derive(Clone, Debug)]
 pub(crate) struct Prefix<U, V> {
     order: Vec<Drawn<U>>,
-    /// Where each unit stands in the order.
+    /// Position of each unit in the order.
     places: BTreeMap<U, usize>,
     values: Vec<Option<V>>,
     used: usize,

@@ -18,8 +18,9 @@ pub(crate) struct ConfidenceSequence {
 }
 
 impl ConfidenceSequence {
-    /// Of a population with strata of `sizes`, whose values are in `range`, such
-    /// that the total is ever missed with a probability of at most `alpha`.
+    /// Confidence sequence of a population with strata of `sizes`, whose values
+    /// are in `range`, such that the total is ever missed with a probability of
+    /// at most `alpha`.
     pub(crate) fn new(sizes: &[usize], range: [i64; 2], alpha: f64) -> Self {
         let units = sizes.iter().sum::<usize>() as i64;
         let possible = range.map(|end| end * units);
@@ -130,7 +131,8 @@ mod tests {
         all
     }
 
-    /// What is drawn in each round.
+    /// Returns the units drawn in each round: the stratum and the bounds of the
+    /// value.
     fn rounds(strata: &Strata) -> Vec<Vec<(usize, [i64; 2])>> {
         let longest = strata.iter().map(Vec::len).max().unwrap_or_default();
         let of_round = |round: usize| {
@@ -160,7 +162,7 @@ mod tests {
         rounds(strata).into_iter().map(after).collect()
     }
 
-    /// Whether the true total is in the interval at all looks.
+    /// Returns true if the true total is in the interval at all looks.
     fn holds(strata: &Strata, sizes: &[usize], range: [i64; 2], alpha: f64) -> bool {
         let mut sequence = ConfidenceSequence::new(sizes, range, alpha);
         rounds(strata).into_iter().all(|round| {
@@ -210,7 +212,7 @@ mod tests {
 
     const RATE: [Unit; 2] = [(0, [0, 0]), (1, [1, 1])];
     const DIFFERENCE: [Unit; 3] = [(-1, [-1, -1]), (0, [0, 0]), (1, [1, 1])];
-    /// With two units whose values one is not told.
+    /// Units of which two have unknown values.
     const QUARANTINE: [Unit; 4] = [(0, [0, 0]), (1, [1, 1]), (0, [0, 1]), (1, [0, 1])];
 
     #[test]

@@ -14,14 +14,14 @@ use crate::sequential::sequence::ConfidenceSequence;
 #[derive(Clone, Debug)]
 pub(crate) struct Together<U, const N: usize> {
     prefix: Prefix<U, [[i64; 2]; N]>,
-    /// After how many units each round ends.
+    /// Number of units after which each round ends.
     round_ends: Vec<usize>,
     sequences: [(Measure, ConfidenceSequence); N],
 }
 
 impl<U: Ord + Clone + fmt::Debug, const N: usize> Together<U, N> {
-    /// Of measures, each with the range of a unit's values. They share α equally
-    /// (Bonferroni).
+    /// Confidence sequences of measures, each with the range of a unit's values.
+    /// They share α equally (Bonferroni).
     pub(crate) fn new(order: &Order<U>, measures: [(Measure, [i64; 2]); N], alpha: f64) -> Self {
         assert!(alpha > 0.0 && alpha < 1.0, "α is between 0 and 1");
         assert!(!order.sizes().is_empty(), "the order has units");

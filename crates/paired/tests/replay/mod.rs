@@ -17,7 +17,7 @@ pub(crate) struct Population {
     pub(crate) units: Vec<(Unit, Transition)>,
 }
 
-/// How an order is drawn.
+/// Design of a drawn order.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Design {
     /// Rounds with one configuration of every task.
@@ -115,7 +115,7 @@ impl Population {
     }
 }
 
-/// What a measure counts of one configuration.
+/// Returns one configuration's value of a measure.
 pub(crate) fn value(measure: Measure, transition: Transition) -> i64 {
     use Transition::{Compensated, Emergent, StillFails, StillSucceeds};
     match (measure, transition) {

@@ -68,11 +68,11 @@ struct Probabilities {
     perturbed: [f64; CONDITIONS],
 }
 
-/// What tasks and directions of a population have in common.
+/// Parameters shared by the tasks and directions of a population.
 pub(crate) struct Population {
     /// Logit of nominal success in each suite.
     ease: [f64; 4],
-    /// What each condition costs on the logit.
+    /// Cost of each condition on the logit.
     costs: [f64; CONDITIONS],
     /// Standard deviations on the logit: of tasks, of a condition in a task, and of a
     /// direction.

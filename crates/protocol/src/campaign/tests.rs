@@ -1,4 +1,4 @@
-//! What a specification says, and what is refused.
+//! Tests of parsing and refusing campaign specifications.
 
 use super::*;
 

@@ -10,15 +10,16 @@ const SHIFT_WORDS: usize = 397;
 #[derive(Debug, Clone, PartialEq)]
 pub struct LegacyRng(LegacyState);
 
-/// What `numpy.random.get_state(legacy=True)` returns and `set_state` takes,
-/// without the generator's name, which is always `MT19937`.
+/// State of the generator, as `numpy.random.get_state(legacy=True)` returns it
+/// and `set_state` takes it, without the generator's name, which is always
+/// `MT19937`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LegacyState {
     /// The Mersenne Twister's words.
     pub words: [u32; STATE_WORDS],
     /// The word to be read next; [`STATE_WORDS`] once all have been.
     pub position: usize,
-    /// Whether `randn` returns `gauss` next.
+    /// True if `randn` returns `gauss` next.
     pub has_gauss: bool,
     /// The second value of the last polar pair.
     pub gauss: f64,

@@ -27,7 +27,7 @@ pub(super) fn rules() -> &'static Rules {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Rules {
-    /// For people who edit the file.
+    /// Notes for people who edit the file.
     #[serde(rename = "about")]
     _about: IgnoredAny,
     pub(super) frames: [Frame; VARIANTS],
@@ -38,8 +38,8 @@ pub(super) struct Rules {
     pub(super) tasks: BTreeMap<TaskRef, Task>,
 }
 
-/// What a sentence of L3 puts around a structure: its own words come before
-/// the structure's body, and after its lead where it has one.
+/// Words that a sentence of L3 puts around a structure: they come before the
+/// structure's body, and after its lead where it has one.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Frame {
@@ -86,14 +86,14 @@ impl Entries {
     }
 }
 
-/// What an instruction says, in the slots of its construction.
+/// Content of an instruction, in the slots of its construction.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Task {
     pub(super) construction: String,
     #[serde(default)]
     pub(super) number: Number,
-    /// Which list of verbs `<put>` takes: it depends on the destination.
+    /// Name of the list of verbs for `<put>`: it depends on the destination.
     pub(super) put: Option<String>,
     pub(super) slots: BTreeMap<String, String>,
 }

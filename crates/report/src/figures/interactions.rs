@@ -1,5 +1,5 @@
-//! How the axes interact at one level: a matrix of shares and pairs, and the way from
-//! nominal to simultaneous success, which adds up.
+//! Interactions of the axes at one level: a matrix of shares and pairs, and the way
+//! from nominal to simultaneous success, which adds up.
 
 use lattice::Estimate;
 use maud::{Markup, html};

@@ -13,12 +13,12 @@ use super::svg::{HEAD, WIDE, diamond, line, number, square, text};
 const LABELS: f64 = 64.0;
 const LAYER: f64 = 76.0;
 const LEGEND: f64 = 86.0;
-/// Where the shape of an outcome is drawn.
+/// Radius of the ring around a minimal subset.
 const RING: f64 = 11.0;
-/// From a node to the words below it.
+/// Distance from a node to the words below it.
 const WORDS: f64 = 26.0;
 
-/// Where the rollout under a subset is shown: an address.
+/// Address of the rollout under a subset.
 pub type SubsetLink<'a> = &'a dyn Fn(AxisSet) -> Option<String>;
 
 /// The picture of a configuration, named by its simultaneous rollout, of a campaign of
@@ -138,8 +138,8 @@ fn name(set: AxisSet, full: AxisSet) -> &'static str {
     }
 }
 
-/// What stands below a node: names where there is room, their first letters where there
-/// is not.
+/// Label below a node: names where there is room, their first letters where there is
+/// not.
 fn label(set: AxisSet, full: AxisSet) -> String {
     match set.len() {
         1 => name(set, full).to_owned(),

@@ -15,7 +15,7 @@ use crate::analysis::Analysis;
 const MAX_COLUMNS: usize = 10;
 const SQUARE: f64 = 14.0;
 const LABELS: f64 = 26.0;
-/// From one suite's block to the next.
+/// Distance from one suite's block to the next.
 const BLOCK_WIDTH: f64 = WIDTH / 2.0 + 6.0;
 const BLOCK_HEAD: f64 = 36.0;
 const LEGEND: f64 = 58.0;
@@ -76,7 +76,7 @@ pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<F
     Some(figure)
 }
 
-/// What the squares mean, in two lines below `top`.
+/// Legend of the squares, in two lines below `top`.
 fn legend(top: f64) -> Markup {
     let entries = [
         (0.0, 0.0, Some(Transition::Emergent), "emergent failure"),

@@ -1,5 +1,5 @@
-//! How many configurations still succeed at each radius: one panel per condition, with
-//! the protocol's levels on the axis, and the radius at which half of them still do.
+//! Configurations that still succeed at each radius: one panel per condition, with the
+//! protocol's levels on the axis, and the radius at which half of them still do.
 
 use maud::{Markup, html};
 use protocol::Level;
@@ -65,7 +65,8 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
     ))
 }
 
-/// Where half of the configurations still succeed, with its interval or why it has none.
+/// Words for the radius at which half of the configurations still succeed, with its
+/// interval or the reason why it has none.
 fn half(curve: &Curve) -> String {
     let share = |point: Option<&Point>| point.map_or(0.0, |point| point.survival);
     if share(curve.points.first()) < 0.5 {
@@ -81,7 +82,7 @@ fn half(curve: &Curve) -> String {
     }
 }
 
-/// From radii and shares to places.
+/// Map from radii and shares to coordinates.
 struct Place {
     scale: Scale,
     bottom: f64,
@@ -139,10 +140,11 @@ fn intervals(place: &Place, points: &[Point]) -> Markup {
     html! { path class="band" d={ (path(low.chain(high))) "Z" } {} }
 }
 
-/// What the brackets allow: steps below and above the curve.
+/// Range that the brackets allow: steps below and above the curve.
 fn brackets(place: &Place, points: &[Point]) -> Markup {
     let pairs = || points.iter().zip(points.iter().skip(1));
-    // Who fails somewhere in a bracket may fail at once, or only at its end.
+    // A configuration that fails somewhere in a bracket may fail at once, or only at its
+    // end.
     let low = pairs().flat_map(|(a, b)| [(a.radius, b.band[0]), (b.radius, b.band[0])]);
     let high = pairs().flat_map(|(a, b)| [(a.radius, a.band[1]), (b.radius, a.band[1])]);
     let to_path = |steps: Vec<(f64, f64)>| {

@@ -1,4 +1,4 @@
-//! What the figures are drawn with: numbers, scales, axes, intervals.
+//! Primitives of the figures: numbers, scales, axes, intervals.
 
 use maud::{Markup, html};
 use paired::{Interval, NoInterval};
@@ -20,7 +20,7 @@ pub(super) fn number(value: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// From values to horizontal places.
+/// Map from values to horizontal coordinates.
 #[derive(Clone, Copy)]
 pub(super) struct Scale {
     domain: [f64; 2],

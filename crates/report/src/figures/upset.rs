@@ -1,7 +1,7 @@
-//! Which minimal subsets explain a campaign's transitions, and how often: an UpSet
-//! plot (A. Lex et al., IEEE Transactions on Visualization and Computer Graphics 20,
-//! 2014). Axes are rows, each minimal subset is a column of dots, and above it
-//! stands in how many configurations it was found.
+//! UpSet plot of the minimal subsets that explain a campaign's transitions (A. Lex et
+//! al., IEEE Transactions on Visualization and Computer Graphics 20, 2014). Axes are
+//! rows, each minimal subset is a column of dots, and above it stands in how many
+//! configurations it was found.
 
 use lattice::Occurrence;
 use maud::{Markup, html};

@@ -1,5 +1,5 @@
-//! How policies differ, pair by pair: a figure and a table of each, or why they
-//! cannot be compared.
+//! Differences of policies, pair by pair: a figure and a table of each, or the
+//! reason why they cannot be compared.
 
 use maud::{Markup, html};
 use paired::{ComparedCell, Difference};

@@ -1,5 +1,5 @@
-//! What a campaign that explains another has found, and how axes interact where whole
-//! lattices were run.
+//! Sections on the findings of a campaign that explains another, and on the interactions
+//! of axes in whole lattices.
 
 use lattice::{Answer, Explained, Occurrence};
 use maud::{Markup, html};
@@ -47,7 +47,8 @@ fn of_campaign(found: &Findings, link: Option<Link>) -> Markup {
     }
 }
 
-/// How many configurations have a transition of this kind, and which subset explains most.
+/// Counts the configurations with a transition of this kind and names the subset that
+/// explains most.
 fn in_words(found: &Findings, transition: Transition) -> Markup {
     let of_kind = |it: &&Explained| it.explanation.transition == transition;
     let all: Vec<&Explained> = found.configurations.iter().filter(of_kind).collect();
@@ -62,7 +63,7 @@ fn in_words(found: &Findings, transition: Transition) -> Markup {
         .filter(|it| it.transition == transition)
         .collect();
     let most = of_kind.iter().map(|it| it.configurations).max();
-    // Those that explain equally many configurations, most of all.
+    // All subsets that explain the most configurations, where several tie.
     let first: Vec<&Occurrence> = of_kind
         .into_iter()
         .filter(|it| Some(it.configurations) == most)
@@ -107,7 +108,7 @@ fn in_words(found: &Findings, transition: Transition) -> Markup {
     }
 }
 
-/// Where more axes undo what fewer do.
+/// Table of larger subsets that undo the change of smaller ones.
 fn non_monotone(found: &Findings) -> Markup {
     let pairs = |it: &Explained| {
         let answers = it.explanation.answers.iter();
@@ -196,7 +197,7 @@ fn unflipped(answer: &Answer) -> Markup {
     html! { div { (names.join(", ")) } }
 }
 
-/// How the axes interact, for every subject with whole lattices.
+/// Sections on the interactions of the axes, for every subject with whole lattices.
 pub(super) fn interactions(document: &Document) -> Markup {
     let found = document.analyses.iter();
     let found = found.filter_map(|it| Some((it, it.interactions.as_ref()?)));

@@ -1,5 +1,5 @@
-//! What comes first: what the report is of, what to know before believing it,
-//! and what it shows, in words.
+//! Head of the page: the subjects of the report, its warnings, and its findings in
+//! words.
 
 use maud::{Markup, html};
 use paired::Finding;

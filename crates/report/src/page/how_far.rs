@@ -11,7 +11,7 @@ use crate::figures;
 use crate::how_far::{HowFar, Measured};
 use crate::words;
 
-/// What every subject has found out that measures thresholds.
+/// Sections of every subject that measures thresholds.
 pub(super) fn sections(document: &Document) -> Markup {
     let found = document.analyses.iter();
     let found = found.filter_map(|analysis| analysis.how_far.as_ref());
@@ -64,7 +64,7 @@ fn half_success(curves: &[Curve]) -> Markup {
     table("Half-success radius", &heads, known.map(row).collect())
 }
 
-/// Those that succeed again beyond a failure, by name.
+/// Table of the thresholds that succeed again beyond a failure, by name.
 fn not_monotone(thresholds: &[Measured]) -> Markup {
     let heads = [
         "task.",

@@ -1,5 +1,5 @@
-//! How sure the figures are, and about what: intervals for each target, what exceeds the
-//! noise floor, and losses against matched nominal rollouts.
+//! Inference about the figures: intervals for each target, what exceeds the noise floor,
+//! and losses against matched nominal rollouts.
 
 use maud::{Markup, html};
 use paired::{Cell, Estimate, Inference};
@@ -131,7 +131,7 @@ fn floor(cells: &Cells<'_>) -> Markup {
     }
 }
 
-/// What each condition costs.
+/// Table of the success lost under each condition.
 fn losses(cells: &Cells<'_>) -> Markup {
     let heads = [
         "policy",

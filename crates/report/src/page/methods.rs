@@ -1,4 +1,4 @@
-//! How the figures were made: versions, digests, modes, and the statistics, so
+//! Methods behind the figures: versions, digests, modes, and the statistics, so
 //! that others can reproduce them.
 
 use std::collections::BTreeSet;
@@ -132,7 +132,7 @@ fn of_policy(analysis: &Analysis) -> Markup {
     }
 }
 
-/// How often the order of clipping and of the actuation axis can matter at all.
+/// Actions that were clipped: a bound on the effect of clipping before or after the actuation axis.
 fn beyond(of: BeyondRange, realisation: Option<Realisation>) -> String {
     let BeyondRange {
         actions,

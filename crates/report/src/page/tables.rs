@@ -261,7 +261,7 @@ fn success(cell: &Cell, condition: Condition, count: Option<Count>, loss: Option
     }
 }
 
-/// What another policy seed changes.
+/// Table of the changes by another policy seed.
 pub(super) fn replication(analysis: &Analysis) -> Markup {
     let heads = [
         "replicate",

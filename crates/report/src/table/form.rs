@@ -1,4 +1,4 @@
-//! What a table is made of, and how it is written as CSV and as Parquet.
+//! Form of a table, and its writers for CSV and Parquet.
 //!
 //! Parquet's columns have types: booleans, integers, numbers, and strings for names and
 //! enumerations.
@@ -19,10 +19,10 @@ use serde_json::{Value as Json, json};
 /// A table that cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
-    /// As CSV.
+    /// The table cannot be written as CSV.
     #[error("write the table as CSV")]
     Csv(#[from] csv::Error),
-    /// As Parquet.
+    /// The table cannot be written as Parquet.
     #[error("write the table as Parquet")]
     Parquet(#[from] ParquetError),
     /// The end of the file.
@@ -40,7 +40,7 @@ pub(super) enum Value {
     Bool(Option<bool>),
 }
 
-/// What a column holds.
+/// Type of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Number,
@@ -75,8 +75,8 @@ impl<R> Table<R> {
         Ok(csv.flush()?)
     }
 
-    /// As one row group without compression; its footer has what pandas needs to read
-    /// nullable columns as what they are, see [`for_pandas`].
+    /// Writes the table as one row group without compression; its footer has what
+    /// pandas needs to read nullable columns as what they are, see [`for_pandas`].
     pub(super) fn parquet(&self, out: impl Write + Send) -> Result<(), TableError> {
         let fields = self.columns.iter();
         let fields = fields.map(|(name, kind, _)| field(name, *kind).map(Arc::new));

@@ -43,7 +43,7 @@ impl ResultRow {
 /// Writes result rows as Parquet, as [`write_parquet`](super::write_parquet) does.
 ///
 /// # Errors
-/// When `out` fails.
+/// If `out` fails.
 pub fn write_results_parquet(
     rows: Vec<ResultRow>,
     out: impl Write + Send,

@@ -36,7 +36,7 @@ fn campaign(policy: &str) -> Subject {
     }
 }
 
-/// One that fails where the index of the row is a multiple of thirteen, and
+/// Subject that fails where the index of the row is a multiple of thirteen, and
 /// succeeds where it is one of seventeen.
 fn other(policy: &str) -> Subject {
     let mut subject = campaign(policy);

@@ -1,5 +1,4 @@
-//! What a campaign that explains another has found, and how axes interact: figures, page
-//! and tables of planted rules.
+//! Tests of explanations and interactions: figures, page and tables of planted rules.
 
 use paired::{Outcome, Record, Transition};
 use parquet::file::reader::{FileReader, SerializedFileReader};
@@ -15,7 +14,7 @@ fn set(text: &str) -> AxisSet {
     text.parse().expect("a set of axes")
 }
 
-/// Which axes it takes to fail, by task.
+/// Returns true if the planted rule of a task fails under these axes.
 fn fails(task: usize, axes: AxisSet) -> bool {
     let has = |text| set(text).is_subset(axes);
     match task % 4 {

@@ -1,4 +1,4 @@
-//! What a measurement of thresholds says: on a terminal, as JSON and as figures.
+//! Tests of reports on measured thresholds: on a terminal, as JSON and as figures.
 
 use std::collections::BTreeSet;
 
@@ -61,7 +61,7 @@ fn found(source: &Subject, by: Vec<Record>, max_radius: f64) -> HowFar {
     HowFar::of(&measuring(source, by, max_radius)).expect("it measures thresholds")
 }
 
-/// What the published levels alone say.
+/// Measurement with the published levels alone.
 fn at_levels() -> HowFar {
     found(&nominal(), Vec::new(), 8.0)
 }

@@ -59,7 +59,7 @@ fn the_parquet_table_reads_back_as_the_csv_table() {
     assert_eq!(rows, 2 * 1200);
 }
 
-/// What the Parquet file says of its columns, by name.
+/// Writes a document's Parquet file into a temporary folder.
 fn parquet_of(document: &Document) -> (tempfile::TempDir, std::path::PathBuf) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("table.parquet");

@@ -1,5 +1,5 @@
-//! What a report says in words: intervals that it withholds, its legend, and
-//! one name for one thing.
+//! Tests of a report's words: intervals that it withholds, its legend, and one
+//! name for one thing.
 
 use paired::Outcome;
 use report::{Subject, figures, page};
@@ -106,7 +106,7 @@ fn every_symbol_of_the_table_is_explained_below_it_once() {
         let lines = legend.iter().filter(|line| line.starts_with(symbol));
         assert_eq!(lines.count(), 1, "{symbol}: {legend:#?}");
     }
-    // What the table does not print is not explained either.
+    // The legend leaves out symbols that the table does not print.
     assert!(
         !legend.iter().any(|line| line.starts_with("solvable")),
         "{legend:#?}"
