@@ -106,13 +106,13 @@ pub enum BackendError {
         backend: String,
         /// Reason for which it is out.
         cause: Cause,
-        /// Until the next attempt.
+        /// Time until the next attempt.
         retry_in: Duration,
     },
     /// Connected, but silent.
     #[error("{backend} did not answer within {:.1} s", limit.as_secs_f64())]
     TimedOut {
-        /// As configured.
+        /// Back-end as configured.
         backend: String,
         /// Longest silence.
         limit: Duration,
@@ -139,7 +139,7 @@ pub enum BackendError {
          configuration (SIGHUP)"
     )]
     Disagrees {
-        /// Since when or from whom, and in what.
+        /// Difference, and the description that it is measured by.
         difference: String,
     },
     /// It answered nonsense.
@@ -161,7 +161,7 @@ pub enum BackendError {
         waited.as_secs_f64()
     )]
     Crowded {
-        /// As configured.
+        /// Back-end as configured.
         backend: String,
         /// Time in the queue.
         waited: Duration,
@@ -190,7 +190,7 @@ pub enum BackendError {
     Unsuited {
         /// host:port.
         address: String,
-        /// Why, with the remedy.
+        /// Reason, with the remedy.
         reason: String,
     },
     /// A session that is not open, because it never was, or because the
@@ -244,7 +244,7 @@ impl BackendError {
         }
     }
 
-    /// Whether the infrastructure failed, not this query.
+    /// Returns true if the infrastructure failed, not this query.
     pub fn is_outage(&self) -> bool {
         is_outage_code(self.code())
     }

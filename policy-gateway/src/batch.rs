@@ -1,5 +1,8 @@
 //! Selection of the queries that go to a server together, and of the time.
 //! Pure: the time is passed in. [`batcher`] carries it out.
+//!
+//! A full batch goes as soon as the server has room for one more; a smaller one
+//! goes when the server has nothing to do and its oldest query has waited.
 
 use std::{
     collections::VecDeque,

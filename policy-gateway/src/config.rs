@@ -39,7 +39,7 @@ impl Config {
     /// Checks the routes against each other.
     ///
     /// # Errors
-    /// When there is none, or a name occurs twice.
+    /// If there is no route, or a name occurs twice.
     pub fn new(routes: Vec<RouteSpec>) -> Result<Self, ConfigError> {
         if routes.is_empty() {
             return Err(ConfigError::NoRoute);
@@ -72,11 +72,11 @@ pub struct RouteSpec {
     pub name: RouteName,
     /// Servers that answer, by checkpoint.
     pub checkpoints: CheckpointSpecs,
-    /// How queries reach a server.
+    /// Grouping of queries to a server.
     pub batching: Batching,
     /// Longest wait for an answer.
     pub answer_within: Duration,
-    /// How to get into its servers.
+    /// Files for access to its servers.
     pub access: AccessFiles,
     /// Destination for recordings of the queries and answers of its only
     /// server.
@@ -103,7 +103,7 @@ impl AccessFiles {
     }
 }
 
-/// Why a back-end cannot be made. Reads after "failed to …".
+/// Reason for which a back-end cannot be made. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum UnusableBackend {
     /// Certificate authority or token cannot be read.
@@ -135,7 +135,7 @@ pub enum CheckpointSpecs {
     PerSuite(BTreeMap<String, Vec<BackendSpec>>),
 }
 
-/// How queries reach a server.
+/// Grouping of queries to a server.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Batching {

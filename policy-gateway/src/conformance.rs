@@ -1,7 +1,7 @@
-//! Whether a policy server keeps the policy protocol: what `policy-gateway
-//! check URL` runs. Responsible for the order of the points and for nothing
-//! else: [`probe`] asks, [`verdict`] judges, [`scene`] makes up observations,
-//! [`front`] translates for servers of another protocol.
+//! Conformance of a policy server to the policy protocol: the command
+//! `policy-gateway check URL`. Responsible for the order of the points and for
+//! nothing else: [`probe`] asks, [`verdict`] judges, [`scene`] makes up
+//! observations, [`front`] translates for servers of another protocol.
 //!
 //! It judges the protocol, not the policy: the scenes are made up, and no
 //! answer to them is a good or a bad one.
@@ -89,7 +89,7 @@ impl fmt::Display for Point {
     }
 }
 
-/// How a server does on one point.
+/// Result of one point.
 #[derive(Clone, Debug)]
 pub struct Finding {
     /// Point that was checked.
@@ -114,8 +114,8 @@ impl fmt::Display for Finding {
 /// known. True if none failed.
 ///
 /// # Errors
-/// When the server cannot be reached, cannot describe itself or answers no
-/// query: then there is nothing to check.
+/// If the server cannot be reached, cannot describe itself or answers no query:
+/// then there is nothing to check.
 pub async fn check(
     target: &Target,
     report: &mut dyn FnMut(&Finding),

@@ -21,8 +21,8 @@ pub const WAITS: Waits = Waits {
 };
 /// Waits for a server that was sick or silent.
 pub const SICK_WAITS: Waits = Waits::USUAL;
-/// How long a probing session may take to come to an answer before another
-/// session may try.
+/// Longest time that a probing session may take to come to an answer before
+/// another session may try.
 pub const PROBE_PATIENCE: Duration = Duration::from_secs(60);
 /// Different tasks that must get the same error, with no answer in between,
 /// for the server to count as sick. One task alone may be the cause of its
@@ -61,7 +61,7 @@ pub enum Answered {
     Query,
 }
 
-/// Why a server is out.
+/// Reason for which a server is out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// No connection.
@@ -88,7 +88,7 @@ impl Cause {
         }
     }
 
-    /// Whether it takes an answered query to show that it is over.
+    /// Returns true if only an answered query shows that the cause is gone.
     fn needs_query(&self) -> bool {
         matches!(self, Self::Silent | Self::Repeats(_) | Self::Broken(_))
     }
@@ -111,7 +111,7 @@ impl fmt::Display for Cause {
     }
 }
 
-/// How a server does, as far as known.
+/// State of a server, as far as known.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Health {
     /// It is asked.
@@ -130,12 +130,12 @@ pub struct Errors {
 /// A server that is out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outage {
-    /// Why.
+    /// Reason for which it is out.
     pub cause: Cause,
     /// Failures in a row that are waited for in the same way: the one that began
     /// it, and those of probes.
     failures: u32,
-    /// When a probe may go.
+    /// Time from which a probe may go.
     probe_at: Instant,
     /// The session that is through to try it.
     probe: Option<Probe>,
@@ -143,7 +143,7 @@ pub struct Outage {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Probe {
-    /// None: a description, which is one call and no session.
+    /// Session of the probe; none for a description, which is one call.
     session: Option<String>,
     until: Instant,
 }
@@ -155,10 +155,10 @@ impl Default for Health {
 }
 
 impl Health {
-    /// Whether a call may go out at `now`.
+    /// Decides if a call may go out at `now`.
     ///
     /// # Errors
-    /// With the reason why the server is out, and the time left to wait.
+    /// If the server is out: the reason, and the time left to wait.
     pub fn admit(&mut self, call: Call<'_>, now: Instant) -> Result<(), (Cause, Duration)> {
         let Self::Out(outage) = self else {
             return Ok(());

@@ -1,4 +1,4 @@
-//! How much of the workers' observations a gateway holds at once, so that a
+//! Bound on the workers' observations that a gateway holds at once, so that a
 //! stalled server does not fill the memory with frames. Responsible for that
 //! bound only.
 

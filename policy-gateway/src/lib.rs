@@ -33,7 +33,7 @@ pub mod route;
 pub mod service;
 pub mod sessions;
 
-/// How long queries under way may take after the signal to stop.
+/// Time that queries under way may take after the signal to stop.
 pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 
 /// Serves `rollout.policy.v1` and `grpc.health.v1` on `listener` until
@@ -42,7 +42,7 @@ pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 /// starts, and stays, whether they are up or not.
 ///
 /// # Errors
-/// When an address cannot be used or the listener fails.
+/// If an address cannot be used or the listener fails.
 pub async fn run(
     gateway: Gateway,
     security: &Security,
@@ -93,7 +93,7 @@ fn resource(path: &str) -> Resource {
     })
 }
 
-/// Why a gateway cannot serve.
+/// Reason for which a gateway cannot serve.
 #[derive(Debug, Error)]
 pub enum RunError {
     /// An address that cannot be used, or a listener that failed.

@@ -1,5 +1,6 @@
-//! How fast a policy server answers queries, and since when it has been silent.
-//! [`Pace`] is pure: the time is passed in. [`Watch`] applies it to calls.
+//! Pace at which a policy server answers queries, and the time since which it
+//! has been silent. [`Pace`] is pure: the time is passed in. [`Watch`] applies
+//! it to calls.
 //!
 //! A server that has many queries before it takes long for each of them and is not
 //! silent: it answers others meanwhile. So a call has failed only once the server
@@ -22,7 +23,8 @@ const MIN_SAMPLES: usize = 8;
 pub struct Pace {
     /// Calls with queries that are sent and not ended.
     under_way: usize,
-    /// When the first of the calls under way was sent to an idle server.
+    /// Time at which the first of the calls under way was sent to an idle
+    /// server.
     busy_since: Option<Instant>,
     last_answer: Option<Instant>,
     /// Time that the server took for each answer, and the queries answered.

@@ -23,7 +23,7 @@ use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest}
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-/// How a file begins.
+/// First line of a file.
 const FIRST_LINE: &[u8] = b"rollout recording 1\n";
 /// Suffix of whole recordings.
 pub const SUFFIX: &str = "recording";
@@ -33,9 +33,9 @@ pub const MAX_FILES: usize = 100_000;
 /// A query and its answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pair {
-    /// As asked.
+    /// Query as asked.
     pub query: InferRequest,
-    /// As answered.
+    /// Answer as given.
     pub answer: InferResponse,
 }
 
@@ -52,7 +52,7 @@ impl Writer {
     /// when this one is finished.
     ///
     /// # Errors
-    /// When nothing can be written to the folder.
+    /// If nothing can be written to the folder.
     pub fn begin(
         folder: &Path,
         described: &DescribeResponse,
@@ -146,7 +146,7 @@ impl Reader {
     /// The next pair; None at the end.
     ///
     /// # Errors
-    /// When what follows is none.
+    /// If the next messages are no pair.
     pub fn pair(&mut self) -> Result<Option<Pair>, RecordingError> {
         let Some(query) = self.message()? else {
             return Ok(None);
@@ -230,7 +230,7 @@ pub enum RecordingError {
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: io::Error,
     },
     /// It is not one.

@@ -111,7 +111,7 @@ impl Route {
         &self.name
     }
 
-    /// Whether new sessions are refused.
+    /// Returns true if new sessions are refused.
     pub fn is_retired(&self) -> bool {
         self.retired.load(Ordering::Relaxed)
     }
@@ -140,7 +140,7 @@ impl Route {
     /// Asks what the policy is that answers for `suite`.
     ///
     /// # Errors
-    /// When no replica answers, or the answer cannot be used.
+    /// If no replica answers, or the answer cannot be used.
     pub async fn describe(&self, suite: &str) -> Result<Arc<DescribeResponse>, RouteError> {
         let pool = self.pool(suite)?;
         let mut tried = vec![];
@@ -205,7 +205,7 @@ impl Route {
     /// answer that was given.
     ///
     /// # Errors
-    /// When no replica answers, or the answer is no chunk of actions (see
+    /// If no replica answers, or the answer is no chunk of actions (see
     /// [`crate::check::actions`]).
     pub async fn infer(&self, request: InferRequest) -> Result<InferResponse, RouteError> {
         check_session(&request.session)?;

@@ -110,7 +110,7 @@ fn sentence(policy: &str, endpoint: &str, verb: &str, call: &str, problem: &str)
 /// A checked description of a policy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Description {
-    /// As the policy gave it.
+    /// Description as the policy gave it.
     pub about: DescribeResponse,
     /// The robot readings it wants, in its order.
     pub state: Vec<StateField>,

@@ -11,12 +11,12 @@ use std::process::{ExitStatus, Stdio};
 
 use crate::memory::Verdict;
 
-/// How a slot's process is started.
+/// Command line of a slot's process.
 #[derive(Clone, Debug)]
 pub struct SlotProgram {
     /// The program: this one, as a rule.
     pub program: PathBuf,
-    /// Its arguments.
+    /// Arguments of the program.
     pub arguments: Vec<OsString>,
 }
 

@@ -28,7 +28,7 @@ use crate::supervise::link::Link;
 pub struct Config {
     /// URL of the coordinator.
     pub coordinator: String,
-    /// How to get in there.
+    /// Credentials for the coordinator.
     pub access: Access,
     /// The asset pack's digest.
     pub asset_pack_digest: String,
@@ -47,7 +47,7 @@ pub struct Filmed {
     pub failed: u64,
 }
 
-/// Why nothing is filmed.
+/// Reason for which nothing is filmed.
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
     /// The runtime or the scratch folder cannot be made.
@@ -61,7 +61,7 @@ pub enum FilmError {
     Refused {
         /// URL of the coordinator.
         url: String,
-        /// Its answer.
+        /// Answer of the coordinator.
         status: Box<Status>,
     },
 }

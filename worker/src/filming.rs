@@ -18,7 +18,7 @@ use crate::rollout::Simulated;
 use crate::stage::Stage;
 use crate::video::{PANE_SIDE, VideoEncoder, VideoError};
 
-/// Why there is no video.
+/// Reason for which there is no video.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum FilmingError {
     /// The simulator failed, or cannot draw.
@@ -55,7 +55,7 @@ pub(crate) struct Replay<'a> {
     pub(crate) actions: &'a [Action],
     /// After how many of them perturbations were lifted, if they were.
     pub(crate) lifted_after: Option<usize>,
-    /// Whether the goal was reached.
+    /// True if the goal was reached.
     pub(crate) success: bool,
 }
 

@@ -30,7 +30,7 @@ impl WorkerId {
         Self(format!("{host}-{}-{:08x}", process::id(), random as u32))
     }
 
-    /// As it goes over the wire.
+    /// Returns the text that goes over the wire.
     pub fn as_str(&self) -> &str {
         &self.0
     }

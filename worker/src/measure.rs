@@ -25,7 +25,7 @@ pub use counting::count;
 
 use crate::rollout::RolloutError;
 
-/// Why nothing could be measured.
+/// Reason for which nothing could be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum MeasureError {
     /// The machine does not say how many cores this process may use.
@@ -44,7 +44,7 @@ pub enum MeasureError {
     Start {
         /// The program.
         program: PathBuf,
-        /// Why not.
+        /// Error of the system.
         #[source]
         source: io::Error,
     },
@@ -53,15 +53,15 @@ pub enum MeasureError {
     Ended {
         /// Number of the slot, from 0.
         slot: usize,
-        /// How it ended.
+        /// End of the process, in words.
         end: String,
     },
     /// Slots said nothing for too long.
     #[error("measure with {slots} slots: one of them said nothing for {secs:.0} s")]
     Silent {
-        /// How many were measured.
+        /// Number of slots measured.
         slots: usize,
-        /// How long was waited, seconds.
+        /// Seconds waited.
         secs: f64,
     },
     /// Parent and slot cannot talk to each other, or the table cannot be printed.

@@ -33,7 +33,7 @@ impl Session {
         Self(format!("{id}#r{replicate}#{attempt}"))
     }
 
-    /// As it goes over the wire.
+    /// Returns the text that goes over the wire.
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -71,13 +71,13 @@ pub struct Assignment {
     pub policy_endpoint: String,
     /// The policy's seed: that of the replicate.
     pub policy_seed: u64,
-    /// How long the policy may take for one answer.
+    /// Longest time that the policy may take for one answer.
     pub policy_deadline: Duration,
     /// The episode's name to the policy.
     pub session: Session,
     /// The video, if one is wanted.
     pub video: Option<VideoRequest>,
-    /// Whether the actions are wanted with the result.
+    /// True if the actions are wanted with the result.
     pub keep_actions: bool,
 }
 
@@ -86,7 +86,7 @@ pub struct Assignment {
 pub struct VideoRequest {
     /// Path of the file to write.
     pub file: PathBuf,
-    /// Of which rollouts.
+    /// Rollouts to film.
     pub of: VideoOf,
 }
 
@@ -167,9 +167,9 @@ pub struct Finished {
     pub result: RolloutResult,
     /// Simulator, scene and policy that produced it.
     pub evidence: Evidence,
-    /// How the robot moved.
+    /// Path of the end-effector and actions of the robot.
     pub motion: Motion,
-    /// Whether the slot films it next, and says afterwards what came of that.
+    /// True if the slot films it next, and reports the outcome afterwards.
     pub is_filmed_next: bool,
 }
 
@@ -182,32 +182,33 @@ pub struct Evidence {
     pub renderer: String,
     /// See [`sim::fingerprint`]; empty where no renderer was opened.
     pub fingerprint: String,
-    /// Of the composed MJCF.
+    /// Digest of the composed MJCF.
     pub scene_digest: String,
-    /// Of the initial state's bytes.
+    /// Digest of the initial state's bytes.
     pub init_state_digest: String,
     /// The perturbation as it was realised.
     pub realised: Realised,
-    /// Of the first frames that the policy saw; empty where it looks at none.
+    /// Digest of the first frames that the policy saw; empty where it looks at
+    /// none.
     pub first_frame_digest: String,
     /// The policy's own name.
     pub policy_name: String,
-    /// Its checkpoint, as the publisher writes it.
+    /// Checkpoint of the policy, as the publisher writes it.
     pub policy_checkpoint: String,
     /// Digest of its weights, as the policy gives it.
     pub policy_checkpoint_digest: String,
-    /// Whether it sees the simulator's own state.
+    /// True if the policy sees the simulator's own state.
     pub policy_privileged: bool,
-    /// Whether it gets the canonical instruction under every condition.
+    /// True if the policy gets the canonical instruction under every condition.
     pub policy_canonical_only: bool,
     /// Settings that its server resolved, by name, with `horizon` and
     /// `execute`.
     pub policy_settings: BTreeMap<String, String>,
-    /// How a gateway asks it: "single" unless one says otherwise.
+    /// Batch mode of a gateway: "single" unless one says otherwise.
     pub batch_mode: String,
 }
 
-/// Why a rollout has no result.
+/// Reason for which a rollout has no result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Failure {
     /// Party at fault.
@@ -243,7 +244,7 @@ pub enum FailureKind {
 }
 
 impl FailureKind {
-    /// Its reason on the wire.
+    /// Returns its reason on the wire.
     pub fn reason(self) -> Reason {
         match self {
             Self::Simulator => Reason::SimulatorError,

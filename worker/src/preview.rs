@@ -23,7 +23,7 @@ const PRESETS_PER_ROW: usize = 5;
 /// Pixels of a picture, as policies get them.
 const FRAME: u32 = 256;
 
-/// Why there is no preview.
+/// Reason for which there is no preview.
 #[derive(Debug, thiserror::Error)]
 pub enum PreviewError {
     /// The scene could not be simulated or drawn.

@@ -28,7 +28,7 @@ use crate::video::VideoEncoder;
 
 use search::{Found, Search};
 
-/// Why nothing was found out.
+/// Reason for which the search failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RescueError {
     /// There is nothing to lift.
@@ -42,7 +42,7 @@ pub enum RescueError {
     Succeeds {
         /// The rollout.
         id: RolloutId,
-        /// When the goal held.
+        /// Step at which the goal held.
         steps: u32,
     },
     /// A rollout has no outcome.
@@ -82,11 +82,11 @@ pub struct Rescue {
     pub saved_until: Option<u32>,
     /// The next look, from which it is lost; none if it is saved at the last look.
     pub lost_from: Option<u32>,
-    /// Whether it is saved wherever it was tried before `saved_until`.
+    /// True if it is saved wherever it was tried before `saved_until`.
     pub is_monotone: bool,
     /// Steps at which the placebo saves it, too: it stood on an edge there.
     pub saved_by_placebo: Vec<u32>,
-    /// How far the placebo moves the robot's hand, m.
+    /// Distance by which the placebo moves the robot's hand, m.
     pub nudge_m: f64,
 }
 
@@ -95,11 +95,11 @@ pub struct Rescue {
 pub struct Tried {
     /// Step at which the perturbations were lifted.
     pub lifted_at: u32,
-    /// Whether the policy then reached the goal.
+    /// True if the policy then reached the goal.
     pub success: bool,
     /// Control steps in all.
     pub steps: u32,
-    /// Whether it reached the goal with nothing lifted and the robot nudged there; tried
+    /// True if it reached the goal with nothing lifted and the robot nudged there; tried
     /// where `success`.
     pub placebo_success: Option<bool>,
 }
@@ -218,7 +218,7 @@ pub fn run(
     Ok(rescue)
 }
 
-/// How a rollout ended, in a word.
+/// Returns a word for the end of a rollout.
 fn ended(success: bool) -> &'static str {
     match success {
         true => "success",

@@ -25,7 +25,7 @@ use crate::stopwatch::{by_clock, processor};
 
 /// One control step of the policy.
 pub struct Step {
-    /// As the policy answered.
+    /// Action as the policy answered it.
     pub sent: Action,
     /// The robot's command, before the actuation axis distorts it: see
     /// [`sim::Conditions::command`].
@@ -49,7 +49,7 @@ pub trait Watcher {
     fn ended(&mut self, _episode: &mut Episode<'_>) {}
 }
 
-/// Why a rollout has no result.
+/// Reason for which a rollout has no result.
 #[derive(Debug, thiserror::Error)]
 pub enum RolloutError {
     /// The simulator failed.
@@ -87,14 +87,14 @@ impl RolloutError {
     }
 }
 
-/// How a query reaches a policy that no gateway says more of: alone, not in a
+/// Batch mode without a gateway that says more: each query goes alone, not in a
 /// batch of several rollouts.
 const UNBATCHED: &str = "single";
 
 /// A rollout that is over.
 #[derive(Clone, Debug)]
 pub struct Simulated {
-    /// Its result.
+    /// Result of the rollout.
     pub finished: Finished,
     /// The robot's commands: with them it can be simulated again.
     pub actions: Vec<Action>,
@@ -333,7 +333,7 @@ impl Run<'_> {
         Ok(actions)
     }
 
-    /// How the robot moved, as far as it is wanted.
+    /// Returns the robot's path and, if they are wanted, its actions.
     fn motion(&self) -> Motion {
         if self.executed.len() > proto::MAX_MOTION_STEPS {
             return Motion::default();

@@ -39,7 +39,7 @@ pub struct Request<'a> {
     pub assignment: &'a Assignment,
     /// A task that stands in for the row's.
     pub files: Option<TaskFiles>,
-    /// Whether to draw the first and the last picture of both cameras.
+    /// True if the first and the last picture of both cameras are drawn.
     pub draw: bool,
     /// Output folder.
     pub output: &'a Path,

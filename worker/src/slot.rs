@@ -25,13 +25,13 @@ use crate::stage::Stage;
 /// Rollouts that wait while another one is simulated: the parent never sends
 /// more than one.
 const ASSIGNMENT_QUEUE: usize = 1;
-/// Of -1000 to 1000, see proc(5); more than other processes have.
+/// Score from -1000 to 1000, see proc(5); more than other processes have.
 const OOM_SCORE_ADJ: &str = "500";
 /// Progress is reported every so many control steps, and pictures of a video:
 /// half a second of the robot's time.
 const PROGRESS_EVERY: u32 = 10;
 
-/// Why a slot's process ended by itself.
+/// Reason for which a slot's process ended by itself.
 #[derive(Debug, thiserror::Error)]
 pub enum SlotError {
     /// Signals cannot be caught.
@@ -161,7 +161,7 @@ struct Reporter<'a> {
     parent: &'a Parent,
     attempt: AttemptId,
     abandoned: &'a Abandoned,
-    /// Why the parent can no longer be reached.
+    /// Error after which the parent can no longer be reached.
     broken: Option<io::Error>,
 }
 

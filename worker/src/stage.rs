@@ -14,7 +14,7 @@ pub struct Stage<'a> {
     simulator: &'a mut Simulator,
     /// In place of those of the row's task.
     files: Option<TaskFiles>,
-    /// Whether a rollout that nothing is drawn of names the renderer too.
+    /// True if a rollout that nothing is drawn of names the renderer too.
     always_names_renderer: bool,
 }
 

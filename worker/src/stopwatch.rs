@@ -1,4 +1,4 @@
-//! How long work took: by the clock, or in processor time of this thread, which
+//! Duration of work: by the clock, or in processor time of this thread, which
 //! other programs on the machine do not add to.
 
 use std::time::Instant;

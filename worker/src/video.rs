@@ -25,19 +25,19 @@ const QUANTISER: u8 = 26;
 /// A picture that can be jumped to every two seconds.
 const KEYFRAME_EVERY: u32 = 40;
 
-/// Why a video could not be made.
+/// Reason for which a video could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
     /// A picture has not the size of a pane.
     #[error("add a picture of {given} bytes to a video of {PANE_BYTES} bytes per camera")]
     PaneSize {
-        /// Its size, bytes.
+        /// Size given, bytes.
         given: usize,
     },
     /// The H.264 encoder.
     #[error("encode a video: OpenH264 fails with code {code}")]
     Encode {
-        /// Its own number for it.
+        /// Error number of the library.
         code: i64,
     },
     /// The MP4 writer.

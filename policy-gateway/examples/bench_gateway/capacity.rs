@@ -1,5 +1,5 @@
-//! How many observations per second come through when every slot asks again as
-//! soon as it is answered.
+//! Observations per second that come through when every slot asks again as soon
+//! as it is answered.
 
 use std::time::{Duration, Instant};
 
@@ -92,7 +92,7 @@ pub(crate) async fn ask(slots: &Slots) -> Result<Value> {
     }))
 }
 
-/// When each query was answered, and after how long.
+/// Returns the time and the latency of each answer.
 async fn until(slot: Slot, ends: Instant) -> Result<Vec<(Instant, Duration)>> {
     let mut answered = Vec::new();
     for query_index in 0.. {

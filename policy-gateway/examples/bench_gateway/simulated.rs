@@ -66,7 +66,7 @@ pub(crate) async fn serve(options: Options) -> Result<()> {
 
 struct Simulated {
     options: Options,
-    /// When the last batch accepted will be done.
+    /// Time at which the last batch accepted will be done.
     busy_until: Mutex<Instant>,
 }
 

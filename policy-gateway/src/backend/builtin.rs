@@ -18,7 +18,7 @@ use crate::{
 
 /// A built-in policy and its sessions.
 pub struct BuiltinBackend {
-    /// As its route names it.
+    /// Name of the policy, as in its route.
     name: String,
     policy: Policy,
     sessions: Mutex<SessionTable<Arc<Mutex<Instance>>>>,

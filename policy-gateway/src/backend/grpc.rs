@@ -18,7 +18,8 @@ use crate::http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
 
 /// Longest wait for a connection.
 pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
-/// How soon the kernel notices a host that vanished without a word.
+/// Time until the kernel starts to probe an idle connection, to notice a host
+/// that vanished.
 const TCP_KEEPALIVE: Duration = Duration::from_secs(15);
 
 /// Address of a policy server, with the name of one of its policies:
@@ -92,14 +93,14 @@ impl fmt::Display for GrpcAddress {
     }
 }
 
-/// Not an address.
+/// The text is not an address.
 #[derive(Debug, Error)]
 #[error(
     "read {text:?} as a policy server's address: write grpc://HOST:PORT or \
      grpc://HOST:PORT/POLICY, with https:// in place of grpc:// over TLS"
 )]
 pub struct AddressError {
-    /// As written.
+    /// Address as written.
     pub text: String,
 }
 
@@ -115,7 +116,7 @@ impl GrpcBackend {
     /// A back-end at an address's endpoint that has not connected yet.
     ///
     /// # Errors
-    /// When the endpoint is none to call over TLS.
+    /// If the endpoint cannot be called over TLS.
     pub fn new(
         address: GrpcAddress,
         endpoint: Endpoint,

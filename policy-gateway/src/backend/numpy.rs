@@ -18,11 +18,11 @@ pub(super) enum Keys {
 pub struct Array {
     /// Sides.
     pub shape: Vec<usize>,
-    /// As many as the sides' product, row after row.
+    /// Numbers row after row, as many as the product of the sides.
     pub numbers: Vec<f32>,
 }
 
-/// Why a value is no array of numbers. Reads after "its actions".
+/// Reason for which a value is no array of numbers. Reads after "its actions".
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ArrayError {
     /// Something else.
@@ -31,7 +31,7 @@ pub enum ArrayError {
     /// Numbers of a kind that no policy answers.
     #[error("its actions have dtype {dtype:?}, not <f4 or <f8")]
     Dtype {
-        /// As NumPy writes it.
+        /// Type as NumPy writes it.
         dtype: String,
     },
 }

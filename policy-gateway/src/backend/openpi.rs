@@ -60,7 +60,7 @@ impl OpenpiBackend {
     /// A back-end that has not connected yet.
     ///
     /// # Errors
-    /// When the address is none.
+    /// If the address is invalid.
     pub fn new(address: OpenpiAddress, access: Access) -> Result<Self, OpenpiAddressError> {
         let schemes = ["ws://", "wss://"];
         // As openpi's client shows its key.

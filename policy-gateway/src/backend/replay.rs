@@ -51,7 +51,7 @@ impl Replay {
     /// Opens the recordings of a folder.
     ///
     /// # Errors
-    /// When there are none, one is damaged, or they are of two policies.
+    /// If there are no recordings, one is damaged, or they are of two policies.
     pub fn open(folder: &Path) -> Result<Self, RecordingError> {
         let mut described: Option<(PathBuf, DescribeResponse)> = None;
         let mut recorded = vec![];

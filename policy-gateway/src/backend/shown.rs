@@ -20,7 +20,7 @@ pub(super) fn camera(name: &str) -> CameraRequest {
 /// trained on what is upright and mirrored.
 ///
 /// # Errors
-/// When there is none of that size.
+/// If there is no frame of that size.
 pub(super) fn frame(observation: Option<&Observation>, camera: &str) -> Result<Vec<u8>, String> {
     let mut frames = observation.iter().flat_map(|it| &it.images);
     let frame = frames
@@ -39,7 +39,7 @@ pub(super) fn turned(rgb: &[u8]) -> Vec<u8> {
 /// A reading of `N` numbers.
 ///
 /// # Errors
-/// When there is none of so many.
+/// If there is no reading of so many numbers.
 pub(super) fn reading<const N: usize>(
     observation: Option<&Observation>,
     field: StateField,

@@ -85,7 +85,7 @@ impl VlaEvalBackend {
     /// A back-end that has not connected yet.
     ///
     /// # Errors
-    /// When the address is none.
+    /// If the address is invalid.
     pub fn new(address: VlaEvalAddress, access: Access) -> Result<Self, VlaEvalAddressError> {
         let schemes = ["vla-eval://", "vla-evals://"];
         // The protocol has no tokens; what stands before a server may.
@@ -172,7 +172,7 @@ impl Link {
     /// Asks one question.
     ///
     /// # Errors
-    /// When the connection is lost.
+    /// If the connection is lost.
     async fn ask(
         &mut self,
         observation: Value,

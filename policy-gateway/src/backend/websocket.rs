@@ -21,11 +21,11 @@ use transport::{Access, Found, Peer, ServerKind, Settings};
 
 use crate::backend::{BackendError, SETTINGS, grpc::CONNECT_TIMEOUT};
 
-/// How long a server may take for handshake and first message: it may send none
-/// while it computes.
+/// Longest time that a server may take for handshake and first message: it may
+/// send none while it computes.
 const GREETING_WITHIN: Duration = Duration::from_secs(30);
 
-/// How the addresses of a kind of server begin.
+/// Schemes of the addresses of a kind of server.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schemes {
     /// Without TLS, such as `ws`.
@@ -60,7 +60,7 @@ impl Place {
         })
     }
 
-    /// As it is written in a route.
+    /// Returns the address as it is written in a route.
     pub(super) fn text(&self, schemes: Schemes) -> String {
         let scheme = if self.encrypted {
             schemes.encrypted
@@ -81,7 +81,7 @@ pub(super) struct Server {
     place: Place,
     access: Access,
     peer: Peer,
-    /// How a token is shown, such as `Bearer`.
+    /// Scheme of the `Authorization` header, such as `Bearer`.
     authorization: &'static str,
 }
 
@@ -242,7 +242,8 @@ impl Connection {
         }
     }
 
-    /// Whether the server has neither closed it nor said anything unasked.
+    /// Returns true if the server has neither closed the connection nor said
+    /// anything unasked.
     pub(super) fn is_idle(&mut self) -> bool {
         self.socket.next().now_or_never().is_none()
     }

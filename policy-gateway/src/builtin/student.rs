@@ -71,7 +71,7 @@ fn shipped(weights: &[u8]) -> Arc<Network> {
 /// Weights of one's own that cannot be used. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum WeightsFileError {
-    /// Nothing to read.
+    /// The file cannot be read.
     #[error("read {path:?}: give the path of weights that training/export.py wrote")]
     Unreadable {
         /// Path of the file.

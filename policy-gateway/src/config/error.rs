@@ -1,4 +1,4 @@
-//! Why a gateway's routes cannot be served.
+//! Errors of a gateway's configuration.
 
 use std::path::PathBuf;
 
@@ -13,10 +13,10 @@ use crate::{
 /// Replicas of one checkpoint.
 pub const MAX_REPLICAS: usize = 64;
 
-/// Why routes cannot be served. Reads after "failed to …".
+/// Reason for which routes cannot be served. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum ConfigError {
-    /// Nothing to serve.
+    /// There is no route to serve.
     #[error("find a route: give at least one --route NAME=BACKEND, or a [policy.NAME] in --config")]
     NoRoute,
     /// A file that cannot be read.
@@ -32,7 +32,7 @@ pub enum ConfigError {
     Toml {
         /// Path of the file.
         path: PathBuf,
-        /// Its line, from 1.
+        /// Number of the line, from 1.
         line: usize,
         /// Problem on that line.
         problem: String,
@@ -70,7 +70,7 @@ pub enum ConfigError {
     ReplicaTwice {
         /// Name of the route.
         name: RouteName,
-        /// As written.
+        /// Replica as written.
         replica: String,
     },
     /// No time to answer.
@@ -78,13 +78,13 @@ pub enum ConfigError {
     AnswerWithin {
         /// Name of the route.
         name: RouteName,
-        /// As written.
+        /// Seconds as written.
         secs: f64,
     },
-    /// Not `NAME=BACKEND`.
+    /// The text is not `NAME=BACKEND`.
     #[error("read route {text:?}: write NAME=BACKEND, for example expert=builtin:expert")]
     Form {
-        /// As written.
+        /// Text as written.
         text: String,
     },
     /// A name that would be hard to quote.
@@ -103,7 +103,7 @@ pub enum ConfigError {
          vla-eval, or builtin:NAME, or student:FILE, or replay:FOLDER"
     )]
     Backend {
-        /// As written.
+        /// Text as written.
         text: String,
     },
     /// `builtin:` and something unknown.
@@ -126,7 +126,7 @@ pub enum ConfigError {
     NoAuthority {
         /// Name of the route.
         name: RouteName,
-        /// As written.
+        /// Replica as written.
         replica: String,
     },
 }

@@ -59,7 +59,8 @@ struct Table {
 /// Reads a configuration from a file.
 ///
 /// # Errors
-/// When there is none, or what it says cannot be meant; the file is named.
+/// If the file cannot be read or its content is invalid; the error names the
+/// file.
 pub fn read(path: &Path) -> Result<Config, ConfigError> {
     let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Unreadable {
         path: path.to_owned(),

@@ -12,7 +12,7 @@ pub const MAX_ROUTE_NAME_BYTES: usize = 64;
 pub struct RouteName(String);
 
 impl RouteName {
-    /// As written.
+    /// Returns the name as written.
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -46,6 +46,6 @@ impl fmt::Display for RouteName {
      and '-'"
 )]
 pub struct RouteNameError {
-    /// As written.
+    /// Name as written.
     pub name: String,
 }

@@ -12,7 +12,7 @@ use crate::{
     service::Gateway,
 };
 
-/// Such a gateway, until dropped.
+/// Gateway in front of a server, until dropped.
 pub struct Front {
     /// Listening address.
     pub address: SocketAddr,
@@ -48,7 +48,8 @@ impl Front {
     }
 }
 
-/// Why no gateway can stand in front of a server. Reads after "failed to …".
+/// Reason for which no gateway can stand in front of a server. Reads after
+/// "failed to …".
 #[derive(Debug, Error)]
 pub enum FrontError {
     /// An address, or a server over TLS without an authority.

@@ -47,9 +47,9 @@ pub enum QueryOrder {
 /// Answers of one episode.
 #[derive(Clone, Debug)]
 pub struct EpisodeAnswers {
-    /// By query index.
+    /// Answers by query index.
     pub answers: Vec<InferResponse>,
-    /// Of each query, in the order asked.
+    /// Latency of each query, in the order asked.
     pub latencies: Vec<Duration>,
 }
 
@@ -68,7 +68,7 @@ impl Probe {
     /// Connects and asks what the policy is.
     ///
     /// # Errors
-    /// When the address is none, nothing listens there, or it does not answer.
+    /// If the address is invalid, nothing listens there, or it does not answer.
     pub async fn connect(target: &Target) -> Result<Self, ConformanceError> {
         let endpoint = parse_endpoint(&target.url)
             .map_err(|_| ConformanceError::Url {
@@ -122,7 +122,7 @@ impl Probe {
         &self.described
     }
 
-    /// Whether a caller of a newer version is refused.
+    /// Checks that a caller of a newer version is refused.
     pub async fn other_version(&self) -> Verdict {
         let newer = proto::PROTOCOL_VERSION + 1;
         match self
@@ -139,10 +139,10 @@ impl Probe {
         }
     }
 
-    /// Whether the health service answers for policies.
+    /// Checks that the health service answers for policies.
     ///
     /// # Errors
-    /// As all questions: what the server answered instead.
+    /// If the server answers with an unexpected status.
     pub async fn health(&self) -> Result<Verdict, Status> {
         let request = HealthCheckRequest {
             service: SERVICE_NAME.to_owned(),
@@ -272,7 +272,7 @@ impl Probe {
         Ok(answers)
     }
 
-    /// Whether a session without a Reset is refused.
+    /// Checks that a session without a Reset is refused.
     pub async fn unopened(&self) -> Verdict {
         match self.infer("never opened", 0).await {
             Err(_) => verdict::pass(""),

@@ -22,17 +22,17 @@ pub struct Target {
     pub access: Access,
 }
 
-/// Why a server cannot be checked. Reads after "failed to …".
+/// Reason for which a server cannot be checked. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum ConformanceError {
-    /// Not `grpc://HOST:PORT`.
+    /// The URL is not `grpc://HOST:PORT`.
     #[error(
         "read {url:?} as a policy server's address: write grpc://HOST:PORT, or https:// for one \
          over TLS, or ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model \
          server of vla-eval"
     )]
     Url {
-        /// As given.
+        /// URL as given.
         url: String,
     },
     /// No URL to call over TLS.
@@ -41,7 +41,7 @@ pub enum ConformanceError {
     /// No policy server is there.
     #[error("reach the policy server at {url}: {trouble}")]
     Connect {
-        /// As given.
+        /// URL as given.
         url: String,
         /// Cause found at that address.
         trouble: Box<Trouble>,
@@ -52,7 +52,7 @@ pub enum ConformanceError {
     /// It does not say what it is.
     #[error("have {url} describe its policy: {}", answer(status))]
     Describe {
-        /// As given.
+        /// URL as given.
         url: String,
         /// Answer of the server.
         status: Box<Status>,
@@ -60,7 +60,7 @@ pub enum ConformanceError {
     /// It answers no query.
     #[error("play one episode with {url}: {}", answer(status))]
     Episode {
-        /// As given.
+        /// URL as given.
         url: String,
         /// Answer of the server.
         status: Box<Status>,

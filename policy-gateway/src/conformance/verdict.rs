@@ -7,14 +7,14 @@ use proto::policy::{DescribeResponse, InferResponse};
 use tonic::Status;
 use transport::answer;
 
-/// How far beyond 1 a number may lie and still be an action that a worker
-/// clips; more is a policy that answers in other units.
+/// Largest number that still counts as an action that a worker clips; more is a
+/// policy that answers in other units.
 pub const LARGEST_PLAUSIBLE: f32 = 2.0;
-/// How far a batch may move an action. Kernels for other batch sizes add in
-/// another order, which moves low-order bits.
+/// Largest difference that a batch may make to an action. Kernels for other
+/// batch sizes add in another order, which moves low-order bits.
 pub const BATCH_TOLERANCE: f32 = 1e-3;
 
-/// How a server does on one point.
+/// Result of one point.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// Well.
@@ -22,7 +22,7 @@ pub enum Verdict {
         /// Remark about the result; may be empty.
         note: String,
     },
-    /// Not as the protocol says.
+    /// The server violates the protocol.
     Fail {
         /// Observed violation.
         reason: String,
@@ -80,7 +80,7 @@ pub fn shapes(answers: &[InferResponse], horizon: u32) -> Verdict {
     }
 }
 
-/// Whether the numbers are actions.
+/// Checks that the numbers are actions.
 pub fn range(answers: &[InferResponse]) -> Verdict {
     let sizes = numbers(answers).map(f32::abs);
     let largest = sizes.fold(0.0, f32::max);
@@ -95,7 +95,7 @@ pub fn range(answers: &[InferResponse]) -> Verdict {
     }
 }
 
-/// Whether two episodes were answered alike, bit for bit.
+/// Checks that two episodes were answered alike, bit for bit.
 pub fn same(expected: &[InferResponse], found: &[InferResponse]) -> Verdict {
     match first_difference(expected, found) {
         None => pass(""),
@@ -103,7 +103,7 @@ pub fn same(expected: &[InferResponse], found: &[InferResponse]) -> Verdict {
     }
 }
 
-/// Whether other seeds do what the policy declares of them.
+/// Checks that other seeds do what the policy declares of them.
 pub fn seeds(stochastic: bool, one: &[InferResponse], other: &[InferResponse]) -> Verdict {
     match (stochastic, first_difference(one, other)) {
         (true, Some(_)) | (false, None) => pass(""),
@@ -114,7 +114,7 @@ pub fn seeds(stochastic: bool, one: &[InferResponse], other: &[InferResponse]) -
     }
 }
 
-/// Whether answers in a batch are those given alone.
+/// Checks that answers in a batch are those given alone.
 pub fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdict {
     if first_difference(alone, batched).is_none() {
         return pass("bit for bit");

@@ -5,7 +5,7 @@ use super::server::Action;
 /// Actions to each situation: means over seeds, if there were several.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Answers {
-    /// By situation, then by action of the chunk.
+    /// Chunks by situation, then by action of the chunk.
     pub chunks: Vec<Vec<Action>>,
     /// Standard deviation between answers to the same situation with other seeds,
     /// by number of an action; 0 of a single seed.
@@ -53,7 +53,7 @@ impl Answers {
         numbers.fold((0.0, 0), |most, it| if it.0 > most.0 { it } else { most })
     }
 
-    /// How many numbers there are.
+    /// Returns the count of numbers.
     pub fn numbers(&self) -> usize {
         self.chunks.iter().map(|chunk| 7 * chunk.len()).sum()
     }

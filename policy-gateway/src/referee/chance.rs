@@ -1,4 +1,5 @@
-//! How a server's answers depend on chance: on the seed, and on nothing at all.
+//! Dependence of a server's answers on chance: on the seed, and on nothing at
+//! all.
 
 use super::{
     answers::Answers,
@@ -36,12 +37,12 @@ impl Chance {
         })
     }
 
-    /// Whether the same question gets the same answer.
+    /// Returns true if the same question gets the same answer.
     pub fn is_repeatable(&self) -> bool {
         self.repeats <= REPEATABLE
     }
 
-    /// Whether the seed decides, and nothing else does.
+    /// Returns true if the answers vary with the seed and with nothing else.
     pub fn follows_seed(&self) -> bool {
         self.is_repeatable() && self.moves > REPEATABLE
     }

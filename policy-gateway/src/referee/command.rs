@@ -78,7 +78,7 @@ pub struct Doctor {
     shown: Shown,
 }
 
-/// Why a command came to nothing. Reads after "failed to …".
+/// Reason for which a command failed. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum CommandError {
     /// A token or certificate authority that is no use.
@@ -93,7 +93,7 @@ impl Compare {
     /// Compares, telling `say` each line; true if both are the same.
     ///
     /// # Errors
-    /// When a server cannot be judged.
+    /// If a server cannot be judged.
     pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
         let access = self.shown.access()?;
         let recorded = self.shown.recorded()?;

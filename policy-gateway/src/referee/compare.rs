@@ -1,7 +1,7 @@
-//! Whether two servers answer the same observations with the same actions, and if
-//! not, why: what `policy-gateway compare A B` runs. Responsible for the course; a
-//! policy that draws random numbers is compared by its means where seeds do not
-//! give both servers the same ones.
+//! Comparison of two servers' actions for the same observations, and the cause of
+//! a difference: the command `policy-gateway compare A B`. Responsible for the
+//! course; a policy that draws random numbers is compared by its means where seeds
+//! do not give both servers the same ones.
 
 use serde::Serialize;
 
@@ -36,7 +36,7 @@ pub struct Comparison {
     pub descriptions: Vec<DescriptionDifference>,
     /// In what the answers differ; empty if they are the same.
     pub differences: Vec<Difference>,
-    /// How it was found, and how sure it is.
+    /// Method of the comparison, and its certainty.
     pub note: String,
 }
 
@@ -63,7 +63,8 @@ impl Both {
         Apart { before, at }
     }
 
-    /// Whether what differs is little beside how much the answers vary.
+    /// Returns true if the difference is small beside the variation of the
+    /// answers.
     fn differ_by_rounding(&self) -> bool {
         let left = fit(&self.a, &self.b, &[f64::INFINITY; 7]).left;
         let varied = varied(&self.b);
@@ -74,7 +75,7 @@ impl Both {
 /// Compares what two servers answer to the same situations.
 ///
 /// # Errors
-/// When a server does not answer with actions, or wants what the situations lack.
+/// If a server does not answer with actions, or wants what the situations lack.
 pub async fn compare(
     a: Server,
     b: Server,
@@ -268,7 +269,7 @@ async fn averaged(
     Ok((differences, note))
 }
 
-/// How far means may lie apart by chance.
+/// Returns the distance between means that chance explains.
 fn floor(both: &Both, chances: [Chance; 2]) -> Limit {
     let [a, b] = chances.map(|it| it.moves > REPEATABLE || !it.is_repeatable());
     std::array::from_fn(|at| {

@@ -8,9 +8,9 @@ use serde::Serialize;
 pub struct DescriptionDifference {
     /// Field of the description, for example "cameras".
     pub what: String,
-    /// As the first one says.
+    /// Value of the first server.
     pub a: String,
-    /// As the other one says.
+    /// Value of the other server.
     pub b: String,
 }
 

@@ -41,7 +41,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Its name.
+    /// Returns the kind's name.
     pub fn name(self) -> &'static str {
         match self {
             Self::FrameOrientation => "frame orientation",
@@ -130,7 +130,7 @@ impl Difference {
     }
 }
 
-/// How far two servers' answers are apart: as they come, and as explained.
+/// Distance between two servers' answers: as they come, and as explained.
 #[derive(Clone, Copy, Debug)]
 pub struct Apart {
     /// Largest difference.

@@ -47,7 +47,7 @@ impl Point {
         Self::Latency,
     ];
 
-    /// Its name, for programs.
+    /// Returns the point's name, for programs.
     pub fn name(self) -> &'static str {
         match self {
             Self::Actions => "actions",
@@ -80,7 +80,7 @@ impl fmt::Display for Point {
     }
 }
 
-/// How a server does on one point.
+/// Result of one point.
 #[derive(Clone, Debug)]
 pub struct Finding {
     /// Point that was examined.
@@ -102,7 +102,7 @@ pub struct Measures {
 /// nothing is wrong.
 ///
 /// # Errors
-/// When the server answers no query, or wants what the situations lack: then there
+/// If the server answers no query, or wants what the situations lack: then there
 /// is nothing to look at.
 pub async fn examine(
     server: &Server,

@@ -7,14 +7,14 @@ use proto::policy::Image;
 
 use super::situation::resized;
 
-/// How pixels become fewer, and then more.
+/// Filter for scaling frames down, and then up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Filter {
-    /// As Pillow and TensorFlow do with a bilinear filter.
+    /// Bilinear filter, as in Pillow and TensorFlow.
     Bilinear,
-    /// By the mean of what a pixel covers, and by repeating it.
+    /// Mean of the pixels covered, and repetition.
     Mean,
-    /// By leaving pixels out, and by repeating them.
+    /// Omission of pixels, and repetition.
     Nearest,
 }
 

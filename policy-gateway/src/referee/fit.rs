@@ -13,7 +13,7 @@ const LEAST_SCALE: f64 = 1e-3;
 /// Map of one number of an action.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Map {
-    /// Nothing.
+    /// The number is unchanged.
     Same,
     /// The gripper in another convention.
     Gripper(Convention),
@@ -30,7 +30,7 @@ pub enum Map {
 /// first one's is −1 open, 1 closed, or the other way round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Convention {
-    /// Of the other sign.
+    /// The number has the other sign.
     Inverted,
     /// From −1..1 to 0..1.
     Share,
@@ -86,7 +86,7 @@ impl Map {
     }
 }
 
-/// How far numbers may lie apart, root mean square, and still be the same: by
+/// Largest difference, root mean square, within which numbers are the same: by
 /// number of an action.
 pub type Limit = Action;
 
@@ -96,12 +96,12 @@ pub struct Fit {
     /// The second server's first action is the first one's with this index; if it
     /// is below 0, the other way round.
     pub shift: i32,
-    /// By number of an action.
+    /// Maps by number of an action.
     pub maps: [Map; 7],
     /// Remaining difference between them, root mean square, by number of an
     /// action.
     pub left: Action,
-    /// Whether what is left is within the limit.
+    /// True if the remaining difference is within the limit.
     pub explains: bool,
 }
 
@@ -112,12 +112,12 @@ impl Fit {
         maps + u32::from(self.shift != 0)
     }
 
-    /// Whether nothing has to be changed.
+    /// Returns true if nothing has to be changed.
     pub fn is_identity(&self) -> bool {
         self.cost() == 0
     }
 
-    /// Whether what is left is within another limit.
+    /// Returns true if the remaining difference is within another limit.
     pub fn is_within(&self, limit: &Limit) -> bool {
         self.left
             .iter()

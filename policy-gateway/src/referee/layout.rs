@@ -31,7 +31,7 @@ pub enum Part {
     FingersUnsigned,
     /// The second finger's joint first (2).
     FingersSwapped,
-    /// How far each finger is open, 0 to 1 (2).
+    /// Opening of each finger, 0 to 1 (2).
     FingersShare,
     /// The distance between the fingers, m (1).
     Opening,
@@ -57,7 +57,7 @@ const LAYOUTS: [&[Part]; 10] = [
     &[Field(EefPos), Field(EefAxisAngle), Part::Opening],
     &[Field(EefPos), Field(EefAxisAngle)],
 ];
-/// How far a finger's joint goes, m.
+/// Travel of a finger's joint, m.
 const FINGER_TRAVEL: f64 = 0.04;
 
 /// Everything of the same width that might be in place of these readings, without

@@ -10,7 +10,7 @@ use protocol::{Suite, TaskRef};
 use super::situation::Situation;
 use crate::conformance::scene;
 
-/// How many there are.
+/// Number of made-up situations.
 pub const COUNT: usize = 8;
 /// Side of the frames, pixels: LIBERO's.
 const SIDE: usize = 256;
@@ -71,7 +71,7 @@ struct Hand {
     position: [f64; 3],
     /// x y z w.
     quaternion: [f64; 4],
-    /// Of each finger, m.
+    /// Opening of each finger, m.
     opening: f64,
 }
 

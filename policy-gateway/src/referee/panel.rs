@@ -40,7 +40,7 @@ impl Panel {
     /// Prepares what both are shown.
     ///
     /// # Errors
-    /// When a server wants what the situations lack.
+    /// If a server wants what the situations lack.
     pub fn new(a: Server, b: Server, situations: Vec<Situation>) -> Result<Self, RefereeError> {
         let shown = |server: &Server| -> Result<Vec<Observation>, RefereeError> {
             let shown = situations
@@ -80,7 +80,7 @@ impl Panel {
         }
     }
 
-    /// How many situations there are.
+    /// Returns the number of situations.
     pub fn situations(&self) -> usize {
         self.situations.len()
     }

@@ -9,7 +9,7 @@ use crate::recording::{self, Pair, Reader, RecordingError};
 /// sessions as there are, spread over each session's length.
 ///
 /// # Errors
-/// When there is no recording, or one is damaged.
+/// If there is no recording, or one is damaged.
 pub fn situations(folder: &Path, count: usize) -> Result<Vec<Situation>, RecordingError> {
     let files = recording::files(folder)?;
     let mut situations = vec![];

@@ -112,7 +112,7 @@ struct DifferenceJson<'a> {
 }
 
 impl<'a> ComparisonJson<'a> {
-    /// Of a comparison of two servers.
+    /// Builds the report of a comparison of two servers.
     pub fn of(a: Asked, b: Asked, comparison: &'a Comparison) -> Self {
         let differences = comparison.differences.iter();
         Self {
@@ -148,7 +148,7 @@ struct FindingJson<'a> {
 }
 
 impl<'a> ExaminationJson<'a> {
-    /// Of everything that was found at a server.
+    /// Builds the report of all findings at a server.
     pub fn of(server: Asked, findings: &'a [Finding]) -> Self {
         let finding = |finding: &'a Finding| {
             let (verdict, text) = said(&finding.verdict);

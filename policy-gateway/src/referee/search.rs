@@ -26,9 +26,9 @@ pub struct Course<'a> {
     pub panel: &'a Panel,
     /// Seeds by situation: several are averaged over.
     pub seeds: &'a (dyn Fn(usize) -> Vec<u64> + Sync),
-    /// How much of a difference is none.
+    /// Largest difference that counts as none.
     pub floor: Limit,
-    /// Whether several differences at once are looked for.
+    /// True if several differences at once are looked for.
     pub together: bool,
 }
 
@@ -63,7 +63,7 @@ impl Course<'_> {
     /// the last tenth is looked into by itself.
     ///
     /// # Errors
-    /// When a server does not answer with actions.
+    /// If a server does not answer with actions.
     pub async fn search(&self, a: &Answers, b: &Answers) -> Result<Found, RefereeError> {
         let mut limit = self.limit(fit(a, b, &[f64::INFINITY; 7]).left);
         let plain = Explanation {

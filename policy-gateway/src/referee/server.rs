@@ -29,7 +29,7 @@ pub type Action = [f64; 7];
 
 /// A server that says what it is.
 pub struct Server {
-    /// As given.
+    /// URL as given.
     pub url: String,
     /// Description of the policy, in the server's words.
     pub described: DescribeResponse,
@@ -83,7 +83,7 @@ impl Server {
     /// Starts an episode.
     ///
     /// # Errors
-    /// When the server refuses it.
+    /// If the server refuses it.
     pub async fn episode(
         &self,
         suite: &str,
@@ -121,7 +121,7 @@ impl Episode<'_> {
     /// Asks the next query.
     ///
     /// # Errors
-    /// When the server refuses it, or does not answer within [`PATIENCE`].
+    /// If the server refuses it, or does not answer within [`PATIENCE`].
     pub async fn ask(&mut self, observation: Observation) -> Result<Timed, RefereeError> {
         let request = InferRequest {
             policy: String::new(),
@@ -141,7 +141,7 @@ impl Episode<'_> {
     /// The same, and the answer must be a chunk of actions.
     ///
     /// # Errors
-    /// As [`Episode::ask`], or when it is none.
+    /// As [`Episode::ask`], or if the answer is no chunk of actions.
     pub async fn actions(&mut self, observation: Observation) -> Result<Vec<Action>, RefereeError> {
         let answer = self.ask(observation).await?;
         let actions = self.server.actions(&answer.response);
@@ -173,7 +173,7 @@ async fn in_time<T>(
     })
 }
 
-/// Why servers cannot be judged. Reads after "failed to …".
+/// Reason for which servers cannot be judged. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum RefereeError {
     /// An address, access or recordings that are no use.
@@ -185,13 +185,13 @@ pub enum RefereeError {
     /// It does not answer.
     #[error("get an answer of {url} within {} s", PATIENCE.as_secs())]
     Silent {
-        /// As given.
+        /// URL as given.
         url: String,
     },
     /// It cannot be reached, or answers with an error.
     #[error("get an answer of {url}: {problem}")]
     Answer {
-        /// As given.
+        /// URL as given.
         url: String,
         /// Error of the server or of the connection.
         problem: String,
@@ -199,7 +199,7 @@ pub enum RefereeError {
     /// It describes itself as nothing that can be run.
     #[error("use what {url} says of itself: {fault}; `policy-gateway check {url}` says more")]
     Description {
-        /// As given.
+        /// URL as given.
         url: String,
         /// Fault of the description.
         fault: DescriptionFault,
@@ -207,7 +207,7 @@ pub enum RefereeError {
     /// It answers no actions.
     #[error("compare what {url} answers: {fault}; `policy-gateway doctor {url}` says more")]
     Nonsense {
-        /// As given.
+        /// URL as given.
         url: String,
         /// Fault of the answer.
         fault: ActionFault,
@@ -218,7 +218,7 @@ pub enum RefereeError {
          policy that wants them too, or leave --recorded out"
     )]
     Lacking {
-        /// As given.
+        /// URL as given.
         url: String,
         /// Missing input.
         missing: String,

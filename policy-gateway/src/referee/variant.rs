@@ -124,7 +124,7 @@ impl Variant {
         }
     }
 
-    /// Whether the situation has what it needs.
+    /// Returns true if the situation has the inputs that the variant needs.
     pub fn applies(&self, situation: &Situation) -> bool {
         match self {
             Self::State(parts) => layout::numbers(parts, situation).is_some(),
@@ -132,8 +132,8 @@ impl Variant {
         }
     }
 
-    /// Whether done twice it is undone, so that it makes no difference which of two
-    /// servers is shown it.
+    /// Returns true if the variant applied twice changes nothing, so that it makes
+    /// no difference which of two servers is shown it.
     pub fn is_its_own_inverse(&self) -> bool {
         match self {
             Self::Turned(turn, _) => !matches!(turn, Turn::Left | Turn::Right),

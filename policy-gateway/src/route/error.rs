@@ -1,4 +1,4 @@
-//! Why a route did not answer, as the worker's call returns it.
+//! Errors of a route, as the worker's call returns them.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use crate::{
     backend::BackendError, config::RouteName, held::MAX_HELD_BYTES, sessions::MAX_SESSION_BYTES,
 };
 
-/// Why a route did not answer.
+/// Reason for which a route did not answer.
 #[derive(Debug, Error)]
 pub enum RouteError {
     /// The replica did not.
@@ -61,7 +61,7 @@ pub enum RouteError {
     Suite {
         /// Name of the route.
         route: RouteName,
-        /// As asked for.
+        /// Suite as asked for.
         suite: String,
         /// The suites that it has.
         known: String,
@@ -69,7 +69,7 @@ pub enum RouteError {
     /// A session without a name, or with a book for one.
     #[error("a session's name has 1 to {MAX_SESSION_BYTES} bytes, this one {bytes}")]
     Session {
-        /// Its length.
+        /// Length of the name.
         bytes: usize,
     },
     /// The configuration no longer names the route.
@@ -125,7 +125,7 @@ impl RouteError {
         }
     }
 
-    /// Whether the infrastructure failed, not this query.
+    /// Returns true if the infrastructure failed, not this query.
     pub fn is_outage(&self) -> bool {
         is_outage_code(self.code())
     }

@@ -101,7 +101,8 @@ impl Pool {
         &self.replicas
     }
 
-    /// Whether a session must stay with the replica that it was given to.
+    /// Returns true if a session must stay with the replica that it was given
+    /// to.
     pub fn pins(&self, described: &DescribeResponse) -> bool {
         described.stateful || self.batching == Batching::Deterministic
     }
@@ -186,7 +187,7 @@ impl Pool {
         Ok(Arc::new(described))
     }
 
-    /// Whether a description is what was agreed on; the first one is.
+    /// Checks that a description agrees with the first one.
     fn agree(&self, replica: &Replica, described: &DescribeResponse) -> Result<(), String> {
         let mut agreed = self.agreed.lock().unwrap_or_else(PoisonError::into_inner);
         let by = replica.to_string();

@@ -106,8 +106,8 @@ impl Replica {
         })
     }
 
-    /// Whether a replica made to this order would be the same as this one. What
-    /// is in the files of its access may have changed.
+    /// Returns true if a replica made to this order would be the same as this
+    /// one. The content of its access files may have changed.
     pub fn is(&self, spec: &BackendSpec, route: &RouteSpec) -> bool {
         let made = (spec, &self.access, route.answer_within, route.batching);
         self.access == AccessFiles::default()
@@ -156,7 +156,7 @@ impl Replica {
         matches!(*self.health(), Health::Out(_))
     }
 
-    /// Whether a call would go out now.
+    /// Returns true if a call would go out now.
     pub fn would_admit(&self, call: Call<'_>) -> bool {
         let mut health = self.health().clone();
         health.admit(call, Instant::now()).is_ok()

@@ -53,7 +53,7 @@ pub enum PackError {
         /// The pack's folder.
         folder: PathBuf,
     },
-    /// Nothing can be printed.
+    /// Standard output cannot be written.
     #[error("print what was found")]
     Print(#[source] io::Error),
 }

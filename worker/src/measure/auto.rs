@@ -9,18 +9,18 @@ use super::together::Slots;
 use super::{MeasureError, cores, room};
 use crate::child::SlotProgram;
 
-/// How long all numbers of slots are measured together at most, seconds.
+/// Longest measurement of all numbers of slots together, seconds.
 const ALL_SECS: f64 = 4.0;
-/// How long one of them is measured at a time at most, seconds.
+/// Longest measurement of one number at a time, seconds.
 const ONE_SECS: f64 = 1.0;
-/// How often each is measured. The best time counts: whatever else runs on the
+/// Measurements of each number. The best time counts: whatever else runs on the
 /// machine only slows slots down.
 const ROUNDS: usize = 2;
 
 /// A number of slots, and why it is this one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Chosen {
-    /// How many.
+    /// Number of slots.
     pub slots: NonZeroUsize,
     /// Measurement and the limit that applies, in one line.
     pub why: String,

@@ -18,11 +18,11 @@ pub struct Plan {
     /// Numbers of slots; none for 1, 2, 4, … and those that should keep all cores
     /// busy, once and twice.
     pub numbers: BTreeSet<usize>,
-    /// How long each number is measured, seconds.
+    /// Duration of the measurement of each number, seconds.
     pub secs: f64,
     /// Control steps between two looks of the policy.
     pub execute: u32,
-    /// How long the policy takes to answer, seconds.
+    /// Time that the policy takes to answer, seconds.
     pub policy_secs: f64,
     /// Compiled scenes that a slot of a campaign keeps.
     pub scenes: usize,

@@ -4,17 +4,17 @@ use std::collections::BTreeSet;
 
 use protocol::TaskRef;
 
-/// Of the best throughput, what a number of slots must reach to be enough. More
-/// slots for the rest would cost memory and cores that others can use.
+/// Share of the best throughput that a number of slots must reach to be enough.
+/// More slots for the rest would cost memory and cores that others can use.
 pub(super) const ENOUGH: f64 = 0.95;
-/// Of the memory that is available, what slots may take. The rest is for videos
+/// Share of the available memory that slots may take. The rest is for videos
 /// and for tasks whose scenes are larger than the measured one.
 const SHARE: f64 = 0.8;
 
 /// Combined throughput of a number of slots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Throughput {
-    /// How many.
+    /// Number of slots.
     pub(super) slots: usize,
     /// Control steps per second of all of them.
     pub(super) steps_per_sec: f64,
@@ -30,9 +30,9 @@ pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput>
         .min_by_key(|it| it.slots)
 }
 
-/// How many slots should keep so many cores busy, if one alone makes so many control
-/// steps per second, asks the policy every `execute` of them and waits `policy_secs`
-/// for each answer. At most a hundred for each core.
+/// Returns the number of slots that should keep so many cores busy, if one alone
+/// makes so many control steps per second, asks the policy every `execute` of them
+/// and waits `policy_secs` for each answer. At most a hundred for each core.
 pub(super) fn to_fill(cores: usize, steps_per_sec: f64, execute: u32, policy_secs: f64) -> usize {
     const LEAST_BUSY: f64 = 0.01;
     let waiting = policy_secs * steps_per_sec / f64::from(execute.max(1));
@@ -61,8 +61,8 @@ pub(super) struct PerSlot {
     pub(super) scene_files: u64,
 }
 
-/// How many slots fit into the bytes of memory that are available, at least one. No two
-/// have a scene in common, until slots have the scenes of all tasks.
+/// Returns the number of slots that fit into the bytes of memory that are available, at
+/// least one. No two have a scene in common, until slots have the scenes of all tasks.
 pub(super) fn fit(available: u64, per_slot: PerSlot) -> usize {
     let room = available as f64 * SHARE;
     let tasks = TaskRef::all().count() as f64;

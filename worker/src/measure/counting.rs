@@ -43,7 +43,7 @@ pub(super) enum Said {
 /// Work of one slot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Count {
-    /// How long it took, seconds.
+    /// Duration, seconds.
     pub(super) secs: f64,
     /// Control steps of the policy.
     pub(super) steps: u32,
@@ -60,9 +60,10 @@ pub(super) struct SlotMemory {
     pub(super) resident: u64,
     /// The same, with what several processes share divided among them.
     pub(super) proportional: u64,
-    /// Of it, what no other process can share: a further slot adds so much.
+    /// Part of it that no other process can share: a further slot adds so much.
     pub(super) own: u64,
-    /// Of it, pages of files, which all slots share: programs, libraries, scenes.
+    /// Part of it in pages of files, which all slots share: programs, libraries,
+    /// scenes.
     pub(super) files: u64,
     /// Share of `own` that the one compiled scene takes.
     pub(super) scene: u64,

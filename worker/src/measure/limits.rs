@@ -37,13 +37,13 @@ struct Machine {
     files: u64,
 }
 
-/// Why a worker does not start so many slots.
+/// Reason for which a worker does not start so many slots.
 #[derive(Debug, thiserror::Error)]
 pub enum LimitError {
     /// There is no room for them.
     #[error("start {slots} slots: {shortage}; `--slots auto` chooses a number by measurement")]
     TooMany {
-        /// How many were asked for.
+        /// Number of slots asked for.
         slots: usize,
         /// The resource that is exhausted.
         shortage: String,

@@ -1,4 +1,4 @@
-//! How much memory slots could take: what the machine has left, or less where a
+//! Memory that slots could take: what the machine has left, or less where a
 //! control group limits this process.
 
 use std::fs;

@@ -50,9 +50,9 @@ pub(super) struct Measured {
     pub(super) frames_per_sec: f64,
     /// Control steps per second of the slowest slot.
     pub(super) slowest: f64,
-    /// And of the fastest.
+    /// Control steps per second of the fastest slot.
     pub(super) fastest: f64,
-    /// Of each kind of memory, what the largest slot uses of it.
+    /// Largest use of any slot, for each kind of memory.
     pub(super) memory: SlotMemory,
 }
 

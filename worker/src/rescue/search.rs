@@ -24,7 +24,7 @@ pub(super) enum Found {
     SavedUntil {
         /// The last look from which it is saved, as far as was tried.
         saved: usize,
-        /// Whether it is saved wherever an earlier look was tried.
+        /// True if it is saved wherever an earlier look was tried.
         monotone: bool,
     },
 }

@@ -9,7 +9,7 @@ use scene::SceneError;
 use crate::actor::PolicyError;
 use crate::rollout::RolloutError;
 
-/// Why there is no result.
+/// Reason for which there is no result.
 #[derive(Debug, thiserror::Error)]
 pub enum SingleError {
     /// The id names no rollout of the protocol.
@@ -18,7 +18,7 @@ pub enum SingleError {
     /// A task of one's own cannot be read.
     #[error(transparent)]
     Task(#[from] SceneError),
-    /// Nothing to tell the policy.
+    /// There is no instruction for the policy.
     #[error(
         "find an instruction in {}: it has no `(:language …)`; give one with --instruction",
         bddl.display()

@@ -20,7 +20,7 @@ use protocol::JsonError;
 
 /// Most actions of a recording: far more than any budget of the protocol.
 const MAX_RECORDED_ACTIONS: usize = 10_000;
-/// Of an NPY file's header, what is looked at before it is parsed, bytes; NumPy
+/// Bytes of an NPY file's header that are read before it is parsed; NumPy
 /// writes 118.
 const MAX_HEADER_BYTES: u64 = 64 << 10;
 /// Brackets within brackets in a header; NumPy writes two.
@@ -65,7 +65,8 @@ impl RecordedActions {
         })
     }
 
-    /// How many there are: a replay is over after so many control steps.
+    /// Returns the number of actions: a replay is over after so many control
+    /// steps.
     pub fn count(&self) -> u32 {
         // At most MAX_RECORDED_ACTIONS.
         self.actions.len() as u32

@@ -289,12 +289,12 @@ impl Actor for Looking {
 
 /// Pictures and film of one rollout.
 struct Seen {
-    /// By the policy, of both cameras, at every query.
+    /// Frames of both cameras that the policy saw, at every query.
     by_policy: Vec<[Vec<u8>; 2]>,
     /// In the pictures that the film is made of.
     in_film: Vec<[Vec<u8>; 2]>,
     film: Vec<u8>,
-    /// Of its `frames/`, each camera's first picture, in the simulator's order.
+    /// First picture of each camera in `frames/`, in the simulator's order.
     first_pictures: [Vec<u8>; 2],
 }
 

@@ -17,13 +17,13 @@ use crate::ids::WorkerId;
 pub struct Config {
     /// URL of the coordinator.
     pub coordinator: String,
-    /// How to get in there.
+    /// Credentials for the coordinator.
     pub access: Access,
-    /// How it registers with the coordinator.
+    /// Identity under which it registers with the coordinator.
     pub identity: Identity,
     /// Rollouts at a time.
     pub slots: usize,
-    /// How a slot's process is started.
+    /// Command line of a slot's process.
     pub slot_program: SlotProgram,
     /// Fetches what tasks need, for a pack whose files are fetched at first use.
     pub provider: Option<Provider>,
@@ -31,9 +31,9 @@ pub struct Config {
     pub lacking_tasks: Vec<TaskRef>,
     /// Endpoint of the policies, which overrides that of the leases.
     pub policy_endpoint: Option<String>,
-    /// How long rollouts in flight may take once the worker is asked to end.
+    /// Time that rollouts in flight may take once the worker is asked to end.
     pub drain: Option<Duration>,
-    /// How long the worker waits for work before it ends.
+    /// Time that the worker waits for work before it ends.
     pub idle: Option<Duration>,
     /// A folder for videos on their way to the coordinator.
     pub scratch: PathBuf,

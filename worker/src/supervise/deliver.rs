@@ -17,7 +17,7 @@ use super::config::Identity;
 use super::link::Link;
 use crate::message::{Evidence, Failure, Finished};
 
-/// How a rollout ended.
+/// End of a rollout.
 #[derive(Debug)]
 pub(crate) enum Ending {
     /// With a result.
@@ -100,13 +100,13 @@ impl Answer {
         }
     }
 
-    /// Whether the coordinator has the result now.
+    /// Returns true if the coordinator has the result now.
     pub(crate) fn is_committed(&self) -> bool {
         use CommitVerdict::{Accepted, Duplicate};
         matches!(self, Self::Committed(answer) if matches!(answer.verdict(), Accepted | Duplicate))
     }
 
-    /// Why the worker must stop, if it must.
+    /// Returns the reason for which the worker must stop, if it must.
     pub(crate) fn stop_leasing(self) -> Option<String> {
         match self {
             Self::Released(answer) => Some(answer.stop_leasing).filter(|text| !text.is_empty()),

@@ -1,4 +1,4 @@
-//! Why a worker ends.
+//! Errors that end a worker.
 
 use std::io;
 
@@ -7,7 +7,7 @@ use transport::{AccessError, EndpointError};
 
 use super::slot_state::MAX_FAILED_STARTS;
 
-/// Why a worker ended without a request to end.
+/// Reason for which a worker ended without a request to end.
 #[derive(Debug, thiserror::Error)]
 pub enum SuperviseError {
     /// The coordinator's URL is none.
@@ -21,7 +21,7 @@ pub enum SuperviseError {
     Refused {
         /// URL of the coordinator.
         url: String,
-        /// Why, in its words.
+        /// Reason in the coordinator's words.
         answer: String,
     },
     /// The coordinator stopped this worker.
@@ -69,7 +69,7 @@ pub enum SuperviseError {
     Slot {
         /// Number of the slot, from 0.
         slot: usize,
-        /// How it ended.
+        /// End of the process, in words.
         end: String,
     },
 }

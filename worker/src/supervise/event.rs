@@ -8,7 +8,7 @@ use tonic::Status;
 use super::deliver::Answer;
 use crate::message::SlotEvent;
 
-/// How a slot's process ended. Reads after its name.
+/// End of a slot's process. Reads after its name.
 #[derive(Debug)]
 pub(crate) struct ProcessEnd {
     /// "was killed by signal 9", say.

@@ -24,7 +24,8 @@ use transport::{
 use super::error::SuperviseError;
 use crate::grpc::within;
 
-/// How long the coordinator may wait for a job before it answers "none".
+/// Longest time that the coordinator may wait for a job before it answers
+/// "none".
 const CLAIM_WAIT: Duration = Duration::from_secs(5);
 /// Longest wait for any other answer.
 const CALL_DEADLINE: Duration = Duration::from_secs(30);
@@ -32,7 +33,7 @@ const CALL_DEADLINE: Duration = Duration::from_secs(30);
 const SIGN_OFF_DEADLINE: Duration = Duration::from_secs(2);
 /// Longest wait for a video to be stored.
 const UPLOAD_DEADLINE: Duration = Duration::from_secs(60);
-/// How often a video is sent before it is given up: for about a minute, if it is
+/// Attempts to send a video before it is given up: for about a minute, if it is
 /// refused at once.
 const UPLOAD_TRIES: u32 = 7;
 /// Bytes of a video per message.
@@ -63,10 +64,10 @@ struct LinkState {
     url: String,
     peer: Peer,
     seed: u64,
-    /// Whether a coordinator has ever answered there: then no mistake in the
+    /// True if a coordinator has ever answered there: then no mistake in the
     /// settings keeps it from doing so again.
     has_answered: AtomicBool,
-    /// Since when no call got through.
+    /// Time since which no call got through.
     outage: Mutex<Option<Instant>>,
     /// Rings when an outage has ended.
     back: Notify,
@@ -294,7 +295,7 @@ impl Link {
         }
     }
 
-    /// Whether the coordinator did not answer the last call.
+    /// Returns true if the coordinator did not answer the last call.
     pub(crate) fn is_down(&self) -> bool {
         self.lock_outage().is_some()
     }

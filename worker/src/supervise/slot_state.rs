@@ -22,7 +22,7 @@ pub(crate) const ABANDON_DEADLINE: Duration = Duration::from_secs(5);
 /// rollout in between, before the worker gives up.
 pub(crate) const MAX_FAILED_STARTS: u32 = 5;
 
-/// Whether the worker takes on work.
+/// Phase of the worker, which decides if it takes on work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mode {
     /// It does.
@@ -41,7 +41,7 @@ pub(crate) enum Mode {
 pub(crate) enum ProcessState {
     /// There is none.
     Down {
-        /// When the next may be started.
+        /// Time at which the next may be started.
         until: Instant,
     },
     /// It is not ready yet.
@@ -58,7 +58,7 @@ pub(crate) enum ProcessState {
 /// The work of a slot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
-    /// None.
+    /// There is no work.
     Nothing,
     /// The coordinator is being asked for a job.
     Claiming,
@@ -70,7 +70,7 @@ pub(crate) enum Work {
         attempt: AttemptId,
         /// Control steps done.
         control_steps: u32,
-        /// When the last of them was reported.
+        /// Time at which the last of them was reported.
         moved_at: Instant,
     },
     /// The process was killed under a rollout that stood still.
@@ -84,7 +84,7 @@ pub(crate) enum Work {
     Abandoning {
         /// Attempt at the rollout.
         attempt: AttemptId,
-        /// When the process is killed if it has not.
+        /// Time at which the process is killed if it has not.
         deadline: Instant,
     },
     /// The end of the rollout is being reported to the coordinator.
@@ -103,23 +103,23 @@ pub(crate) enum Video {
     None,
     /// The slot's process makes it, and takes no other work.
     Filming {
-        /// Of which attempt.
+        /// Attempt whose video it is.
         attempt: AttemptId,
         /// Pictures that it has: never control steps of the rollout, which is over.
         pictures: u32,
-        /// When the last of them was reported.
+        /// Time at which the last of them was reported.
         moved_at: Instant,
-        /// Whether it will have a result to stand beside.
+        /// State of the result that the video belongs to.
         result: ResultState,
     },
     /// It is made, and its result is still being delivered.
     Made {
-        /// Of which attempt.
+        /// Attempt whose video it is.
         attempt: AttemptId,
     },
 }
 
-/// How far a result has come.
+/// Progress of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ResultState {
     /// It is being delivered.
@@ -170,7 +170,7 @@ pub(crate) enum Decision {
     Kill(Kill),
 }
 
-/// Why a process is killed.
+/// Reason for which a process is killed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kill {
     /// It never became ready.
@@ -252,7 +252,7 @@ impl SlotState {
         }
     }
 
-    /// Whether a video is being made, or waits for its result.
+    /// Returns true if a video is being made, or waits for its result.
     pub(crate) fn has_video(&self) -> bool {
         self.video != Video::None
     }
@@ -456,7 +456,7 @@ impl SlotState {
         Some(attempt)
     }
 
-    /// Whether the slot's process never survives its start.
+    /// Returns true if the slot's process never survives its start.
     pub(crate) fn cannot_start(&self) -> bool {
         self.restarts.failures() >= MAX_FAILED_STARTS
     }

@@ -33,14 +33,14 @@ use super::slot_state::{
 use super::upload::{Upload, Uploader, remove};
 use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand, SlotEvent};
 
-/// How often timeouts are looked at, and leases that were just taken are
+/// Interval at which timeouts are checked, and leases that were just taken are
 /// acknowledged.
 const TICK: Duration = Duration::from_millis(250);
-/// How long a worker that is otherwise done waits for videos on their way.
+/// Time that a worker that is otherwise done waits for videos on their way.
 const UPLOAD_GRACE: Duration = Duration::from_secs(15);
 /// Processes started before the loop looks at signals and messages again.
 const STARTS_AT_ONCE: usize = 8;
-/// How long slots may take to end once nothing is wanted of them.
+/// Time that slots may take to end once nothing is wanted of them.
 const END_DEADLINE: Duration = Duration::from_secs(5);
 
 #[derive(Debug)]
@@ -63,7 +63,7 @@ pub(super) struct Supervisor {
     link: Link,
     uploader: Uploader,
     slots: Vec<Slot>,
-    /// As whom the worker registers: known once a slot has said what draws,
+    /// Registration of the worker: known once a slot has named its renderer,
     /// which this process cannot find out without native code.
     registration: Option<RegisterRequest>,
     /// Nothing is claimed before.
@@ -71,14 +71,15 @@ pub(super) struct Supervisor {
     mode: Mode,
     /// Tells the link that no more work is wanted.
     drain: watch::Sender<bool>,
-    /// When the first request to end came.
+    /// Time of the first request to end.
     told_to_end_at: Option<Instant>,
-    /// Since when there has been no work, as far as the coordinator could say so.
+    /// Time since which there has been no work, as far as the coordinator could
+    /// say so.
     idle_since: Instant,
-    /// Why the worker ends, if not on request.
+    /// Reason for which the worker ends, if not on request.
     fault: Option<SuperviseError>,
     heartbeat_under_way: bool,
-    /// Whether a lease was taken that no heartbeat has named: the first one
+    /// True if a lease was taken that no heartbeat has named: the first one
     /// acknowledges it.
     has_news: bool,
     /// Fetches of assets that failed in a row.
@@ -91,7 +92,7 @@ pub(super) struct Supervisor {
     calls: JoinSet<()>,
     uploads: JoinSet<()>,
     processes: JoinSet<()>,
-    /// Until when a worker that is otherwise done waits for `uploads`.
+    /// Time until which a worker that is otherwise done waits for `uploads`.
     uploads_until: Option<Instant>,
 }
 
@@ -629,7 +630,7 @@ impl Supervisor {
     }
 }
 
-/// Whether a limit was reached: of open files, processes or memory.
+/// Returns true if a limit was reached: of open files, processes or memory.
 fn is_exhaustion(error: &io::Error) -> bool {
     use rustix::io::Errno;
     let limits = [Errno::MFILE, Errno::NFILE, Errno::AGAIN, Errno::NOMEM];

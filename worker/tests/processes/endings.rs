@@ -1,4 +1,4 @@
-//! How a worker ends.
+//! Ends of a worker.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! How a worker comes by its work, and says that it has it.
+//! Leases of a worker: how it claims work, and says that it has it.
 
 use std::time::{Duration, Instant};
 

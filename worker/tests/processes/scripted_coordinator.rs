@@ -253,7 +253,7 @@ impl ScriptedCoordinator {
         state.expect("unpoisoned").signed_off.clone()
     }
 
-    /// How it was asked for work.
+    /// Returns the worker's requests for work.
     pub(crate) fn claims(&self) -> Vec<ClaimRequest> {
         let state = self.service.state.lock();
         state.expect("unpoisoned").claims.clone()

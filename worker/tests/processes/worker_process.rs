@@ -14,7 +14,8 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// Control steps of a test's rollouts.
 pub(crate) const MAX_STEPS: u32 = 24;
 
-/// Whether this machine can run a worker. Says so if it cannot.
+/// Returns true if this machine can run a worker; prints a message if it
+/// cannot.
 pub(crate) fn ready(test: &str) -> bool {
     let ready = scene::Sources::open(&scene::Sources::default_dir());
     if let Err(error) = &ready {

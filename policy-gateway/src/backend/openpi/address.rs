@@ -59,13 +59,13 @@ impl fmt::Display for OpenpiAddress {
     }
 }
 
-/// Not such an address.
+/// The text is not such an address.
 #[derive(Debug, Error)]
 #[error(
     "read {text:?} as an openpi server's address: write ws://HOST:PORT, or \
      ws://HOST:PORT?execute=N with N from 1 to {MAX_EXECUTE}"
 )]
 pub struct OpenpiAddressError {
-    /// As written.
+    /// Address as written.
     pub text: String,
 }

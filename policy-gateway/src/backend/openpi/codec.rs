@@ -54,7 +54,7 @@ pub fn observation(shown: &Shown<'_>) -> Vec<u8> {
 /// Reads the actions out of an answer; whatever else is in it is left alone.
 ///
 /// # Errors
-/// When there are none.
+/// If the answer holds no actions.
 pub fn answer(bytes: &[u8]) -> Result<Chunk, AnswerError> {
     let answer = numpy::read(bytes).ok_or(AnswerError::NoMessage)?;
     let actions = lookup(&answer, "actions").ok_or(AnswerError::NoActions)?;
@@ -68,7 +68,7 @@ pub fn answer(bytes: &[u8]) -> Result<Chunk, AnswerError> {
     }
 }
 
-/// Why an answer holds no actions.
+/// Reason for which an answer holds no actions.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AnswerError {
     /// Not even the form is right.
@@ -80,10 +80,10 @@ pub enum AnswerError {
     /// Something else under that name.
     #[error(transparent)]
     Array(#[from] ArrayError),
-    /// Not one chunk.
+    /// The array is not one chunk.
     #[error("its actions have shape {shape:?}, not [n, 7]")]
     Shape {
-        /// As answered.
+        /// Shape as answered.
         shape: Vec<usize>,
     },
 }
@@ -98,9 +98,9 @@ mod tests {
 
     /// `packb` of openpi-client 0.1.2 of the observation in the test below.
     const OBSERVATION: &str = "84b16f62736572766174696f6e2f696d61676584c40b5f5f6e6461727261795f5fc3c40464617461c40c000102030405060708090a0bc4056474797065a37c7531c405736861706593020203b76f62736572766174696f6e2f77726973745f696d61676584c40b5f5f6e6461727261795f5fc3c40464617461c40c090a0b060708030405000102c4056474797065a37c7531c405736861706593020203b16f62736572766174696f6e2f737461746584c40b5f5f6e6461727261795f5fc3c40464617461c440000000000000e03f000000000000f0bf00000000000000000000000000000000000000000000000000000000000000007b14ae47e17aa43f7b14ae47e17aa4bfc4056474797065a33c6638c40573686170659108a670726f6d7074a77069636b207570";
-    /// Of an answer as openpi's server gives it, with two actions in f8.
+    /// Answer as openpi's server gives it, with two actions in f8.
     const ANSWER: &str = "84a5737461746584c40b5f5f6e6461727261795f5fc3c40464617461c40c000000000000000000000000c4056474797065a33c6634c40573686170659103a7616374696f6e7384c40b5f5f6e6461727261795f5fc3c40464617461c4700000000000000000000000000000e03f000000000000f0bf000000000000d03f00000000000000000000000000000000000000000000f03f0000000000000000000000000000e03f000000000000f0bf000000000000d03f00000000000000000000000000000000000000000000f03fc4056474797065a33c6638c4057368617065920207ad706f6c6963795f74696d696e6781a8696e6665725f6d73cb3ff8000000000000ad7365727665725f74696d696e6781a8696e6665725f6d73cb4004000000000000";
-    /// Of an answer with one action of two numbers in f4.
+    /// Answer with one action of two numbers in f4.
     const NARROW: &str = "81a7616374696f6e7384c40b5f5f6e6461727261795f5fc3c40464617461c4080000003f000080bfc4056474797065a33c6634c4057368617065920102";
 
     fn bytes(hex: &str) -> Vec<u8> {

@@ -116,7 +116,7 @@ impl fmt::Display for VlaEvalAddress {
     }
 }
 
-/// Not such an address.
+/// The text is not such an address.
 #[derive(Debug, Error)]
 #[error(
     "read {text:?} as a vla-eval model server's address: write vla-eval://HOST:PORT (vla-evals:// \
@@ -125,7 +125,7 @@ impl fmt::Display for VlaEvalAddress {
      false"
 )]
 pub struct VlaEvalAddressError {
-    /// As written.
+    /// Address as written.
     pub text: String,
 }
 

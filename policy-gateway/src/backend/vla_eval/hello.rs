@@ -29,16 +29,16 @@ const OF_THE_CAMPAIGN: [&str; 4] = ["seed", "env_seed", "max_steps", "num_steps_
 /// Bytes of a setting's value that are recorded; the whole HELLO is in its digest.
 const RECORDED_BYTES: usize = 512;
 
-/// How a server's episodes are played.
+/// Terms on which a server's episodes are played.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Terms {
-    /// Its suite, if it says that it has but one.
+    /// Suite of the server, if it names exactly one.
     pub(super) suite: Option<String>,
-    /// Whether it is shown the hand's camera, too.
+    /// True if the server is shown the hand's camera, too.
     pub(super) wrist: bool,
-    /// Whether it is shown the robot's state.
+    /// True if the server is shown the robot's state.
     pub(super) state: bool,
-    /// Whether the state's quaternion is flipped to the nearer antipode.
+    /// True if the state's quaternion is flipped to the nearer antipode.
     pub(super) flips: bool,
     pub(super) described: DescribeResponse,
 }
@@ -46,8 +46,8 @@ pub(super) struct Terms {
 /// Reads a server's HELLO.
 ///
 /// # Errors
-/// Why it cannot be run, with the remedy. Reads after "the policy server cannot
-/// be run here:".
+/// If the server cannot be run; the text gives the remedy and reads after "the
+/// policy server cannot be run here:".
 pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Terms, String> {
     let version = lookup(hello, "protocol_version");
     if version != Some(&VERSION.into()) {
@@ -212,7 +212,7 @@ fn declaration(value: &ValueRef<'_>) -> String {
     or_none(&entries.collect::<Vec<_>>().join(", "))
 }
 
-/// As much of a text as is recorded.
+/// Returns the part of a text that is recorded.
 fn begin_of(mut text: String) -> String {
     let fits = |at: &usize| *at <= RECORDED_BYTES;
     let ends = text.char_indices().map(|(at, c)| at + c.len_utf8());

@@ -11,16 +11,16 @@ use rmpv::Value;
 
 use crate::backend::numpy::{Keys, array, map};
 
-/// Of JPEG, as vla-eval has it.
+/// JPEG quality, as vla-eval has it.
 const JPEG_QUALITY: u8 = 95;
 
-/// How a frame travels.
+/// Encoding of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImageFormat {
     /// Compressed without loss: what vla-eval's client sends.
     #[default]
     Png,
-    /// As an array.
+    /// NumPy array.
     Raw,
     /// Compressed with loss.
     Jpeg,
@@ -48,7 +48,7 @@ impl fmt::Display for ImageFormat {
 /// An RGB frame of `side`² pixels, row 0 at the top, as its value in a message.
 ///
 /// # Errors
-/// When the encoder fails, which says why.
+/// If the encoder fails; the text says why.
 pub(super) fn encode(format: ImageFormat, side: u32, rgb: &[u8]) -> Result<Value, ImageError> {
     let shape = [side as usize, side as usize, 3];
     let mut data = vec![];

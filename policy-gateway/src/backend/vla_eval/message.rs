@@ -8,16 +8,16 @@ use thiserror::Error;
 
 use crate::backend::numpy::{self, Array, ArrayError, as_text, lookup, map};
 
-/// Of the protocol.
+/// Version of the protocol.
 pub(super) const VERSION: u64 = 1;
 /// The version of vla-eval whose client this gateway is to its servers.
 const HARNESS_VERSION: &str = "0.8.0";
-/// As configurations of vla-eval name its LIBERO benchmark.
+/// Name of the LIBERO benchmark in configurations of vla-eval.
 const BENCHMARK: &str = "vla_eval.benchmarks.libero.benchmark:LIBEROBenchmark";
 /// Characters of a server's error that are quoted.
 const TOLD_CHARS: usize = 600;
 
-/// Its kinds that a client sends.
+/// Kinds of messages that a client sends.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Kind {
     Hello,
@@ -64,7 +64,7 @@ pub(super) fn task(suite: &str, instruction: &str) -> Value {
 struct Reply<'a, 'b> {
     kind: &'b str,
     payload: &'b ValueRef<'a>,
-    /// Of the message that it answers.
+    /// Number of the message that it answers.
     number: u64,
 }
 
@@ -94,7 +94,7 @@ pub(super) fn greeting(bytes: &[u8]) -> Option<Value> {
 /// as vla-eval's LIBERO benchmark has it.
 ///
 /// # Errors
-/// When there are no such actions.
+/// If the answer holds no such actions.
 pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, AnswerError> {
     let message = numpy::read(bytes);
     let reply = message.as_ref().and_then(reply);
@@ -170,7 +170,7 @@ fn listed(items: &[ValueRef<'_>]) -> Option<Array> {
     })
 }
 
-/// Why there are no actions to execute.
+/// Reason for which there are no actions to execute.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AnswerError {
     /// Not even the form is right.
@@ -179,7 +179,7 @@ pub enum AnswerError {
     /// A message of another kind.
     #[error("it answered an observation with {kind:?}")]
     Kind {
-        /// Its type.
+        /// Type of the message.
         kind: String,
     },
     /// Actions for another observation.
@@ -188,9 +188,9 @@ pub enum AnswerError {
          continuous_inference"
     )]
     OutOfStep {
-        /// Of the message that it answered.
+        /// Number of the message that it answered.
         number: u64,
-        /// Of the observation.
+        /// Number of the observation's message.
         asked: u64,
     },
     /// Error raised by the policy.
@@ -214,7 +214,7 @@ pub enum AnswerError {
     /// Neither one action nor a chunk of them.
     #[error("its actions have shape {shape:?}, not [7] or [n, 7]")]
     Shape {
-        /// As answered.
+        /// Shape as answered.
         shape: Vec<usize>,
     },
     /// A chunk where one action is executed of every answer.
@@ -233,7 +233,7 @@ pub enum AnswerError {
          its address"
     )]
     Single {
-        /// As configured.
+        /// Actions per query, as configured.
         execute: u32,
     },
     /// Too few actions.
@@ -244,13 +244,14 @@ pub enum AnswerError {
     Short {
         /// Actions answered.
         count: usize,
-        /// As configured.
+        /// Actions per query, as configured.
         execute: u32,
     },
 }
 
 impl AnswerError {
-    /// Whether the next message of the server is the answer to the next question.
+    /// Returns true if the next message of the server is the answer to the next
+    /// question.
     pub(super) fn is_in_step(&self) -> bool {
         !matches!(
             self,

@@ -10,7 +10,7 @@ pub struct Process {
     ids: Vec<u32>,
 }
 
-/// Of a socket that listens, in /proc/net/tcp.
+/// State of a socket that listens, in /proc/net/tcp.
 const LISTENING: &str = "0A";
 /// Bytes of a page; that of every machine this runs on.
 const PAGE_BYTES: u64 = 4096;

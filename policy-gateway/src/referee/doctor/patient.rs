@@ -23,7 +23,7 @@ pub(super) struct Patient<'a> {
     server: &'a Server,
     situations: &'a [Situation],
     shown: Vec<Observation>,
-    /// Of every query, in the order asked.
+    /// Latency of every query, in the order asked.
     pub(super) latencies: Vec<Duration>,
 }
 
@@ -32,7 +32,7 @@ pub(super) struct Patient<'a> {
 pub(super) struct Answered {
     /// Answers.
     pub(super) asked: usize,
-    /// Why some are no actions.
+    /// Faults of the answers that are no actions.
     pub(super) faults: Vec<ActionFault>,
     /// All actions that are.
     pub(super) actions: Vec<Action>,

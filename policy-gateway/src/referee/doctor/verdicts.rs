@@ -21,7 +21,7 @@ const KEPT_BYTES: u64 = 200 << 10;
 const SLOWER: f64 = 1.25;
 const SLOWER_IN_ALL: Duration = Duration::from_millis(50);
 
-/// How much answers change with something, and how much with nothing.
+/// Variation of answers with something, and with nothing.
 #[derive(Clone, Copy, Debug)]
 pub struct Change {
     /// The largest difference with it.
@@ -31,7 +31,7 @@ pub struct Change {
 }
 
 impl Change {
-    /// Whether it changes answers; None if their noise hides that.
+    /// Returns true if it changes answers; none if their noise hides that.
     fn is_seen(self) -> Option<bool> {
         let is_seen = self.most > SAME.max(3.0 * self.noise);
         (is_seen || self.noise <= REPEATABLE).then_some(is_seen)
@@ -45,7 +45,7 @@ impl Change {
     }
 }
 
-/// Whether answers are actions.
+/// Checks that answers are actions.
 pub fn actions(faults: &[ActionFault], asked: usize) -> Verdict {
     match faults.first() {
         None => pass(""),
@@ -58,7 +58,7 @@ pub fn actions(faults: &[ActionFault], asked: usize) -> Verdict {
     }
 }
 
-/// Whether the numbers are actions in the simulator's units.
+/// Checks that the numbers are actions in the simulator's units.
 pub fn range(actions: &[Action]) -> Verdict {
     let numbers = || actions.iter().flatten().map(|it| it.abs());
     let largest = numbers().fold(0.0, f64::max);
@@ -78,7 +78,7 @@ pub fn range(actions: &[Action]) -> Verdict {
     }
 }
 
-/// Whether all actions are one and the same.
+/// Returns true if all actions are one and the same.
 pub fn is_constant(actions: &[Action]) -> bool {
     let Some(first) = actions.first() else {
         return true;
@@ -90,7 +90,7 @@ pub fn is_constant(actions: &[Action]) -> bool {
     actions.iter().all(|action| numbers(action) <= SAME)
 }
 
-/// Whether the arm is told to move.
+/// Checks that the arm is told to move.
 pub fn motion(actions: &[Action]) -> Verdict {
     let still = |action: &Action| action[..GRIPPER].iter().all(|it| it.abs() <= SAME);
     let count = actions.len();
@@ -111,7 +111,7 @@ pub fn motion(actions: &[Action]) -> Verdict {
     }
 }
 
-/// Whether what it is shown matters at all.
+/// Checks that observations affect the answers at all.
 pub fn observations(change: Change, situations: usize, described: &DescribeResponse) -> Verdict {
     let shown = !described.cameras.is_empty() || !described.state.is_empty();
     if !shown && !described.privileged {
@@ -129,7 +129,7 @@ pub fn observations(change: Change, situations: usize, described: &DescribeRespo
     }
 }
 
-/// Whether frames matter, by camera.
+/// Checks that frames affect the answers, by camera.
 pub fn frames(changes: &[(String, Change)]) -> Verdict {
     let unseen: Vec<&str> = changes
         .iter()
@@ -152,10 +152,10 @@ pub fn frames(changes: &[(String, Change)]) -> Verdict {
     }
 }
 
-/// Whether a policy says that it reads instructions.
+/// Checks that a policy says that it reads instructions.
 ///
 /// # Errors
-/// Why it need not follow them.
+/// If the policy need not follow instructions; the text says why.
 pub fn reads_language(described: &DescribeResponse) -> Result<(), &'static str> {
     match described.language() {
         Language::FreeForm | Language::CanonicalOnly => Ok(()),
@@ -164,7 +164,7 @@ pub fn reads_language(described: &DescribeResponse) -> Result<(), &'static str> 
     }
 }
 
-/// Whether the instruction matters.
+/// Checks that the instruction affects the answers.
 pub fn instructions(change: Change, asked: usize) -> Verdict {
     match change.is_seen() {
         None => change.hidden(),
@@ -177,7 +177,7 @@ pub fn instructions(change: Change, asked: usize) -> Verdict {
     }
 }
 
-/// Whether the gripper is ever told to open.
+/// Checks that the gripper is ever told to open.
 pub fn gripper(actions: &[Action]) -> Verdict {
     let numbers = || actions.iter().map(|action| action[GRIPPER]);
     let least = numbers().fold(f64::INFINITY, f64::min);
@@ -196,7 +196,7 @@ pub fn gripper(actions: &[Action]) -> Verdict {
     ))
 }
 
-/// Whether answers come in time; the first may have compiled something.
+/// Checks that answers come in time; the first may have compiled something.
 pub fn latency(latencies: &[Duration], answer_within: Duration) -> Verdict {
     let Some((first, later)) = latencies.split_first() else {
         return skip("nothing was asked");
@@ -234,7 +234,8 @@ pub fn latency(latencies: &[Duration], answer_within: Duration) -> Verdict {
     }
 }
 
-/// Whether a process grows with episodes: `resident` bytes after each of them.
+/// Checks a process for growth with episodes: `resident` bytes after each of
+/// them.
 pub fn memory(process: &str, resident: &[u64]) -> Verdict {
     let count = resident.len();
     let third = count / 3;
@@ -263,7 +264,8 @@ pub fn memory(process: &str, resident: &[u64]) -> Verdict {
     ))
 }
 
-/// Whether episodes take longer and longer: what can be seen of a server elsewhere.
+/// Checks that episodes do not take longer and longer: for servers on other
+/// machines, whose memory cannot be read.
 pub fn slowing(took: &[Duration]) -> Verdict {
     let third = took.len() / 3;
     if third == 0 {

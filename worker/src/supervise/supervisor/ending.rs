@@ -14,7 +14,7 @@ use crate::supervise::slot_state::{Mode, ProcessState, Work};
 
 /// A second request to end within so short a time is the first one, heard twice.
 const DUPLICATE_REQUEST: Duration = Duration::from_millis(500);
-/// How long an abandoning worker tries to give its jobs back.
+/// Time that an abandoning worker spends on giving its jobs back.
 const GIVE_BACK_DEADLINE: Duration = Duration::from_secs(10);
 
 impl Supervisor {
@@ -79,8 +79,8 @@ impl Supervisor {
         }
     }
 
-    /// Whether a request to end is the one before, heard twice: some that end
-    /// programs signal the process and its group.
+    /// Returns true if a request to end is the one before, heard twice: some
+    /// that end programs signal the process and its group.
     fn is_duplicate(&self, now: Instant) -> bool {
         self.told_to_end_at
             .is_some_and(|first| now.duration_since(first) < DUPLICATE_REQUEST)
