@@ -120,7 +120,7 @@ const HEADER: &str =
 
 fn line(row: &Measured) -> String {
     format!(
-        "{:>5} {:>10.1} {:>10.1} {:>21} {:>11.0} {:>6.0} {:>14.0}",
+        "{:>5} {:>10.1} {:>10.1} {:>16} {:>11.0} {:>6.0} {:>14.0}",
         row.throughput.slots,
         row.throughput.steps_per_sec,
         row.frames_per_sec,

@@ -24,14 +24,14 @@ fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
         said.lines().all(|line| line.chars().count() <= 80),
         "{said}"
     );
-    // Slots, steps/s, frames/s, slowest–fastest, MiB of a slot, MiB more.
+    // Slots, steps/s, frames/s, slowest–fastest, MiB of a slot, PSS, MiB more.
     let row = |slots: &str| -> Vec<f64> {
         let row = said.lines().map(|line| line.split_whitespace().collect());
         let mut row = row.filter(|row: &Vec<&str>| {
             // The line of the processor may begin with the same number.
-            row.len() == 6 && row[0] == slots && row[1].parse::<f64>().is_ok()
+            row.len() == 7 && row[0] == slots && row[1].parse::<f64>().is_ok()
         });
-        let row = row.next().expect("a row of six columns");
+        let row = row.next().expect("a row of seven columns");
         row.iter()
             .flat_map(|column| column.split('–'))
             .map(|number| number.parse().expect("a number"))
@@ -39,14 +39,14 @@ fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
     };
     for slots in ["1", "2"] {
         let row = row(slots);
-        let [count, steps, frames, slowest, fastest, resident, own] = row[..] else {
+        let [count, steps, frames, slowest, fastest, resident, pss, own] = row[..] else {
             panic!("{row:?}")
         };
         assert!(steps > 0.0 && frames > 0.0, "{row:?}");
         assert!(slowest <= fastest && fastest <= steps, "{row:?}");
         // Rounded to a tenth in each.
         assert!(steps <= count * fastest + 0.2, "{row:?}");
-        assert!(0.0 < own && own < resident, "{row:?}");
+        assert!(0.0 < own && own <= pss && pss <= resident, "{row:?}");
     }
     let last = said.lines().last().expect("a line");
     assert!(
