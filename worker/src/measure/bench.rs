@@ -80,9 +80,10 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
     }
     writeln!(
         out,
-        "\nMiB a slot, in the largest one, with one scene compiled; in a campaign a slot keeps\n\
-         up to {}. PSS divides among processes what they share; one more slot adds what none\n\
-         can share. Scenes lie in files that all slots map: {:.0} MiB of this one's are in use.",
+        "\nMiB a slot, in the largest one, with one scene compiled; in a campaign a slot\n\
+         keeps up to {}. PSS divides among processes what they share; one more slot adds\n\
+         what none can share. Scenes lie in files that all slots map: {:.0} MiB of this\n\
+         one's are in use.",
         plan.scenes,
         measured.last().map_or(0, |row| row.memory.scene_files) as f64 / MIB
     )?;
