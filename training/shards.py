@@ -160,7 +160,7 @@ def worth_learning(shard: Shard) -> NDArray[np.bool_]:
 
 
 def stalled(shard: Shard) -> NDArray[np.bool_]:
-    """Which frames, [F], show a robot that has not moved for a while.
+    """Returns a mask [F] of the frames in which the robot has not moved for a while.
 
     There the expert has not found a way, or the student ignores it: a few frames of it teach
     something, hundreds only weigh.

@@ -327,7 +327,7 @@ class Comparison:
 
 
 def claims(cells):
-    """Which findings about simultaneity and directions claim an effect, by level."""
+    """Returns the findings about simultaneity and directions that claim an effect, by level."""
     tested = {}
     for level, cell in cells.items():
         if level == "L0":
