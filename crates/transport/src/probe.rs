@@ -66,7 +66,15 @@ pub(crate) async fn look(place: Place<'_>, tls: &TlsConnector) -> Result<Speech,
     if !place.is_encrypted {
         return match greet(stream).await {
             Heard::Silence => match encrypt(connect(place).await?, place, tls).await {
-                Err(Handshake::NotTls) => ask_web(connect(place).await?).await,
+                Err(Handshake::NotTls) => match ask_web(connect(place).await?).await {
+                    // A coordinator serves pages over HTTP/1 as well. If only its first answer was
+                    // lost, its web server must not pass for one of another kind.
+                    Ok(Speech::Http1(line)) => match greet(connect(place).await?).await {
+                        Heard::Http2 => Ok(Speech::Http2),
+                        _ => Ok(Speech::Http1(line)),
+                    },
+                    other => other,
+                },
                 Ok(_) | Err(Handshake::Failed(_)) => Err(Found::Encrypted),
             },
             heard => speech(heard),
@@ -249,7 +257,48 @@ fn speech(heard: Heard) -> Result<Speech, Found> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use tokio::net::TcpListener;
+    use tokio_rustls::rustls::{ClientConfig, RootCertStore};
+
     use super::*;
+
+    /// What a server says on each of its connections, in order; it then hangs up.
+    async fn look_at(answers: &'static [&'static [u8]]) -> Result<Speech, Found> {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let server = async move {
+            for answer in answers {
+                let (mut stream, _) = listener.accept().await.unwrap();
+                let _ = stream.read(&mut [0; 1024]).await;
+                let _ = stream.write_all(answer).await;
+            }
+        };
+        let ring = Arc::new(tokio_rustls::rustls::crypto::ring::default_provider());
+        let tls = ClientConfig::builder_with_provider(ring)
+            .with_safe_default_protocol_versions()
+            .unwrap()
+            .with_root_certificates(RootCertStore::empty())
+            .with_no_client_auth();
+        let place = Place {
+            host: "127.0.0.1",
+            port,
+            is_encrypted: false,
+        };
+        let tls = TlsConnector::from(Arc::new(tls));
+        tokio::join!(look(place, &tls), server).0
+    }
+
+    #[tokio::test]
+    async fn a_coordinator_whose_first_answer_is_lost_is_no_web_server() {
+        const PAGE: &[u8] = b"HTTP/1.1 200 OK\r\n\r\n";
+        const SETTINGS: &[u8] = b"\0\0\0\x04\0\0\0\0\0";
+        let found = look_at(&[b"", PAGE, PAGE, SETTINGS]).await;
+        assert_eq!(found, Ok(Speech::Http2));
+        let page = Ok(Speech::Http1("HTTP/1.1 200 OK".to_owned()));
+        assert_eq!(look_at(&[b"", PAGE, PAGE, PAGE]).await, page);
+    }
 
     #[test]
     fn servers_are_told_apart_by_how_they_begin() {
