@@ -18,6 +18,7 @@ use object_store::buffered::BufWriter;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
 use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, RetryConfig};
+use queue::ids::shortened;
 use tokio::io::AsyncWriteExt;
 
 /// Prefix of an address of S3.
@@ -25,6 +26,8 @@ const S3: &str = "s3://";
 /// Tries of one request, and how long they may take together.
 const RETRIES: usize = 3;
 const RETRY_FOR: Duration = Duration::from_secs(20);
+/// Longest words of the storage that are told, bytes: an answer may have any length.
+const MAX_PROBLEM_BYTES: usize = 500;
 
 /// A folder or a bucket, or a part of it.
 #[derive(Clone, Debug)]
@@ -206,14 +209,25 @@ impl Storage {
         }
     }
 
-    /// Fetches an object into a file. Whether it is there.
+    /// Fetches an object into a file. Whether it is there. Where its size is known, an object of
+    /// another one is refused before any of it is written: storage may send more than the disk
+    /// holds.
     ///
     /// # Errors
-    /// When the storage fails or the file cannot be written.
-    pub async fn fetch(&self, key: &str, into: &Path) -> Result<bool, StorageError> {
+    /// When the storage fails, the object has another size, or the file cannot be written.
+    pub async fn fetch(
+        &self,
+        key: &str,
+        size_bytes: Option<u64>,
+        into: &Path,
+    ) -> Result<bool, StorageError> {
         let Some(piece) = self.read(key, None).await? else {
             return Ok(false);
         };
+        if let Some(expected) = size_bytes.filter(|size| *size != piece.size_bytes) {
+            let problem = format!("{} bytes are there, not {expected}", piece.size_bytes);
+            return Err(self.failed("fetch", key, &io::Error::other(problem)));
+        }
         let unwritable = |source| StorageError::File {
             path: into.to_owned(),
             source,
@@ -300,7 +314,7 @@ impl Storage {
             doing,
             key: key.to_owned(),
             location: self.location.clone(),
-            problem: transport::innermost(error),
+            problem: shortened(&transport::innermost(error), MAX_PROBLEM_BYTES).to_owned(),
         }
     }
 }
@@ -314,5 +328,38 @@ impl queue::Elsewhere for Storage {
             let removed = Storage::remove(self, folder).await;
             removed.map_err(|error| transport::chain(&error))
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn an_object_of_another_size_is_refused_before_it_is_written() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let place = folder.path().join("storage");
+        let storage = Storage::open(&place.display().to_string()).expect("opens");
+        let film = std::fs::File::create(place.join("a.mp4")).expect("a file");
+        film.set_len(1 << 20).expect("a sparse file");
+        let into = folder.path().join("fetched");
+        let refused = storage.fetch("a.mp4", Some(7), &into).await;
+        let refused = refused.expect_err("another size").to_string();
+        assert!(
+            refused.contains("1048576 bytes are there, not 7"),
+            "{refused}"
+        );
+        assert!(!into.exists());
+        let fetched = storage.fetch("a.mp4", Some(1 << 20), &into).await;
+        assert!(fetched.expect("of this size") && into.exists());
+    }
+
+    #[test]
+    fn a_megabyte_of_a_storages_words_is_not_told() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let storage = Storage::open(&folder.path().display().to_string()).expect("opens");
+        let words = io::Error::other("w".repeat(1 << 20));
+        let told = storage.failed("store", "a.mp4", &words).to_string();
+        assert!(told.contains("www") && told.len() < 1_000, "{}", told.len());
     }
 }

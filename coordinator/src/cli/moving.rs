@@ -99,7 +99,7 @@ pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandErro
     let client = arguments.connection.client()?;
     let stored = Stored::of(&arguments.file)?;
     if let Some(stored) = &stored {
-        let fetched = stored.storage.fetch(&stored.name, &stored.file).await;
+        let fetched = stored.storage.fetch(&stored.name, None, &stored.file).await;
         if !fetched.map_err(failure)? {
             let (name, location) = (&stored.name, stored.storage.location());
             let error = anyhow!("there is no such object");

@@ -74,7 +74,9 @@ async fn fetch(
         let name = film.path.rsplit('/').next().unwrap_or_default();
         let key = format!("{folder}/{name}");
         if !data.join(&key).is_file() {
-            let fetched = storage.fetch(&key, &into.join(name)).await;
+            let fetched = storage
+                .fetch(&key, Some(film.size_bytes), &into.join(name))
+                .await;
             // It is left out only where it is known to be gone.
             fetched.map_err(|error| unavailable(&error))?;
         }

@@ -29,6 +29,10 @@ const MAX_ERROR_BYTES: usize = 4_096;
 /// Longest path and actions of a motion, bytes.
 const MAX_PATH_BYTES: usize = (MAX_MOTION_STEPS + 1) * 6;
 const MAX_ACTIONS_BYTES: usize = MAX_MOTION_STEPS * 28;
+/// Most slots or cores of a worker. They are summed over workers.
+const MAX_SLOTS: u32 = 1 << 16;
+/// Largest measured number of a result: seconds, millimetres or degrees. Sums of them stay finite.
+const MAX_MEASURED: f64 = 1e9;
 /// Most values of one realised axis: an axis has some dozen.
 const MAX_REALISED_VALUES: usize = 1_024;
 
@@ -40,6 +44,11 @@ pub(super) fn attempt(id: &str) -> Result<AttemptId, Status> {
     id.parse().map_err(invalid)
 }
 
+/// Number of films that a worker says it makes: no more than it can have slots.
+pub(super) fn filming(count: u32) -> u32 {
+    count.min(MAX_SLOTS)
+}
+
 /// A claim's name has the form of an attempt's.
 pub(super) fn claim_id(id: String) -> Result<String, Status> {
     let read = id.parse::<AttemptId>().map(|_| id);
@@ -49,6 +58,13 @@ pub(super) fn claim_id(id: String) -> Result<String, Status> {
 pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, Status> {
     if request.slots == 0 {
         return Err(invalid("`slots` is 0; a worker has some"));
+    }
+    for (field, count) in [("slots", request.slots), ("cores", request.cores)] {
+        if count > MAX_SLOTS {
+            return Err(invalid(format!(
+                "`{field}` is {count}; a worker has at most {MAX_SLOTS}"
+            )));
+        }
     }
     Ok(WorkerInfo {
         id: worker_id(&request.worker_id)?,
@@ -294,7 +310,7 @@ fn motion(motion: wire::Motion) -> Result<Motion, Status> {
 
 fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
     let residuals = [result.ik_residual_mm, result.ik_residual_deg];
-    let finite = |value: &f64| value.is_finite() && *value >= 0.0;
+    let fits = |value: &f64| (0.0..=MAX_MEASURED).contains(value);
     let parts = result.parts.map(|parts| Parts {
         physics_secs: parts.physics_secs,
         drawing_secs: parts.drawing_secs,
@@ -302,10 +318,10 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
     });
     let spans = parts.map(|it| [it.physics_secs, it.drawing_secs, it.policy_secs]);
     let numbers = residuals.iter().flatten().chain(spans.iter().flatten());
-    if !finite(&result.wall_secs) || !numbers.into_iter().all(finite) {
-        return Err(invalid(
-            "`result` holds a number that is negative or not finite",
-        ));
+    if !fits(&result.wall_secs) || !numbers.into_iter().all(fits) {
+        return Err(invalid(format!(
+            "`result` holds a number that is not from 0 to {MAX_MEASURED:e}"
+        )));
     }
     let goal = result.goal.map(|goal| GoalProgress {
         predicates: goal.predicates,

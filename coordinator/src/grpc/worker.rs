@@ -100,7 +100,8 @@ impl WorkerService for WorkerApi {
         let progress: Vec<_> = progress.collect::<Result<_, Status>>()?;
         let lost = self.queue.heartbeat(&worker, &progress).await;
         let lost = lost.map_err(failed)?;
-        self.queue.note_filming(&worker, request.filming);
+        self.queue
+            .note_filming(&worker, read::filming(request.filming));
         Ok(Response::new(HeartbeatResponse {
             lost_attempts: lost.iter().map(ToString::to_string).collect(),
         }))

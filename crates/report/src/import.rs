@@ -30,6 +30,9 @@ const MAX_ABOUT_BYTES: u64 = 64 << 10;
 const MAX_NAMED: usize = 10;
 /// Most rows of a file: ten replicates of the largest design.
 const MAX_FILE_ROWS: usize = 10 * MAX_ROWS;
+/// Most bytes of a file: so many rows have some hundred each. A sparse file of any size takes no
+/// room on a disk, and a device has no end.
+const MAX_FILE_BYTES: u64 = 4 << 30;
 
 /// A file that cannot be read as results.
 #[derive(Debug, thiserror::Error)]
@@ -55,6 +58,12 @@ pub enum ImportError {
     /// More rows than any design has.
     #[error("import {path}: it has more than {MAX_FILE_ROWS} rows: divide it")]
     TooLong {
+        /// Path of the file.
+        path: PathBuf,
+    },
+    /// Larger than any file of rows.
+    #[error("import {path}: it is larger than {} GiB: divide it", MAX_FILE_BYTES >> 30)]
+    TooLarge {
         /// Path of the file.
         path: PathBuf,
     },
@@ -126,17 +135,25 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
     };
     let mut reading = Reading::default();
     let mut digest = Sha256::new();
-    let mut file = BufReader::new(File::open(&rows).map_err(in_rows)?);
+    let file = File::open(&rows).map_err(in_rows)?;
+    let size_bytes = file.metadata().map_err(in_rows)?.len();
+    let mut read_bytes = 0;
+    let mut file = BufReader::new(file);
     let mut line = Vec::new();
     loop {
+        if size_bytes.max(read_bytes) > MAX_FILE_BYTES {
+            return Err(ImportError::TooLarge { path: rows });
+        }
         line.clear();
         let read = file
             .by_ref()
             .take(MAX_LINE_BYTES)
             .read_until(b'\n', &mut line);
-        if read.map_err(in_rows)? == 0 {
+        let read = read.map_err(in_rows)? as u64;
+        if read == 0 {
             break;
         }
+        read_bytes += read;
         digest.update(&line);
         if reading.records.len() == MAX_FILE_ROWS {
             return Err(ImportError::TooLong { path: rows });

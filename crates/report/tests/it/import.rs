@@ -148,3 +148,13 @@ fn an_about_file_with_an_unknown_word_is_refused() {
     let error = import(folder.path()).expect_err("misspelt");
     assert!(matches!(error, ImportError::About { .. }), "{error}");
 }
+
+/// A sparse file takes no room on a disk, and would take an hour to read.
+#[test]
+fn a_file_larger_than_any_is_refused_before_it_is_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let rows = std::fs::File::create(folder.path().join("rollouts.jsonl")).expect("a file");
+    rows.set_len(1 << 40).expect("a sparse file");
+    let error = import(folder.path()).expect_err("a terabyte");
+    assert!(error.to_string().contains("4 GiB"), "{error}");
+}
