@@ -62,7 +62,7 @@ pub enum ImportError {
         path: PathBuf,
     },
     /// Larger than any file of rows.
-    #[error("import {path}: it is larger than {} GiB: divide it", MAX_FILE_BYTES >> 30)]
+    #[error("import {path}: it is larger than {} GiB; divide it", MAX_FILE_BYTES >> 30)]
     TooLarge {
         /// Path of the file.
         path: PathBuf,

@@ -326,6 +326,7 @@ fn reports(messages: &mut Messages) {
             named: vec![BadLine { number: 1, reason: json_error().to_string() }],
         },
         ImportError::TooLong { .. } => ImportError::TooLong { path: path() },
+        ImportError::TooLarge { .. } => ImportError::TooLarge { path: path() },
         ImportError::Empty { .. } => ImportError::Empty { path: path() },
         ImportError::About { .. } => ImportError::About { path: path(), source: json_error() },
     );
