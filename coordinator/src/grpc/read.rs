@@ -320,7 +320,7 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
     let numbers = residuals.iter().flatten().chain(spans.iter().flatten());
     if !fits(&result.wall_secs) || !numbers.into_iter().all(fits) {
         return Err(invalid(format!(
-            "`result` holds a number that is not from 0 to {MAX_MEASURED:e}"
+            "`result` holds a number that is negative, not finite or above {MAX_MEASURED:e}"
         )));
     }
     let goal = result.goal.map(|goal| GoalProgress {

@@ -80,6 +80,28 @@ async fn a_worker_that_was_cut_off_is_charged_nothing_and_heard_when_it_comes_ba
     );
 }
 
+/// Chaos schedule 1955: a heartbeat that was sent before took the lease up again.
+#[tokio::test]
+async fn an_attempt_given_back_after_a_silence_is_not_taken_up_by_a_late_heartbeat() {
+    let bench = Bench::start().await;
+    one_job(&bench).await;
+    let mut worker = bench.worker("a").await;
+    let lease = worker.claim_one().await;
+    worker.heartbeat(&[&lease], 0).await;
+    bench.pass(40).await;
+    let released = worker.release(&lease, Reason::Draining).await;
+    assert_eq!(released.verdict(), Released::Requeued);
+    let lost = worker.heartbeat(&[&lease], 0).await;
+    assert_eq!(lost, [lease.attempt_id.as_str()]);
+    for _ in 0..6 {
+        bench.pass(10).await;
+        worker.heartbeat(&[], 0).await;
+    }
+    let told = "SELECT count(*) FROM failure WHERE reason = 'draining' AND charged = 0";
+    assert_eq!(bench.count(told).await, 1);
+    assert_eq!(bench.count("SELECT count(*) FROM failure").await, 1);
+}
+
 #[tokio::test]
 async fn cuts_of_the_network_quarantine_nothing_and_stop_no_worker() {
     let bench = Bench::start().await;

@@ -6,7 +6,7 @@ use attempt::AttemptId;
 
 use super::context::Context;
 use super::error::QueueError;
-use crate::rules::lease::{AfterFailure, FailureReason, LOSSES_UNTIL_ALONE, Party};
+use crate::rules::lease::{AfterFailure, FailureReason, JobState, LOSSES_UNTIL_ALONE, Party};
 use crate::rules::outage::Contact;
 use crate::store::StoreError;
 use crate::store::jobs::{self, NamedAttempt};
@@ -53,10 +53,16 @@ impl Context<'_> {
         release: &Release,
     ) -> Result<Result<ReleaseReply, QueueError>, StoreError> {
         let id = release.attempt;
-        let named = jobs::named(&mut self.tx, &[id]).await?;
-        let Some(attempt) = named.get(&id) else {
+        let mut named = jobs::named(&mut self.tx, &[id]).await?;
+        let Some(attempt) = named.get_mut(&id) else {
             return Ok(Err(QueueError::UnknownAttempt { attempt: id }));
         };
+        // Otherwise a heartbeat that was sent before could take up a lease whose worker has given
+        // it back, and the next ones, which leave it out, would charge the machine.
+        if let Some(lease) = self.resume(attempt).await? {
+            attempt.job.state = JobState::Leased(lease);
+        }
+        let attempt = &*attempt;
         let Some(lease) = attempt.job.lease_of(id) else {
             return Ok(Ok(ReleaseReply {
                 verdict: ReleaseVerdict::Stale,

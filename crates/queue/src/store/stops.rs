@@ -15,6 +15,14 @@ pub(crate) struct Stoppable {
     pub(crate) stop: Stop,
 }
 
+/// The first rollout without an outcome, in the order in which a campaign's jobs are leased.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub(crate) struct Front {
+    pub(crate) rollout_id: String,
+    /// Its place in that order.
+    pub(crate) unit_order: i64,
+}
+
 /// How a campaign may end early, or did.
 #[derive(Clone, Debug, PartialEq, sqlx_macros::FromRow)]
 pub struct EarlyStop {
@@ -59,9 +67,9 @@ pub(crate) async fn stoppable(tx: &mut SqliteConnection) -> Result<Vec<Stoppable
 pub(crate) async fn first_unsettled(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
-) -> Result<Option<String>, StoreError> {
-    sqlx::query_scalar(
-        "SELECT j.rollout_id FROM campaign_task t JOIN job j ON j.id IN (
+) -> Result<Option<Front>, StoreError> {
+    sqlx::query_as(
+        "SELECT j.rollout_id, j.unit_order FROM campaign_task t JOIN job j ON j.id IN (
              (SELECT q.id FROM job q WHERE q.campaign_id = t.campaign_id AND q.task = t.task
                   AND q.state = 'queued' ORDER BY q.unit_order LIMIT 1),
              (SELECT l.id FROM job l WHERE l.campaign_id = t.campaign_id AND l.task = t.task
