@@ -33,7 +33,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// Width of a program's name before the lines that it prints, columns.
 const NAME_COLUMNS: usize = 11;
 /// The policies that come with the gateway.
-const BUILT_IN: [&str; 2] = ["student=builtin:student", "expert=builtin:expert"];
+const BUILT_IN: [&str; 2] = ["student=builtin:student-libero", "expert=builtin:expert"];
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
@@ -52,8 +52,9 @@ pub(super) struct UpArguments {
     /// may be given several times.
     #[arg(long = "route", value_name = "NAME=BACKEND", default_values = BUILT_IN)]
     routes: Vec<String>,
-    /// Models of objects and rooms: `primitives`, or the path of a LIBERO assets folder.
-    #[arg(long, value_name = "PACK_OR_PATH", default_value = "primitives")]
+    /// Models of objects and rooms: `libero`, fetched as tasks need it, `primitives`, or the
+    /// path of a LIBERO assets folder.
+    #[arg(long, value_name = "PACK_OR_PATH", default_value = "libero")]
     assets: String,
     /// Rollouts at a time: a number, or `auto` for a measurement of some seconds.
     #[arg(long, value_name = "N|auto", default_value = "auto")]
