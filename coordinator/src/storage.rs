@@ -26,8 +26,8 @@ const S3: &str = "s3://";
 /// Tries of one request, and how long they may take together.
 const RETRIES: usize = 3;
 const RETRY_FOR: Duration = Duration::from_secs(20);
-/// Longest words of the storage that are told, bytes: an answer may have any length.
-const MAX_PROBLEM_BYTES: usize = 500;
+/// Bytes of the storage's error message that are quoted: an answer may have any length.
+const QUOTED_BYTES: usize = 500;
 
 /// A folder or a bucket, or a part of it.
 #[derive(Clone, Debug)]
@@ -209,9 +209,9 @@ impl Storage {
         }
     }
 
-    /// Fetches an object into a file. Whether it is there. Where its size is known, an object of
-    /// another one is refused before any of it is written: storage may send more than the disk
-    /// holds.
+    /// Fetches an object into a file; returns false if there is none. An object that is not of
+    /// `size_bytes`, if given, is refused before any of it is written, since storage may send
+    /// more than the disk holds.
     ///
     /// # Errors
     /// When the storage fails, the object has another size, or the file cannot be written.
@@ -314,7 +314,7 @@ impl Storage {
             doing,
             key: key.to_owned(),
             location: self.location.clone(),
-            problem: shortened(&transport::innermost(error), MAX_PROBLEM_BYTES).to_owned(),
+            problem: shortened(&transport::innermost(error), QUOTED_BYTES).to_owned(),
         }
     }
 }
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_megabyte_of_a_storages_words_is_not_told() {
+    fn a_storages_error_of_a_megabyte_is_cut_short() {
         let folder = tempfile::tempdir().expect("a folder");
         let storage = Storage::open(&folder.path().display().to_string()).expect("opens");
         let words = io::Error::other("w".repeat(1 << 20));

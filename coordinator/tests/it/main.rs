@@ -5,6 +5,7 @@ mod access;
 mod altering;
 mod artifacts;
 mod blame;
+mod bounds;
 mod campaigns;
 mod claims;
 mod clocks;

@@ -7,11 +7,10 @@ use std::net::TcpStream;
 use std::time::Duration;
 
 use proto::coordinator::release_request::Reason;
-use tonic::Code;
 
 use crate::access::{Guarded, OPERATOR, VIEWER, WORKER};
 use crate::artifacts::put;
-use crate::harness::{Bench, registration, small_spec};
+use crate::harness::{Bench, small_spec};
 use crate::process::{coordinator, text};
 
 /// A socket that says nothing for so long says nothing any more.
@@ -277,37 +276,6 @@ async fn what_workers_say_cannot_become_markup() {
         assert!(page.contains("&lt;script&gt;alert"), "{page}");
         assert!(!page.contains("<script>alert"), "{page}");
     }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn what_workers_claim_beyond_measure_spoils_no_sum() {
-    let bench = Bench::start().await;
-    bench.create(&small_spec("huge")).await.expect("created");
-    let mut worker = bench.worker("w").await;
-    let mut slots = registration("many", "primitives");
-    slots.slots = u32::MAX;
-    let mut cores = registration("many", "primitives");
-    cores.cores = u32::MAX;
-    for request in [slots, cores] {
-        let refused = worker.service.register(request).await;
-        let refused = refused.expect_err("more than any machine has");
-        assert_eq!(refused.code(), Code::InvalidArgument, "{refused}");
-    }
-    let lease = worker.claim_one().await;
-    let mut report = worker.report(&lease, true);
-    let result = report.result.as_mut().expect("a result");
-    (result.wall_secs, result.ik_residual_mm) = (1e308, Some(0.0));
-    let refused = worker.service.commit(report.clone()).await;
-    let refused = refused.expect_err("longer than anybody waits");
-    assert_eq!(refused.code(), Code::InvalidArgument, "{refused}");
-    let result = report.result.as_mut().expect("a result");
-    (result.wall_secs, result.ik_residual_mm) = (1.0, Some(1e308));
-    let refused = worker.service.commit(report).await;
-    refused.expect_err("farther than any arm reaches");
-    worker.films(u32::MAX).await;
-    let metrics = ask(&bench.url, "GET /metrics").await;
-    assert_eq!(metrics.code, 200);
-    assert!(metrics.text().contains("rollout_worker_slots_alive 2\n"));
 }
 
 #[tokio::test(flavor = "multi_thread")]

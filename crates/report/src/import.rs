@@ -30,8 +30,8 @@ const MAX_ABOUT_BYTES: u64 = 64 << 10;
 const MAX_NAMED: usize = 10;
 /// Most rows of a file: ten replicates of the largest design.
 const MAX_FILE_ROWS: usize = 10 * MAX_ROWS;
-/// Most bytes of a file: so many rows have some hundred each. A sparse file of any size takes no
-/// room on a disk, and a device has no end.
+/// Most bytes of a file, above [`MAX_FILE_ROWS`] rows of some hundred bytes. Without a limit a
+/// sparse file or a device is read for hours, or for ever.
 const MAX_FILE_BYTES: u64 = 4 << 30;
 
 /// A file that cannot be read as results.

@@ -66,15 +66,15 @@ pub(crate) async fn look(place: Place<'_>, tls: &TlsConnector) -> Result<Speech,
     if !place.is_encrypted {
         return match greet(stream).await {
             Heard::Silence => match encrypt(connect(place).await?, place, tls).await {
-                Err(Handshake::NotTls) => match ask_web(connect(place).await?).await {
-                    // A coordinator serves pages over HTTP/1 as well. If only its first answer was
-                    // lost, its web server must not pass for one of another kind.
-                    Ok(Speech::Http1(line)) => match greet(connect(place).await?).await {
+                Err(Handshake::NotTls) => {
+                    let web = ask_web(connect(place).await?).await?;
+                    // A coordinator serves pages over HTTP/1 as well: it must not pass for a web
+                    // server of another kind because the network lost its first answer.
+                    match greet(connect(place).await?).await {
                         Heard::Http2 => Ok(Speech::Http2),
-                        _ => Ok(Speech::Http1(line)),
-                    },
-                    other => other,
-                },
+                        _ => Ok(web),
+                    }
+                }
                 Ok(_) | Err(Handshake::Failed(_)) => Err(Found::Encrypted),
             },
             heard => speech(heard),
@@ -264,7 +264,7 @@ mod tests {
 
     use super::*;
 
-    /// What a server says on each of its connections, in order; it then hangs up.
+    /// Looks at a server that gives one of `answers` on each connection, in order, and hangs up.
     async fn look_at(answers: &'static [&'static [u8]]) -> Result<Speech, Found> {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();

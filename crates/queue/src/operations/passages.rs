@@ -106,7 +106,7 @@ pub(crate) async fn run(shared: Arc<Shared>, left: Vec<(CampaignId, PolicyId)>) 
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::path::Path;
     use std::time::Duration;
 
@@ -122,7 +122,8 @@ mod tests {
     use crate::store::Store;
     use crate::timing::Timing;
 
-    async fn start(folder: &Path) -> Arc<Queue> {
+    /// Starts a queue on an empty folder.
+    pub(in crate::operations) async fn start(folder: &Path) -> Arc<Queue> {
         let store = Store::open(folder).await.expect("a store");
         let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
         let queue = Queue::start(store, clock, rng, Timing::default()).await;

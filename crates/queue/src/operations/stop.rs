@@ -134,3 +134,46 @@ async fn when_met(
     let found = found.await.map_err(undecodable);
     found.doing("read the outcomes that a rule is about")
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::super::passages::tests::start;
+    use super::*;
+    use crate::expand::NewCampaign;
+
+    /// The soak found that a rule which was evaluated inside the transaction held up every claim
+    /// for 40 s, so that the transaction has to notice by itself that a look is out of date.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_look_is_out_of_date_once_a_rollout_before_its_front_waits_again() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let queue = start(folder.path()).await;
+        let spec = json!({
+            "name": "early",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "tasks": ["libero_object/0"], "axes": ["camera", "sensor"], "levels": ["L2"],
+            "configs": [0, 1, 2, 3], "stop": {"rule": "width(S_sim) < 0.1", "seed": 7},
+        });
+        let new = NewCampaign::from_json(&spec.to_string()).expect("a campaign");
+        queue.create_campaign(&new).await.expect("created");
+        let mut view = queue.shared.store.read().await.expect("a view");
+        let stoppable = stops::stoppable(&mut view).await.expect("a list");
+        let campaign = stoppable[0].campaign;
+        let first = stops::first_unsettled(&mut view, campaign).await;
+        let first = first.expect("read").expect("every rollout waits");
+        drop(view);
+        let look = CampaignLook {
+            used: vec![("libero_object/0".parse().expect("a task"), 0)],
+            units: 4,
+            levels: BTreeMap::new(),
+        };
+        let shared = &queue.shared;
+        let later = stop(shared, campaign, first.unit_order + 1, &look).await;
+        assert!(!later.expect("looked at"), "a rollout before it waits");
+        let now = stop(shared, campaign, first.unit_order, &look).await;
+        assert!(now.expect("stopped"));
+        let again = stop(shared, campaign, first.unit_order, &look).await;
+        assert!(!again.expect("looked at"), "it has stopped already");
+    }
+}

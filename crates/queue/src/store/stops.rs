@@ -17,9 +17,9 @@ pub(crate) struct Stoppable {
 
 /// The first rollout without an outcome, in the order in which a campaign's jobs are leased.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
-pub(crate) struct Front {
+pub(crate) struct FirstUnsettled {
     pub(crate) rollout_id: String,
-    /// Its place in that order.
+    /// Place in that order.
     pub(crate) unit_order: i64,
 }
 
@@ -67,7 +67,7 @@ pub(crate) async fn stoppable(tx: &mut SqliteConnection) -> Result<Vec<Stoppable
 pub(crate) async fn first_unsettled(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
-) -> Result<Option<Front>, StoreError> {
+) -> Result<Option<FirstUnsettled>, StoreError> {
     sqlx::query_as(
         "SELECT j.rollout_id, j.unit_order FROM campaign_task t JOIN job j ON j.id IN (
              (SELECT q.id FROM job q WHERE q.campaign_id = t.campaign_id AND q.task = t.task
