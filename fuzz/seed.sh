@@ -1,11 +1,11 @@
 #!/bin/sh
-# Fills the corpora: with the inputs that `hostile` knows, with the sources that
+# Fills the corpora: with the inputs that `untrusted-input` knows, with the sources that
 # `cargo xtask setup` unpacked, and with the built-in pack. Nothing of LIBERO's is
 # kept in this repository.
 set -eu
 cd "$(dirname "$0")/.."
 sources=${ROLLOUT_SOURCES:-${XDG_CACHE_HOME:-$HOME/.cache}/rollout/sources}
-cargo run --quiet --package hostile --example seeds fuzz/corpus
+cargo run --quiet --package untrusted-input --example seeds fuzz/corpus
 
 cp "$sources"/libero/bddl_files/*/*.bddl fuzz/corpus/bddl/
 find assets/primitives -name '*.xml' ! -path '*/scenes/*' -exec cp {} fuzz/corpus/mjcf/ \;

@@ -9,9 +9,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use attempt::{Digests, Motion, Pin, Provenance, Realised, RolloutResult};
 use clap::Parser;
-use protocol::ManifestRow;
+use libero_ctrl::ManifestRow;
 use queue::clock::SystemClock;
 use queue::expand::NewCampaign;
 use queue::ids::{CampaignName, WorkerId};
@@ -21,6 +20,7 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use rollout_types::{Digests, Motion, Pin, Provenance, Realised, RolloutResult};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use tokio::task::JoinSet;
@@ -136,8 +136,8 @@ fn spec(name: &str, jobs: u64) -> Result<NewCampaign> {
     let spec = json!({
         "name": name,
         "policy": {"name": "simulated", "endpoint": "http://127.0.0.1:1"},
-        "tasks": protocol::select_tasks("all")?,
-        "axes": protocol::Axis::ALL,
+        "tasks": libero_ctrl::select_tasks("all")?,
+        "axes": libero_ctrl::Axis::ALL,
         "levels": ["L1", "L2", "L3"],
         "configs": configs,
         "nominal": "none",

@@ -18,7 +18,7 @@ use std::io;
 use std::path::PathBuf;
 
 use ::report::DocumentError;
-use protocol::JsonError;
+use libero_ctrl::JsonError;
 use queue::{PortableError, SourceOutcomes, StoreError};
 use serde::{Deserialize, Serialize};
 

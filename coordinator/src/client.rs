@@ -3,9 +3,9 @@
 
 use std::time::Duration;
 
+use libero_ctrl::JsonError;
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
-use protocol::JsonError;
 use report::Subject;
 use tokio::time::Instant;
 use tonic::{Code, Response, Status, Streaming};

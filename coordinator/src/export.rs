@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use futures_util::{Stream, StreamExt, TryStreamExt, stream};
-use protocol::{Condition, Level, ManifestRow, RolloutId, Suite};
+use libero_ctrl::{Condition, Level, ManifestRow, RolloutId, Suite};
 use queue::ids::CampaignName;
 use queue::read::ExportedRow;
 use queue::{Queue, QueueError};

@@ -1,6 +1,6 @@
 //! Errors of reading a campaign's results.
 
-use protocol::{JsonError, SpecError, UnknownName};
+use libero_ctrl::{JsonError, SpecError, UnknownName};
 use queue::ids::CampaignName;
 use queue::{QueueError, StoreError};
 

@@ -3,8 +3,8 @@
 //! `report`'s business. The same results give the same subject, however many
 //! attempts they took.
 
+use libero_ctrl::{CampaignSpec, Directions, ManifestRow, RolloutId, Rollouts, UnknownName};
 use paired::{Outcome, Record};
-use protocol::{CampaignSpec, Directions, ManifestRow, RolloutId, Rollouts, UnknownName};
 use queue::read::{Campaign, RecordRow, SetupRow, View};
 use report::{
     BeyondRange, Derived, EarlyStop, Origin, Purpose, Quarantined, Setups, Subject, counted,

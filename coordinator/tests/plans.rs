@@ -8,8 +8,7 @@ use std::fmt::Debug;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use attempt::{AttemptId, Digests, Motion, Pin, Provenance, Realised, RolloutResult};
-use protocol::ManifestRow;
+use libero_ctrl::ManifestRow;
 use queue::clock::{ManualClock, UnixMillis};
 use queue::expand::NewCampaign;
 use queue::ids::{CampaignName, JobName, WorkerId};
@@ -19,6 +18,7 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use rollout_types::{AttemptId, Digests, Motion, Pin, Provenance, Realised, RolloutResult};
 use serde_json::json;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};

@@ -1,7 +1,7 @@
-//! What is said beside result rows. What must hold is said in `hostile`.
+//! What is said beside result rows. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("about_file").run)(input);
+    (untrusted_input::named("about_file").run)(input);
 });

@@ -1,7 +1,7 @@
-//! BDDL files. What must hold is said in `hostile`.
+//! BDDL files. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("bddl").run)(input);
+    (untrusted_input::named("bddl").run)(input);
 });

@@ -1,7 +1,7 @@
-//! Campaign specifications. What must hold is said in `hostile`.
+//! Campaign specifications. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("campaign_spec").run)(input);
+    (untrusted_input::named("campaign_spec").run)(input);
 });

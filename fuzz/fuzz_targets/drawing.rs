@@ -1,7 +1,7 @@
-//! Models, scenes and cameras for the renderer. What must hold is said in `hostile`.
+//! Models, scenes and cameras for the renderer. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("drawing").run)(input);
+    (untrusted_input::named("drawing").run)(input);
 });

@@ -1,7 +1,7 @@
-//! The gateway's configuration file. What must hold is said in `hostile`.
+//! The gateway's configuration file. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("gateway_file").run)(input);
+    (untrusted_input::named("gateway_file").run)(input);
 });

@@ -1,7 +1,7 @@
-//! Manifests. What must hold is said in `hostile`.
+//! Manifests. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("manifest").run)(input);
+    (untrusted_input::named("manifest").run)(input);
 });

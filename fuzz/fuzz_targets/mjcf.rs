@@ -1,7 +1,7 @@
-//! Object models of an asset pack. What must hold is said in `hostile`.
+//! Object models of an asset pack. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("mjcf").run)(input);
+    (untrusted_input::named("mjcf").run)(input);
 });

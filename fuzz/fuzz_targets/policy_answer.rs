@@ -1,7 +1,7 @@
-//! What policy servers answer the gateway. What must hold is said in `hostile`.
+//! What policy servers answer the gateway. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("policy_answer").run)(input);
+    (untrusted_input::named("policy_answer").run)(input);
 });

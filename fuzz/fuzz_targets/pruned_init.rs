@@ -1,7 +1,7 @@
-//! Initial-state files. What must hold is said in `hostile`.
+//! Initial-state files. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("pruned_init").run)(input);
+    (untrusted_input::named("pruned_init").run)(input);
 });

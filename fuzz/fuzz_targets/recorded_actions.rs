@@ -1,7 +1,7 @@
-//! Recorded actions. What must hold is said in `hostile`.
+//! Recorded actions. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("recorded_actions").run)(input);
+    (untrusted_input::named("recorded_actions").run)(input);
 });

@@ -1,7 +1,7 @@
-//! Recorded sessions. What must hold is said in `hostile`.
+//! Recorded sessions. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("recording").run)(input);
+    (untrusted_input::named("recording").run)(input);
 });

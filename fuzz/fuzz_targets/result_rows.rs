@@ -1,7 +1,7 @@
-//! Result rows, of the reference implementation or exported. What must hold is said in `hostile`.
+//! Result rows, of the reference implementation or exported. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("result_rows").run)(input);
+    (untrusted_input::named("result_rows").run)(input);
 });

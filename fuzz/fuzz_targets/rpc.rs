@@ -1,7 +1,7 @@
-//! Any calls of the coordinator. What must hold is in `hostile`.
+//! Any calls of the coordinator. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("rpc").run)(input);
+    (untrusted_input::named("rpc").run)(input);
 });

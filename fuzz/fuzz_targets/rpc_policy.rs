@@ -1,7 +1,7 @@
-//! Any calls of the gateway. What must hold is in `hostile`.
+//! Any calls of the gateway. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("rpc_policy").run)(input);
+    (untrusted_input::named("rpc_policy").run)(input);
 });

@@ -1,7 +1,7 @@
-//! Token files. What must hold is said in `hostile`.
+//! Token files. The properties are in `untrusted_input`.
 
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (hostile::named("token_file").run)(input);
+    (untrusted_input::named("token_file").run)(input);
 });

@@ -11,7 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use attempt::Waits;
+use rollout_types::Waits;
 
 /// Waits for a server that could not be reached: one that comes back is in use
 /// again within the longest.

@@ -1,4 +1,4 @@
-"""The simulator (`crates/python`). Arrays are C-contiguous float64 unless said otherwise;
+"""The simulator (`python/native`). Arrays are C-contiguous float64 unless said otherwise;
 positions in m, angles in rad, quaternions x y z w, all in the world frame. Frames have row
 0 at the picture's bottom, as MuJoCo keeps them, unless said otherwise."""
 

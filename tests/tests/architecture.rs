@@ -24,7 +24,7 @@ fn metadata(arguments: &[&str]) -> Value {
 }
 
 /// Tools around the programs. They may use every crate, and no crate may use them.
-const TOOLS: [&str; 3] = ["tests", "xtask", "hostile"];
+const TOOLS: [&str; 3] = ["tests", "xtask", "untrusted-input"];
 
 /// Libraries that stand for a responsibility, and the crates that hold it.
 const LIBRARIES: [(&str, &[&str]); 8] = [
@@ -133,15 +133,15 @@ fn an_arrow_that_points_up_or_sideways_is_found() {
     let graph = [
         ("top", used(&["low", "side"])),
         ("side", used(&["serde", "sqlx"])),
-        ("low", used(&["top", "hostile"])),
+        ("low", used(&["top", "untrusted-input"])),
         ("new", used(&[])),
-        ("hostile", used(&["top"])),
+        ("untrusted-input", used(&["top"])),
     ];
     let graph = graph.map(|(name, used)| (name.to_owned(), used)).into();
     assert_eq!(
         violations(&layers, &graph),
         [
-            "low uses hostile",
+            "low uses untrusted-input",
             "low uses top",
             "new is not in the diagram",
             "side uses sqlx",

@@ -3,8 +3,8 @@
 
 use std::collections::BTreeSet;
 
-use protocol::presets::ENV_SEED;
-use protocol::{ManifestRow, Perturbation, Realisation, RolloutId, TaskRef};
+use libero_ctrl::presets::ENV_SEED;
+use libero_ctrl::{ManifestRow, Perturbation, Realisation, RolloutId, TaskRef};
 use scene::{InitialStates, TaskFiles, compose};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -114,7 +114,7 @@ fn frames_of_real_scenes_have_the_same_bits_on_every_machine() {
     for task in ["spatial/t0", "object/t0", "goal/t8", "long/t0"] {
         for condition in ["clean/i00", "camera/L3/c05", "lighting/L3/c07"] {
             let id: RolloutId = format!("{task}/{condition}").parse().unwrap();
-            let row = protocol::row_of(id).unwrap();
+            let row = libero_ctrl::row_of(id).unwrap();
             let mut episode = simulator.begin(&row, Realisation::Matched).unwrap();
             episode.settle().unwrap();
             for camera in ["agentview", "robot0_eye_in_hand"] {

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use protocol::{Axis, AxisSet, Condition, Level, RolloutId, Suite, TaskRef};
+use libero_ctrl::{Axis, AxisSet, Condition, Level, RolloutId, Suite, TaskRef};
 use tests::browser::{self, Browser, Screen};
 use tests::programs::{Campaigns, Process};
 

@@ -4,8 +4,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use protocol::TaskRef;
-use protocol::presets::ENV_SEED;
+use libero_ctrl::TaskRef;
+use libero_ctrl::presets::ENV_SEED;
 use scene::{AssetPack, InitialStates, Problem, Scene, SceneError, Sources, TaskFiles, compose};
 use sim::Environment;
 use sim::episode::NO_OP;

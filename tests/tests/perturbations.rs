@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use protocol::{
+use libero_ctrl::{
     Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, Suite, TaskRef,
     presets,
 };

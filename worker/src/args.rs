@@ -8,7 +8,7 @@ use std::str::FromStr;
 use assets::HUB;
 use clap::error::ErrorKind;
 use clap::{ArgGroup, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
-use protocol::{Level, Realisation, RolloutId, Suite, TaskRef};
+use libero_ctrl::{Level, Realisation, RolloutId, Suite, TaskRef};
 use scene::pack::LIBERO;
 use sim::Renderer;
 use terminal::{number, number_from, seconds};
@@ -472,7 +472,7 @@ fn task_choice(text: &str) -> Result<TaskChoice, String> {
         task => task
             .parse()
             .map(TaskChoice::One)
-            .map_err(|error: protocol::UnknownName| error.to_string()),
+            .map_err(|error: libero_ctrl::UnknownName| error.to_string()),
     }
 }
 

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use assets::{Bar, Deadlines, FileFacts, Origin, Report, Table, size_in_words};
-use protocol::TaskRef;
+use libero_ctrl::TaskRef;
 use scene::pack::{LIBERO, PRIMITIVES, digest_of_folder};
 use scene::{AssetPack, Sources, TaskFiles};
 use terminal::counted;

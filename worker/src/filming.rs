@@ -8,8 +8,8 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
+use libero_ctrl::{ManifestRow, Realisation};
 use policy_protocol::CAMERAS;
-use protocol::{ManifestRow, Realisation};
 use sim::{CameraRequest, Episode, Frame, ObservationRequest, SimError};
 
 use crate::actor::Action;

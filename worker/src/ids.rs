@@ -3,7 +3,7 @@
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::{fmt, fs, process};
 
-use attempt::AttemptId;
+use rollout_types::AttemptId;
 use sha2::{Digest, Sha256};
 
 use crate::digest::hex;

@@ -10,7 +10,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::Context;
-use protocol::{ManifestRow, Realisation, TaskRef};
+use libero_ctrl::{ManifestRow, Realisation, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Renderer, SceneFolder, Simulator, SimulatorConfig};
 use terminal::counted;
@@ -229,7 +229,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     let own_task = own_task(&arguments);
     let mut row = match (&own_task, arguments.id) {
         (Some(task), _) => task.row()?,
-        (None, Some(id)) => protocol::row_of(id)?,
+        (None, Some(id)) => libero_ctrl::row_of(id)?,
         (None, None) => unreachable!("clap asks for --id or --bddl"),
     };
     let mut actor: Box<dyn Actor> = match (&arguments.actions, &arguments.endpoint) {
@@ -288,7 +288,7 @@ fn of_no_campaign(row: ManifestRow, replicate: u32, realisation: Realisation) ->
     Assignment {
         attempt,
         session: Session::new(&row.id, replicate, attempt),
-        policy_seed: protocol::seeds::policy_seed(&row.id, replicate),
+        policy_seed: libero_ctrl::seeds::policy_seed(&row.id, replicate),
         row,
         realisation,
         policy: String::new(),
@@ -300,7 +300,7 @@ fn of_no_campaign(row: ManifestRow, replicate: u32, realisation: Realisation) ->
 }
 
 fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
-    let row = protocol::row_of(arguments.id)?;
+    let row = libero_ctrl::row_of(arguments.id)?;
     let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
     let mut actor = PolicyClient::new(&arguments.endpoint, &access, OF_ONE_ROLLOUT)?;
     let simulator = open(&arguments.simulator)?;

@@ -10,9 +10,9 @@ use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use attempt::{AttemptId, Motion, Realised, RolloutResult};
+use libero_ctrl::{ManifestRow, Realisation, RolloutId};
 use proto::coordinator::release_request::Reason;
-use protocol::{ManifestRow, Realisation, RolloutId};
+use rollout_types::{AttemptId, Motion, Realised, RolloutResult};
 use serde::{Deserialize, Serialize};
 
 use crate::actor::{PolicyError, PolicySession};
@@ -308,7 +308,7 @@ mod tests {
             "goal/t0/clean/i06".parse().expect("an id"),
             6,
             6,
-            protocol::Perturbation::default(),
+            libero_ctrl::Perturbation::default(),
         );
         let command = SlotCommand::Run(Box::new(Assignment {
             attempt: attempt(),

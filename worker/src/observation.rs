@@ -1,8 +1,8 @@
 //! The simulator's observations as the policy protocol carries them. Nothing is
 //! changed here: neither orientation nor units nor frames.
 
+use libero_ctrl::{Entity, EntityKind, Predicate, Privileged};
 use proto::policy as wire;
-use protocol::{Entity, EntityKind, Predicate, Privileged};
 use sim::{Frame, Observation, RobotState};
 use wire::StateField;
 

@@ -9,7 +9,7 @@ mod sheet;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use protocol::{Axis, Condition, ManifestRow, paraphrase};
+use libero_ctrl::{Axis, Condition, ManifestRow, paraphrase};
 use sim::{CameraRequest, Episode, ObservationRequest, SimError, Simulator};
 
 pub use request::Request;

@@ -14,7 +14,7 @@ use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use protocol::{Condition, RolloutId};
+use libero_ctrl::{Condition, RolloutId};
 use serde::Serialize;
 use sim::episode::NUDGE_M;
 use sim::{Episode, Observation, Simulator};

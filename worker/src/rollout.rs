@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use attempt::{GoalProgress, IkResidual, Motion, Parts, Realised, RolloutResult};
 use proto::policy as wire;
+use rollout_types::{GoalProgress, IkResidual, Motion, Parts, Realised, RolloutResult};
 use sha2::{Digest, Sha256};
 use sim::episode::clip;
 use sim::{CameraRequest, Digests, Episode, Observation, ObservationRequest, SimError};

@@ -15,7 +15,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-use attempt::RolloutResult;
+use rollout_types::RolloutResult;
 use scene::TaskFiles;
 use serde::Serialize;
 use sim::Simulator;

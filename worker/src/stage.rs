@@ -2,8 +2,8 @@
 
 use std::borrow::Cow;
 
+use libero_ctrl::{ManifestRow, Realisation};
 use proto::policy as wire;
-use protocol::{ManifestRow, Realisation};
 use scene::TaskFiles;
 use sim::{Episode, SimError, Simulator};
 

@@ -12,8 +12,8 @@ use std::process::Command;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
+use libero_ctrl::{Condition, RolloutId};
 use paired::{Outcome, Record, Records, Transition};
-use protocol::{Condition, RolloutId};
 
 use crate::cargo::build_only;
 use crate::process::{capture, run as run_command};

@@ -1,11 +1,13 @@
-//! Commands of the README: `cargo xtask setup|demo|test|dist|parity`. Each does whatever it
+//! Commands of the README: `cargo xtask setup|demo|check|test|dist|parity`. Each does whatever it
 //! needs by itself, and nothing twice.
 
 #![forbid(unsafe_code)]
 
 mod bench;
+mod bench_build;
 mod bench_python;
 mod cargo;
+mod check;
 mod clients;
 mod demo;
 mod deploy;
@@ -49,6 +51,8 @@ enum Command {
     },
     /// Run a small campaign end to end and print its paired table.
     Demo(demo::Options),
+    /// Check format, lints, documentation and unit tests: minutes, for every save.
+    Check,
     /// Run all tests, or a suite of them by name.
     Test {
         /// Suites to run, separated by commas. [default: all; with filters,
@@ -84,6 +88,8 @@ enum Command {
 
 #[derive(Subcommand)]
 enum Bench {
+    /// A fresh clone to the demo's report, a changed line to its verdict, and `.ci/run`.
+    Build(bench_build::Options),
     /// The paired report of 62,400 rollouts, six policies with all intervals.
     Report {
         /// With the release profile instead of the one of daily work.
@@ -154,10 +160,12 @@ fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Setup { gl } => set_up(gl),
         Command::Demo(options) => demo::run(&root(), &options),
+        Command::Check => check::run(&root()),
         Command::Test { suite, filters } => test::run(&root(), &suite, &filters),
         Command::Wheel { output } => wheels(output.as_deref()),
         Command::Dist(options) => dist::run(&root(), &options),
         Command::Screenshots => test::screenshots(&root()),
+        Command::Bench(Bench::Build(options)) => bench_build::run(&root(), &options),
         Command::Bench(Bench::Report { release }) => test::bench_report(&root(), release),
         Command::Bench(Bench::Sim { arguments }) => test::program(&root(), "bench_sim", &arguments),
         Command::Bench(Bench::Draw { arguments }) => {

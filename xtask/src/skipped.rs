@@ -124,7 +124,7 @@ mod tests {
         let (here, absent) = (folder.path(), folder.path().join("absent"));
         for why in [
             " a: no reference data at /elsewhere/tests/../../shared/oracle/tasks",
-            ": /here/crates/paired/../../../shared/libero-ctrl-v0.1 is not here",
+            ": /here/crates/analysis/paired/../../../shared/libero-ctrl-v0.1 is not here",
         ] {
             write(why);
             let error = check(&report, here).expect_err(why).to_string();

@@ -7,10 +7,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use libero_ctrl::{Axis, ManifestRow};
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
-use protocol::{Axis, ManifestRow};
 use tokio::task::JoinSet;
 use tonic::transport::Endpoint;
 use tonic::{Code, Status};

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use ::report::Document;
-use attempt::Provenance;
 use queue::Portable;
+use rollout_types::Provenance;
 use serde::Serialize;
 use serde_json::Value;
 

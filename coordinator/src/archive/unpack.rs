@@ -172,7 +172,7 @@ impl Reading<'_> {
         let read = first.read_to_end(&mut text);
         read.map_err(|error| self.broken(LIST, error))?;
         let unreadable = |error: serde_json::Error| {
-            let problem = protocol::JsonError::from(error);
+            let problem = libero_ctrl::JsonError::from(error);
             self.foreign(format!("{LIST}: {problem}"))
         };
         let versions: Versions = serde_json::from_slice(&text).map_err(unreadable)?;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_parser};
-use protocol::{Measure, StopRule};
+use libero_ctrl::{Measure, StopRule};
 use report::{Comparison, Document, Subject};
 
 use super::command::{CommandError, Connection, print_line, usage};

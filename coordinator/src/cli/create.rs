@@ -9,12 +9,12 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{ArgGroup, Args};
 use coordinator::client::Service;
 use coordinator::video_estimate;
-use proto::coordinator::CreateCampaignRequest;
-use protocol::{
+use libero_ctrl::{
     Axis, AxisSet, CampaignSpec, Design, Directions, Level, MAX_CONFIGS, MAX_REPLICATES, Nominal,
     PLACEBO_RADII, Placebo, PolicyRoute, Realisation, Record, RendererKind, Rollouts, Stop,
     StopRule, Strata, TaskRef, UnknownName, Wanted, select_tasks,
 };
+use proto::coordinator::CreateCampaignRequest;
 use queue::expand::NewCampaign;
 use queue::rules::campaign::PRIORITIES;
 use serde::de::DeserializeOwned;

@@ -6,9 +6,9 @@ use std::time::Duration;
 use anyhow::anyhow;
 use clap::Args;
 use coordinator::client::{Client, Service};
+use libero_ctrl::{CampaignSpec, PolicyRoute, Realisation, Record, Rollouts, Wanted};
 use proto::coordinator::campaign_status::State;
 use proto::coordinator::{CampaignStatus, CreateCampaignRequest, GetCampaignRequest};
-use protocol::{CampaignSpec, PolicyRoute, Realisation, Record, Rollouts, Wanted};
 use report::Prospect;
 use terminal::counted;
 

@@ -3,7 +3,7 @@
 use anyhow::anyhow;
 use clap::Args;
 use coordinator::client::Client;
-use protocol::{Explanation, Record, Rollouts};
+use libero_ctrl::{Explanation, Record, Rollouts};
 use report::Findings;
 use terminal::{number, number_from};
 

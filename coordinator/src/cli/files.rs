@@ -6,7 +6,7 @@ use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use protocol::{CampaignSpec, ManifestRow, manifest};
+use libero_ctrl::{CampaignSpec, ManifestRow, manifest};
 use report::figures::Figure;
 use terminal::counted;
 

@@ -4,10 +4,10 @@ use anyhow::anyhow;
 use clap::{Args, Subcommand};
 use coordinator::client::Service;
 use coordinator::words::duration_text;
+use libero_ctrl::RolloutId;
 use proto::coordinator::{
     GetJobRequest, GetJobResponse, Job, JobName, ListJobsRequest, RetryJobsRequest, SkipJobsRequest,
 };
-use protocol::RolloutId;
 use queue::ids::shortened;
 use report::rollout_name;
 use terminal::number_from;

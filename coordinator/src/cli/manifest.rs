@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
-use protocol::{Design, DesignVersion, ManifestRow, manifest};
+use libero_ctrl::{Design, DesignVersion, ManifestRow, manifest};
 use terminal::counted;
 
 use super::command::{CommandError, failure, print, print_line, usage};

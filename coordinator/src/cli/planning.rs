@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::anyhow;
+use libero_ctrl::{Condition, Level, RolloutId, TaskRef};
 use paired::{Against, Assumed, Detectable, Planned};
-use protocol::{Condition, Level, RolloutId, TaskRef};
 use queue::expand::NewCampaign;
 use serde::Serialize;
 use terminal::{counted, wrapped};

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use protocol::Suite;
+use libero_ctrl::Suite;
 use report::{Document, Subject, write_csv, write_parquet};
 
 use super::command::{CommandError, Connection, print_line, usage};

@@ -1,7 +1,7 @@
 //! The meaning of an early end, in words: the configurations that a rule is about, and those
 //! about which it says nothing.
 
-use protocol::{Clause, Measure, StopRule};
+use libero_ctrl::{Clause, Measure, StopRule};
 use terminal::counted;
 
 /// A line for each clause, and one for what all of them are about. `configurations` is how

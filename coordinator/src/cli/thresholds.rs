@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use clap::Args;
 use coordinator::client::Client;
-use protocol::{Condition, MAX_RADII, Record, Rollouts, TOLERANCES, Thresholds};
+use libero_ctrl::{Condition, MAX_RADII, Record, Rollouts, TOLERANCES, Thresholds};
 use report::{HowFar, figures};
 use terminal::{number, number_from};
 

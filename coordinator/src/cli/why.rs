@@ -7,7 +7,7 @@ use std::process::Stdio;
 
 use anyhow::Context;
 use clap::Args;
-use protocol::Condition;
+use libero_ctrl::Condition;
 use report::Subject;
 use tokio::process::Command;
 

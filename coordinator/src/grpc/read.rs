@@ -4,17 +4,17 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use attempt::{
-    AttemptId, Digests, GoalProgress, IkResidual, Motion, Parts, Pin, Provenance, Realised,
-    RolloutResult,
-};
+use libero_ctrl::{Axis, Suite, select_tasks};
 use proto::{MAX_MOTION_STEPS, coordinator as wire};
-use protocol::{Axis, Suite, select_tasks};
 use queue::ids::{CampaignName, JobId, JobName, WorkerId, shortened};
 use queue::read::JobFilter;
 use queue::rules::campaign::{Change, PRIORITIES};
 use queue::rules::lease::FailureReason;
 use queue::{Alteration, CommitReport, MAX_JOBS_RETRIED, Retry, WorkerInfo};
+use rollout_types::{
+    AttemptId, Digests, GoalProgress, IkResidual, Motion, Parts, Pin, Provenance, Realised,
+    RolloutResult,
+};
 use terminal::printable;
 use tonic::Status;
 
@@ -379,7 +379,7 @@ fn realised(axes: Vec<wire::RealisedAxis>) -> Result<Realised, Status> {
 }
 
 fn realisation(name: &str) -> Result<String, Status> {
-    name.parse::<protocol::Realisation>()
+    name.parse::<libero_ctrl::Realisation>()
         .map(|realisation| realisation.to_string())
         .map_err(invalid)
 }

@@ -3,9 +3,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use libero_ctrl::{Condition, Level, RolloutId};
 use maud::{Markup, html};
 use paired::{Outcome, Record};
-use protocol::{Condition, Level, RolloutId};
 use queue::read::Counts;
 
 use super::bar::bar;

@@ -1,10 +1,10 @@
 //! One rollout among its siblings: what it came to, what was perturbed, its
 //! video, and where it all came from.
 
-use attempt::GoalProgress;
+use libero_ctrl::{Axis, ManifestRow, RolloutId, seeds};
 use maud::{Markup, html};
-use protocol::{Axis, ManifestRow, RolloutId, seeds};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
+use rollout_types::GoalProgress;
 
 use super::layout::breakable;
 use super::perturbation;

@@ -3,12 +3,12 @@
 
 use std::collections::BTreeMap;
 
-use attempt::Motion;
+use libero_ctrl::{AxisSet, Condition, ManifestRow, RolloutId};
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Record, Records, Transition};
-use protocol::{AxisSet, Condition, ManifestRow, RolloutId};
 use queue::ids::{JobId, shortened};
 use queue::read::{Campaign, FailureLine, ResultLine, RolloutLine, View};
+use rollout_types::Motion;
 
 use super::campaign::address;
 use super::card::{self, Shown};

@@ -2,9 +2,9 @@
 //! the largest subsets of it that do not change the outcome.
 
 use lattice::{Answer, Explanation, MinimalSubset};
+use libero_ctrl::{AxisSet, RolloutId};
 use maud::{Markup, html};
 use paired::Transition;
-use protocol::{AxisSet, RolloutId};
 
 use super::card::player;
 use super::known::{Lattice, Source};
@@ -207,7 +207,7 @@ const fn verbs(transition: Transition) -> (&'static str, &'static str) {
 
 /// `camera and robot together`, `camera alone`, `no perturbation`.
 fn named(set: AxisSet) -> String {
-    let names: Vec<&str> = set.axes().map(protocol::Axis::name).collect();
+    let names: Vec<&str> = set.axes().map(libero_ctrl::Axis::name).collect();
     match names.as_slice() {
         [] => "no perturbation".to_owned(),
         [one] => format!("{one} alone"),

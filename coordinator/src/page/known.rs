@@ -2,8 +2,8 @@
 //! measures it and the one that explains that.
 
 use lattice::{Known, configurations, own_configurations};
+use libero_ctrl::{AxisSet, CampaignSpec, Condition, Explanation, RolloutId, Rollouts};
 use paired::{Outcome, Record};
-use protocol::{AxisSet, CampaignSpec, Condition, Explanation, RolloutId, Rollouts};
 use queue::read::{Campaign, SubsetRow, View};
 
 use super::campaign::address;

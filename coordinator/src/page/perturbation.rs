@@ -1,7 +1,7 @@
 //! A rollout's perturbation in words, with units. What the values do is the
-//! simulator's business; `protocol::Perturbation` says what they mean.
+//! simulator's business; `libero_ctrl::Perturbation` says what they mean.
 
-use protocol::{Axis, ManifestRow};
+use libero_ctrl::{Axis, ManifestRow};
 
 /// One parameter in words.
 type Phrase = fn(f64) -> String;
@@ -84,7 +84,7 @@ const ACTUATION: [Phrase; 5] = [
 
 #[cfg(test)]
 mod tests {
-    use protocol::{CameraShift, Perturbation, SensorCorruption};
+    use libero_ctrl::{CameraShift, Perturbation, SensorCorruption};
 
     use super::*;
 

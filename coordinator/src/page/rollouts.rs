@@ -1,7 +1,7 @@
 //! The rollouts of a campaign, one by one, by state or outcome.
 
+use libero_ctrl::RolloutId;
 use maud::{Markup, html};
-use protocol::RolloutId;
 use queue::QueueError;
 use queue::ids::{JobId, JobName};
 use queue::read::{JobFilter, JobLine};

@@ -3,8 +3,8 @@
 
 use ::report::figures;
 use lattice::Explained;
+use libero_ctrl::RolloutId;
 use maud::{Markup, html};
-use protocol::RolloutId;
 use queue::read::{Campaign, View};
 
 use super::campaign::address;

@@ -2,8 +2,8 @@
 //! its height over the control steps. All rollouts of a configuration have one
 //! scale, and the nominal path lies under each.
 
-use attempt::Motion;
 use maud::{Markup, html};
+use rollout_types::Motion;
 
 /// Positions of the hand, at rest and after every control step: x, y, z in the
 /// world frame, m.

@@ -5,11 +5,11 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use libero_ctrl::RolloutId;
 use paired::Outcome;
 use proto::coordinator::CreateCampaignRequest;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
-use protocol::RolloutId;
 use queue::{FAILPOINT_VARIABLE, Side, Step, invariants};
 use serde_json::Value;
 

@@ -5,10 +5,10 @@ use std::collections::BTreeSet;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
+use libero_ctrl::{AxisSet, RolloutId};
 use paired::Outcome;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::{CreateCampaignRequest, GetCampaignRequest};
-use protocol::{AxisSet, RolloutId};
 use queue::invariants;
 use serde_json::{Value, json};
 

@@ -4,8 +4,8 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
+use libero_ctrl::RolloutId;
 use proto::coordinator as wire;
-use protocol::RolloutId;
 use serde_json::Value;
 
 use crate::derived::run_all;

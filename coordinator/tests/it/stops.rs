@@ -5,10 +5,10 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use libero_ctrl::{CampaignSpec, ManifestRow, RolloutId};
 use paired::{CampaignLook, Outcome, Record, Records};
 use proto::coordinator::Lease;
 use proto::coordinator::commit_response::Verdict;
-use protocol::{CampaignSpec, ManifestRow, RolloutId};
 use queue::expand::NewCampaign;
 use queue::{Side, Step, invariants};
 use serde_json::{Value, json};

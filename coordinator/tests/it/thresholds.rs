@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
+use libero_ctrl::{Condition, RolloutId};
 use paired::Outcome;
-use protocol::{Condition, RolloutId};
 use queue::invariants;
 use serde_json::{Value, json};
 
@@ -21,7 +21,7 @@ fn fails_from(id: &RolloutId) -> f64 {
         // Nominally.
         (_, 9) => 0.0,
         // At no radius that is run.
-        (Condition::Single(protocol::Axis::Robot), 0) => 50.0,
+        (Condition::Single(libero_ctrl::Axis::Robot), 0) => 50.0,
         (Condition::Combination, _) => 0.7 + task / 2.0,
         _ => 1.3 + task,
     }
@@ -30,7 +30,7 @@ fn fails_from(id: &RolloutId) -> f64 {
 fn outcome(id: &RolloutId) -> Outcome {
     let (radius, from) = (id.level().radius(), fails_from(id));
     // The robot's first task but one recovers at a larger radius.
-    let robot = Condition::Single(protocol::Axis::Robot);
+    let robot = Condition::Single(libero_ctrl::Axis::Robot);
     let recovers = id.condition() == robot && id.task().index() == 1 && radius == 8.0;
     match id.condition() {
         Condition::Clean => Outcome::from(from > 0.0),

@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use libero_ctrl::{AxisSet, Condition, RolloutId};
 use paired::Outcome;
-use protocol::{AxisSet, Condition, RolloutId};
 use serde_json::{Value, json};
 
 use crate::derived::{PATIENCE, run_all};

@@ -1,8 +1,8 @@
 //! `builtin:expert`: the scripted manipulator behind the policy protocol. It asks
 //! for the simulator's own state, so that every result of it is marked privileged.
 
+use libero_ctrl::{Entity, EntityKind, Predicate, Privileged};
 use proto::policy::{self as wire, DescribeResponse, Language, Observation, entity::Kind};
-use protocol::{Entity, EntityKind, Predicate, Privileged};
 
 use super::instance::{Action, BuiltinPolicy};
 

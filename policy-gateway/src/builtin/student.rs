@@ -7,9 +7,9 @@ use std::{
     sync::{Arc, LazyLock},
 };
 
-use attempt::TAUGHT_ON;
 use policy_protocol::CAMERAS;
 use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, Setting, StateField};
+use rollout_types::TAUGHT_ON;
 use student::{ACTIONS, Network, PICTURE_SIDE, Query, WeightsError};
 use thiserror::Error;
 

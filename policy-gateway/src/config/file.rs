@@ -24,7 +24,7 @@ use std::{
     time::Duration,
 };
 
-use protocol::plain_words;
+use libero_ctrl::plain_words;
 use serde::Deserialize;
 
 use super::{

@@ -4,7 +4,7 @@
 use std::{path::PathBuf, time::Duration};
 
 use clap::Args;
-use protocol::Suite;
+use libero_ctrl::Suite;
 use serde::Serialize;
 use terminal::number;
 use thiserror::Error;

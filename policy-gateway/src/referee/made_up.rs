@@ -4,8 +4,8 @@
 
 use std::f64::consts::PI;
 
+use libero_ctrl::{Suite, TaskRef};
 use proto::policy::{DescribeResponse, Image, PrivilegedState, StateField};
-use protocol::{Suite, TaskRef};
 
 use super::situation::Situation;
 use crate::conformance::scene;

@@ -1,6 +1,7 @@
 //! `compare` names the mistake that is planted in one of two servers, and accuses
 //! none that answer alike.
 
+use libero_ctrl::Suite;
 use policy_gateway::referee::{
     compare::{Comparison, compare},
     difference::Kind,
@@ -8,7 +9,6 @@ use policy_gateway::referee::{
     server::Server,
 };
 use proto::policy::StateField;
-use protocol::Suite;
 
 use crate::{
     planted::{Action, Planted, Seen, halved_and_doubled, hash, upside_down},

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use libero_ctrl::Suite;
 use policy_gateway::{
     conformance::verdict::Verdict,
     referee::{
@@ -11,7 +12,6 @@ use policy_gateway::{
     },
 };
 use proto::policy::{Language, StateField};
-use protocol::Suite;
 
 use crate::{
     planted::{Planted, hash},

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use attempt::AttemptId;
+use libero_ctrl::RolloutId;
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferRequest, InferResponse,
     Observation, ResetRequest, ResetResponse, policy_server::Policy,
 };
-use protocol::RolloutId;
+use rollout_types::AttemptId;
 use tokio::sync::mpsc;
 use tonic::{Request, Response, Status};
 use transport::Access;

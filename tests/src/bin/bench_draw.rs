@@ -10,7 +10,7 @@ use std::process::{Command, ExitCode};
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use protocol::{Realisation, RolloutId, TaskRef};
+use libero_ctrl::{Realisation, RolloutId, TaskRef};
 use scene::Sources;
 use scene::pack::LIBERO;
 use sim::{
@@ -170,13 +170,13 @@ fn tasks(names: &[String]) -> Result<Vec<TaskRef>> {
     names.iter().map(read).collect()
 }
 
-fn row_of(task: TaskRef, condition: &str) -> Result<protocol::ManifestRow> {
+fn row_of(task: TaskRef, condition: &str) -> Result<libero_ctrl::ManifestRow> {
     let suite = task.suite().short_name();
     let id = format!("{suite}/t{}/{condition}", task.index());
     let id: RolloutId = id.parse().with_context(|| {
         format!("read condition `{condition}` of --conditions: clean/i00, camera/L3/c07, …")
     })?;
-    Ok(protocol::row_of(id)?)
+    Ok(libero_ctrl::row_of(id)?)
 }
 
 /// A square frame of one camera, `side` pixels wide.
@@ -237,7 +237,7 @@ impl Bench {
         })
     }
 
-    fn draw(&mut self, row: &protocol::ManifestRow, arguments: &Arguments) -> Result<()> {
+    fn draw(&mut self, row: &libero_ctrl::ManifestRow, arguments: &Arguments) -> Result<()> {
         let clock = self.clock;
         let mut ours = self.ours.begin(row, Realisation::Matched)?;
         let mut theirs = match &mut self.theirs {

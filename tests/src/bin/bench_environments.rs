@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use clap::Parser;
-use protocol::{ManifestRow, Realisation, RolloutId, TaskRef};
+use libero_ctrl::{ManifestRow, Realisation, RolloutId, TaskRef};
 use scene::pack::LIBERO;
 use scene::{Sources, TaskFiles};
 use sim::{Conditions, Drawer, Environment, ReadyScene};

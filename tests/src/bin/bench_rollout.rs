@@ -13,9 +13,9 @@ use std::rc::Rc;
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
+use libero_ctrl::{ManifestRow, Realisation, TaskRef};
 use prost::Message;
 use proto::policy::Observation;
-use protocol::{ManifestRow, Realisation, TaskRef};
 use scene::pack::LIBERO;
 use scene::{InitialStates, Sources, TaskFiles};
 use serde_json::{Value, json};
@@ -305,7 +305,7 @@ fn run(arguments: &Arguments) -> Result<()> {
 fn motion(arguments: &Arguments, sources: &Sources) -> Result<(ManifestRow, Vec<Action>)> {
     let task = arguments.task;
     let id = format!("{}/t{}/clean/i00", task.suite().short_name(), task.index());
-    let mut row = protocol::row_of(id.parse()?)?;
+    let mut row = libero_ctrl::row_of(id.parse()?)?;
     row.max_steps = arguments.steps;
     let Some(path) = &arguments.actions else {
         let actions = (0..arguments.steps as usize).map(smooth_action);

@@ -9,7 +9,7 @@ use std::{env, fs};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Parser;
-use protocol::{ManifestRow, Realisation, RolloutId, TaskRef};
+use libero_ctrl::{ManifestRow, Realisation, RolloutId, TaskRef};
 use scene::pack::LIBERO;
 use scene::{AssetPack, Sources, TaskFiles};
 use serde::{Deserialize, Serialize};

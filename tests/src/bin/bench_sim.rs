@@ -7,8 +7,8 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use protocol::TaskRef;
-use protocol::presets::ENV_SEED;
+use libero_ctrl::TaskRef;
+use libero_ctrl::presets::ENV_SEED;
 use scene::pack::LIBERO;
 use scene::{InitialStates, Sources, TaskFiles, compose};
 use serde_json::json;

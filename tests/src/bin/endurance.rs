@@ -13,8 +13,8 @@ use std::time::Instant;
 use anyhow::{Context, Result, ensure};
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
-use protocol::presets::apply_preset;
-use protocol::{
+use libero_ctrl::presets::apply_preset;
+use libero_ctrl::{
     Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef,
 };
 use scene::Sources;

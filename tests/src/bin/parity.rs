@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use protocol::TaskRef;
+use libero_ctrl::TaskRef;
 use scene::Sources;
 use scene::pack::LIBERO;
 use sim::{Drawer, Renderer};

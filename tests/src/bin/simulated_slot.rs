@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use std::{process, thread};
 
-use attempt::{AttemptId, Motion, Parts, Realised, RolloutResult};
+use rollout_types::{AttemptId, Motion, Parts, Realised, RolloutResult};
 use sha2::{Digest, Sha256};
 use transport::Access;
 use worker::actor::{Actor, PolicyError};

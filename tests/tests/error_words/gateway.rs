@@ -74,7 +74,7 @@ fn configuration(messages: &mut Messages) {
             path: path(), source: io_error(),
         },
         ConfigError::Toml { .. } => ConfigError::Toml {
-            path: path(), line: 2, problem: protocol::plain_words("missing field `x`"),
+            path: path(), line: 2, problem: libero_ctrl::plain_words("missing field `x`"),
         },
         ConfigError::InFile { .. } => ConfigError::InFile {
             path: path(), source: Box::new(ConfigError::NoRoute),

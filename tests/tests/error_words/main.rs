@@ -85,7 +85,7 @@ pub(crate) fn io_error() -> io::Error {
 }
 
 /// Error of parsing JSON that lacks a field.
-pub(crate) fn json_error() -> protocol::JsonError {
+pub(crate) fn json_error() -> libero_ctrl::JsonError {
     #[derive(Debug, serde::Deserialize)]
     struct Asked {
         #[expect(dead_code, reason = "only asked for")]

@@ -1,8 +1,8 @@
 //! Errors of scenes, pictures and simulations, and of the worker.
 
 use assets::AssetsError;
+use libero_ctrl::NoSuchRow;
 use policy_protocol::{ActionFault, DescriptionFault};
-use protocol::NoSuchRow;
 use raster::{DrawError, ModelError};
 use scene::SceneError;
 use sim::mujoco::ObjectKind;
@@ -215,7 +215,7 @@ fn rollouts(messages: &mut Messages) {
 }
 
 fn supervision(messages: &mut Messages) {
-    let no_id = || "x".parse::<attempt::AttemptId>().expect_err("no id");
+    let no_id = || "x".parse::<rollout_types::AttemptId>().expect_err("no id");
     messages.add("AttemptIdError", no_id());
     variants!(messages, SuperviseError,
         SuperviseError::Endpoint(_) => SuperviseError::Endpoint(EndpointError { given: text() }),

@@ -8,8 +8,8 @@ use coordinator::client::ClientError;
 use coordinator::reading::ReadError;
 use coordinator::storage::StorageError;
 use lattice::{IncompleteLattice, KnownError, Unexplained};
+use libero_ctrl::{Axis, AxisSet, NotMeasurable, RolloutId, SpecError, Suite};
 use paired::{DuplicateRecord, NotInOrder, Transition};
-use protocol::{Axis, AxisSet, NotMeasurable, RolloutId, SpecError, Suite};
 use queue::expand::ExpandError;
 use queue::ids::{CampaignName, JobName, NameError, WorkerId};
 use queue::invariants::CheckError;
@@ -79,7 +79,7 @@ fn names_and_files(messages: &mut Messages) {
 
 fn queue(messages: &mut Messages) {
     let worker = || -> WorkerId { WorkerId::parse("rack-1").expect("an id") };
-    let attempt = || attempt::AttemptId::from_random([7; 16]);
+    let attempt = || rollout_types::AttemptId::from_random([7; 16]);
     let job = || JobName {
         rollout_id: "object/t0/clean/i03".to_owned(),
         replicate: 1,
@@ -339,7 +339,7 @@ fn coordinator(messages: &mut Messages) {
             campaign: campaign(), source: SpecError::Replicates { given: 0 },
         },
         ReadError::Name(_) => ReadError::Name(
-            "x".parse::<protocol::Level>().expect_err("no level"),
+            "x".parse::<libero_ctrl::Level>().expect_err("no level"),
         ),
         ReadError::Row { .. } => ReadError::Row { rollout_id: text(), source: json_error() },
     );

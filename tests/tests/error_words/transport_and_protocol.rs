@@ -1,7 +1,7 @@
 //! Errors of connections, access and the protocol's own texts.
 
-use protocol::manifest::{LineProblem, ManifestErrors};
-use protocol::{
+use libero_ctrl::manifest::{LineProblem, ManifestErrors};
+use libero_ctrl::{
     AxisSet, Condition, DesignError, Level, NoSuchRow, PerturbError, RolloutId, RowError,
     SpecError, StopError, UnknownName,
 };
@@ -81,7 +81,7 @@ fn protocol(messages: &mut Messages) {
             problem: "there are 50 initial states".to_owned(),
         },
     );
-    let refused = protocol::manifest::parse("{}\n[]\nx").expect_err("no manifest");
+    let refused = libero_ctrl::manifest::parse("{}\n[]\nx").expect_err("no manifest");
     messages.add("ManifestErrors", refused.clone());
     variants!(messages, DesignError,
         DesignError::Empty { .. } => DesignError::Empty {
@@ -101,7 +101,7 @@ fn protocol(messages: &mut Messages) {
     );
     variants!(messages, SpecError,
         SpecError::Json { .. } => {
-            protocol::CampaignSpec::from_json("{}").expect_err("no specification")
+            libero_ctrl::CampaignSpec::from_json("{}").expect_err("no specification")
         },
         SpecError::Empty { .. } => SpecError::Empty { field: "name", remedy: "write a name" },
         SpecError::Replicates { .. } => SpecError::Replicates { given: 0 },

@@ -2,7 +2,7 @@
 //! put where the goal wants them, just free of whatever lies there, and let go.
 //! Everything is computed from the goal and the scene.
 
-use protocol::{Entity, Predicate};
+use libero_ctrl::{Entity, Predicate};
 use scene::catalog::{Articulation, Threshold};
 use scene::{Instance, Scene};
 use sim::episode::NO_OP;

@@ -5,7 +5,7 @@
 mod hand;
 mod table;
 
-use protocol::{ManifestRow, Perturbation, Realisation, RolloutId, Suite, TaskRef};
+use libero_ctrl::{ManifestRow, Perturbation, Realisation, RolloutId, Suite, TaskRef};
 use scene::{Problem, TaskFiles};
 use sim::episode::NO_OP;
 use sim::{Episode, Renderer, Simulator, SimulatorConfig};

@@ -1,6 +1,6 @@
 //! How objects lie: what overlaps, what has moved, what has fallen.
 
-use protocol::{Entity, EntityKind, Predicate};
+use libero_ctrl::{Entity, EntityKind, Predicate};
 use scene::arena::arena;
 use scene::{InstanceKind, Problem};
 use sim::mujoco::ObjectKind;

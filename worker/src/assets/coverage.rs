@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use assets::{FileFacts, size_in_words};
-use protocol::TaskRef;
-use protocol::presets::ENV_SEED;
+use libero_ctrl::TaskRef;
+use libero_ctrl::presets::ENV_SEED;
 use scene::arena::arena;
 use scene::catalog::category;
 use scene::{AssetPack, Problem, SceneError, Sources, TaskFiles, compose, needed_files};

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use protocol::TaskRef;
+use libero_ctrl::TaskRef;
 
 /// Share of the best throughput that a number of slots must reach to be enough.
 /// More slots for the rest would cost memory and cores that others can use.

@@ -9,8 +9,8 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
 use std::{fs, process, thread};
 
+use libero_ctrl::{ManifestRow, Perturbation, RolloutId, TaskRef};
 use proto::policy::Observation;
-use protocol::{ManifestRow, Perturbation, RolloutId, TaskRef};
 use serde::{Deserialize, Serialize};
 use sim::{Episode, Simulator, SimulatorConfig};
 

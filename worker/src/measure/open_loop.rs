@@ -1,10 +1,10 @@
 //! A policy that takes no time: its actions are known beforehand, and it looks
 //! at what the published policies look at. For measurements.
 
+use libero_ctrl::{ManifestRow, Realisation};
 use policy_protocol::CAMERAS;
 use proto::PROTOCOL_VERSION;
 use proto::policy::{CameraRequest, DescribeResponse, StateField};
-use protocol::{ManifestRow, Realisation};
 
 use crate::actor::{Action, Description};
 use crate::ids::random_id;

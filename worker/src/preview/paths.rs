@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use protocol::{Axis, Condition};
+use libero_ctrl::{Axis, Condition};
 use sim::{SimError, Simulator};
 
 use super::request::{LEVELS, MOTION_STEPS, Request, motion, row};

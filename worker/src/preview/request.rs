@@ -1,7 +1,7 @@
 //! Requests for previews: rows of the protocol, and the motion that shows
 //! actuation.
 
-use protocol::{
+use libero_ctrl::{
     Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef, presets,
 };
 

@@ -1,6 +1,6 @@
 //! Lifting perturbations, on the built-in assets where `cargo xtask setup` has been run.
 
-use protocol::{ManifestRow, Realisation, row_of};
+use libero_ctrl::{ManifestRow, Realisation, row_of};
 use sim::ObjectKind;
 use sim::controller::GRIP_SITE;
 

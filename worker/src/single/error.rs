@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use protocol::NoSuchRow;
+use libero_ctrl::NoSuchRow;
 use scene::SceneError;
 
 use crate::actor::PolicyError;

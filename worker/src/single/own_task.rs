@@ -5,7 +5,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use protocol::{ManifestRow, RolloutId, Suite, TaskRef, row_of};
+use libero_ctrl::{ManifestRow, RolloutId, Suite, TaskRef, row_of};
 use scene::TaskFiles;
 
 use super::error::SingleError;

@@ -16,7 +16,7 @@ use zip::ZipArchive;
 use super::error::SingleError;
 use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use crate::digest::hex;
-use protocol::JsonError;
+use libero_ctrl::JsonError;
 
 /// Most actions of a recording: far more than any budget of the protocol.
 const MAX_RECORDED_ACTIONS: usize = 10_000;

@@ -3,10 +3,10 @@
 
 use std::time::Duration;
 
-use attempt::GoalProgress;
+use libero_ctrl::{Axis, ManifestRow, Realisation, row_of};
 use policy_protocol::CAMERAS;
 use proto::policy as wire;
-use protocol::{Axis, ManifestRow, Realisation, row_of};
+use rollout_types::GoalProgress;
 use scene::{AssetPack, Sources};
 use sim::{Renderer, SimulatorConfig};
 
@@ -358,7 +358,7 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
     let mut sensor = row_of("object/t0/sensor/L3/c03".parse().expect("an id")).expect("a row");
     sensor.max_steps = 4;
     let nominal = ManifestRow {
-        perturbation: protocol::Perturbation::default(),
+        perturbation: libero_ctrl::Perturbation::default(),
         ..sensor.clone()
     };
     let side = PANE_SIDE as u32;

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use libero_ctrl::TaskRef;
 use proto::COORDINATOR_PROTOCOL_VERSION;
 use proto::coordinator::{RegisterRequest, RegisterResponse};
-use protocol::TaskRef;
 use transport::Access;
 
 use crate::assets::Provider;

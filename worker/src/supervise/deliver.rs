@@ -2,14 +2,14 @@
 //! it came out of, or without one and why. Responsible for the messages and for
 //! what is said about the answers in the log.
 
-use attempt::{AttemptId, RealisedAxis, RolloutResult};
+use libero_ctrl::Realisation;
 use proto::coordinator::commit_response::Verdict as CommitVerdict;
 use proto::coordinator::release_response::Verdict as ReleaseVerdict;
 use proto::coordinator::{
     self as wire, CommitRequest, CommitResponse, Motion, Provenance, ReleaseRequest,
     ReleaseResponse,
 };
-use protocol::Realisation;
+use rollout_types::{AttemptId, RealisedAxis, RolloutResult};
 use tonic::Status;
 use transport::chain;
 

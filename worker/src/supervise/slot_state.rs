@@ -7,7 +7,7 @@
 
 use std::time::Duration;
 
-use attempt::{AttemptId, Backoff, Waits};
+use rollout_types::{AttemptId, Backoff, Waits};
 use tokio::time::Instant;
 
 use crate::message::FailureKind;

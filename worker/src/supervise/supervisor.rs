@@ -8,11 +8,11 @@ use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use attempt::{AttemptId, Backoff, Waits};
 use proto::coordinator::{
     HeartbeatRequest, HeartbeatResponse, Progress, RegisterRequest, RegisterResponse,
     SignOffRequest,
 };
+use rollout_types::{AttemptId, Backoff, Waits};
 use terminal::counted;
 use tokio::sync::{mpsc, watch};
 use tokio::task::{self, JoinError, JoinSet};

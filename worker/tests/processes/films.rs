@@ -3,8 +3,8 @@
 
 use std::process::Output;
 
+use libero_ctrl::ManifestRow;
 use proto::coordinator::{Film, Lease};
-use protocol::ManifestRow;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::ScriptedPolicy;
@@ -153,7 +153,7 @@ async fn a_film_afterwards_is_that_of_the_slot_and_shows_the_sensors_corruption(
         return;
     }
     let row = |id: String| {
-        let row = protocol::row_of(id.parse().expect("an id"));
+        let row = libero_ctrl::row_of(id.parse().expect("an id"));
         ManifestRow {
             max_steps: MAX_STEPS,
             ..row.expect("a row")

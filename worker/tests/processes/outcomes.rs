@@ -1,7 +1,7 @@
 //! Rollouts that have an outcome.
 
+use libero_ctrl::ManifestRow;
 use proto::coordinator::release_request::Reason;
-use protocol::ManifestRow;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::{FRAME_SIDE, HORIZON, ScriptedPolicy};

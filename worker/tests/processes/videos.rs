@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
+use libero_ctrl::ManifestRow;
 use proto::coordinator::Lease;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
-use protocol::ManifestRow;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::ScriptedPolicy;

@@ -6,8 +6,8 @@ use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use libero_ctrl::ManifestRow;
 use proto::coordinator::Lease;
-use protocol::ManifestRow;
 
 /// Longest wait for a process to do what it should.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -32,7 +32,7 @@ pub(crate) fn attempt_id(job: i64) -> String {
 /// A job of the scripted coordinator: a short nominal rollout.
 pub(crate) fn lease(job: i64, policy: &str, endpoint: &str) -> Lease {
     let id = "object/t0/clean/i03".parse().expect("an id");
-    let mut row = ManifestRow::new(id, 3, 3, protocol::Perturbation::default());
+    let mut row = ManifestRow::new(id, 3, 3, libero_ctrl::Perturbation::default());
     row.max_steps = MAX_STEPS;
     Lease {
         job_id: job,

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use attempt::{AttemptId, Digests, Motion, Pin, Provenance, Realised, RolloutResult};
 use futures_util::future::join_all;
 use proptest::prelude::*;
 use queue::clock::{ManualClock, UnixMillis};
@@ -18,6 +17,7 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use rollout_types::{AttemptId, Digests, Motion, Pin, Provenance, Realised, RolloutResult};
 use serde_json::json;
 
 use super::{Event, WORKERS, event};

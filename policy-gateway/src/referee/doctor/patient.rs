@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
+use libero_ctrl::Suite;
 use policy_protocol::ActionFault;
 use proto::policy::{InferResponse, Observation};
-use protocol::Suite;
 
 use crate::referee::{
     panel::SEED,

@@ -1,7 +1,7 @@
 //! From an idle slot to a rollout under way.
 
-use attempt::AttemptId;
 use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
+use rollout_types::AttemptId;
 use tokio::time::Instant;
 use tonic::{Code, Status};
 use transport::chain;
@@ -174,9 +174,9 @@ impl Supervisor {
     /// Builds a slot's assignment from a lease. The error reads after "failed
     /// to …".
     fn assignment(&self, attempt: AttemptId, lease: Lease) -> Result<Assignment, String> {
-        let row: protocol::ManifestRow =
+        let row: libero_ctrl::ManifestRow =
             serde_json::from_str(&lease.manifest_row).map_err(|error| {
-                let problem = protocol::JsonError::from(error);
+                let problem = libero_ctrl::JsonError::from(error);
                 format!("read the manifest row of job {}: {problem}", lease.job_id)
             })?;
         let realisation = lease.realisation.parse();
@@ -192,7 +192,8 @@ impl Supervisor {
         Ok(Assignment {
             attempt,
             session: Session::new(&row.id, lease.replicate, attempt),
-            realisation: realisation.map_err(|error: protocol::UnknownName| error.to_string())?,
+            realisation: realisation
+                .map_err(|error: libero_ctrl::UnknownName| error.to_string())?,
             policy: lease.policy,
             policy_endpoint: endpoint.unwrap_or(lease.policy_endpoint),
             policy_seed: lease.policy_seed,

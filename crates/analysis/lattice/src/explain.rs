@@ -1,0 +1,230 @@
+//! Explains a transition by the minimal subsets of axes that cause it.
+//!
+//! # Terms
+//! An *emergent failure* is a configuration in which every axis alone succeeds
+//! and all axes together fail. The question is which axes it takes to make it
+//! fail. The search *starts* from the nominal rollout, the empty set, and a subset
+//! *flips* the outcome if it fails.
+//!
+//! A *compensated success* is one in which some axis alone fails and all axes
+//! together succeed. For each axis that fails alone the question is which axes it
+//! takes beside it to make it succeed. The search starts from the failing axis,
+//! looks at the subsets that contain it, and a subset flips the outcome if it
+//! succeeds.
+//!
+//! A *minimal* subset flips the outcome, and none of its proper subsets that
+//! were run and that contain the start does. So, as far as was run, every one of its
+//! axes is needed. It is *established* once every such proper subset was run;
+//! until then [`MinimalSubset::open`] lists those that remain. No outcome is ever
+//! inferred.
+//!
+//! A larger subset need not do what a smaller one does: where camera and robot
+//! fail, camera, robot and sensor may succeed. Such a pair of subsets is reported as
+//! [`NonMonotone`].
+
+use libero_ctrl::AxisSet;
+use paired::Transition;
+use serde::{Deserialize, Serialize};
+
+use crate::known::Known;
+use crate::order::{between, maximal, minimal};
+
+/// One transition, explained as far as its rollouts allow.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Explanation {
+    /// Emergent or compensated.
+    pub transition: Transition,
+    /// One for an emergent failure; for a compensated success one for each axis
+    /// that fails alone.
+    pub answers: Vec<Answer>,
+}
+
+/// Minimal subsets found from one start.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Answer {
+    /// The set from which the search starts: empty for an emergent failure, the
+    /// failing axis for a compensated success.
+    pub start: AxisSet,
+    /// The minimal subsets that flip the outcome, in order. There is at least
+    /// one, because the full set flips it.
+    pub minimal: Vec<MinimalSubset>,
+    /// For each minimal subset, its smallest supersets that do not flip the
+    /// outcome.
+    pub non_monotone: Vec<NonMonotone>,
+    /// The largest subsets that do not flip the outcome: none of their proper
+    /// supersets that were run is unflipped too. Those with most axes come first.
+    pub largest_unflipped: Vec<AxisSet>,
+}
+
+/// A subset that flips the outcome, while none of its proper subsets that were
+/// run does.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MinimalSubset {
+    /// The axes, with those of the start.
+    pub set: AxisSet,
+    /// The subsets strictly between the start and this one without a verdict:
+    /// any of them might turn out to flip the outcome.
+    pub open: Vec<AxisSet>,
+    /// Its largest proper subsets that were run and do not flip the outcome; the
+    /// start where there is no other. Beside them one sees what each axis adds.
+    pub below: Vec<AxisSet>,
+}
+
+impl MinimalSubset {
+    /// Returns true if it is certainly minimal, because all subsets between the
+    /// start and it were run.
+    pub const fn is_established(&self) -> bool {
+        self.open.is_empty()
+    }
+}
+
+/// A subset that flips the outcome and one of its supersets that does not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NonMonotone {
+    /// The minimal subset that flips the outcome.
+    pub minimal: AxisSet,
+    /// The superset that does not.
+    pub superset: AxisSet,
+}
+
+/// Reason why there is nothing to explain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unexplained {
+    /// The transition is not known: outcomes are missing.
+    #[error("an axis alone or all together have no outcome")]
+    Incomplete,
+    /// All axes together have the effect of the axes alone.
+    #[error("simultaneous perturbation changes nothing: it {}", .0.name())]
+    Unchanged(Transition),
+    /// The nominal rollout fails, while each axis alone succeeds: there is no
+    /// success that perturbation could have turned into a failure.
+    #[error("the nominal rollout fails already")]
+    NominalFails,
+}
+
+/// The minimal subsets that explain a configuration's transition.
+///
+/// # Errors
+/// If the configuration has none to be explained.
+pub fn explain(known: &Known) -> Result<Explanation, Unexplained> {
+    let transition = transition(known, |set| known.verdict(set).success())?;
+    let searches = Search::of(known, transition);
+    let answers = searches.iter().map(|search| search.answer()).collect();
+    Ok(Explanation {
+        transition,
+        answers,
+    })
+}
+
+/// The transition to be explained, where `success` says what each axis alone and
+/// all together do. The nominal rollout counts by its majority: no further
+/// replicate of it is ever run.
+pub(crate) fn transition(
+    known: &Known,
+    success: impl Fn(AxisSet) -> Option<bool>,
+) -> Result<Transition, Unexplained> {
+    let mut conjunction = true;
+    for single in known.singles() {
+        conjunction &= success(single).ok_or(Unexplained::Incomplete)?;
+    }
+    let simultaneous = success(known.full()).ok_or(Unexplained::Incomplete)?;
+    let nominal = known.tally(AxisSet::EMPTY).majority();
+    match Transition::between(conjunction, simultaneous) {
+        Transition::Emergent if nominal == Some(false) => Err(Unexplained::NominalFails),
+        transition @ (Transition::Emergent | Transition::Compensated) => Ok(transition),
+        transition => Err(Unexplained::Unchanged(transition)),
+    }
+}
+
+/// The subsets between one start and the full set, by what is known of them.
+#[derive(Debug)]
+pub(crate) struct Search {
+    start: AxisSet,
+    /// Subsets that flip the outcome, the full set among them.
+    pub(crate) flipping: Vec<AxisSet>,
+    /// Subsets that were run and do not flip it, without the start.
+    pub(crate) unflipped: Vec<AxisSet>,
+    /// Subsets without a verdict.
+    pub(crate) open: Vec<AxisSet>,
+}
+
+impl Search {
+    /// The searches of a transition.
+    pub(crate) fn of(known: &Known, transition: Transition) -> Vec<Self> {
+        let fails = |single: &AxisSet| known.verdict(*single).success() == Some(false);
+        match transition {
+            Transition::Compensated => {
+                let failing = known.singles().filter(fails);
+                failing.map(|start| Self::new(known, start, true)).collect()
+            }
+            _ => vec![Self::new(known, AxisSet::EMPTY, false)],
+        }
+    }
+
+    fn new(known: &Known, start: AxisSet, flips_to: bool) -> Self {
+        let mut search = Self {
+            start,
+            flipping: Vec::new(),
+            unflipped: Vec::new(),
+            open: Vec::new(),
+        };
+        let full = known.full();
+        for set in between(start, full).into_iter().chain([full]) {
+            let group = match known.verdict(set).success() {
+                Some(success) if success == flips_to => &mut search.flipping,
+                Some(_) => &mut search.unflipped,
+                None => &mut search.open,
+            };
+            group.push(set);
+        }
+        search
+    }
+
+    /// The minimal subsets that flip the outcome, each with its open subsets.
+    pub(crate) fn minimal(&self) -> Vec<MinimalSubset> {
+        let open_below = |set: AxisSet| {
+            let open = self.open.iter().copied();
+            open.filter(|open| open.is_subset(set)).collect()
+        };
+        let largest_below = |set: AxisSet| {
+            let unflipped = self.unflipped.iter().copied();
+            let below: Vec<AxisSet> = unflipped.filter(|it| it.is_proper_subset(set)).collect();
+            match below.is_empty() {
+                true => vec![self.start],
+                false => maximal(&below),
+            }
+        };
+        let minimal = minimal(&self.flipping).into_iter();
+        minimal
+            .map(|set| MinimalSubset {
+                set,
+                open: open_below(set),
+                below: largest_below(set),
+            })
+            .collect()
+    }
+
+    fn answer(&self) -> Answer {
+        let found = self.minimal();
+        let supersets = |minimal: AxisSet| {
+            let unflipped = self.unflipped.iter().copied();
+            let above: Vec<AxisSet> = unflipped.filter(|set| minimal.is_subset(*set)).collect();
+            let smallest = crate::order::minimal(&above).into_iter();
+            smallest.map(move |superset| NonMonotone { minimal, superset })
+        };
+        let mut largest = maximal(&self.unflipped);
+        if self.unflipped.is_empty() {
+            largest.push(self.start);
+        }
+        largest.sort_by_key(|set| (std::cmp::Reverse(set.len()), *set));
+        Answer {
+            start: self.start,
+            non_monotone: found
+                .iter()
+                .flat_map(|found| supersets(found.set))
+                .collect(),
+            minimal: found,
+            largest_unflipped: largest,
+        }
+    }
+}

@@ -1,0 +1,338 @@
+//! Interactions of the axes over configurations of which the whole lattice was run.
+//!
+//! v(A) is the success rate under the subset A of the axes: a set function, or
+//! a cooperative game in which the axes are the players and success the worth. Its
+//! Möbius transform says what a set of axes does beyond all of its subsets, its
+//! Shapley values share the change from nominal to simultaneous among the axes.
+//! All are linear in counts of successes, so they are computed in integers, and
+//! add up exactly.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use libero_ctrl::{Axis, AxisSet, TaskRef};
+use paired::{Bootstrap, Interval, NoInterval, intervals_of_many, max_t};
+use serde::{Deserialize, Serialize};
+
+/// All outcomes of one configuration in one replicate.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CompleteLattice {
+    task: TaskRef,
+    full: AxisSet,
+    /// Successes by subset, in order.
+    successes: Vec<bool>,
+}
+
+/// A subset without an outcome.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("axes {full}: {set} has no outcome")]
+pub struct IncompleteLattice {
+    /// The campaign's axes.
+    pub full: AxisSet,
+    /// The first subset without an outcome.
+    pub set: AxisSet,
+}
+
+impl CompleteLattice {
+    /// The lattice of a configuration of `task`, from the outcomes under every
+    /// subset of `full`.
+    ///
+    /// # Errors
+    /// If a subset has no outcome.
+    pub fn new(
+        task: TaskRef,
+        full: AxisSet,
+        outcome: impl Fn(AxisSet) -> Option<bool>,
+    ) -> Result<Self, IncompleteLattice> {
+        let subsets = full.subsets().into_iter();
+        let successes = subsets
+            .map(|set| outcome(set).ok_or(IncompleteLattice { full, set }))
+            .collect::<Result<_, _>>()?;
+        Ok(Self {
+            task,
+            full,
+            successes,
+        })
+    }
+}
+
+/// An exact number with its interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// Numerator of the exact value. All estimates of one kind have one denominator, so
+    /// they add up by their numerators.
+    pub numerator: i64,
+    /// Denominator of the exact value, not reduced.
+    pub denominator: i64,
+    /// `numerator` / `denominator`.
+    pub value: f64,
+    /// Its 95 % interval, by resampling tasks ([`Bootstrap`]).
+    pub ci95: Option<Interval>,
+    /// Reason why the interval is absent; absent where it is not.
+    pub no_interval: Option<NoInterval>,
+    /// The interval that holds together with those of all others of its kind, 95 %
+    /// ([`max_t`]): of Möbius interactions, Shapley values, or pairs. Absent of success and
+    /// sizes, and where `ci95` is.
+    pub simultaneous_ci95: Option<Interval>,
+}
+
+/// Success by subset, and what it says of the axes. All values are differences
+/// of success rates, as fractions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Interactions {
+    /// The axes.
+    pub full: AxisSet,
+    /// Configurations.
+    pub n: u64,
+    /// Tasks that they belong to.
+    pub tasks: u64,
+    /// v(A): the success rate under each subset, over `n`.
+    pub success: BTreeMap<AxisSet, Estimate>,
+    /// The Möbius transform m(A) = Σ_{B⊆A} (−1)^{|A|−|B|} v(B) of each subset but
+    /// the empty one, over `n`. Of one axis it is its effect alone. Of a pair it is
+    /// what the pair does beyond the sum of its two effects, negative where the two
+    /// together do more harm. v(∅) + Σ_{A≠∅} m(A) = v(full).
+    ///
+    /// Source: J. C. Harsanyi, A simplified bargaining model for the n-person
+    /// cooperative game, International Economic Review 4 (1963), 194–220
+    /// (*dividends*).
+    pub moebius: BTreeMap<AxisSet, Estimate>,
+    /// For each number of axes, the sum of m over the subsets of that size, over
+    /// `n`: what single axes do, what pairs add to that, what triples add, and so on.
+    /// v(∅) and these add up to v(full), too.
+    pub sizes: BTreeMap<usize, Estimate>,
+    /// The Shapley value of each axis, over 60·`n`: its effect, averaged over all
+    /// orders in which the axes can be added; equally Σ_{A∋i} m(A) / |A|. They sum
+    /// to v(full) − v(∅), simultaneous less nominal success.
+    ///
+    /// Source: L. S. Shapley, A value for n-person games, in: Contributions to the
+    /// Theory of Games II (1953), 307–317.
+    pub shapley: BTreeMap<Axis, Estimate>,
+    /// The Shapley interaction index of each pair, over 60·`n`: how much the
+    /// presence of one axis changes the effect of the other, averaged over the
+    /// other axes present; Σ_{A⊇{i,j}} m(A) / (|A| − 1). Indices do not sum to
+    /// anything.
+    ///
+    /// Source: M. Grabisch and M. Roubens, An axiomatic approach to the concept of
+    /// interaction among players in cooperative games, International Journal of Game
+    /// Theory 28 (1999), 547–565, definition 2 and its form in Möbius coefficients.
+    pub pairs: BTreeMap<AxisSet, Estimate>,
+}
+
+/// A multiple of every |A| and |A| − 1 up to six axes, so that what is divided by
+/// them remains an integer.
+const SIXTIETHS: i64 = 60;
+
+impl Interactions {
+    /// Over some configurations; none of no configuration. Their order changes
+    /// nothing.
+    ///
+    /// # Panics
+    /// If two configurations have different axes.
+    pub fn of(configurations: &[CompleteLattice], bootstrap: &Bootstrap) -> Option<Self> {
+        let full = configurations.first()?.full;
+        let subsets = full.subsets();
+        let clusters = Tally::of_tasks(configurations, full);
+        let total = Tally::drawn(&clusters, &vec![1; clusters.len()]);
+        let point = Numerators::of(&subsets, &total.successes);
+        let intervals = intervals_of_many(
+            bootstrap,
+            clusters.len(),
+            point.all().count(),
+            |draws, values| {
+                let drawn = Tally::drawn(&clusters, draws);
+                let numerators = Numerators::of(&subsets, &drawn.successes);
+                for (value, (numerator, scale)) in values.iter_mut().zip(numerators.all()) {
+                    *value = numerator as f64 / (scale * drawn.n) as f64;
+                }
+            },
+        );
+        let estimate = |((numerator, scale), interval): ((i64, i64), Result<Interval, _>)| {
+            let denominator = scale * total.n;
+            Estimate {
+                numerator,
+                denominator,
+                value: numerator as f64 / denominator as f64,
+                ci95: interval.ok(),
+                no_interval: interval.err(),
+                simultaneous_ci95: None,
+            }
+        };
+        let mut estimates: Vec<Estimate> = point.all().zip(intervals).map(estimate).collect();
+        let deviations = deviations(&clusters, &subsets, &estimates);
+        for family in point.families() {
+            let own = &deviations[family.clone()];
+            hold_together(&mut estimates[family], own, bootstrap);
+        }
+        let mut estimates = estimates.into_iter();
+        let success = subsets.iter().copied().zip(estimates.by_ref()).collect();
+        let not_empty = subsets.iter().copied().filter(|set| !set.is_empty());
+        let moebius = not_empty.zip(estimates.by_ref()).collect();
+        let sizes = (1..=full.len()).zip(estimates.by_ref()).collect();
+        let shapley = full.axes().zip(estimates.by_ref()).collect();
+        let pairs = subsets.iter().copied().filter(|set| set.len() == 2);
+        let pairs = pairs.zip(estimates.by_ref()).collect();
+        Some(Self {
+            full,
+            n: total.n as u64,
+            tasks: clusters.len() as u64,
+            success,
+            moebius,
+            sizes,
+            shapley,
+            pairs,
+        })
+    }
+}
+
+/// Deviation of each task's contribution from its expectation, a row per estimate: with N
+/// the task's numerator and m its denominator, N − θ·m over the mean m. Rows sum to 0.
+fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -> Vec<Vec<f64>> {
+    let tasks = clusters.len() as f64;
+    let mean = clusters.iter().map(|task| task.n).sum::<i64>() as f64 / tasks;
+    let mut rows = vec![Vec::with_capacity(clusters.len()); estimates.len()];
+    for task in clusters {
+        let numerators = Numerators::of(subsets, &task.successes);
+        let values = rows.iter_mut().zip(estimates).zip(numerators.all());
+        for ((row, estimate), (numerator, scale)) in values {
+            let own = numerator as f64 / scale as f64;
+            row.push((own - estimate.value * task.n as f64) / mean);
+        }
+    }
+    rows
+}
+
+/// Gives estimates intervals that hold together.
+fn hold_together(estimates: &mut [Estimate], deviations: &[Vec<f64>], bootstrap: &Bootstrap) {
+    let Some(critical) = max_t(deviations, bootstrap) else {
+        return;
+    };
+    for (estimate, row) in estimates.iter_mut().zip(deviations) {
+        let tasks = row.len() as f64;
+        let squares: f64 = row.iter().map(|it| it * it).sum();
+        let half = critical * (squares / (tasks * (tasks - 1.0))).sqrt();
+        let interval = [estimate.value - half, estimate.value + half];
+        estimate.simultaneous_ci95 = estimate.ci95.map(|_| interval);
+    }
+}
+
+/// Counts of some configurations, additive over tasks.
+struct Tally {
+    n: i64,
+    /// Successes by subset, in order.
+    successes: Vec<i64>,
+}
+
+impl Tally {
+    fn new(full: AxisSet) -> Self {
+        Self {
+            n: 0,
+            successes: vec![0; 1 << full.len()],
+        }
+    }
+
+    /// The tally of each task, in the tasks' order.
+    fn of_tasks(configurations: &[CompleteLattice], full: AxisSet) -> Vec<Self> {
+        let mut clusters: BTreeMap<TaskRef, Self> = BTreeMap::new();
+        for lattice in configurations {
+            assert_eq!(lattice.full, full, "all configurations have the same axes");
+            let tally = clusters
+                .entry(lattice.task)
+                .or_insert_with(|| Self::new(full));
+            tally.n += 1;
+            for (count, &success) in tally.successes.iter_mut().zip(&lattice.successes) {
+                *count += i64::from(success);
+            }
+        }
+        clusters.into_values().collect()
+    }
+
+    /// Tasks as often as they were drawn.
+    fn drawn(clusters: &[Self], draws: &[u32]) -> Self {
+        let mut drawn = Self {
+            n: 0,
+            successes: vec![0; clusters.first().map_or(0, |first| first.successes.len())],
+        };
+        for (tally, &times) in clusters.iter().zip(draws) {
+            drawn.n += i64::from(times) * tally.n;
+            for (count, more) in drawn.successes.iter_mut().zip(&tally.successes) {
+                *count += i64::from(times) * more;
+            }
+        }
+        drawn
+    }
+}
+
+/// The numerators of all values.
+struct Numerators {
+    success: Vec<i64>,
+    moebius: Vec<i64>,
+    sizes: Vec<i64>,
+    /// Shapley values in 60ths.
+    shapley: Vec<i64>,
+    /// Pair interactions in 60ths.
+    pairs: Vec<i64>,
+}
+
+impl Numerators {
+    /// Computes the interactions from the counts of successes by subset, the subsets being
+    /// in order.
+    fn of(subsets: &[AxisSet], successes: &[i64]) -> Self {
+        let sets = || subsets.iter().copied().zip(successes);
+        let coefficient = |set: AxisSet| -> i64 {
+            let below = sets().filter(|(below, _)| below.is_subset(set));
+            let signed = below.map(|(below, count)| match (set.len() - below.len()) % 2 {
+                0 => *count,
+                _ => -count,
+            });
+            signed.sum()
+        };
+        let moebius: Vec<(AxisSet, i64)> = subsets
+            .iter()
+            .filter(|set| !set.is_empty())
+            .map(|&set| (set, coefficient(set)))
+            .collect();
+        // Σ_{B⊇A} m(B) / (|B| − |A| + 1): Shapley value and interaction index.
+        let index = |set: AxisSet| -> i64 {
+            let above = moebius.iter().filter(|(above, _)| set.is_subset(*above));
+            let shares = above.map(|(above, coefficient)| {
+                coefficient * (SIXTIETHS / (above.len() - set.len() + 1) as i64)
+            });
+            shares.sum()
+        };
+        let of_size = |axes: usize| subsets.iter().filter(move |set| set.len() == axes);
+        let most = subsets.last().map_or(0, |full| full.len());
+        let sum = |axes: usize| -> i64 {
+            let of_size = moebius.iter().filter(|(set, _)| set.len() == axes);
+            of_size.map(|(_, coefficient)| coefficient).sum()
+        };
+        Self {
+            success: successes.to_vec(),
+            sizes: (1..=most).map(sum).collect(),
+            shapley: of_size(1).map(|&set| index(set)).collect(),
+            pairs: of_size(2).map(|&set| index(set)).collect(),
+            moebius: moebius
+                .into_iter()
+                .map(|(_, coefficient)| coefficient)
+                .collect(),
+        }
+    }
+
+    /// Index ranges in [`Self::all`] of the families whose intervals hold together: Möbius
+    /// interactions, Shapley values, pairs.
+    fn families(&self) -> [Range<usize>; 3] {
+        let moebius = self.success.len()..self.success.len() + self.moebius.len();
+        let shapley = moebius.end + self.sizes.len();
+        let pairs = shapley + self.shapley.len();
+        [moebius, shapley..pairs, pairs..pairs + self.pairs.len()]
+    }
+
+    /// All estimates in order, each with its denominator if there is one configuration.
+    fn all(&self) -> impl Iterator<Item = (i64, i64)> {
+        let rates = self.success.iter().chain(&self.moebius).chain(&self.sizes);
+        let sixtieths = self.shapley.iter().chain(&self.pairs);
+        rates
+            .map(|&numerator| (numerator, 1))
+            .chain(sixtieths.map(|&numerator| (numerator, SIXTIETHS)))
+    }
+}

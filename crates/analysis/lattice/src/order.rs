@@ -1,0 +1,28 @@
+//! The order of sets by inclusion.
+
+use libero_ctrl::AxisSet;
+
+/// The sets without a proper subset among the others.
+pub(crate) fn minimal(sets: &[AxisSet]) -> Vec<AxisSet> {
+    let has_smaller = |set: &AxisSet| sets.iter().any(|other| other.is_proper_subset(*set));
+    sets.iter()
+        .copied()
+        .filter(|set| !has_smaller(set))
+        .collect()
+}
+
+/// The sets without a proper superset among the others.
+pub(crate) fn maximal(sets: &[AxisSet]) -> Vec<AxisSet> {
+    let has_larger = |set: &AxisSet| sets.iter().any(|other| set.is_proper_subset(*other));
+    sets.iter()
+        .copied()
+        .filter(|set| !has_larger(set))
+        .collect()
+}
+
+/// The sets that contain `low` and are contained in `high`, without these two,
+/// in order.
+pub(crate) fn between(low: AxisSet, high: AxisSet) -> Vec<AxisSet> {
+    let inside = |set: &AxisSet| low.is_proper_subset(*set) && *set != high;
+    high.subsets().into_iter().filter(inside).collect()
+}

@@ -1,0 +1,282 @@
+//! Plans how a budget of rollouts is spent on many configurations.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::RolloutId;
+use libero_ctrl::seeds::rollout_seed;
+use rand_chacha::ChaCha12Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde::{Deserialize, Serialize};
+
+use crate::known::Known;
+use crate::next::{Decision, Request, Strategy, next};
+
+/// A random sample of transitions, as many as a budget explains.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sample {
+    /// Rollouts to be spent in all, beyond those of the campaign.
+    pub budget: u32,
+    /// Seed of the random order in which configurations are begun.
+    pub seed: u64,
+    /// Strategy for each configuration.
+    pub strategy: Strategy,
+    /// Replicates that the campaign itself runs under each axis alone and under
+    /// all: they are not of the budget.
+    pub replicates: u32,
+}
+
+/// Decides what to run next for all configurations, each named by its
+/// simultaneous rollout.
+///
+/// Configurations are begun in a random order that depends on the seed and on
+/// their names alone. One is begun only if the budget suffices for its whole
+/// lattice beside what those under way may still need, so that what is begun can
+/// be finished. Towards the end, when nothing else is under way, the rest of the
+/// budget goes to one after the other, and the last may remain unfinished.
+///
+/// Spending is counted from the known rollouts, so no state is kept: pass every
+/// configuration of the sample each time, including those that are explained.
+pub fn plan<'a>(
+    configurations: &'a BTreeMap<RolloutId, Known>,
+    sample: &Sample,
+) -> Vec<(&'a RolloutId, Vec<Request>)> {
+    let mut candidates: Vec<Candidate<'a>> = configurations
+        .iter()
+        .map(|(name, known)| Candidate::of(name, known, sample))
+        .collect();
+    // Configurations under way come first: one is begun only if it can be finished.
+    candidates.sort_by_key(|candidate| (candidate.spent == 0, candidate.rank, candidate.name));
+    let spent: u32 = candidates.iter().map(|candidate| candidate.spent).sum();
+    let mut left = sample.budget.saturating_sub(spent);
+    let mut alone = true;
+    let mut batches = Vec::new();
+    for candidate in candidates {
+        let is_under_way = candidate.spent > 0;
+        let batch = match next(candidate.known, sample.strategy) {
+            Decision::Run(batch) => batch,
+            Decision::Wait if is_under_way => Vec::new(),
+            Decision::Wait | Decision::Done => continue,
+        };
+        let reserve = candidate.known.most_further_rollouts();
+        if reserve > left && !alone {
+            break;
+        }
+        let batch = within(left, batch);
+        if !batch.is_empty() {
+            batches.push((candidate.name, batch));
+        }
+        left = left.saturating_sub(reserve);
+        alone = false;
+    }
+    batches
+}
+
+struct Candidate<'a> {
+    name: &'a RolloutId,
+    known: &'a Known,
+    /// Position in the random order.
+    rank: u64,
+    /// Rollouts beyond those of the campaign.
+    spent: u32,
+}
+
+impl<'a> Candidate<'a> {
+    fn of(name: &'a RolloutId, known: &'a Known, sample: &Sample) -> Self {
+        let mut rng = ChaCha12Rng::seed_from_u64(sample.seed);
+        rng.set_stream(u64::from(rollout_seed(name)));
+        Self {
+            name,
+            known,
+            rank: rng.next_u64(),
+            spent: known.rollouts_beyond(sample.replicates),
+        }
+    }
+}
+
+/// Truncates a batch to the affordable rollouts.
+fn within(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
+    let cut = |request: Request| {
+        let rollouts = request.rollouts.min(left);
+        left -= rollouts;
+        (rollouts > 0).then_some(Request {
+            rollouts,
+            ..request
+        })
+    };
+    batch.into_iter().map_while(cut).collect()
+}
+
+impl Known {
+    /// Rollouts beyond a campaign with so many replicates. The nominal rollout is
+    /// always the campaign's.
+    fn rollouts_beyond(&self, replicates: u32) -> u32 {
+        let sets = self.tallies().filter(|(set, _)| !set.is_empty());
+        let beyond = sets.map(|(set, tally)| match self.is_of_campaign(set) {
+            true => tally.asked().saturating_sub(replicates),
+            false => tally.asked(),
+        });
+        beyond.sum()
+    }
+
+    /// Most rollouts that may still be asked for.
+    fn most_further_rollouts(&self) -> u32 {
+        let sets = self
+            .full()
+            .subsets()
+            .into_iter()
+            .filter(|set| !set.is_empty());
+        sets.map(|set| self.evidence().remaining(&self.tally(set)))
+            .sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evidence::Evidence;
+    use libero_ctrl::{AxisSet, Condition, Level, TaskRef};
+    use paired::Outcome;
+
+    /// Configurations in which the pair of the first two axes fails, and none else
+    /// does before all act together.
+    fn transitions(count: usize) -> BTreeMap<RolloutId, Known> {
+        let named = |task| RolloutId::perturbed(task, Condition::Combination, Level::L2, 3);
+        let names = TaskRef::all().map(|task| named(task).expect("a perturbed level"));
+        let begun = |name| {
+            let mut known = Known::new(AxisSet::ALL, Evidence::Once).expect("six axes");
+            let campaign = known.singles().chain([AxisSet::EMPTY, AxisSet::ALL]);
+            for set in campaign.collect::<Vec<_>>() {
+                let result = known.record(set, outcome(set));
+                result.expect("a subset");
+            }
+            (name, known)
+        };
+        names.take(count).map(begun).collect()
+    }
+
+    fn outcome(set: AxisSet) -> Outcome {
+        let pair: AxisSet = "camera+lighting".parse().expect("a set");
+        Outcome::from(!pair.is_subset(set))
+    }
+
+    fn sample(budget: u32, seed: u64) -> Sample {
+        Sample {
+            budget,
+            seed,
+            strategy: Strategy::Adaptive,
+            replicates: 1,
+        }
+    }
+
+    /// Runs what is planned until nothing is, and returns how many were under way at
+    /// most.
+    fn spend(all: &mut BTreeMap<RolloutId, Known>, sample: &Sample) -> usize {
+        let mut widest = 0;
+        loop {
+            let batches: Vec<_> = plan(all, sample)
+                .into_iter()
+                .map(|(name, batch)| (*name, batch))
+                .collect();
+            if batches.is_empty() {
+                return widest;
+            }
+            widest = widest.max(batches.len());
+            for (name, batch) in batches {
+                let known = all.get_mut(&name).expect("it was passed");
+                for Request { set, rollouts } in batch {
+                    for _ in 0..rollouts {
+                        known.record(set, outcome(set)).expect("a subset");
+                    }
+                }
+            }
+        }
+    }
+
+    fn finished(all: &BTreeMap<RolloutId, Known>) -> Vec<RolloutId> {
+        let done = |known: &Known| next(known, Strategy::Adaptive) == Decision::Done;
+        let done = all.iter().filter(|(_, known)| done(known));
+        done.map(|(name, _)| *name).collect()
+    }
+
+    #[test]
+    fn what_is_begun_is_finished_and_the_budget_is_kept() {
+        // One explanation takes 17 rollouts.
+        for budget in [0, 1, 16, 17, 40, 100, 300, 1000] {
+            let mut all = transitions(30);
+            let widest = spend(&mut all, &sample(budget, 7));
+            let spent: u32 = all.values().map(Known::further_rollouts).sum();
+            assert_eq!(spent, budget.min(30 * 17));
+            let expected = (budget / 17).min(30) as usize;
+            assert_eq!(finished(&all).len(), expected, "budget {budget}");
+            assert!(budget < 300 || widest >= 5, "they run side by side");
+        }
+    }
+
+    #[test]
+    fn a_larger_budget_and_further_configurations_keep_what_was_begun() {
+        let mut small = transitions(30);
+        spend(&mut small, &sample(170, 7));
+        let mut large = transitions(30);
+        spend(&mut large, &sample(340, 7));
+        let (small_done, large_done) = (finished(&small), finished(&large));
+        assert!(small_done.iter().all(|name| large_done.contains(name)));
+        for (name, known) in transitions(40) {
+            small.entry(name).or_insert(known);
+        }
+        spend(&mut small, &sample(340, 7));
+        let extended = finished(&small);
+        assert_eq!(extended.len(), 20);
+        assert!(small_done.iter().all(|name| extended.contains(name)));
+    }
+
+    #[test]
+    fn what_is_under_way_is_finished_before_later_transitions_are_begun() {
+        for seed in 0..10 {
+            let sample = sample(60, seed);
+            let mut all = transitions(1);
+            let (name, batch) = plan(&all, &sample).remove(0);
+            let name = *name;
+            for Request { set, .. } in batch {
+                let known = all.get_mut(&name).expect("it was passed");
+                known.record(set, outcome(set)).expect("a subset");
+            }
+            for (later, known) in transitions(30) {
+                all.entry(later).or_insert(known);
+            }
+            let planned = plan(&all, &sample);
+            assert_eq!(planned.len(), 1, "45 rollouts are left, and 41 reserved");
+            assert_eq!(planned[0].0, &name, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn another_seed_picks_other_configurations() {
+        let picked = |seed| {
+            let mut all = transitions(30);
+            spend(&mut all, &sample(170, seed));
+            finished(&all)
+        };
+        assert_eq!(picked(1), picked(1));
+        assert_ne!(picked(1), picked(2));
+    }
+
+    #[test]
+    fn while_a_batch_is_pending_nothing_is_asked_in_its_stead() {
+        let mut all = transitions(30);
+        let sample = sample(120, 7);
+        let first: Vec<_> = plan(&all, &sample)
+            .into_iter()
+            .map(|(name, batch)| (*name, batch))
+            .collect();
+        for (name, batch) in &first {
+            for request in batch {
+                let known = all.get_mut(name).expect("it was passed");
+                known
+                    .record(request.set, Outcome::Missing)
+                    .expect("a subset");
+            }
+        }
+        assert_eq!(first.len(), 2, "of 120 rollouts, 56 are reserved for each");
+        assert_eq!(plan(&all, &sample), []);
+    }
+}

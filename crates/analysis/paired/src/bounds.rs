@@ -1,0 +1,176 @@
+//! Worst and best case of a cell with quarantined rollouts: the range of each
+//! measure over every outcome that those rollouts could have had.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::Axis;
+use serde::{Deserialize, Serialize};
+
+use crate::outcomes::{Matched, Outcome};
+
+/// Lowest and highest value of each measure over every outcome that the
+/// quarantined rollouts could have had.
+///
+/// Each range but `d`'s is sharp: some outcomes reach its ends. A
+/// quarantined rollout says nothing about the policy, so it stays out of the
+/// measures themselves; the range shows how much it could have mattered.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Bounds {
+    /// Configurations: those without a rollout that is still missing.
+    pub n: u64,
+    /// Configurations among them with a quarantined rollout.
+    pub affected: u64,
+    /// Success rate under each axis alone.
+    pub s_axis: BTreeMap<Axis, [f64; 2]>,
+    /// Π `s_axis`.
+    pub s_indep: [f64; 2],
+    /// Share that succeeds under every axis alone.
+    pub s_conj: [f64; 2],
+    /// Success rate under simultaneous perturbation.
+    pub s_sim: [f64; 2],
+    /// `s_conj` − `s_indep`: from lowest less highest to highest less lowest,
+    /// which contains the sharp range.
+    pub d: [f64; 2],
+    /// `s_sim` − `s_conj`.
+    pub i: [f64; 2],
+    /// Emergent failures / `n`.
+    pub r_e: [f64; 2],
+    /// Compensated successes / `n`.
+    pub r_c: [f64; 2],
+    /// Changed outcomes / `n`.
+    pub r_d: [f64; 2],
+}
+
+/// Certainty and possibility of a statement.
+#[derive(Clone, Copy)]
+struct Possible {
+    surely: bool,
+    maybe: bool,
+}
+
+impl Possible {
+    /// Returns none for a rollout that is still missing.
+    fn of(outcome: Outcome) -> Option<Self> {
+        match outcome {
+            Outcome::Missing => None,
+            Outcome::Quarantined => Some(Self {
+                surely: false,
+                maybe: true,
+            }),
+            Outcome::Success | Outcome::Failure => {
+                let surely = outcome == Outcome::Success;
+                Some(Self {
+                    surely,
+                    maybe: surely,
+                })
+            }
+        }
+    }
+
+    fn and(self, other: Self) -> Self {
+        Self {
+            surely: self.surely && other.surely,
+            maybe: self.maybe && other.maybe,
+        }
+    }
+
+    fn not(self) -> Self {
+        Self {
+            surely: !self.maybe,
+            maybe: !self.surely,
+        }
+    }
+
+    fn count(self, [low, high]: &mut [u64; 2]) {
+        *low += u64::from(self.surely);
+        *high += u64::from(self.maybe);
+    }
+}
+
+#[derive(Default)]
+struct Ranges {
+    s_axis: BTreeMap<Axis, [u64; 2]>,
+    s_conj: [u64; 2],
+    s_sim: [u64; 2],
+    b: [u64; 2],
+    c: [u64; 2],
+    changed: [u64; 2],
+    /// Simultaneous successes less conjunctions.
+    i: [i64; 2],
+}
+
+impl Bounds {
+    /// Over configurations of one level and replicate. None where no rollout of
+    /// a configuration is quarantined.
+    pub fn of(configurations: &[Matched]) -> Option<Self> {
+        let (mut n, mut affected) = (0, 0);
+        let mut ranges = Ranges::default();
+        for matched in configurations {
+            let outcomes = matched.alone.values().chain([&matched.simultaneous]);
+            let quarantined = outcomes
+                .copied()
+                .any(|outcome| outcome == Outcome::Quarantined);
+            if ranges.add(matched).is_some() {
+                n += 1;
+                affected += u64::from(quarantined);
+            }
+        }
+        (affected > 0).then(|| ranges.bounds(n, affected))
+    }
+}
+
+impl Ranges {
+    fn add(&mut self, matched: &Matched) -> Option<()> {
+        let simultaneous = Possible::of(matched.simultaneous)?;
+        let mut alone = BTreeMap::new();
+        for (&axis, &outcome) in &matched.alone {
+            alone.insert(axis, Possible::of(outcome)?);
+        }
+        let mut conjunction = Possible {
+            surely: true,
+            maybe: true,
+        };
+        for (axis, possible) in alone {
+            possible.count(self.s_axis.entry(axis).or_default());
+            conjunction = conjunction.and(possible);
+        }
+        conjunction.count(&mut self.s_conj);
+        simultaneous.count(&mut self.s_sim);
+        let (emergent, compensated) = (
+            conjunction.and(simultaneous.not()),
+            conjunction.not().and(simultaneous),
+        );
+        emergent.count(&mut self.b);
+        compensated.count(&mut self.c);
+        self.changed[0] += u64::from(emergent.surely || compensated.surely);
+        self.changed[1] += u64::from(emergent.maybe || compensated.maybe);
+        self.i[0] += i64::from(simultaneous.surely) - i64::from(conjunction.maybe);
+        self.i[1] += i64::from(simultaneous.maybe) - i64::from(conjunction.surely);
+        Some(())
+    }
+
+    fn bounds(&self, n: u64, affected: u64) -> Bounds {
+        let rates = |counts: [u64; 2]| counts.map(|count| count as f64 / n as f64);
+        let s_axis: BTreeMap<Axis, [f64; 2]> = self
+            .s_axis
+            .iter()
+            .map(|(&axis, &counts)| (axis, rates(counts)))
+            .collect();
+        let product = |end: usize| s_axis.values().map(|range| range[end]).product();
+        let s_indep: [f64; 2] = [product(0), product(1)];
+        let s_conj = rates(self.s_conj);
+        Bounds {
+            n,
+            affected,
+            s_indep,
+            s_conj,
+            s_sim: rates(self.s_sim),
+            d: [s_conj[0] - s_indep[1], s_conj[1] - s_indep[0]],
+            i: self.i.map(|sum| sum as f64 / n as f64),
+            r_e: rates(self.b),
+            r_c: rates(self.c),
+            r_d: rates(self.changed),
+            s_axis,
+        }
+    }
+}

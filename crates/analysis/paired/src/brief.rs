@@ -1,0 +1,100 @@
+//! A report in a few lines: what a reader takes away from it, and success by condition.
+//! All measures, their intervals and their symbols are in [`table`](crate::table).
+
+use libero_ctrl::Condition;
+
+use crate::count::Count;
+use crate::finding::{Finding, FindingKind};
+use crate::report::{Cell, Report};
+use crate::table::gate_lines;
+use crate::text::{NOTHING, listed, percent, push_columns, push_wrapped, separate};
+
+/// The report for readers who do not know the protocol's symbols: notes, three sentences,
+/// success by condition in percent, and what else is to be said. Of replicate 0; the
+/// sentences about a level are of the last one.
+pub fn brief(report: &Report) -> String {
+    let mut text = String::new();
+    for note in &report.notes {
+        push_wrapped(&mut text, "! ", note);
+    }
+    separate(&mut text);
+    let last = cells(report).last().map(|cell| cell.level);
+    let said = report.findings.iter();
+    let said = said.filter(|finding| finding.level.is_none() || finding.level == last);
+    let (further, first): (Vec<&Finding>, Vec<&Finding>) =
+        said.partition(|finding| finding.kind == FindingKind::Directions);
+    for finding in first {
+        push_wrapped(&mut text, "", &finding.sentence);
+    }
+    push_success(&mut text, report);
+    separate(&mut text);
+    text.push_str(&gate_lines(report));
+    for finding in further {
+        push_wrapped(&mut text, "", &finding.sentence);
+    }
+    if let Some(sentence) = unfinished(report) {
+        push_wrapped(&mut text, "", &sentence);
+    }
+    text
+}
+
+fn cells(report: &Report) -> impl Iterator<Item = &Cell> {
+    report.cells.iter().filter(|cell| cell.replicate == 0)
+}
+
+fn nominal(report: &Report) -> Option<Count> {
+    let mut nominal = report.nominal.iter();
+    nominal.find(|it| it.replicate == 0).map(|it| it.count)
+}
+
+/// A row per level, a column per condition.
+fn push_success(text: &mut String, report: &Report) {
+    if report.axes.is_empty() {
+        return;
+    }
+    let has_simultaneous = cells(report).any(|cell| cell.simultaneous.is_some());
+    let singles = report.axes.iter().copied().map(Condition::Single);
+    let columns: Vec<Condition> = [Condition::Clean]
+        .into_iter()
+        .chain(singles)
+        .chain(has_simultaneous.then_some(Condition::Combination))
+        .collect();
+    let head = columns.iter().map(|it| it.label().to_owned()).collect();
+    let mut rows = vec![(String::new(), head)];
+    for cell in cells(report) {
+        let success = |condition: &Condition| {
+            let count = match condition {
+                Condition::Clean => nominal(report),
+                Condition::Single(axis) => cell.alone.get(axis).map(|alone| alone.count),
+                _ => cell.simultaneous,
+            };
+            match count.and_then(|count| count.rate()) {
+                None => NOTHING.to_owned(),
+                rate => percent(rate),
+            }
+        };
+        rows.push((
+            cell.level.to_string(),
+            columns.iter().map(success).collect(),
+        ));
+    }
+    separate(text);
+    text.push_str("success, %\n");
+    push_columns(text, &rows);
+}
+
+fn unfinished(report: &Report) -> Option<String> {
+    let mut gaps: Vec<_> = report
+        .nominal
+        .iter()
+        .filter(|it| it.replicate == 0)
+        .map(|it| it.gap)
+        .collect();
+    gaps.extend(cells(report).flat_map(|cell| cell.completeness.gaps.values().copied()));
+    let missing: u64 = gaps.iter().map(|gap| gap.missing).sum();
+    let quarantined: u64 = gaps.iter().map(|gap| gap.quarantined).sum();
+    let missing = (missing > 0).then(|| format!("{missing} have no outcome yet"));
+    let quarantined = (quarantined > 0).then(|| format!("{quarantined} are in quarantine"));
+    let parts: Vec<String> = missing.into_iter().chain(quarantined).collect();
+    (!parts.is_empty()).then(|| format!("Of the rollouts, {}.", listed(&parts)))
+}

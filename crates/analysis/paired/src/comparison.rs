@@ -1,0 +1,233 @@
+//! Two policies, A and B, compared rollout by rollout: which rollouts can be
+//! paired, and how the policies differ under every condition at every level.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::{Axis, Condition, Level, RolloutId};
+use serde::{Deserialize, Serialize};
+
+use crate::bootstrap::Bootstrap;
+use crate::difference::{Difference, DifferenceBounds, Pair};
+use crate::outcomes::{Outcome, Record};
+
+/// Reason why a rollout of both policies is not compared: under one name they
+/// were given different things to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Obstacle {
+    /// It starts from another of the task's initial states.
+    InitialState,
+    /// The scene, or the initial state itself, has another digest.
+    Scene,
+    /// Perturbation, instruction or step budget differ.
+    Perturbation,
+    /// *Simultaneous* perturbs other axes.
+    Axes,
+}
+
+impl Obstacle {
+    /// Returns the difference in words.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::InitialState => "another initial state",
+            Self::Scene => "another scene",
+            Self::Perturbation => "another perturbation, instruction or step budget",
+            Self::Axes => "simultaneous perturbation of other axes",
+        }
+    }
+}
+
+/// Result of comparing two policies.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Comparison {
+    /// Cells by replicate, level (nominal first) and condition.
+    pub cells: Vec<ComparedCell>,
+    /// Rollouts that only A has.
+    pub only_in_a: u64,
+    /// Rollouts that only B has.
+    pub only_in_b: u64,
+    /// Rollouts that both have and that cannot be paired, by the reason.
+    pub unpaired: BTreeMap<Obstacle, Vec<RolloutId>>,
+}
+
+/// One condition at one level of one replicate.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ComparedCell {
+    /// The replicate.
+    pub replicate: u32,
+    /// The level; L0 for nominal rollouts.
+    pub level: Level,
+    /// The condition.
+    pub condition: Condition,
+    /// Rollouts that can be paired.
+    pub shared: u64,
+    /// Rollouts without a result yet of A or of B: in no figure.
+    pub missing: u64,
+    /// Rollouts that are missing of neither and in quarantine of A or of B: in
+    /// no rate, and bounded.
+    pub quarantined: u64,
+    /// Over the others; absent where there is none.
+    pub difference: Option<Difference>,
+    /// Worst and best case; absent where no rollout is quarantined.
+    pub bounds: Option<DifferenceBounds>,
+}
+
+/// Unpaired rollouts that are named for each reason; the others are counted.
+const MAX_NAMED: usize = 3;
+
+type Key = (u32, RolloutId);
+
+impl Comparison {
+    /// Compares the records of A and B. `obstacle` is asked about every rollout
+    /// that both have, for what records do not say; that the initial states and
+    /// the axes of *simultaneous* agree is seen to here.
+    ///
+    /// A replicate is paired with the other's of the same number. Of a rollout
+    /// that is recorded twice, one record is taken: [`Records`](crate::Records)
+    /// refuses it.
+    pub fn of(
+        a: &[Record],
+        b: &[Record],
+        bootstrap: &Bootstrap,
+        obstacle: impl Fn(&Record) -> Option<Obstacle>,
+    ) -> Self {
+        let [of_a, of_b] = [a, b].map(|records| {
+            let by_key = records.iter().map(|it| ((it.replicate, it.id), it));
+            by_key.collect::<BTreeMap<Key, &Record>>()
+        });
+        let axes = [a, b].map(axes);
+        let mut comparison = Self::default();
+        let mut cells: BTreeMap<(u32, Level, Condition), Vec<Pair>> = BTreeMap::new();
+        for (key, record) in &of_a {
+            let Some(other) = of_b.get(key) else {
+                comparison.only_in_a += 1;
+                continue;
+            };
+            let id = record.id;
+            let found = if id.condition() == Condition::Combination
+                && axes[0].get(&id.level()) != axes[1].get(&id.level())
+            {
+                Some(Obstacle::Axes)
+            } else if record.init_id != other.init_id {
+                Some(Obstacle::InitialState)
+            } else {
+                obstacle(record)
+            };
+            if let Some(obstacle) = found {
+                comparison.unpaired.entry(obstacle).or_default().push(id);
+                continue;
+            }
+            let cell = (record.replicate, id.level(), id.condition());
+            cells.entry(cell).or_default().push(Pair {
+                task: id.task(),
+                number: id.config().unwrap_or(record.init_id),
+                a: record.outcome,
+                b: other.outcome,
+            });
+        }
+        let is_only_in_b = |key: &&Key| !of_a.contains_key(key);
+        comparison.only_in_b = of_b.keys().filter(is_only_in_b).count() as u64;
+        let (keys, sets): (Vec<_>, Vec<_>) = cells.into_iter().unzip();
+        let differences = Difference::of_each(&sets, bootstrap);
+        let cells = keys.into_iter().zip(&sets).zip(differences);
+        comparison.cells = cells
+            .map(|(((replicate, level, condition), pairs), difference)| {
+                let missing = pairs
+                    .iter()
+                    .filter(|pair| is_either(pair, Outcome::Missing));
+                let missing = missing.count() as u64;
+                let n = difference.as_ref().map_or(0, |difference| difference.n);
+                let shared = pairs.len() as u64;
+                ComparedCell {
+                    replicate,
+                    level,
+                    condition,
+                    shared,
+                    missing,
+                    quarantined: shared - missing - n,
+                    difference,
+                    bounds: DifferenceBounds::of(pairs),
+                }
+            })
+            .collect();
+        comparison
+    }
+
+    /// Rollouts with an outcome of both, in all replicates.
+    pub fn compared(&self) -> u64 {
+        let cells = self
+            .cells
+            .iter()
+            .filter_map(|cell| cell.difference.as_ref());
+        cells.map(|difference| difference.n).sum()
+    }
+
+    /// Returns the rollouts that are in no figure and the reason, one line
+    /// each.
+    pub fn left_out(&self) -> Vec<String> {
+        let reasons = self.unpaired.iter();
+        let mut lines: Vec<String> = reasons
+            .map(|(obstacle, ids)| {
+                let named = ids[..ids.len().min(MAX_NAMED)].iter();
+                let named: Vec<String> = named.map(ToString::to_string).collect();
+                let more = match ids.len().saturating_sub(MAX_NAMED) {
+                    0 => String::new(),
+                    more => format!(" and {more} more"),
+                };
+                let rollouts = counted(ids.len() as u64);
+                let named = named.join(", ");
+                format!(
+                    "{rollouts} of both cannot be paired ({}): {named}{more}",
+                    obstacle.name()
+                )
+            })
+            .collect();
+        match (self.only_in_a, self.only_in_b) {
+            (0, 0) => {}
+            (a, b) => lines.push(format!(
+                "left out: {} that only A has, {} that only B has",
+                counted(a),
+                counted(b)
+            )),
+        }
+        lines
+    }
+
+    /// Rollouts that can be paired, with outcomes or without.
+    pub fn shared(&self) -> u64 {
+        self.cells.iter().map(|cell| cell.shared).sum()
+    }
+}
+
+impl ComparedCell {
+    /// `nominal`, or `L2 camera`; without the replicate.
+    pub fn name(&self) -> String {
+        match self.condition {
+            Condition::Clean => self.condition.label().to_owned(),
+            condition => format!("{} {}", self.level, condition.label()),
+        }
+    }
+}
+
+fn counted(rollouts: u64) -> String {
+    match rollouts {
+        1 => "1 rollout".to_owned(),
+        many => format!("{many} rollouts"),
+    }
+}
+
+fn is_either(pair: &Pair, outcome: Outcome) -> bool {
+    pair.a == outcome || pair.b == outcome
+}
+
+/// The axes that are perturbed alone at every level: those that *simultaneous*
+/// perturbs there.
+fn axes(records: &[Record]) -> BTreeMap<Level, BTreeSet<Axis>> {
+    let mut axes: BTreeMap<Level, BTreeSet<Axis>> = BTreeMap::new();
+    for record in records {
+        if let Condition::Single(axis) = record.id.condition() {
+            axes.entry(record.id.level()).or_default().insert(axis);
+        }
+    }
+    axes
+}

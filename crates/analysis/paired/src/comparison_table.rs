@@ -1,0 +1,199 @@
+//! A comparison of two policies as text for a terminal of 80 columns.
+
+use libero_ctrl::Condition;
+
+use crate::bootstrap::Bootstrap;
+use crate::comparison::{ComparedCell, Comparison};
+use crate::difference::Difference;
+use crate::legend::of_intervals;
+use crate::text::{NOTHING, p_value, push_columns, push_legend, push_wrapped, separate};
+
+/// The comparison as a table with its legend; what is left out of it is in
+/// [`Comparison::left_out`]. Rates and differences are in percent and percentage
+/// points.
+pub fn comparison_table(comparison: &Comparison, bootstrap: &Bootstrap) -> String {
+    let mut text = String::new();
+    push_columns(&mut text, &rows(comparison));
+    let cells = comparison.cells.iter();
+    let gaps: Vec<String> = cells.clone().filter_map(gap).collect();
+    if !gaps.is_empty() {
+        separate(&mut text);
+        push_wrapped(&mut text, "incomplete: ", &gaps.join("; "));
+    }
+    let bounds: Vec<String> = cells.filter_map(bounds).collect();
+    if !bounds.is_empty() {
+        separate(&mut text);
+        push_wrapped(&mut text, "worst and best A - B: ", &bounds.join("; "));
+    }
+    push_further(&mut text, comparison);
+    separate(&mut text);
+    push_legend(&mut text, &legend(comparison, bootstrap));
+    text
+}
+
+fn heads() -> (String, Vec<String>) {
+    let heads = [
+        "n", "A %", "B %", "A - B", "95 %", "A only", "B only", "Holm p",
+    ];
+    (String::new(), heads.map(str::to_owned).to_vec())
+}
+
+/// A row per cell, below its replicate, where there are several, and its level.
+fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
+    let has_replicates = comparison.cells.iter().any(|cell| cell.replicate > 0);
+    let mut rows = vec![heads()];
+    let mut above: Option<&ComparedCell> = None;
+    for cell in &comparison.cells {
+        let is_new = above.is_none_or(|above| above.replicate != cell.replicate);
+        if is_new && has_replicates {
+            rows.push((format!("replicate {}", cell.replicate), Vec::new()));
+        }
+        let label = cell.condition.label();
+        let label = match cell.condition {
+            Condition::Clean => label.to_owned(),
+            _ => {
+                if is_new || above.is_some_and(|above| above.level != cell.level) {
+                    rows.push((cell.level.to_string(), Vec::new()));
+                }
+                format!(" {label}")
+            }
+        };
+        let values = cell.difference.as_ref().map_or_else(nothing, values);
+        rows.push((label, values));
+        above = Some(cell);
+    }
+    rows
+}
+
+/// Intervals for further targets, equivalence, and how many tasks differ.
+fn push_further(text: &mut String, comparison: &Comparison) {
+    let heads = ["directions", "all rows", "5 pts p", "tasks A:B"];
+    let mut rows = vec![(String::new(), heads.map(str::to_owned).to_vec())];
+    let first = comparison.cells.iter().filter(|cell| cell.replicate == 0);
+    for (cell, it) in first.filter_map(|cell| Some((cell, cell.difference.as_ref()?))) {
+        let interval = |ends: Option<[f64; 2]>| {
+            let ends = ends.map(|ends| ends.map(|end| format!("{:+.1}", 100.0 * end)));
+            ends.map_or_else(
+                || NOTHING.to_owned(),
+                |[low, high]| format!("[{low}, {high}]"),
+            )
+        };
+        let values = vec![
+            interval(it.estimate.new_tasks_and_directions),
+            interval(it.simultaneous_ci95),
+            it.equivalence_p.map_or_else(|| NOTHING.to_owned(), p_value),
+            format!("{}:{}", it.profile.a_better, it.profile.b_better),
+        ];
+        rows.push((cell.name(), values));
+    }
+    if rows.len() > 1 {
+        separate(text);
+        text.push_str("A - B for further targets\n");
+        push_columns(text, &rows);
+    }
+}
+
+/// Columns of a difference over no rollout.
+fn nothing() -> Vec<String> {
+    let mut values = vec![NOTHING.to_owned(); heads().1.len()];
+    "0".clone_into(&mut values[0]);
+    values
+}
+
+/// `nominal`, `L2 camera`, and of later replicates `L2 camera (replicate 1)`.
+fn name(cell: &ComparedCell) -> String {
+    match cell.replicate {
+        0 => cell.name(),
+        k => format!("{} (replicate {k})", cell.name()),
+    }
+}
+
+fn values(it: &Difference) -> Vec<String> {
+    let point = |value: f64| format!("{:+.1}", 100.0 * value);
+    let interval = match (it.difference_ci95, it.no_interval) {
+        (Some([low, high]), _) => format!("[{}, {}]", point(low), point(high)),
+        (None, Some(why)) => why.to_string(),
+        (None, None) => NOTHING.to_owned(),
+    };
+    vec![
+        it.n.to_string(),
+        format!("{:.1}", 100.0 * it.s_a),
+        format!("{:.1}", 100.0 * it.s_b),
+        point(it.difference),
+        interval,
+        it.a_only.to_string(),
+        it.b_only.to_string(),
+        p_value(it.holm_p),
+    ]
+}
+
+fn gap(cell: &ComparedCell) -> Option<String> {
+    let gap = match (cell.missing, cell.quarantined) {
+        (0, 0) => return None,
+        (missing, 0) => format!("{missing} missing"),
+        (0, quarantined) => format!("{quarantined} quarantined"),
+        (missing, quarantined) => format!("{missing} missing, {quarantined} quarantined"),
+    };
+    Some(format!("{} {gap}", name(cell)))
+}
+
+fn bounds(cell: &ComparedCell) -> Option<String> {
+    let [low, high] = cell.bounds.as_ref()?.difference.map(|value| 100.0 * value);
+    Some(format!("{} {low:+.1} to {high:+.1}", name(cell)))
+}
+
+fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, String)> {
+    let mut entries = Vec::new();
+    let mut add = |symbol, meaning: &str| entries.push((symbol, meaning.to_owned()));
+    if comparison.cells.iter().any(|cell| cell.replicate > 0) {
+        add(
+            "replicate",
+            "each of A against the one of the same number of B",
+        );
+    }
+    add(
+        "n",
+        "rollouts with an outcome of both; every figure is over these",
+    );
+    add("A %, B %", "success rates over them");
+    add(
+        "A - B",
+        "their difference, in points: above 0, A succeeds more often",
+    );
+    add("A only, B only", "rollouts that only one of them solves");
+    add(
+        "Holm p",
+        "exact two-sided sign-flip test of A - B over tasks, corrected for the rows of the table",
+    );
+    add(
+        "directions",
+        "95 % interval about new tasks and new directions (of nominal, initial states)",
+    );
+    add(
+        "all rows",
+        "intervals about new tasks that hold together with 95 %",
+    );
+    add(
+        "5 pts p",
+        "test that A and B differ by more than 5 points: if small, they are equivalent",
+    );
+    add(
+        "tasks A:B",
+        "tasks in which A, and in which B, succeeds more often",
+    );
+    if comparison.cells.iter().any(|cell| cell.bounds.is_some()) {
+        add(
+            "worst and best",
+            "range over every outcome that quarantined rollouts could have had",
+        );
+    }
+    let differences = comparison.cells.iter();
+    let differences = differences.filter_map(|cell| cell.difference.as_ref());
+    let absent: Vec<_> = differences
+        .map(|difference| difference.no_interval)
+        .collect();
+    if !absent.is_empty() {
+        entries.extend(of_intervals(bootstrap, absent));
+    }
+    entries
+}

@@ -1,0 +1,174 @@
+//! Smallest net effect of simultaneity that a design can show.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::TaskRef;
+
+use crate::measures::Configuration;
+
+/// Normal quantile of a two-sided test at 5 %: Φ⁻¹(0.975).
+pub(crate) const Z_TEST: f64 = 1.959963984540054;
+/// Normal quantile of a power of 80 %: Φ⁻¹(0.8).
+pub(crate) const Z_POWER: f64 = 0.8416212335729143;
+/// Halvings of the interval in which the effect is sought: enough for doubles.
+const BISECTIONS: u32 = 60;
+
+/// Parameters that the smallest detectable effect depends on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PairedDesign {
+    /// Tasks.
+    pub tasks: u32,
+    /// Configurations of each task, on average.
+    pub configs_per_task: f64,
+    /// Share of configurations whose outcome changes, `r_d`: what one expects,
+    /// or what was measured.
+    pub r_d: f64,
+    /// Intraclass correlation of simultaneous − conjunction among configurations
+    /// of a task, from [`task_correlation`].
+    pub task_correlation: f64,
+}
+
+/// The smallest |I| that a two-sided test at 5 % finds with a power of 80 %.
+///
+/// Solves |I|·√n = z₀.₉₇₅·√(R_d·e) + z₀.₈·√((R_d − I²)·e) for |I|, with n
+/// configurations and the design effect e = 1 + (m − 1)·ρ of m configurations
+/// per task. None where even |I| = R_d, every change in one direction, is too
+/// small an effect.
+///
+/// Sources: R. J. Connor, Sample size for testing differences in proportions
+/// for the paired-sample design, Biometrics 43 (1987), 207–211; design effect:
+/// L. Kish, Survey Sampling (1965), section 5.4.
+pub fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
+    let PairedDesign {
+        tasks,
+        configs_per_task,
+        r_d,
+        task_correlation,
+    } = *design;
+    let n = f64::from(tasks) * configs_per_task;
+    let design_effect = 1.0 + (configs_per_task - 1.0) * task_correlation;
+    // Negative where |I| is detectable.
+    let lacking = |i: f64| {
+        let test = Z_TEST * (r_d * design_effect).sqrt();
+        let power = Z_POWER * ((r_d - i * i).max(0.0) * design_effect).sqrt();
+        test + power - i * n.sqrt()
+    };
+    if !(design_effect > 0.0 && n > 0.0) || r_d <= 0.0 || lacking(r_d) > 0.0 {
+        return None;
+    }
+    let (mut low, mut high) = (0.0, r_d);
+    for _ in 0..BISECTIONS {
+        let middle = f64::midpoint(low, high);
+        match lacking(middle) > 0.0 {
+            true => low = middle,
+            false => high = middle,
+        }
+    }
+    Some(high)
+}
+
+/// The intraclass correlation over tasks of simultaneous − conjunction, −1, 0 or 1
+/// per configuration: (B − W) / (B + (m₀ − 1)·W) with B and W the mean squares
+/// between and within tasks and m₀ the average number of configurations of a
+/// task, corrected for unequal numbers. At least 0: tasks do not repel one
+/// another. None with fewer than two tasks, or where no task has two
+/// configurations or all values are equal.
+///
+/// Source: A. Donner, A review of inference procedures for the intraclass
+/// correlation coefficient, International Statistical Review 54 (1986), 67–82,
+/// section 2.
+pub fn task_correlation(configurations: &[Configuration]) -> Option<f64> {
+    correlation(configurations, |it| {
+        f64::from(it.simultaneous) - f64::from(it.conjunction())
+    })
+}
+
+/// The same of another value of a configuration.
+pub(crate) fn correlation(
+    configurations: &[Configuration],
+    value: impl Fn(&Configuration) -> f64,
+) -> Option<f64> {
+    let mut tasks: BTreeMap<TaskRef, Vec<f64>> = BTreeMap::new();
+    for configuration in configurations {
+        let own = tasks.entry(configuration.task).or_default();
+        own.push(value(configuration));
+    }
+    let (k, n) = (tasks.len() as f64, configurations.len() as f64);
+    if k < 2.0 || n <= k {
+        return None;
+    }
+    let mean = tasks.values().flatten().sum::<f64>() / n;
+    let (mut between, mut within, mut squares) = (0.0, 0.0, 0.0);
+    for changes in tasks.values() {
+        let m = changes.len() as f64;
+        let own = changes.iter().sum::<f64>() / m;
+        between += m * (own - mean).powi(2);
+        within += changes.iter().map(|c| (c - own).powi(2)).sum::<f64>();
+        squares += m * m;
+    }
+    let (between, within) = (between / (k - 1.0), within / (n - k));
+    let average = (n - squares / n) / (k - 1.0);
+    let total = between + (average - 1.0) * within;
+    (total > 0.0).then(|| ((between - within) / total).max(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use libero_ctrl::Axis;
+
+    fn design(tasks: u32, r_d: f64, task_correlation: f64) -> PairedDesign {
+        PairedDesign {
+            tasks,
+            configs_per_task: 10.0,
+            r_d,
+            task_correlation,
+        }
+    }
+
+    #[test]
+    fn four_times_the_tasks_show_half_the_effect() {
+        let small = minimum_detectable_effect(&design(40, 0.27, 0.0)).expect("some");
+        let large = minimum_detectable_effect(&design(160, 0.27, 0.0)).expect("some");
+        assert!((small / large - 2.0).abs() < 0.02, "{small} {large}");
+        // Near 2.8 standard deviations of the mean of 400 changes.
+        let rough = 2.8 * (0.27_f64 / 400.0).sqrt();
+        assert!((small - rough).abs() < 0.002, "{small} {rough}");
+    }
+
+    #[test]
+    fn tasks_that_behave_alike_show_less() {
+        let apart = minimum_detectable_effect(&design(40, 0.27, 0.0));
+        let alike = minimum_detectable_effect(&design(40, 0.27, 0.1));
+        assert!(alike > apart);
+    }
+
+    #[test]
+    fn where_nothing_changes_nothing_is_detectable() {
+        assert_eq!(minimum_detectable_effect(&design(40, 0.0, 0.0)), None);
+        assert_eq!(minimum_detectable_effect(&design(2, 0.05, 0.0)), None);
+    }
+
+    fn configurations(changes: &[&[i8]]) -> Vec<Configuration> {
+        let tasks = TaskRef::all().zip(changes);
+        let of_task = |(task, changes): (TaskRef, &&[i8])| {
+            let one = move |&change: &i8| Configuration {
+                task,
+                alone: [(Axis::Camera, change < 0)].into(),
+                simultaneous: change > 0,
+            };
+            changes.iter().map(one).collect::<Vec<_>>()
+        };
+        tasks.flat_map(of_task).collect()
+    }
+
+    #[test]
+    fn correlation_is_one_of_tasks_that_are_uniform_and_nought_of_tasks_that_are_equal() {
+        let uniform = configurations(&[&[1, 1, 1], &[-1, -1, -1], &[0, 0, 0]]);
+        assert_eq!(task_correlation(&uniform), Some(1.0));
+        let equal = configurations(&[&[1, 0, -1], &[-1, 0, 1], &[0, 1, -1]]);
+        assert_eq!(task_correlation(&equal), Some(0.0));
+        assert_eq!(task_correlation(&configurations(&[&[0, 0], &[0, 0]])), None);
+        assert_eq!(task_correlation(&configurations(&[&[0, 1]])), None);
+    }
+}

@@ -1,0 +1,349 @@
+//! Differences of two policies, A and B, over the same rollouts: success rates, the
+//! rollouts that only one of them solves, and the intervals of both.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::{Directions, TaskRef};
+use serde::{Deserialize, Serialize};
+
+use crate::bootstrap::{Bootstrap, Interval};
+use crate::inference::equivalence::equivalence_p;
+use crate::inference::estimate::defined;
+use crate::inference::estimate::{Estimate, Scale};
+use crate::inference::multiplicity::{holm, max_t};
+use crate::inference::sample::{Row, Sample};
+use crate::inference::sign_flip::sign_flip_p;
+use crate::interval::{MIN_TASKS, NoInterval, shown};
+use crate::mcnemar::mcnemar_exact;
+use crate::outcomes::Outcome;
+
+/// The outcomes of one rollout of both policies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pair {
+    /// Its task: the cluster that the bootstrap draws.
+    pub task: TaskRef,
+    /// Its configuration, or initial state if it is nominal.
+    pub number: u16,
+    /// Outcome for A.
+    pub a: Outcome,
+    /// Outcome for B.
+    pub b: Outcome,
+}
+
+/// The paired difference of two policies over rollouts with an outcome of both.
+/// Rates and differences are fractions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Difference {
+    /// Rollouts with an outcome of both.
+    pub n: u64,
+    /// Tasks that they belong to.
+    pub tasks: u64,
+    /// Success rate of A over them.
+    pub s_a: f64,
+    /// Success rate of B over them.
+    pub s_b: f64,
+    /// `s_a` − `s_b` = (`a_only` − `b_only`) / `n`: positive where A is better.
+    pub difference: f64,
+    /// Its 95 % interval, by the same cluster bootstrap over tasks as
+    /// [`Measures`](crate::Measures).
+    pub difference_ci95: Option<Interval>,
+    /// Reason why the interval is absent; absent where it is not.
+    pub no_interval: Option<NoInterval>,
+    /// Rollouts that both solve.
+    pub both: u64,
+    /// Rollouts that only A solves.
+    pub a_only: u64,
+    /// Rollouts that only B solves.
+    pub b_only: u64,
+    /// Rollouts that neither solves.
+    pub neither: u64,
+    /// Exact two-sided McNemar test of `a_only` against `b_only`.
+    pub mcnemar_p: f64,
+    /// The difference with an interval for each target of inference. New directions are
+    /// those of perturbed rollouts; of nominal ones, initial states.
+    pub estimate: Estimate,
+    /// Exact two-sided sign-flip p-value over tasks.
+    pub sign_flip_p: f64,
+    /// The same after Holm's correction for the rows of the comparison.
+    pub holm_p: f64,
+    /// Interval that holds together with those of all other rows, 95 %.
+    pub simultaneous_ci95: Option<Interval>,
+    /// p-value of the difference being beyond ±5 points, see
+    /// [`equivalence_p`](crate::equivalence_p).
+    pub equivalence_p: Option<f64>,
+    /// Task by task.
+    pub profile: Profile,
+}
+
+/// How tasks compare.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Profile {
+    /// A − B in each task.
+    pub tasks: BTreeMap<TaskRef, f64>,
+    /// Tasks in which A succeeds more often.
+    pub a_better: u64,
+    /// Tasks in which B does.
+    pub b_better: u64,
+    /// Probability that A does better than B in a task drawn at random, an equal task
+    /// counting half, with intervals: the probability of improvement over tasks.
+    ///
+    /// Source: R. Agarwal et al., Deep reinforcement learning at the edge of the
+    /// statistical precipice, NeurIPS 2021.
+    pub improvement: Estimate,
+}
+
+/// Lowest and highest difference over every outcome that quarantined rollouts
+/// could have had. Both ends are reached by some outcomes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DifferenceBounds {
+    /// Rollouts: those that are missing of neither.
+    pub n: u64,
+    /// Rollouts among them that are quarantined of A or of B.
+    pub affected: u64,
+    /// Range of `difference`.
+    pub difference: [f64; 2],
+}
+
+/// Counts of one task's rollouts by the policies that succeed.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tally {
+    both: u64,
+    a_only: u64,
+    b_only: u64,
+    neither: u64,
+}
+
+impl Tally {
+    fn add(&mut self, a: bool, b: bool) {
+        *match (a, b) {
+            (true, true) => &mut self.both,
+            (true, false) => &mut self.a_only,
+            (false, true) => &mut self.b_only,
+            (false, false) => &mut self.neither,
+        } += 1;
+    }
+
+    fn n(&self) -> u64 {
+        self.both + self.a_only + self.b_only + self.neither
+    }
+
+    fn rate(&self, count: u64) -> f64 {
+        count as f64 / self.n() as f64
+    }
+}
+
+impl Difference {
+    /// The differences of several sets of pairs, each none where no rollout has
+    /// an outcome of both. The order of pairs changes nothing. All sets share
+    /// one pass of resampling, where they have as many tasks as one another.
+    pub fn of_each(sets: &[Vec<Pair>], bootstrap: &Bootstrap) -> Vec<Option<Self>> {
+        let clusters: Vec<Vec<Tally>> = sets.iter().map(|pairs| of_tasks(pairs)).collect();
+        let mut of_size: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for (set, tasks) in clusters.iter().enumerate() {
+            if tasks.len() >= MIN_TASKS {
+                of_size.entry(tasks.len()).or_default().push(set);
+            }
+        }
+        let mut intervals: Vec<Option<Interval>> = vec![None; sets.len()];
+        for (tasks, members) in of_size {
+            let made = bootstrap.intervals_of_many(tasks, members.len(), |draws, values| {
+                for (value, &member) in values.iter_mut().zip(&members) {
+                    *value = drawn(&clusters[member], draws);
+                }
+            });
+            for (member, interval) in members.iter().zip(made.into_iter().flatten()) {
+                intervals[*member] = Some(interval);
+            }
+        }
+        let each = sets.iter().zip(&clusters).zip(intervals);
+        let mut differences: Vec<Option<Self>> = each
+            .map(|((pairs, clusters), interval)| Self::new(pairs, clusters, interval))
+            .collect();
+        together(&mut differences, bootstrap);
+        differences
+    }
+
+    fn new(pairs: &[Pair], clusters: &[Tally], interval: Option<Interval>) -> Option<Self> {
+        let mut total = Tally::default();
+        for task in clusters {
+            total.both += task.both;
+            total.a_only += task.a_only;
+            total.b_only += task.b_only;
+            total.neither += task.neither;
+        }
+        if total.n() == 0 {
+            return None;
+        }
+        let interval = shown(clusters.len(), interval);
+        let net = |task: &Tally| task.a_only as i64 - task.b_only as i64;
+        let sign_flip_p = sign_flip_p(&clusters.iter().map(net).collect::<Vec<_>>());
+        let estimate = estimate(pairs)?;
+        Some(Self {
+            equivalence_p: equivalence_p(&estimate),
+            estimate,
+            sign_flip_p,
+            holm_p: sign_flip_p,
+            simultaneous_ci95: None,
+            profile: Profile::of(pairs)?,
+            n: total.n(),
+            tasks: clusters.len() as u64,
+            s_a: total.rate(total.both + total.a_only),
+            s_b: total.rate(total.both + total.b_only),
+            difference: drawn(clusters, &vec![1; clusters.len()]),
+            difference_ci95: interval.ok(),
+            no_interval: interval.err(),
+            both: total.both,
+            a_only: total.a_only,
+            b_only: total.b_only,
+            neither: total.neither,
+            mcnemar_p: mcnemar_exact(total.a_only, total.b_only),
+        })
+    }
+}
+
+impl DifferenceBounds {
+    /// Over some pairs; none where none is quarantined of either policy.
+    pub fn of(pairs: &[Pair]) -> Option<Self> {
+        let (mut n, mut affected, mut lowest, mut highest) = (0_u64, 0_u64, 0_i64, 0_i64);
+        for Pair { a, b, .. } in pairs {
+            let (Some([a_low, a_high]), Some([b_low, b_high])) =
+                (a.possible_successes(), b.possible_successes())
+            else {
+                continue;
+            };
+            n += 1;
+            affected += u64::from(a_low != a_high || b_low != b_high);
+            lowest += a_low - b_high;
+            highest += a_high - b_low;
+        }
+        (affected > 0).then(|| Self {
+            n,
+            affected,
+            difference: [lowest, highest].map(|sum| sum as f64 / n as f64),
+        })
+    }
+}
+
+/// The tally of every task that has a pair with both outcomes, in the tasks'
+/// order.
+fn of_tasks(pairs: &[Pair]) -> Vec<Tally> {
+    let mut tasks: BTreeMap<TaskRef, Tally> = BTreeMap::new();
+    for Pair { task, a, b, .. } in pairs {
+        if let (Some(a), Some(b)) = (a.success(), b.success()) {
+            tasks.entry(*task).or_default().add(a, b);
+        }
+    }
+    tasks.into_values().collect()
+}
+
+/// The difference over tasks as often as they were drawn.
+fn drawn(clusters: &[Tally], draws: &[u32]) -> f64 {
+    let (mut net, mut n) = (0.0, 0.0);
+    for (task, &times) in clusters.iter().zip(draws) {
+        let times = f64::from(times);
+        net += times * (task.a_only as f64 - task.b_only as f64);
+        n += times * task.n() as f64;
+    }
+    net / n
+}
+
+/// Both outcomes as a row: 1, A − B.
+fn rows(pairs: &[Pair]) -> Vec<Row> {
+    let rows = pairs.iter().filter_map(|pair| {
+        let number = |outcome: Outcome| Some(f64::from(u8::from(outcome.success()?)));
+        Some(Row {
+            task: pair.task,
+            direction: pair.number,
+            values: vec![1.0, number(pair.a)? - number(pair.b)?],
+        })
+    });
+    rows.collect()
+}
+
+fn estimate(pairs: &[Pair]) -> Option<Estimate> {
+    let rows = rows(pairs);
+    let sample = Sample::new(&rows, Directions::Shared)?;
+    Estimate::of(&sample, Scale::Difference, &|sums| sums[1] / sums[0])
+}
+
+impl Profile {
+    fn of(pairs: &[Pair]) -> Option<Self> {
+        let mut sums: BTreeMap<TaskRef, [f64; 2]> = BTreeMap::new();
+        for row in rows(pairs) {
+            let sum = sums.entry(row.task).or_default();
+            sum[0] += row.values[0];
+            sum[1] += row.values[1];
+        }
+        let tasks: BTreeMap<TaskRef, f64> = sums
+            .into_iter()
+            .map(|(task, [n, net])| (task, net / n))
+            .collect();
+        let better = |sign: f64| {
+            tasks
+                .values()
+                .filter(|change| **change * sign > 0.0)
+                .count()
+        };
+        let rows: Vec<Row> = tasks
+            .iter()
+            .map(|(&task, &change)| Row {
+                task,
+                direction: 0,
+                values: vec![
+                    1.0,
+                    if change == 0.0 {
+                        0.5
+                    } else {
+                        f64::from(u8::from(change > 0.0))
+                    },
+                ],
+            })
+            .collect();
+        let sample = Sample::new(&rows, Directions::Own)?;
+        let improvement = Estimate::of(&sample, Scale::Share, &|sums| sums[1] / sums[0]);
+        Some(Self {
+            a_better: better(1.0) as u64,
+            b_better: better(-1.0) as u64,
+            improvement: defined(improvement),
+            tasks,
+        })
+    }
+}
+
+/// Corrects the rows of a comparison for one another: Holm's p-values and max-t intervals.
+fn together(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
+    let mut made: Vec<&mut Difference> = differences.iter_mut().flatten().collect();
+    let p_values: Vec<f64> = made.iter().map(|it| it.sign_flip_p).collect();
+    for (difference, p) in made.iter_mut().zip(holm(&p_values)) {
+        difference.holm_p = p;
+    }
+    let tasks: BTreeSet<TaskRef> = made
+        .iter()
+        .flat_map(|it| it.profile.tasks.keys().copied())
+        .collect();
+    // Of tasks with equally many rollouts, the pseudo-value is the task's own difference
+    // less the mean of its suite's.
+    let pseudo = made.iter().map(|difference| {
+        let of = &difference.profile.tasks;
+        let mean = |suite| {
+            let own = of.iter().filter(|(task, _)| task.suite() == suite);
+            let own: Vec<f64> = own.map(|(_, change)| *change).collect();
+            own.iter().sum::<f64>() / own.len() as f64
+        };
+        let value = |task: &TaskRef| {
+            of.get(task)
+                .map_or(0.0, |change| change - mean(task.suite()))
+        };
+        tasks.iter().map(value).collect::<Vec<f64>>()
+    });
+    let Some(critical) = max_t(&pseudo.collect::<Vec<_>>(), bootstrap) else {
+        return;
+    };
+    for difference in made {
+        difference.simultaneous_ci95 = difference.estimate.standard_error.map(|error| {
+            let half = critical * error;
+            let value = difference.difference;
+            [(value - half).max(-1.0), (value + half).min(1.0)]
+        });
+    }
+}

@@ -1,0 +1,234 @@
+//! From records to a report: groups them into cells, keeps the complete
+//! configurations, and says what is left out. The formulas are in `measures`.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::{AxisSet, Condition, Level, Suite, TaskRef};
+
+use crate::bootstrap::Bootstrap;
+use crate::bounds::Bounds;
+use crate::count::Count;
+use crate::design::{PairedDesign, minimum_detectable_effect, task_correlation};
+use crate::findings::findings;
+use crate::gate::{Gate, SuiteGate};
+use crate::inference::Inference;
+use crate::inference::components::Components;
+use crate::measures::{Configuration, Measures};
+use crate::outcomes::{DuplicateRecord, Matched, Outcome, Record, Records};
+use crate::replication::Replication;
+use crate::report::{Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis};
+
+/// Reports on one policy's records. Every expanded rollout should be among
+/// them, also those without a result: what is expected is read from them.
+///
+/// # Errors
+/// If a rollout and replicate is recorded twice.
+pub fn report(records: &[Record], options: &Options) -> Result<Report, DuplicateRecord> {
+    Ok(report_of(&Records::new(records)?, options))
+}
+
+/// Reports on records that are matched already.
+pub fn report_of(records: &Records, options: &Options) -> Report {
+    let replicates: BTreeSet<u32> = records.outcomes.keys().map(|key| key.0).collect();
+    let mut nominal: Vec<Nominal> = replicates
+        .iter()
+        .filter_map(|&replicate| nominal(records, replicate))
+        .collect();
+    if let (true, Some(count)) = (nominal.is_empty(), options.reported_nominal) {
+        nominal.push(Nominal {
+            replicate: 0,
+            source: NominalSource::Reported,
+            count,
+            gap: Gap::default(),
+        });
+    }
+    let first = nominal.iter().find(|nominal| nominal.replicate == 0);
+    let first = first.map_or(Count::default(), |nominal| nominal.count);
+    let cells = records.configurations();
+    let cells = cells.chunk_by(|a, b| (a.replicate, a.level) == (b.replicate, b.level));
+    let placebos = cells
+        .clone()
+        .filter(|matched| matched[0].level == Level::L0);
+    let placebos: BTreeMap<u32, &[Matched]> = placebos
+        .map(|matched| (matched[0].replicate, matched))
+        .collect();
+    let cells = cells.map(|matched| {
+        let replicate = matched[0].replicate;
+        let clean = nominal
+            .iter()
+            .find(|nominal| nominal.replicate == replicate);
+        let clean = clean.and_then(|nominal| nominal.count.rate());
+        let placebo = placebos.get(&replicate).copied();
+        let inference = Inference::of(matched, placebo, options.directions);
+        Cell {
+            inference,
+            ..cell(records, matched, clean, &options.bootstrap)
+        }
+    });
+    let cells = cells.collect();
+    let later = replicates.iter().filter(|&&replicate| replicate > 0);
+    let later = later.map(|&replicate| Replication::of(records, replicate, &options.bootstrap));
+    let mut report = Report {
+        findings: Vec::new(),
+        components: Components::of_each(records.configurations()),
+        notes: options.notes.clone(),
+        axes: records.axes().collect(),
+        gate: options
+            .published_nominal
+            .map(|rate| Gate::new(rate, first).with_tasks(&nominal_by_task(records, None))),
+        suite_gates: options
+            .published_by_suite
+            .iter()
+            .map(|&(suite, published)| SuiteGate {
+                suite,
+                gate: Gate::of_suite(published, nominal_of_suite(records, suite))
+                    .with_tasks(&nominal_by_task(records, Some(suite))),
+            })
+            .collect(),
+        nominal,
+        cells,
+        replication: later.collect(),
+        quarantined: quarantined(records),
+        bootstrap: options.bootstrap,
+    };
+    report.findings = findings(&report);
+    report
+}
+
+fn nominal(records: &Records, replicate: u32) -> Option<Nominal> {
+    let (mut count, mut gap) = (Count::default(), Gap::default());
+    let mut any = false;
+    for (&(of, id), &outcome) in &records.outcomes {
+        if of == replicate && id.condition() == Condition::Clean {
+            any = true;
+            count.add(outcome);
+            gap.add(outcome);
+        }
+    }
+    any.then_some(Nominal {
+        replicate,
+        source: NominalSource::Records,
+        count,
+        gap,
+    })
+}
+
+/// Nominal rollouts of one suite in replicate 0.
+fn nominal_of_suite(records: &Records, suite: Suite) -> Count {
+    let tasks = nominal_by_task(records, Some(suite));
+    tasks.iter().fold(Count::default(), |sum, task| Count {
+        successes: sum.successes + task.successes,
+        n: sum.n + task.n,
+    })
+}
+
+/// Nominal rollouts of each task in replicate 0, of one suite or all.
+fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
+    let mut tasks: BTreeMap<TaskRef, Count> = BTreeMap::new();
+    for (&(replicate, id), &outcome) in &records.outcomes {
+        let is_nominal = replicate == 0 && id.condition() == Condition::Clean;
+        if is_nominal && suite.is_none_or(|suite| id.task().suite() == suite) {
+            tasks.entry(id.task()).or_default().add(outcome);
+        }
+    }
+    tasks.into_values().collect()
+}
+
+/// The cell of all configurations of one level and replicate.
+fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &Bootstrap) -> Cell {
+    let mut conditions: Vec<Condition> = records.axes().map(Condition::Single).collect();
+    if records.combines {
+        conditions.push(Condition::Combination);
+    }
+    let mut counts = BTreeMap::new();
+    let mut gaps = BTreeMap::new();
+    for &condition in &conditions {
+        let (mut count, mut gap) = (Count::default(), Gap::default());
+        for matched in matched {
+            count.add(matched.outcome(condition));
+            gap.add(matched.outcome(condition));
+        }
+        counts.insert(condition, count);
+        if gap != Gap::default() {
+            gaps.insert(condition, gap);
+        }
+    }
+    let complete: Vec<Configuration> = matched.iter().filter_map(Matched::configuration).collect();
+    let solvable = matched.iter().filter(|m| m.nominal == Outcome::Success);
+    let solvable: Vec<Configuration> = solvable.filter_map(Matched::configuration).collect();
+    let alone = records.axes().map(|axis| {
+        let count = counts[&Condition::Single(axis)];
+        (axis, SingleAxis::new(count, clean))
+    });
+    let paired = Measures::of(&complete, bootstrap);
+    let task_correlation = task_correlation(&complete);
+    let minimum_detectable_i = paired.as_ref().and_then(|measures| {
+        minimum_detectable_effect(&PairedDesign {
+            tasks: measures.tasks as u32,
+            configs_per_task: measures.n as f64 / measures.tasks as f64,
+            r_d: measures.r_d,
+            task_correlation: task_correlation?,
+        })
+    });
+    Cell {
+        replicate: matched[0].replicate,
+        level: matched[0].level,
+        alone: alone.collect(),
+        subsets: subsets(matched),
+        simultaneous: counts.get(&Condition::Combination).copied(),
+        completeness: Completeness {
+            complete: complete.len() as u64,
+            expected: matched.len() as u64,
+            gaps,
+        },
+        paired,
+        solvable: Measures::of(&solvable, bootstrap),
+        bounds: Bounds::of(matched),
+        task_correlation,
+        inference: None,
+        minimum_detectable_i,
+    }
+}
+
+/// Subsets are run where they are asked for, so that each has a number of its own.
+fn subsets(matched: &[Matched]) -> BTreeMap<AxisSet, Count> {
+    let mut counts: BTreeMap<AxisSet, Count> = BTreeMap::new();
+    for (&axes, &outcome) in matched.iter().flat_map(|matched| &matched.subsets) {
+        counts.entry(axes).or_default().add(outcome);
+    }
+    counts
+}
+
+fn quarantined(records: &Records) -> Vec<String> {
+    let outcomes = records.outcomes.iter();
+    outcomes
+        .filter(|(_, outcome)| **outcome == Outcome::Quarantined)
+        .map(|((replicate, id), _)| match replicate {
+            0 => id.to_string(),
+            k => format!("{id}#r{k}"),
+        })
+        .collect()
+}
+
+impl Gap {
+    fn add(&mut self, outcome: Outcome) {
+        match outcome {
+            Outcome::Missing => self.missing += 1,
+            Outcome::Quarantined => self.quarantined += 1,
+            Outcome::Success | Outcome::Failure => {}
+        }
+    }
+}
+
+impl SingleAxis {
+    fn new(count: Count, clean: Option<f64>) -> Self {
+        let loss = |rate: f64| {
+            let clean = clean.filter(|&clean| clean > 0.0)?;
+            Some(1.0 - rate / clean)
+        };
+        Self {
+            count,
+            clean_relative_loss: count.rate().and_then(loss),
+        }
+    }
+}

@@ -1,0 +1,324 @@
+//! Findings of a report as sentences. Every sentence follows from figures of the report;
+//! docs/REPORT.md lists under which condition each is written.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Condition, Level};
+
+use crate::finding::{Finding, FindingKind};
+use crate::inference::estimate::Estimate;
+use crate::inference::floor::chance_bounds;
+use crate::inference::loss::Loss;
+use crate::inference::multiplicity::holm;
+use crate::report::{Cell, Report};
+use crate::text::{listed, percent, points};
+
+/// A sentence claims an effect where its p-value is below this, after Holm's correction
+/// over all claims of its kind in the report. It is less than the 5 % of an interval,
+/// because readers act on sentences.
+pub const FINDING_ALPHA: f64 = 0.01;
+
+/// Equivalence is claimed where its p-value is below this.
+const EQUIVALENCE_ALPHA: f64 = 0.05;
+
+/// The findings of a report's replicate 0: success, then level by level costs,
+/// simultaneity, and directions where success depends on them.
+pub fn findings(report: &Report) -> Vec<Finding> {
+    let cells = report.cells.iter().filter(|cell| cell.replicate == 0);
+    let cells: Vec<&Cell> = cells.collect();
+    let claims = Claims::of(&cells);
+    let mut findings: Vec<Finding> = success(report, &cells).into_iter().collect();
+    for cell in cells.iter().filter(|cell| cell.level != Level::L0) {
+        findings.extend(cost(cell));
+        findings.extend(simultaneity(cell, report, &claims));
+        findings.extend(directions(cell, &claims));
+    }
+    findings
+}
+
+/// A hypothesis about simultaneous perturbation at a level.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Hypothesis {
+    /// R_e is no more than the noise floor.
+    Emergent,
+    /// R_c is no more than the noise floor.
+    Compensated,
+    /// I is not below 0, where no floor is known.
+    BelowZero,
+    /// All directions are alike.
+    Directions,
+}
+
+/// The corrected p-values of all hypotheses that are tested.
+struct Claims(BTreeMap<(Level, Hypothesis), f64>);
+
+impl Claims {
+    fn of(cells: &[&Cell]) -> Self {
+        let mut tested: BTreeMap<(Level, Hypothesis), f64> = BTreeMap::new();
+        for cell in cells.iter().filter(|cell| cell.level != Level::L0) {
+            let Some(inference) = &cell.inference else {
+                continue;
+            };
+            let mut test = |hypothesis, p| tested.insert((cell.level, hypothesis), p);
+            match &inference.excess {
+                Some(excess) => {
+                    // Without a spread nothing is claimed.
+                    let p = |estimate: &Estimate| estimate.p().unwrap_or(1.0);
+                    test(Hypothesis::Emergent, p(&excess.excess.r_e));
+                    test(Hypothesis::Compensated, p(&excess.excess.r_c));
+                }
+                None => {
+                    test(Hypothesis::BelowZero, inference.i_sign_flip_p);
+                }
+            }
+            if let Some(directions) = &inference.directions {
+                test(Hypothesis::Directions, directions.p);
+            }
+        }
+        let p_values: Vec<f64> = tested.values().copied().collect();
+        for (p, corrected) in tested.values_mut().zip(holm(&p_values)) {
+            *p = corrected;
+        }
+        Self(tested)
+    }
+
+    fn p(&self, cell: &Cell, hypothesis: Hypothesis) -> f64 {
+        let p = self.0.get(&(cell.level, hypothesis));
+        p.copied().unwrap_or(1.0)
+    }
+}
+
+/// Nominal success, and simultaneous success at every level.
+fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
+    let nominal = report.nominal.iter().find(|it| it.replicate == 0)?.count;
+    let mut sentence = match nominal.n {
+        0 => "No nominal rollout has an outcome yet".to_owned(),
+        n => format!(
+            "Nominally, {} % of {n} rollouts succeed",
+            percent(nominal.rate())
+        ),
+    };
+    let at_levels = cells.iter().filter_map(|cell| {
+        let rate = cell.simultaneous?.rate()?;
+        let inference = cell.inference.as_ref();
+        let interval = inference.and_then(|it| it.paired.s_sim.new_tasks);
+        let interval = interval.map_or_else(String::new, |[low, high]| {
+            format!(" ({} to {})", percent(Some(low)), percent(Some(high)))
+        });
+        Some(format!(
+            "{} %{interval} at {}",
+            percent(Some(rate)),
+            cell.level
+        ))
+    });
+    let at_levels: Vec<String> = at_levels.collect();
+    if !at_levels.is_empty() {
+        sentence.push_str("; under simultaneous perturbation, ");
+        sentence.push_str(&listed(&at_levels));
+    }
+    sentence.push('.');
+    Some(Finding {
+        kind: FindingKind::Success,
+        level: None,
+        claims: false,
+        holm_p: None,
+        sentence,
+    })
+}
+
+/// The single axis that costs the most, and what is known of the others.
+fn cost(cell: &Cell) -> Option<Finding> {
+    let losses = cell.inference.as_ref().map(|it| &it.losses)?;
+    let singles = losses
+        .iter()
+        .filter_map(|(condition, loss)| match condition {
+            Condition::Single(axis) => Some((axis.name(), loss)),
+            _ => None,
+        });
+    let singles: Vec<(&str, &Loss)> = singles.collect();
+    let by_loss =
+        |a: &&(&str, &Loss), b: &&(&str, &Loss)| a.1.loss.value.total_cmp(&b.1.loss.value);
+    let (most, loss) = *singles.iter().max_by(by_loss)?;
+    let level = cell.level;
+    let costs = |loss: &Loss| loss.holm_p < FINDING_ALPHA && loss.loss.value > 0.0;
+    let is_none = |loss: &Loss| loss.equivalence_p.is_some_and(|p| p < EQUIVALENCE_ALPHA);
+    let names = |is: &dyn Fn(&Loss) -> bool| -> Vec<String> {
+        let named = singles.iter().filter(|(_, loss)| is(loss));
+        named.map(|(name, _)| (*name).to_owned()).collect()
+    };
+    let equivalent = names(&|loss| !costs(loss) && is_none(loss));
+    let mut sentence = match costs(loss) {
+        true => format!(
+            "Of the single axes at {level}, {most} costs the most: {} points{} of success, against \
+             nominal rollouts of the same initial states",
+            percent(Some(loss.loss.value)),
+            spread(&loss.loss)
+        ),
+        false => format!(
+            "No single axis is shown to cost success at {level}; the greatest loss is {} points{}, \
+             under {most}",
+            percent(Some(loss.loss.value)),
+            spread(&loss.loss)
+        ),
+    };
+    if !equivalent.is_empty() {
+        let verb = if equivalent.len() == 1 { "is" } else { "are" };
+        sentence.push_str(&format!(
+            "; {} {verb} within 5 points of nominal",
+            listed(&equivalent)
+        ));
+    }
+    sentence.push('.');
+    Some(Finding {
+        kind: FindingKind::Cost,
+        level: Some(level),
+        claims: costs(loss),
+        holm_p: Some(loss.holm_p),
+        sentence,
+    })
+}
+
+/// Writes the finding about the change by simultaneity beyond chance.
+fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding> {
+    let inference = cell.inference.as_ref()?;
+    let level = cell.level;
+    let Some(excess) = &inference.excess else {
+        return without_floor(cell, report, claims);
+    };
+    let known = [
+        (
+            Hypothesis::Emergent,
+            "failures emerge",
+            "fail only simultaneously",
+            inference.paired.r_e,
+            excess.excess.r_e,
+        ),
+        (
+            Hypothesis::Compensated,
+            "failures are compensated",
+            "succeed simultaneously although an axis alone makes them fail",
+            inference.paired.r_c,
+            excess.excess.r_c,
+        ),
+    ];
+    let is_shown = |hypothesis, excess: &Estimate| {
+        claims.p(cell, hypothesis) < FINDING_ALPHA && excess.value > 0.0
+    };
+    let shown = known
+        .iter()
+        .filter(|(hypothesis, .., excess)| is_shown(*hypothesis, excess));
+    let parts: Vec<String> = shown
+        .map(|(_, what, which, measure, excess)| {
+            format!(
+                "{what} beyond chance: {} % of configurations {which}, {} points{} above the noise \
+                 floor",
+                percent(Some(measure.value)),
+                percent(Some(excess.value)),
+                spread(excess)
+            )
+        })
+        .collect();
+    let sentence = match parts.as_slice() {
+        [] => format!(
+            "At {level}, simultaneity is not shown to change more outcomes than chance does: emergent \
+             failures are {} points{}, compensated successes {} points{} from the noise floor.",
+            points(excess.excess.r_e.value),
+            spread(&excess.excess.r_e),
+            points(excess.excess.r_c.value),
+            spread(&excess.excess.r_c),
+        ),
+        parts => format!("At {level}, {}.", parts.join("; ")),
+    };
+    let p = known.map(|(hypothesis, ..)| claims.p(cell, hypothesis));
+    Some(Finding {
+        kind: FindingKind::Simultaneity,
+        level: Some(level),
+        claims: !parts.is_empty(),
+        holm_p: Some(p[0].min(p[1])),
+        sentence,
+    })
+}
+
+/// The same where no placebo was run.
+fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding> {
+    let inference = cell.inference.as_ref()?;
+    let (level, i) = (cell.level, &inference.paired.i);
+    let p = claims.p(cell, Hypothesis::BelowZero);
+    let claims = p < FINDING_ALPHA && i.value < 0.0;
+    let sentence = match claims {
+        true => format!(
+            "At {level}, failures emerge: more configurations fail only simultaneously than succeed \
+             only so, by {} points{}, and chance without any effect of an axis does the opposite.",
+            percent(Some(-i.value)),
+            spread(&i.negated())
+        ),
+        false => {
+            let r_d = percent(Some(inference.paired.r_d.value));
+            let bound = flips(cell, report).map_or_else(String::new, |(of, flips)| {
+                let [r_d, _] = chance_bounds(flips, cell.alone.len());
+                format!(
+                    " {of} in {} %, and chance of that size can change up to {} % by itself.",
+                    percent(Some(flips)),
+                    percent(Some(r_d)),
+                )
+            });
+            format!(
+                "At {level}, {r_d} % of configurations end otherwise simultaneously than under the axes \
+                 alone; how many of them by chance is unknown without a placebo (`--levels \
+                 L0,{level}`).{bound}"
+            )
+        }
+    };
+    Some(Finding {
+        kind: FindingKind::Simultaneity,
+        level: Some(level),
+        claims,
+        holm_p: Some(p),
+        sentence,
+    })
+}
+
+/// Share of rollouts that hardly differ and end differently, and their names: nominal
+/// ones of two replicates, or nominal and language. Language has an effect of its own,
+/// so that it gives an upper bound of chance.
+fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
+    let replicate = report.replication.first();
+    let replicate = replicate.and_then(|it| it.flips_by_condition.get(&Condition::Clean)?.rate());
+    if let Some(rate) = replicate {
+        return Some(("Nominal rollouts of two replicates end differently", rate));
+    }
+    let language = Condition::Single(libero_ctrl::Axis::Language);
+    let loss = cell.inference.as_ref()?.losses.get(&language)?;
+    let differ = loss.nominal_only + loss.condition_only;
+    let rate = differ as f64 / loss.n as f64;
+    Some(("Nominal and language rollouts end differently", rate))
+}
+
+/// The dependence on the direction, where it is shown.
+fn directions(cell: &Cell, claims: &Claims) -> Option<Finding> {
+    let test = cell.inference.as_ref()?.directions.as_ref()?;
+    let p = claims.p(cell, Hypothesis::Directions);
+    let [low, high] = test.range();
+    (p < FINDING_ALPHA).then(|| Finding {
+        kind: FindingKind::Directions,
+        level: Some(cell.level),
+        claims: true,
+        holm_p: Some(p),
+        sentence: format!(
+            "At {}, success depends on the direction: simultaneously, {} to {} % succeed under the {} \
+             directions. Beyond these directions, only the intervals for new tasks and directions \
+             hold.",
+            cell.level,
+            percent(Some(low)),
+            percent(Some(high)),
+            test.rates.len()
+        ),
+    })
+}
+
+/// ` (−14.2 to −6.0)`, of new tasks.
+fn spread(estimate: &Estimate) -> String {
+    estimate.new_tasks.map_or_else(String::new, |[low, high]| {
+        format!(" ({:.1} to {:.1})", 100.0 * low, 100.0 * high)
+    })
+}

@@ -1,0 +1,159 @@
+//! The reproduction gate: whether a policy does unperturbed what its authors
+//! say it does. Before it does, its robustness is not worth interpreting.
+
+use libero_ctrl::Suite;
+use serde::{Deserialize, Serialize};
+
+use crate::count::Count;
+use crate::inference::student_t::upper_tail;
+
+/// Largest difference that passes, as a fraction: 5 points. Source: section 6
+/// of the protocol.
+pub const GATE_TOLERANCE: f64 = 0.05;
+/// Nominal rollouts that published figures over all suites are of: 40 tasks × 50
+/// initial states.
+pub const GATE_ROLLOUTS: u64 = 2000;
+/// Nominal rollouts that the published figure of one suite is of: 10 tasks × 50 initial
+/// states.
+pub const GATE_ROLLOUTS_OF_A_SUITE: u64 = 500;
+
+/// Nominal success against the published figure.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Gate {
+    /// The published success rate, a fraction.
+    pub published: f64,
+    /// Nominal rollouts and their successes.
+    pub nominal: Count,
+    /// The measured rate − `published`; absent where nothing was counted.
+    pub difference: Option<f64>,
+    /// Verdict on the difference.
+    pub verdict: GateVerdict,
+    /// p-value of the policy's rate on these tasks being beyond [`GATE_TOLERANCE`] of
+    /// `published`, which is taken as exact: if small, reproduction is shown and not only
+    /// not refuted. Absent where no task has two nominal rollouts, or none of them vary.
+    pub equivalence_p: Option<f64>,
+}
+
+/// Verdict of the gate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GateVerdict {
+    /// Within [`GATE_TOLERANCE`] over all rollouts that the figure is of.
+    Passed,
+    /// Outside of it over all of them.
+    Failed,
+    /// Fewer nominal rollouts have a result than the figure is of.
+    Undecided,
+}
+
+/// The gate of one suite.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SuiteGate {
+    /// The suite.
+    pub suite: Suite,
+    /// Its nominal success against the figure published for it.
+    #[serde(flatten)]
+    pub gate: Gate,
+}
+
+impl Gate {
+    /// The gate: |successes / n − published| ≤ [`GATE_TOLERANCE`], with
+    /// n = [`GATE_ROLLOUTS`] at least.
+    pub fn new(published: f64, nominal: Count) -> Self {
+        Self::over(GATE_ROLLOUTS, published, nominal)
+    }
+
+    /// The gate of one suite, with n = [`GATE_ROLLOUTS_OF_A_SUITE`] at least.
+    pub fn of_suite(published: f64, nominal: Count) -> Self {
+        Self::over(GATE_ROLLOUTS_OF_A_SUITE, published, nominal)
+    }
+
+    fn over(rollouts: u64, published: f64, nominal: Count) -> Self {
+        let difference = nominal.rate().map(|rate| rate - published);
+        // A difference of exactly the tolerance passes, whatever the last bit says.
+        let close = |difference: f64| difference.abs() <= GATE_TOLERANCE + 1e-9;
+        let verdict = match difference {
+            Some(difference) if nominal.n >= rollouts => match close(difference) {
+                true => GateVerdict::Passed,
+                false => GateVerdict::Failed,
+            },
+            _ => GateVerdict::Undecided,
+        };
+        Self {
+            published,
+            nominal,
+            difference,
+            verdict,
+            equivalence_p: None,
+        }
+    }
+
+    /// The gate with its equivalence test, from the nominal rollouts of each task: two
+    /// one-sided t tests with the variance within tasks, Σ_t (n_t/n)²·p_t(1 − p_t)/(n_t − 1).
+    pub(crate) fn with_tasks(mut self, tasks: &[Count]) -> Self {
+        let n: u64 = tasks.iter().map(|task| task.n).sum();
+        let variance = tasks.iter().map(|task| {
+            let rate = task.rate().unwrap_or_default();
+            let weight = task.n as f64 / n as f64;
+            weight * weight * rate * (1.0 - rate) / (task.n as f64 - 1.0)
+        });
+        let error = variance.sum::<f64>().sqrt();
+        let is_enough = tasks.iter().all(|task| task.n > 1) && error > 0.0;
+        self.equivalence_p = self.difference.filter(|_| is_enough).map(|difference| {
+            let df = (n - tasks.len() as u64) as f64;
+            upper_tail((GATE_TOLERANCE - difference.abs()) / error, df)
+        });
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn check(published: f64, successes: u64, n: u64, expected: GateVerdict) {
+        let gate = Gate::new(published, Count { successes, n });
+        assert_eq!(gate.verdict, expected, "{gate:?}");
+    }
+
+    #[test]
+    fn five_points_pass_and_more_do_not() {
+        check(0.971, 1934, 2000, GateVerdict::Passed);
+        check(0.95, 2000, 2000, GateVerdict::Passed);
+        check(0.95, 1799, 2000, GateVerdict::Failed);
+        check(0.95, 1800, 2000, GateVerdict::Passed);
+    }
+
+    #[test]
+    fn some_of_the_rollouts_decide_nothing() {
+        check(0.95, 1999, 1999, GateVerdict::Undecided);
+        check(0.95, 0, 0, GateVerdict::Undecided);
+    }
+
+    /// Two tasks of 50 states: the rate is 90 %, its standard error 2.9 points.
+    #[test]
+    fn being_within_the_tolerance_is_not_equivalence() {
+        let tasks = [50, 40].map(|successes| Count { successes, n: 50 });
+        let nominal = Count {
+            successes: 90,
+            n: 100,
+        };
+        let p = |published| {
+            Gate::new(published, nominal)
+                .with_tasks(&tasks)
+                .equivalence_p
+        };
+        let (at, near) = (p(0.90).expect("varies"), p(0.94).expect("varies"));
+        // SciPy: stats.t.sf(0.05 / (0.2 * 0.8 / 49 / 4) ** 0.5, 98).
+        assert!((at - 0.042_0).abs() < 5e-4, "{at}");
+        assert!(near > 0.3, "{near}");
+    }
+
+    /// 500 rollouts of one suite were never enough.
+    #[test]
+    fn all_rollouts_of_a_suite_decide_its_gate() {
+        let gate = |n| Gate::of_suite(0.97, Count { successes: 480, n }).verdict;
+        assert_eq!(gate(500), GateVerdict::Passed);
+        assert_eq!(gate(499), GateVerdict::Undecided);
+    }
+}

@@ -1,0 +1,73 @@
+//! Statistical inference of one level: intervals for each target of inference, matched
+//! losses, predictions of independence, and what exceeds the noise floor. The paper's own
+//! measures and intervals are in `measures`.
+
+pub(crate) mod components;
+pub(crate) mod direction;
+pub(crate) mod equivalence;
+pub(crate) mod estimate;
+pub(crate) mod floor;
+pub(crate) mod loss;
+pub(crate) mod multiplicity;
+pub(crate) mod paired;
+pub(crate) mod sample;
+pub(crate) mod sign_flip;
+pub(crate) mod student_t;
+
+use libero_ctrl::{Directions, Level};
+use serde::{Deserialize, Serialize};
+
+use crate::inference::direction::DirectionTest;
+use crate::inference::floor::Excess;
+use crate::inference::loss::{Loss, Losses};
+use crate::inference::paired::{Eligible, PairedEstimates, Relative};
+use crate::outcomes::Matched;
+
+/// Everything inferred of one level of one replicate.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Inference {
+    /// The paper's measures over complete configurations, with intervals for each target.
+    pub paired: PairedEstimates,
+    /// Share that changes among configurations that can change in a direction.
+    pub eligible: Eligible,
+    /// Exact two-sided sign-flip p-value of I over tasks.
+    pub i_sign_flip_p: f64,
+    /// Simultaneous success against independence relative to nominal success; absent
+    /// without matched nominal rollouts.
+    pub relative: Option<Relative>,
+    /// The loss under each condition, against the nominal rollouts of the same initial
+    /// states; empty without them.
+    pub losses: Losses,
+    /// The test of simultaneous success by direction; absent where directions are not
+    /// shared, and of the placebo.
+    pub directions: Option<DirectionTest>,
+    /// The noise floor, and what exceeds it; absent without a placebo, and of the placebo
+    /// itself.
+    pub excess: Option<Excess>,
+}
+
+impl Inference {
+    /// Of the configurations of one level and replicate, and those of the placebo; none
+    /// where no configuration is complete.
+    pub(crate) fn of(
+        matched: &[Matched],
+        placebo: Option<&[Matched]>,
+        directions: Directions,
+    ) -> Option<Self> {
+        let paired = PairedEstimates::of(matched, directions)?;
+        let is_placebo = matched.iter().all(|it| it.level == Level::L0);
+        let placebo = placebo.filter(|_| !is_placebo);
+        Some(Self {
+            paired,
+            eligible: Eligible::of(matched, directions),
+            i_sign_flip_p: paired::i_sign_flip_p(matched),
+            relative: Relative::of(matched, directions),
+            losses: Loss::of_each(matched, directions),
+            directions: match is_placebo {
+                true => None,
+                false => DirectionTest::of(matched, directions),
+            },
+            excess: placebo.and_then(|placebo| Excess::of(matched, placebo, directions)),
+        })
+    }
+}

@@ -1,0 +1,143 @@
+//! Variance components of simultaneous success, from replicates: tasks, configurations
+//! within tasks, or chance.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::{Level, TaskRef};
+use serde::{Deserialize, Serialize};
+
+use crate::outcomes::Matched;
+
+/// Components of the variance of simultaneous success at one level, all replicates pooled.
+/// Variances are of outcomes, 0 or 1; standard errors are of the success rate for new
+/// tasks.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Components {
+    /// The level.
+    pub level: Level,
+    /// Replicates that every counted configuration has.
+    pub replicates: u64,
+    /// Counted configurations.
+    pub n: u64,
+    /// Variance between tasks.
+    pub tasks: f64,
+    /// Variance between configurations of a task.
+    pub configurations: f64,
+    /// Variance between replicates of a configuration: chance.
+    pub replicate: f64,
+    /// Variance of the rate over that of as many independent outcomes.
+    pub design_effect: Option<f64>,
+    /// Standard error as measured.
+    pub standard_error: f64,
+    /// Standard error with one more replicate of every configuration.
+    pub one_more_replicate: f64,
+    /// Standard error with ten more configurations of every task.
+    pub ten_more_configurations: f64,
+}
+
+impl Components {
+    /// Of each level with at least two replicates, two tasks, and two configurations of
+    /// some task.
+    ///
+    /// The nested analysis of variance, σ²_e = MS_e, σ²_c = (MS_c − MS_e)/k and
+    /// σ²_t = (MS_t − MS_c)/(k·m), none below 0, for k replicates of m configurations of
+    /// each task, on average. The variance of the rate is
+    /// σ²_t/T + σ²_c/(T·m) + σ²_e/(T·m·k).
+    ///
+    /// Source: S. R. Searle, G. Casella and C. E. McCulloch, Variance Components (1992),
+    /// section 3.5.
+    pub(crate) fn of_each(matched: &[Matched]) -> Vec<Self> {
+        let replicates: BTreeSet<u32> = matched.iter().map(|it| it.replicate).collect();
+        let mut levels: BTreeMap<Level, BTreeMap<(TaskRef, u16), Vec<f64>>> = BTreeMap::new();
+        for matched in matched {
+            if let Some(success) = matched.simultaneous.success() {
+                let of_level = levels.entry(matched.level).or_default();
+                let outcomes = of_level.entry((matched.task, matched.config)).or_default();
+                outcomes.push(f64::from(u8::from(success)));
+            }
+        }
+        let of_level = |(level, configurations): (Level, BTreeMap<(TaskRef, u16), Vec<f64>>)| {
+            let whole = configurations.into_iter();
+            let whole = whole.filter(|(_, outcomes)| outcomes.len() == replicates.len());
+            Self::of(level, replicates.len(), whole)
+        };
+        levels.into_iter().filter_map(of_level).collect()
+    }
+
+    fn of(
+        level: Level,
+        replicates: usize,
+        configurations: impl Iterator<Item = ((TaskRef, u16), Vec<f64>)>,
+    ) -> Option<Self> {
+        let mut tasks: BTreeMap<TaskRef, Vec<f64>> = BTreeMap::new();
+        let k = replicates as f64;
+        let mut within = 0.0;
+        for ((task, _), outcomes) in configurations {
+            let mean = outcomes.iter().sum::<f64>() / k;
+            within += outcomes.iter().map(|y| (y - mean).powi(2)).sum::<f64>();
+            tasks.entry(task).or_default().push(mean);
+        }
+        let n = tasks.values().map(Vec::len).sum::<usize>() as f64;
+        let t = tasks.len() as f64;
+        if replicates < 2 || t < 2.0 || n <= t {
+            return None;
+        }
+        let mean = tasks.values().flatten().sum::<f64>() / n;
+        let (mut between_tasks, mut between_configurations) = (0.0, 0.0);
+        for means in tasks.values() {
+            let own = means.iter().sum::<f64>() / means.len() as f64;
+            between_tasks += means.len() as f64 * (own - mean).powi(2);
+            between_configurations += means.iter().map(|it| (it - own).powi(2)).sum::<f64>();
+        }
+        let m = n / t;
+        let chance = within / (n * (k - 1.0));
+        let of_configurations = k * between_configurations / (n - t);
+        let of_tasks = k * between_tasks / (t - 1.0);
+        let configurations = ((of_configurations - chance) / k).max(0.0);
+        let tasks = ((of_tasks - of_configurations) / (k * m)).max(0.0);
+        let variance = |m: f64, k: f64| (tasks + (configurations + chance / k) / m) / t;
+        let independent = mean * (1.0 - mean) / (n * k);
+        Some(Self {
+            level,
+            replicates: replicates as u64,
+            n: n as u64,
+            tasks,
+            configurations,
+            replicate: chance,
+            design_effect: (independent > 0.0).then(|| variance(m, k) / independent),
+            standard_error: variance(m, k).sqrt(),
+            one_more_replicate: variance(m, k + 1.0).sqrt(),
+            ten_more_configurations: variance(m + 10.0, k).sqrt(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_differs_only_between_replicates_is_chance() {
+        let of = |outcomes: [[f64; 2]; 4]| {
+            let keys = TaskRef::all()
+                .take(2)
+                .flat_map(|task| [(task, 0), (task, 1)]);
+            let configurations = keys.zip(outcomes).map(|(key, it)| (key, it.to_vec()));
+            Components::of(Level::L2, 2, configurations).expect("two of each")
+        };
+        let chance = of([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]]);
+        assert_eq!(
+            (chance.tasks, chance.configurations, chance.replicate),
+            (0.0, 0.0, 0.5)
+        );
+        // 0.5 over eight outcomes; a third replicate makes it twelve.
+        assert!((chance.standard_error.powi(2) - 0.5 / 8.0).abs() < 1e-12);
+        assert!((chance.one_more_replicate.powi(2) - 0.5 / 12.0).abs() < 1e-12);
+        let tasks = of([[0.0, 0.0], [0.0, 0.0], [1.0, 1.0], [1.0, 1.0]]);
+        assert_eq!(
+            (tasks.tasks, tasks.configurations, tasks.replicate),
+            (0.5, 0.0, 0.0)
+        );
+        assert_eq!(tasks.one_more_replicate, tasks.standard_error);
+    }
+}

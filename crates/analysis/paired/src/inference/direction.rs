@@ -1,0 +1,115 @@
+//! Test of success depending on the direction: all tasks share configuration c's
+//! direction, so that ten directions, not four hundred, stand for all others.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Directions, TaskRef};
+use rand_chacha::ChaCha12Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde::{Deserialize, Serialize};
+
+use crate::bootstrap::Bootstrap;
+use crate::outcomes::Matched;
+
+/// Permutations that are drawn; the smallest p-value is 1 / (this + 1).
+const PERMUTATIONS: u32 = 1999;
+
+/// Simultaneous success by direction.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DirectionTest {
+    /// Simultaneous success under each direction, over all tasks.
+    pub rates: BTreeMap<u16, f64>,
+    /// p-value of all directions being alike: the share of permutations of outcomes within
+    /// tasks that spread the directions' rates at least as far.
+    pub p: f64,
+}
+
+impl DirectionTest {
+    /// The permutation form of Cochran's Q: the statistic is Σ_c n_c (s̄_c − s̄)², and
+    /// outcomes are permuted within each task, which leaves tasks as hard as they are. The
+    /// seed is fixed. None with fewer than two directions or tasks, or where directions
+    /// are not shared.
+    ///
+    /// Source: W. G. Cochran, The comparison of percentages in matched samples, Biometrika
+    /// 37 (1950), 256–266.
+    pub(crate) fn of(matched: &[Matched], directions: Directions) -> Option<Self> {
+        if directions == Directions::Own {
+            return None;
+        }
+        let mut tasks: BTreeMap<TaskRef, Vec<(u16, bool)>> = BTreeMap::new();
+        for matched in matched {
+            if let Some(success) = matched.simultaneous.success() {
+                let of_task = tasks.entry(matched.task).or_default();
+                of_task.push((matched.config, success));
+            }
+        }
+        let mut numbers: Vec<u16> = tasks.values().flatten().map(|(c, _)| *c).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        if numbers.len() < 2 || tasks.len() < 2 {
+            return None;
+        }
+        let place = |number: u16| numbers.binary_search(&number).expect("one of the numbers");
+        let successes = tasks.values().flatten().filter(|(_, success)| *success);
+        let trials: usize = tasks.values().map(Vec::len).sum();
+        // Σ (n − s)² / n and Σ s² / n differ by a constant: the rarer outcome is permuted.
+        let rarer = 2 * successes.count() <= trials;
+        let mut sizes = vec![0.0; numbers.len()];
+        let mut rare = vec![0.0; numbers.len()];
+        // Per task, the places of its directions, and how many have the rarer outcome.
+        let mut places: Vec<(Vec<usize>, usize)> = Vec::new();
+        for outcomes in tasks.values() {
+            let of_task = outcomes.iter().map(|(number, _)| place(*number));
+            places.push((
+                of_task.clone().collect(),
+                outcomes
+                    .iter()
+                    .filter(|(_, success)| *success == rarer)
+                    .count(),
+            ));
+            for (at, (_, success)) in of_task.zip(outcomes) {
+                sizes[at] += 1.0;
+                rare[at] += f64::from(u8::from(*success == rarer));
+            }
+        }
+        let spread = |rare: &[f64]| -> f64 {
+            let squares = rare.iter().zip(&sizes);
+            squares.map(|(sum, n)| sum * sum / n).sum()
+        };
+        let least = spread(&rare) - 1e-9;
+        let rates = rare.iter().zip(&sizes).map(|(sum, n)| match rarer {
+            true => sum / n,
+            false => 1.0 - sum / n,
+        });
+        let rates = numbers.iter().copied().zip(rates).collect();
+        let mut rng = ChaCha12Rng::seed_from_u64(Bootstrap::default().seed);
+        let mut as_far = 0_u32;
+        for _ in 0..PERMUTATIONS {
+            rare.fill(0.0);
+            for (places, count) in &mut places {
+                for drawn in 0..*count {
+                    let left = places.len() - drawn;
+                    places.swap(drawn, drawn + below(left, &mut rng));
+                    rare[places[drawn]] += 1.0;
+                }
+            }
+            as_far += u32::from(spread(&rare) >= least);
+        }
+        let p = f64::from(as_far + 1) / f64::from(PERMUTATIONS + 1);
+        Some(Self { rates, p })
+    }
+
+    /// The lowest and the highest rate.
+    pub fn range(&self) -> [f64; 2] {
+        let rates = self.rates.values().copied();
+        [
+            rates.clone().fold(f64::INFINITY, f64::min),
+            rates.fold(f64::NEG_INFINITY, f64::max),
+        ]
+    }
+}
+
+/// Uniform in 0..`end`.
+fn below(end: usize, rng: &mut ChaCha12Rng) -> usize {
+    ((u64::from(rng.next_u32()) * end as u64) >> 32) as usize
+}

@@ -1,0 +1,169 @@
+//! The noise floor: what the measures come to where nothing was done, and what exceeds
+//! that at a level.
+//!
+//! S_conj is a minimum over several outcomes and S_sim is one outcome, so that I and R_d
+//! are positive for a policy whose rollouts end by chance and no axis does anything. A
+//! placebo level, with a radius so small that no policy should care, measures this.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Directions, TaskRef};
+use serde::{Deserialize, Serialize};
+
+use crate::inference::estimate::{Estimate, Scale, share};
+use crate::inference::sample::{Row, Sample};
+use crate::outcomes::Matched;
+
+/// The four measures that simultaneity is judged by.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Simultaneity {
+    /// Share of emergent failures.
+    pub r_e: Estimate,
+    /// Share of compensated successes.
+    pub r_c: Estimate,
+    /// Sum of both.
+    pub r_d: Estimate,
+    /// `r_c` − `r_e`.
+    pub i: Estimate,
+}
+
+/// The noise floor and what a level has beyond it, tasks paired.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Excess {
+    /// Complete configurations of the level.
+    pub n: u64,
+    /// Complete configurations of the placebo.
+    pub placebo: u64,
+    /// The placebo's measures, averaged over which of a configuration's rollouts is taken
+    /// for the simultaneous one.
+    pub floor: Simultaneity,
+    /// The level's measures less the floor.
+    pub excess: Simultaneity,
+}
+
+/// Columns: complete at the level, emergent, compensated; complete in the placebo, and
+/// both expected under it.
+const LEVEL: [usize; 3] = [0, 1, 2];
+const PLACEBO: [usize; 3] = [3, 4, 5];
+
+impl Excess {
+    /// Over the complete configurations of each. None where one has none, or where they
+    /// have different axes.
+    pub(crate) fn of(
+        matched: &[Matched],
+        placebo: &[Matched],
+        directions: Directions,
+    ) -> Option<Self> {
+        let mut rows: BTreeMap<(TaskRef, u16), Vec<f64>> = BTreeMap::new();
+        let mut counts = [0_u64; 2];
+        let mut axes: Option<usize> = None;
+        let columns = [LEVEL, PLACEBO];
+        for (which, configurations) in [matched, placebo].into_iter().enumerate() {
+            for matched in configurations {
+                let Some(configuration) = matched.configuration() else {
+                    continue;
+                };
+                let alone = configuration.alone.values().filter(|&&success| success);
+                let (alone, all) = (alone.count(), configuration.alone.len());
+                if *axes.get_or_insert(all) != all {
+                    return None;
+                }
+                let (emergent, compensated) = match which {
+                    0 => (
+                        f64::from(u8::from(alone == all && !configuration.simultaneous)),
+                        f64::from(u8::from(alone < all && configuration.simultaneous)),
+                    ),
+                    _ => expected(alone + usize::from(configuration.simultaneous), all + 1),
+                };
+                let row = rows.entry((matched.task, matched.config));
+                let row = row.or_insert_with(|| vec![0.0; 6]);
+                for (column, value) in columns[which].into_iter().zip([1.0, emergent, compensated])
+                {
+                    row[column] = value;
+                }
+                counts[which] += 1;
+            }
+        }
+        let rows: Vec<Row> = rows
+            .into_iter()
+            .map(|((task, direction), values)| Row {
+                task,
+                direction,
+                values,
+            })
+            .collect();
+        let sample = Sample::new(&rows, directions)?;
+        let simultaneity = |scale, of: &dyn Fn(&[f64], [f64; 2]) -> f64| {
+            let estimate =
+                |scale, weights: [f64; 2]| Estimate::of(&sample, scale, &|sums| of(sums, weights));
+            Some(Simultaneity {
+                r_e: estimate(scale, [1.0, 0.0])?,
+                r_c: estimate(scale, [0.0, 1.0])?,
+                r_d: estimate(scale, [1.0, 1.0])?,
+                i: estimate(Scale::Difference, [-1.0, 1.0])?,
+            })
+        };
+        let measure = |sums: &[f64], [n, e, c]: [usize; 3], weights: [f64; 2]| {
+            weights[0] * share(e, n)(sums) + weights[1] * share(c, n)(sums)
+        };
+        let floor = |sums: &[f64], weights| measure(sums, PLACEBO, weights);
+        let excess = |sums: &[f64], weights| measure(sums, LEVEL, weights) - floor(sums, weights);
+        Some(Self {
+            n: counts[0],
+            placebo: counts[1],
+            floor: simultaneity(Scale::Share, &floor)?,
+            excess: simultaneity(Scale::Difference, &excess)?,
+        })
+    }
+}
+
+/// How often a configuration of `rollouts` rollouts of which `successes` succeed is an
+/// emergent failure and a compensated success, if each of the rollouts is equally likely
+/// to be the simultaneous one.
+///
+/// Nothing is done in any rollout of a placebo, so that they are exchangeable; the average
+/// has the same expectation as the measure itself and a smaller variance (D. Blackwell,
+/// Annals of Mathematical Statistics 18 (1947), 105–110). A lone failure is emergent where
+/// it falls to the simultaneous rollout. A success beside any failure is compensated.
+fn expected(successes: usize, rollouts: usize) -> (f64, f64) {
+    let part = |count: usize| count as f64 / rollouts as f64;
+    let failures = rollouts - successes;
+    let emergent = if failures == 1 { part(1) } else { 0.0 };
+    let compensated = if failures > 0 { part(successes) } else { 0.0 };
+    (emergent, compensated)
+}
+
+/// The most that chance alone can make of R_d and of I, given how often two rollouts that
+/// nothing distinguishes end differently: (k + 1)/2 and (k − 1)/2 times that share, for k
+/// axes.
+///
+/// A configuration that succeeds with probability p, independently under each of k axes
+/// and simultaneously, ends two rollouts differently with probability f = 2p(1 − p), has
+/// I = p − p^k = f·(1 + p + … + p^(k−2))/2 ≤ f·(k − 1)/2, and
+/// R_d = p − p^k + 2p^k(1 − p) ≤ f·(k + 1)/2. Configurations may differ in p.
+pub fn chance_bounds(flips: f64, axes: usize) -> [f64; 2] {
+    let k = axes as f64;
+    [(k + 1.0) / 2.0, (k - 1.0) / 2.0].map(|times| (flips * times).min(1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_average_over_roles_has_the_expectation_of_the_measure() {
+        let p: f64 = 0.9;
+        let (mut emergent, mut compensated) = (0.0, 0.0);
+        for outcomes in 0..1_u32 << 7 {
+            let successes = outcomes.count_ones();
+            let weight = p.powi(successes as i32) * (1.0 - p).powi(7 - successes as i32);
+            let (e, c) = expected(successes as usize, 7);
+            emergent += weight * e;
+            compensated += weight * c;
+        }
+        assert!((emergent - p.powi(6) * (1.0 - p)).abs() < 1e-12);
+        assert!((compensated - p * (1.0 - p.powi(6))).abs() < 1e-12);
+        let [r_d, i] = chance_bounds(2.0 * p * (1.0 - p), 6);
+        assert!(emergent + compensated <= r_d && compensated - emergent <= i);
+    }
+}

@@ -1,0 +1,109 @@
+//! Success lost under each condition, against the nominal rollouts of the same initial
+//! states.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Condition, Directions, TaskRef};
+use serde::{Deserialize, Serialize};
+
+use crate::inference::equivalence::equivalence_p;
+use crate::inference::estimate::{Estimate, Scale, share};
+use crate::inference::multiplicity::holm;
+use crate::inference::sample::{Row, Sample};
+use crate::inference::sign_flip::sign_flip_p;
+use crate::outcomes::Matched;
+
+/// The loss under each condition.
+pub type Losses = BTreeMap<Condition, Loss>;
+
+/// Nominal success less success under a condition, over the configurations with both
+/// outcomes. Every condition of a level rests on the same initial states.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Loss {
+    /// Configurations with both outcomes.
+    pub n: u64,
+    /// Nominal success over these.
+    pub nominal: Estimate,
+    /// Success under the condition over these.
+    pub success: Estimate,
+    /// `nominal` − `success`.
+    pub loss: Estimate,
+    /// Configurations of which only the nominal rollout succeeds.
+    pub nominal_only: u64,
+    /// Configurations that succeed only under the condition.
+    pub condition_only: u64,
+    /// Exact two-sided sign-flip p-value of the loss over tasks.
+    pub sign_flip_p: f64,
+    /// The same after Holm's correction for the conditions of the level.
+    pub holm_p: f64,
+    /// p-value of the loss lying outside of ±[`EQUIVALENCE_MARGIN`]; small where it
+    /// certainly lies within. Absent without a standard error.
+    ///
+    /// [`EQUIVALENCE_MARGIN`]: crate::EQUIVALENCE_MARGIN
+    pub equivalence_p: Option<f64>,
+}
+
+/// Columns: 1, nominal, success.
+const N: usize = 0;
+const NOMINAL: usize = 1;
+const SUCCESS: usize = 2;
+
+impl Loss {
+    /// Of every condition that has an outcome beside a nominal one.
+    pub(crate) fn of_each(matched: &[Matched], directions: Directions) -> Losses {
+        let axes = matched.iter().flat_map(|matched| matched.alone.keys());
+        let conditions = axes.map(|&axis| Condition::Single(axis));
+        let conditions = conditions.chain([Condition::Combination]);
+        let mut losses: Losses = BTreeMap::new();
+        for condition in conditions {
+            if losses.contains_key(&condition) {
+                continue;
+            }
+            if let Some(loss) = Self::of(matched, condition, directions) {
+                losses.insert(condition, loss);
+            }
+        }
+        let p_values: Vec<f64> = losses.values().map(|loss| loss.sign_flip_p).collect();
+        for (loss, p) in losses.values_mut().zip(holm(&p_values)) {
+            loss.holm_p = p;
+        }
+        losses
+    }
+
+    fn of(matched: &[Matched], condition: Condition, directions: Directions) -> Option<Self> {
+        let mut net: BTreeMap<TaskRef, i64> = BTreeMap::new();
+        let (mut nominal_only, mut condition_only) = (0, 0);
+        let rows = matched.iter().filter_map(|matched| {
+            let nominal = matched.nominal.success()?;
+            let success = matched.outcome(condition).success()?;
+            *net.entry(matched.task).or_default() += i64::from(nominal) - i64::from(success);
+            nominal_only += u64::from(nominal && !success);
+            condition_only += u64::from(success && !nominal);
+            Some(Row {
+                task: matched.task,
+                direction: matched.config,
+                values: vec![
+                    1.0,
+                    f64::from(u8::from(nominal)),
+                    f64::from(u8::from(success)),
+                ],
+            })
+        });
+        let rows: Vec<Row> = rows.collect();
+        let sample = Sample::new(&rows, directions)?;
+        let difference = |s: &[f64]| (s[NOMINAL] - s[SUCCESS]) / s[N];
+        let loss = Estimate::of(&sample, Scale::Difference, &difference)?;
+        let sign_flip_p = sign_flip_p(&net.into_values().collect::<Vec<_>>());
+        Some(Self {
+            n: rows.len() as u64,
+            nominal: Estimate::of(&sample, Scale::Share, &share(NOMINAL, N))?,
+            success: Estimate::of(&sample, Scale::Share, &share(SUCCESS, N))?,
+            equivalence_p: equivalence_p(&loss),
+            loss,
+            nominal_only,
+            condition_only,
+            sign_flip_p,
+            holm_p: sign_flip_p,
+        })
+    }
+}

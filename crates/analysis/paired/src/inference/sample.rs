@@ -1,0 +1,223 @@
+//! Configurations as rows of numbers, and the grouped jackknife over them: how far a
+//! statistic would move with other tasks, other directions or other rollouts.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::{Directions, Suite, TaskRef};
+
+/// One configuration: what is added up of it.
+#[derive(Clone, Debug)]
+pub(crate) struct Row {
+    /// Its task.
+    pub(crate) task: TaskRef,
+    /// Its number, which is the direction's that all tasks share.
+    pub(crate) direction: u16,
+    /// Numbers, the same for every row. A statistic is a function of their sums.
+    pub(crate) values: Vec<f64>,
+}
+
+/// Variances up to this are rounding errors of equal values.
+pub(crate) const NO_VARIANCE: f64 = 1e-24;
+
+/// Rows, grouped once.
+#[derive(Clone, Debug)]
+pub(crate) struct Sample {
+    rows: usize,
+    sums: Vec<f64>,
+    tasks: BTreeSet<TaskRef>,
+    directions: Directions,
+    tasks_in_suites: Vec<Stratum>,
+    rows_in_suites: Vec<Stratum>,
+    rows_in_tasks: Vec<Stratum>,
+    by_direction: Stratum,
+}
+
+/// Groups of which one at a time is left out.
+#[derive(Clone, Debug)]
+struct Stratum {
+    /// The sums of each group.
+    groups: Vec<Vec<f64>>,
+    /// The sums of all.
+    whole: Vec<f64>,
+}
+
+impl Stratum {
+    fn new(groups: Vec<Vec<f64>>) -> Self {
+        Self {
+            whole: sums(groups.iter()),
+            groups,
+        }
+    }
+}
+
+/// A variance and its degrees of freedom.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Variance {
+    pub(crate) value: f64,
+    pub(crate) df: f64,
+}
+
+/// The variances of a statistic for each target of inference; absent where the rows
+/// cannot tell.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Variances {
+    pub(crate) these_tasks: Option<Variance>,
+    pub(crate) new_tasks: Option<Variance>,
+    pub(crate) new_tasks_and_directions: Option<Variance>,
+}
+
+impl Sample {
+    /// Returns none if there are no rows.
+    pub(crate) fn new(rows: &[Row], directions: Directions) -> Option<Self> {
+        if rows.is_empty() {
+            return None;
+        }
+        let in_suites = tasks_in_suites(rows);
+        let values = |row: &&Row| row.values.clone();
+        let total = |task: &Vec<&Row>| sums(task.iter().map(|row| &row.values));
+        let tasks_in_suites = in_suites.iter();
+        let tasks_in_suites =
+            tasks_in_suites.map(|tasks| Stratum::new(tasks.iter().map(total).collect()));
+        let rows_in_suites = in_suites.iter();
+        let rows_in_suites =
+            rows_in_suites.map(|tasks| Stratum::new(tasks.iter().flatten().map(values).collect()));
+        let rows_in_tasks = in_suites.iter().flatten();
+        let rows_in_tasks =
+            rows_in_tasks.map(|task| Stratum::new(task.iter().map(values).collect()));
+        let mut by_direction: BTreeMap<u16, Vec<&Row>> = BTreeMap::new();
+        for row in rows {
+            by_direction.entry(row.direction).or_default().push(row);
+        }
+        Some(Self {
+            rows: rows.len(),
+            sums: sums(rows.iter().map(|row| &row.values)),
+            tasks: rows.iter().map(|row| row.task).collect(),
+            directions,
+            tasks_in_suites: tasks_in_suites.collect(),
+            rows_in_suites: rows_in_suites.collect(),
+            rows_in_tasks: rows_in_tasks.collect(),
+            by_direction: Stratum::new(by_direction.values().map(total).collect()),
+        })
+    }
+
+    pub(crate) fn sums(&self) -> &[f64] {
+        &self.sums
+    }
+
+    pub(crate) fn tasks(&self) -> usize {
+        self.tasks.len()
+    }
+
+    pub(crate) fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// The variances of a statistic: a function of sums that does not change when all of
+    /// them are multiplied by one number.
+    ///
+    /// V_T and V_TD leave out a task and a configuration at a time, within strata of
+    /// suites, V_D a direction at a time. Of new tasks the variance is V_T; of new tasks
+    /// and new directions it is V_T + V_D − V_TD, at least the greater of V_T and V_D,
+    /// with Satterthwaite's degrees of freedom. Of these tasks, configurations are left
+    /// out within their tasks; that counts what directions do within a task as chance,
+    /// so that it is never too small.
+    ///
+    /// Sources: J. N. K. Rao and J. Shao, Jackknife variance estimation with survey data,
+    /// Biometrika 79 (1992), 811–822 (strata); A. C. Cameron, J. B. Gelbach and
+    /// D. L. Miller, Robust inference with multiway clustering, Journal of Business and
+    /// Economic Statistics 29 (2011), 238–249 (crossed clusters); F. E. Satterthwaite,
+    /// Biometrics Bulletin 2 (1946), 110–114.
+    pub(crate) fn variances(&self, statistic: &dyn Fn(&[f64]) -> f64) -> Variances {
+        let tasks = self.jackknife(statistic, &self.tasks_in_suites);
+        let within = self.jackknife(statistic, &self.rows_in_tasks);
+        let both = match self.directions {
+            Directions::Own => tasks,
+            Directions::Shared => tasks.and_then(|tasks| {
+                let directions =
+                    self.jackknife(statistic, std::slice::from_ref(&self.by_direction))?;
+                let cells = self.jackknife(statistic, &self.rows_in_suites)?;
+                Some(crossed(tasks, directions, cells))
+            }),
+        };
+        Variances {
+            these_tasks: within,
+            new_tasks: tasks,
+            new_tasks_and_directions: both,
+        }
+    }
+
+    /// Σ_h (G_h − 1)/G_h · Σ_i (θ_(hi) − θ̄_h)², G_h groups in stratum h, with
+    /// Σ_h (G_h − 1) degrees of freedom. None where a stratum has one group.
+    fn jackknife(&self, statistic: &dyn Fn(&[f64]) -> f64, strata: &[Stratum]) -> Option<Variance> {
+        let (mut value, mut df) = (0.0, 0.0);
+        for stratum in strata {
+            let groups = stratum.groups.len() as f64;
+            if stratum.groups.len() < 2 {
+                return None;
+            }
+            let without = self.without_each(statistic, stratum);
+            let mean = without.iter().sum::<f64>() / groups;
+            let squares = without.iter().map(|value| (value - mean).powi(2));
+            value += (groups - 1.0) / groups * squares.sum::<f64>();
+            df += groups - 1.0;
+        }
+        value.is_finite().then_some(Variance { value, df })
+    }
+
+    /// The statistic without each group of a stratum; the others of that stratum stand in
+    /// for it, so that strata keep their weights.
+    fn without_each(&self, statistic: &dyn Fn(&[f64]) -> f64, stratum: &Stratum) -> Vec<f64> {
+        let groups = stratum.groups.len() as f64;
+        let stand_in = groups / (groups - 1.0);
+        let mut rest = self.sums.clone();
+        let without = stratum.groups.iter().map(|group| {
+            let columns = self.sums.iter().zip(&stratum.whole).zip(group);
+            for (rest, ((sum, whole), group)) in rest.iter_mut().zip(columns) {
+                *rest = sum + (whole - group) * stand_in - whole;
+            }
+            statistic(&rest)
+        });
+        without.collect()
+    }
+}
+
+/// V_T + V_D − V_TD, at least the greater of V_T and V_D.
+fn crossed(tasks: Variance, directions: Variance, cells: Variance) -> Variance {
+    let value = (tasks.value + directions.value - cells.value)
+        .max(tasks.value)
+        .max(directions.value);
+    let part = |of: Variance| of.value.powi(2) / of.df;
+    let df = match value > NO_VARIANCE {
+        true => value.powi(2) / (part(tasks) + part(directions) + part(cells)),
+        false => tasks.df.min(directions.df),
+    };
+    Variance { value, df }
+}
+
+/// The rows of tasks, in strata of suites; in one stratum where a suite has a single task.
+fn tasks_in_suites(rows: &[Row]) -> Vec<Vec<Vec<&Row>>> {
+    let mut suites: BTreeMap<Suite, BTreeMap<TaskRef, Vec<&Row>>> = BTreeMap::new();
+    for row in rows {
+        let tasks = suites.entry(row.task.suite()).or_default();
+        tasks.entry(row.task).or_default().push(row);
+    }
+    let strata: Vec<Vec<Vec<&Row>>> = suites
+        .into_values()
+        .map(|tasks| tasks.into_values().collect())
+        .collect();
+    match strata.iter().any(|tasks| tasks.len() < 2) {
+        true => vec![strata.into_iter().flatten().collect()],
+        false => strata,
+    }
+}
+
+fn sums<'a>(rows: impl Iterator<Item = &'a Vec<f64>>) -> Vec<f64> {
+    let mut total = Vec::new();
+    for row in rows {
+        total.resize(row.len(), 0.0);
+        for (total, value) in total.iter_mut().zip(row) {
+            *total += value;
+        }
+    }
+    total
+}

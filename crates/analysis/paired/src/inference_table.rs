@@ -1,0 +1,256 @@
+//! Table of the inference of each level, as text for a terminal of 80 columns.
+
+use std::fmt::Write;
+
+use libero_ctrl::Level;
+
+use crate::inference::Inference;
+use crate::inference::estimate::Estimate;
+use crate::inference::floor::Excess;
+use crate::report::Cell;
+use crate::text::{NOTHING, p_value, points, push_columns, push_row, rate, separate};
+
+const LABEL: usize = 20;
+const COLUMN: usize = 19;
+/// Levels beside each other.
+const CELLS: usize = 3;
+
+/// One line: its label, and what stands in each column.
+type Line = (&'static str, fn(&Inference) -> String);
+
+const LINES: [Line; 21] = [
+    ("S_sim, these tasks", |it| {
+        rates(it.paired.s_sim.these_tasks)
+    }),
+    ("  new tasks", |it| rates(it.paired.s_sim.new_tasks)),
+    ("  and directions", |it| {
+        rates(it.paired.s_sim.new_tasks_and_directions)
+    }),
+    ("I, these tasks", |it| changes(it.paired.i.these_tasks)),
+    ("  new tasks", |it| changes(it.paired.i.new_tasks)),
+    ("  and directions", |it| {
+        changes(it.paired.i.new_tasks_and_directions)
+    }),
+    ("R_d, these tasks", |it| rates(it.paired.r_d.these_tasks)),
+    ("  new tasks", |it| rates(it.paired.r_d.new_tasks)),
+    ("  and directions", |it| {
+        rates(it.paired.r_d.new_tasks_and_directions)
+    }),
+    ("sign-flip p of I", |it| p_value(it.i_sign_flip_p)),
+    ("directions alike, p", |it| {
+        it.directions
+            .as_ref()
+            .map_or_else(nothing, |test| p_value(test.p))
+    }),
+    ("b / S_conj", |it| share(it.eligible.emergent.as_ref())),
+    ("  new tasks", |it| {
+        it.eligible
+            .emergent
+            .map_or_else(nothing, |it| rates(it.new_tasks))
+    }),
+    ("c / (1 - S_conj)", |it| {
+        share(it.eligible.compensated.as_ref())
+    }),
+    ("  new tasks", |it| {
+        it.eligible
+            .compensated
+            .map_or_else(nothing, |it| rates(it.new_tasks))
+    }),
+    ("relative indep.", |it| {
+        share(it.relative.as_ref().map(|it| &it.prediction))
+    }),
+    ("  new tasks", |it| {
+        it.relative
+            .map_or_else(nothing, |it| rates(it.prediction.new_tasks))
+    }),
+    ("S_sim - relative", |it| {
+        change(it.relative.as_ref().map(|it| &it.difference))
+    }),
+    ("  new tasks", |it| {
+        it.relative
+            .map_or_else(nothing, |it| changes(it.difference.new_tasks))
+    }),
+    ("nominal, matched", |it| {
+        share(it.relative.as_ref().map(|it| &it.nominal))
+    }),
+    ("  new tasks", |it| {
+        it.relative
+            .map_or_else(nothing, |it| rates(it.nominal.new_tasks))
+    }),
+];
+
+/// One line of what exceeds the noise floor.
+type ExcessLine = (&'static str, fn(&Excess) -> String);
+
+const EXCESS_LINES: [ExcessLine; 12] = [
+    ("floor: n", |it| it.placebo.to_string()),
+    ("  R_e, R_c", |it| {
+        format!("{}, {}", rate(it.floor.r_e.value), rate(it.floor.r_c.value))
+    }),
+    ("  R_d", |it| rate(it.floor.r_d.value)),
+    ("  I", |it| points(it.floor.i.value)),
+    ("R_e - floor", |it| points(it.excess.r_e.value)),
+    ("  new tasks", |it| changes(it.excess.r_e.new_tasks)),
+    ("R_c - floor", |it| points(it.excess.r_c.value)),
+    ("  new tasks", |it| changes(it.excess.r_c.new_tasks)),
+    ("R_d - floor", |it| points(it.excess.r_d.value)),
+    ("  new tasks", |it| changes(it.excess.r_d.new_tasks)),
+    ("I - floor", |it| points(it.excess.i.value)),
+    ("  new tasks", |it| changes(it.excess.i.new_tasks)),
+];
+
+/// Intervals for each target, rates among eligible configurations, relative independence,
+/// and what exceeds the noise floor.
+pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], of: &str) {
+    for cells in cells.chunks(CELLS) {
+        let inferred: Vec<(Level, &Inference)> = cells
+            .iter()
+            .filter_map(|cell| Some((cell.level, cell.inference.as_ref()?)))
+            .collect();
+        if inferred.is_empty() {
+            continue;
+        }
+        separate(text);
+        let _ = writeln!(text, "how sure, and about what: 95 % intervals, %{of}");
+        let levels = inferred.iter().map(|(level, _)| level.to_string());
+        push_row(text, LABEL, COLUMN, "", levels);
+        for (label, value) in LINES {
+            let values = inferred.iter().map(|(_, it)| value(it));
+            push_row(text, LABEL, COLUMN, label, values);
+        }
+        if inferred.iter().all(|(_, it)| it.excess.is_none()) {
+            continue;
+        }
+        for (label, value) in EXCESS_LINES {
+            let values = inferred.iter();
+            let values = values.map(|(_, it)| it.excess.as_ref().map_or_else(nothing, value));
+            push_row(text, LABEL, COLUMN, label, values);
+        }
+    }
+    push_losses(text, cells, of);
+}
+
+/// Writes the table of success lost under each condition, against matched nominal
+/// rollouts.
+fn push_losses(text: &mut String, cells: &[&Cell], of: &str) {
+    let heads = [
+        "n",
+        "nominal",
+        "success",
+        "loss",
+        "95 %",
+        "Holm p",
+        "beyond 5, p",
+    ];
+    let mut rows = vec![(String::new(), heads.map(str::to_owned).to_vec())];
+    for cell in cells {
+        let Some(inference) = cell.inference.as_ref().filter(|it| !it.losses.is_empty()) else {
+            continue;
+        };
+        rows.push((cell.level.to_string(), Vec::new()));
+        for (condition, loss) in &inference.losses {
+            let one = |value: f64| format!("{:.1}", 100.0 * value);
+            let interval = loss.loss.new_tasks;
+            let interval = interval.map_or_else(nothing, |[low, high]| {
+                format!("[{}, {}]", one(low), one(high))
+            });
+            let values = vec![
+                loss.n.to_string(),
+                one(loss.nominal.value),
+                one(loss.success.value),
+                one(loss.loss.value),
+                interval,
+                p_value(loss.holm_p),
+                loss.equivalence_p.map_or_else(nothing, p_value),
+            ];
+            rows.push((format!(" {}", condition.label()), values));
+        }
+    }
+    if rows.len() > 1 {
+        separate(text);
+        let _ = writeln!(
+            text,
+            "loss against nominal rollouts of the same initial states, %{of}"
+        );
+        push_columns(text, &rows);
+    }
+}
+
+/// The legend of these lines.
+pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
+    let inferred: Vec<&Inference> = cells
+        .iter()
+        .filter_map(|cell| cell.inference.as_ref())
+        .collect();
+    if inferred.is_empty() {
+        return Vec::new();
+    }
+    let mut entries = vec![
+        (
+            "these tasks",
+            "about these tasks and directions: other initial states, and chance",
+        ),
+        (
+            "new tasks",
+            "about new tasks of these suites, under these directions",
+        ),
+        (
+            "and directions",
+            "about new tasks and new directions; configuration c of all tasks shares one",
+        ),
+        (
+            "sign-flip p",
+            "exact test over tasks; McNemar takes rollouts as independent",
+        ),
+        (
+            "b / S_conj",
+            "emergent, of the configurations that succeed under every axis alone",
+        ),
+        ("c / (1 - S_conj)", "compensated, of the others"),
+    ];
+    if inferred.iter().any(|it| it.relative.is_some()) {
+        entries.push((
+            "relative indep.",
+            "nominal x product of (axis / nominal): independent axes, nominal failures counted once",
+        ));
+        entries.push((
+            "Holm p",
+            "sign-flip test of the loss, corrected for the conditions of the level",
+        ));
+        entries.push((
+            "beyond 5, p",
+            "test that the loss is beyond 5 points either way: if small, there is none",
+        ));
+    }
+    if inferred.iter().any(|it| it.excess.is_some()) {
+        entries.push((
+            "floor",
+            "the same measures of the placebo level: what chance makes of them",
+        ));
+    }
+    entries
+}
+
+fn nothing() -> String {
+    NOTHING.to_owned()
+}
+
+fn share(estimate: Option<&Estimate>) -> String {
+    estimate.map_or_else(nothing, |estimate| rate(estimate.value))
+}
+
+fn change(estimate: Option<&Estimate>) -> String {
+    estimate.map_or_else(nothing, |estimate| points(estimate.value))
+}
+
+fn rates(interval: Option<[f64; 2]>) -> String {
+    interval.map_or_else(nothing, |[low, high]| {
+        format!("[{}, {}]", rate(low), rate(high))
+    })
+}
+
+fn changes(interval: Option<[f64; 2]>) -> String {
+    interval.map_or_else(nothing, |[low, high]| {
+        format!("[{}, {}]", points(low), points(high))
+    })
+}

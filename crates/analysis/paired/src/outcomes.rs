@@ -1,0 +1,301 @@
+//! Records of rollouts, and the matching of those of one configuration.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::{Axis, AxisSet, Condition, Level, RolloutId, TaskRef};
+use serde::{Deserialize, Serialize};
+
+use crate::measures::Configuration;
+
+/// Outcome of a rollout, if it has ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// The goal held within the step budget.
+    Success,
+    /// The task failed.
+    Failure,
+    /// Expanded, and without a result yet.
+    #[default]
+    Missing,
+    /// Quarantined after too many failed attempts: named, and in no rate.
+    Quarantined,
+}
+
+impl Outcome {
+    /// Returns true if the task succeeded; none where that is not known.
+    pub const fn success(self) -> Option<bool> {
+        match self {
+            Self::Success => Some(true),
+            Self::Failure => Some(false),
+            Self::Missing | Self::Quarantined => None,
+        }
+    }
+
+    /// Fewest and most successes that a rollout can turn out to be; none while it
+    /// is missing.
+    pub(crate) const fn possible_successes(self) -> Option<[i64; 2]> {
+        match self {
+            Self::Missing => None,
+            Self::Quarantined => Some([0, 1]),
+            Self::Success => Some([1, 1]),
+            Self::Failure => Some([0, 0]),
+        }
+    }
+}
+
+impl From<bool> for Outcome {
+    fn from(success: bool) -> Self {
+        match success {
+            true => Self::Success,
+            false => Self::Failure,
+        }
+    }
+}
+
+/// One row of a campaign × one replicate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Record {
+    /// Identity of the rollout.
+    pub id: RolloutId,
+    /// The initial state that it started from; pairs a configuration with its
+    /// nominal rollout.
+    pub init_id: u16,
+    /// Number of the replicate, from 0.
+    pub replicate: u32,
+    /// Outcome of the rollout.
+    pub outcome: Outcome,
+}
+
+/// The same rollout and replicate twice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("report on {id}, replicate {replicate}: it is recorded twice, keep one")]
+pub struct DuplicateRecord {
+    /// The rollout.
+    pub id: RolloutId,
+    /// The replicate.
+    pub replicate: u32,
+}
+
+/// One configuration at one level in one replicate, with all that is known of
+/// its rollouts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Matched {
+    /// The replicate.
+    pub replicate: u32,
+    /// The level.
+    pub level: Level,
+    /// The task.
+    pub task: TaskRef,
+    /// The configuration's number.
+    pub config: u16,
+    /// The initial state of all its rollouts.
+    pub init_id: u16,
+    /// The unperturbed rollout from the same initial state; missing too where
+    /// the campaign has none.
+    pub nominal: Outcome,
+    /// Outcomes under each axis alone, all axes of the campaign.
+    pub alone: BTreeMap<Axis, Outcome>,
+    /// Outcomes under several axes but not all, those among the records.
+    pub subsets: BTreeMap<AxisSet, Outcome>,
+    /// Outcome under simultaneous perturbation; missing too where the campaign has
+    /// none.
+    pub simultaneous: Outcome,
+}
+
+/// Effect of simultaneous perturbation on the outcome expected from the axes alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Transition {
+    /// Every axis alone succeeds, and so does the simultaneous rollout.
+    StillSucceeds,
+    /// Some axis alone fails, and so does the simultaneous rollout.
+    StillFails,
+    /// Every axis alone succeeds, the simultaneous rollout fails: counted in
+    /// `b`.
+    Emergent,
+    /// Some axis alone fails, the simultaneous rollout succeeds: counted in `c`.
+    Compensated,
+}
+
+impl Transition {
+    /// All transitions.
+    pub const ALL: [Self; 4] = [
+        Self::StillSucceeds,
+        Self::StillFails,
+        Self::Emergent,
+        Self::Compensated,
+    ];
+
+    /// The transition from the conjunction of the axes' successes to the
+    /// success of the simultaneous rollout.
+    pub const fn between(conjunction: bool, simultaneous: bool) -> Self {
+        match (conjunction, simultaneous) {
+            (true, true) => Self::StillSucceeds,
+            (false, false) => Self::StillFails,
+            (true, false) => Self::Emergent,
+            (false, true) => Self::Compensated,
+        }
+    }
+
+    /// Name in tables: `still succeeds`, `still fails`, `emergent`,
+    /// `compensated`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::StillSucceeds => "still succeeds",
+            Self::StillFails => "still fails",
+            Self::Emergent => "emergent",
+            Self::Compensated => "compensated",
+        }
+    }
+}
+
+impl Matched {
+    /// The configuration, if all its outcomes are known.
+    pub fn configuration(&self) -> Option<Configuration> {
+        let mut alone = BTreeMap::new();
+        for (&axis, outcome) in &self.alone {
+            alone.insert(axis, outcome.success()?);
+        }
+        Some(Configuration {
+            task: self.task,
+            alone,
+            simultaneous: self.simultaneous.success()?,
+        })
+    }
+
+    /// The transition, if all outcomes are known.
+    pub fn transition(&self) -> Option<Transition> {
+        let configuration = self.configuration()?;
+        let conjunction = configuration.conjunction();
+        Some(Transition::between(conjunction, configuration.simultaneous))
+    }
+
+    /// Every transition over the outcomes that quarantined rollouts could have
+    /// had; none while a rollout is missing. One where nothing is in quarantine.
+    pub fn possible_transitions(&self) -> Option<Vec<Transition>> {
+        let mut conjunction = [1, 1];
+        for outcome in self.alone.values() {
+            let [fewest, most] = outcome.possible_successes()?;
+            conjunction = [conjunction[0] * fewest, conjunction[1] * most];
+        }
+        let simultaneous = self.simultaneous.possible_successes()?;
+        let is_possible =
+            |success: bool, [fewest, most]: [i64; 2]| (fewest..=most).contains(&i64::from(success));
+        let mut possible = Vec::new();
+        for (alone, together) in [(true, true), (false, false), (true, false), (false, true)] {
+            if is_possible(alone, conjunction) && is_possible(together, simultaneous) {
+                possible.push(Transition::between(alone, together));
+            }
+        }
+        Some(possible)
+    }
+
+    /// The outcome under one of the campaign's conditions.
+    pub fn outcome(&self, condition: Condition) -> Outcome {
+        match condition {
+            Condition::Clean => self.nominal,
+            Condition::Single(axis) => self.alone.get(&axis).copied().unwrap_or_default(),
+            Condition::Subset(axes) => self.subsets.get(&axes).copied().unwrap_or_default(),
+            Condition::Combination => self.simultaneous,
+        }
+    }
+}
+
+/// Records by rollout, and what they have in common.
+#[derive(Clone, Debug, Default)]
+pub struct Records {
+    pub(crate) outcomes: BTreeMap<(u32, RolloutId), Outcome>,
+    pub(crate) axes: BTreeSet<Axis>,
+    pub(crate) combines: bool,
+    pub(crate) matched: Vec<Matched>,
+}
+
+impl Records {
+    /// Matches the records of each configuration.
+    ///
+    /// # Errors
+    /// If a rollout and replicate is recorded twice.
+    pub fn new(records: &[Record]) -> Result<Self, DuplicateRecord> {
+        let mut matching = Self::default();
+        for record in records {
+            let (id, replicate) = (record.id, record.replicate);
+            let known = matching.outcomes.insert((replicate, id), record.outcome);
+            if known.is_some() {
+                return Err(DuplicateRecord { id, replicate });
+            }
+            match id.condition() {
+                Condition::Clean | Condition::Subset(_) => {}
+                Condition::Single(axis) => {
+                    matching.axes.insert(axis);
+                }
+                Condition::Combination => matching.combines = true,
+            }
+        }
+        matching.matched = matching.matched(records);
+        Ok(matching)
+    }
+
+    /// Every configuration of which any perturbed rollout is among the records,
+    /// by replicate, level, task and number.
+    pub fn configurations(&self) -> &[Matched] {
+        &self.matched
+    }
+
+    /// Axes that were perturbed alone, in the protocol's order.
+    pub fn axes(&self) -> impl Iterator<Item = Axis> {
+        self.axes.iter().copied()
+    }
+
+    /// Returns the outcome of a rollout; missing where it is not among the records.
+    pub(crate) fn outcome(&self, replicate: u32, id: RolloutId) -> Outcome {
+        let outcome = self.outcomes.get(&(replicate, id));
+        outcome.copied().unwrap_or_default()
+    }
+
+    /// Returns true if some rollout of a configuration has not ended, among those
+    /// that there are: its nominal rollout is one of them.
+    pub(crate) fn is_open(&self, matched: &Matched) -> bool {
+        let nominal = RolloutId::clean(matched.task, matched.init_id);
+        let nominal = self.outcomes.get(&(matched.replicate, nominal));
+        let perturbed = matched.alone.values().chain(matched.subsets.values());
+        let mut outcomes = perturbed.chain([&matched.simultaneous]).chain(nominal);
+        outcomes.any(|outcome| *outcome == Outcome::Missing)
+    }
+
+    fn matched(&self, records: &[Record]) -> Vec<Matched> {
+        let mut matched = BTreeMap::new();
+        for &Record {
+            id,
+            init_id,
+            replicate,
+            outcome,
+        } in records
+        {
+            let Some(config) = id.config() else { continue };
+            let key = (replicate, id.level(), id.task(), config);
+            let entry = matched.entry(key).or_insert_with(|| Matched {
+                replicate,
+                level: id.level(),
+                task: id.task(),
+                config,
+                init_id,
+                nominal: self.outcome(replicate, RolloutId::clean(id.task(), init_id)),
+                alone: self.axes().map(|axis| (axis, Outcome::Missing)).collect(),
+                subsets: BTreeMap::new(),
+                simultaneous: Outcome::Missing,
+            });
+            match id.condition() {
+                Condition::Single(axis) => {
+                    entry.alone.insert(axis, outcome);
+                }
+                Condition::Subset(axes) => {
+                    entry.subsets.insert(axes, outcome);
+                }
+                Condition::Combination => entry.simultaneous = outcome,
+                Condition::Clean => {}
+            }
+        }
+        matched.into_values().collect()
+    }
+}

@@ -1,0 +1,332 @@
+//! The smallest differences that a campaign can show, before it is run: those that a
+//! two-sided test at 5 % finds with a power of 80 %, if its outcomes are like some that are
+//! known. Tasks are clusters where figures are to hold for new tasks.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::Level;
+
+use crate::design::{
+    PairedDesign, Z_POWER, Z_TEST, correlation, minimum_detectable_effect, task_correlation,
+};
+use crate::interval::MIN_TASKS;
+use crate::measures::Configuration;
+use crate::outcomes::{DuplicateRecord, Record, Records};
+
+/// Halvings of the interval in which a difference is sought: enough for doubles.
+const BISECTIONS: u32 = 60;
+
+/// Assumed outcomes of a level. Rates are fractions; correlations
+/// are those of configurations of one task, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Assumed {
+    /// The level.
+    pub level: Level,
+    /// Success rate under simultaneous perturbation.
+    pub s_sim: f64,
+    /// Share of configurations whose outcome simultaneity changes.
+    pub r_d: f64,
+    /// Correlation of simultaneous success.
+    pub of_success: f64,
+    /// Correlation of simultaneous − conjunction, which is −1, 0 or 1.
+    pub of_change: f64,
+    /// Correlation of whether the outcome changes.
+    pub of_changed: f64,
+}
+
+/// Configurations that are to be run at a level.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Planned {
+    /// Tasks.
+    pub tasks: u32,
+    /// Configurations of each, on average.
+    pub configs_per_task: f64,
+}
+
+/// The measure that `R_d` is compared with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Against {
+    /// The same measure of another policy, in as many configurations.
+    AnotherPolicy,
+    /// That of the placebo level.
+    Floor {
+        /// Its assumed value, a fraction.
+        r_d: f64,
+        /// The configurations that are run there.
+        planned: Planned,
+    },
+}
+
+/// The smallest differences that are found, as fractions; none where even the largest
+/// possible one is too small, or there are too few tasks for intervals.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Detectable {
+    /// Difference of the success rates of two policies under simultaneous perturbation that
+    /// are as good as each other and independent, in configurations and, for new tasks, in
+    /// tasks: those that fail alike are told apart sooner.
+    pub difference: Option<f64>,
+    /// Difference of I from 0.
+    pub i: Option<f64>,
+    /// Difference of `R_d` from the measure that it is compared with.
+    pub r_d: Option<f64>,
+}
+
+impl Assumed {
+    /// The student's published outcomes (`examples/student`), all of v0.1.
+    pub const STUDENT: [Self; 3] = [
+        Self {
+            level: Level::L1,
+            s_sim: 0.6075,
+            r_d: 0.2225,
+            of_success: 0.4187,
+            of_change: 0.0297,
+            of_changed: 0.1361,
+        },
+        Self {
+            level: Level::L2,
+            s_sim: 0.3875,
+            r_d: 0.2675,
+            of_success: 0.3502,
+            of_change: 0.0558,
+            of_changed: 0.1272,
+        },
+        Self {
+            level: Level::L3,
+            s_sim: 0.13,
+            r_d: 0.17,
+            of_success: 0.1354,
+            of_change: 0.0451,
+            of_changed: 0.0827,
+        },
+    ];
+
+    /// Summarises known outcomes by level, from the smallest: those of the first replicate,
+    /// of configurations that are complete.
+    ///
+    /// # Errors
+    /// If a rollout and replicate is recorded twice.
+    pub fn of(records: &[Record]) -> Result<Vec<Self>, DuplicateRecord> {
+        let records = Records::new(records)?;
+        let first = records.configurations().iter();
+        let first = first.filter(|it| it.replicate == 0 && it.alone.len() > 1);
+        let mut levels: BTreeMap<Level, Vec<Configuration>> = BTreeMap::new();
+        for matched in first {
+            if let Some(configuration) = matched.configuration() {
+                levels.entry(matched.level).or_default().push(configuration);
+            }
+        }
+        let levels = levels.into_iter();
+        Ok(levels
+            .map(|(level, configurations)| Self::of_level(level, &configurations))
+            .collect())
+    }
+
+    fn of_level(level: Level, configurations: &[Configuration]) -> Self {
+        let share = |is: fn(&Configuration) -> bool| {
+            let count = configurations.iter().filter(|it| is(it)).count();
+            count as f64 / configurations.len() as f64
+        };
+        let over_tasks = |is: fn(&Configuration) -> bool| {
+            correlation(configurations, |it| f64::from(is(it))).unwrap_or_default()
+        };
+        let is_changed: fn(&Configuration) -> bool = |it| it.simultaneous != it.conjunction();
+        Self {
+            level,
+            s_sim: share(|it| it.simultaneous),
+            r_d: share(is_changed),
+            of_success: over_tasks(|it| it.simultaneous),
+            of_change: task_correlation(configurations).unwrap_or_default(),
+            of_changed: over_tasks(is_changed),
+        }
+    }
+
+    /// Returns the entry of a level, or of the perturbed level with the nearest radius.
+    pub fn nearest(all: &[Self], level: Level) -> Option<&Self> {
+        let perturbed = all.iter().filter(|it| it.level != Level::L0);
+        perturbed.min_by(|a, b| {
+            let far = |it: &Self| (it.level.radius() - level.radius()).abs();
+            far(a).total_cmp(&far(b))
+        })
+    }
+
+    /// The same for the tasks at hand and no others: how much configurations of a task
+    /// resemble one another is then no part of the error.
+    pub const fn of_these_tasks(self) -> Self {
+        Self {
+            of_success: 0.0,
+            of_change: 0.0,
+            of_changed: 0.0,
+            ..self
+        }
+    }
+
+    /// The smallest differences that some configurations show.
+    pub fn detectable(&self, planned: Planned, against: Against) -> Detectable {
+        if (planned.tasks as usize) < MIN_TASKS {
+            return Detectable {
+                difference: None,
+                i: None,
+                r_d: None,
+            };
+        }
+        let paired = |r_d, task_correlation| {
+            minimum_detectable_effect(&PairedDesign {
+                tasks: planned.tasks,
+                configs_per_task: planned.configs_per_task,
+                r_d,
+                task_correlation,
+            })
+        };
+        let [base, there] = match against {
+            Against::AnotherPolicy => [(self.r_d, planned); 2],
+            Against::Floor {
+                r_d,
+                planned: floor,
+            } => [(r_d, planned), (r_d, floor)],
+        };
+        Detectable {
+            difference: paired(2.0 * self.s_sim * (1.0 - self.s_sim), self.of_success),
+            i: paired(self.r_d, self.of_change),
+            r_d: excess(base.0, self.of_changed, [base.1, there.1]),
+        }
+    }
+}
+
+impl Planned {
+    /// The variance of a share over these configurations: that of independent ones times
+    /// the design effect 1 + (m − 1)·ρ.
+    fn variance(self, share: f64, correlation: f64) -> f64 {
+        let effect = 1.0 + (self.configs_per_task - 1.0).max(0.0) * correlation;
+        share * (1.0 - share) * effect / self.of_all()
+    }
+
+    /// The configurations of all tasks.
+    pub fn count(self) -> u32 {
+        self.of_all().round() as u32
+    }
+
+    fn of_all(self) -> f64 {
+        f64::from(self.tasks) * self.configs_per_task
+    }
+}
+
+/// The smallest excess of a share over `base` that is found, each over configurations of
+/// its own: solves δ = z₀.₉₇₅·σ(pooled) + z₀.₈·σ(base + δ, base). Where both are over the same
+/// configurations, and these resemble one another, less is found.
+///
+/// Source: J. L. Fleiss, B. Levin, M. C. Paik, Statistical Methods for Rates and Proportions,
+/// third edition (2003), section 4.2.
+fn excess(base: f64, correlation: f64, [here, there]: [Planned; 2]) -> Option<f64> {
+    let spread = |one: f64, other: f64| {
+        (here.variance(one, correlation) + there.variance(other, correlation)).sqrt()
+    };
+    // Negative where the excess is found.
+    let lacking = |excess: f64| {
+        let share = base + excess;
+        let all = here.of_all() + there.of_all();
+        let pooled = (here.of_all() * share + there.of_all() * base) / all;
+        Z_TEST * spread(pooled, pooled) + Z_POWER * spread(share, base) - excess
+    };
+    let (mut low, mut high) = (0.0, 1.0 - base);
+    if !(here.of_all() > 0.0 && there.of_all() > 0.0) || lacking(high) > 0.0 {
+        return None;
+    }
+    for _ in 0..BISECTIONS {
+        let middle = f64::midpoint(low, high);
+        match lacking(middle) > 0.0 {
+            true => low = middle,
+            false => high = middle,
+        }
+    }
+    Some(high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::{Rng, SeedableRng};
+
+    fn planned(tasks: u32, configs_per_task: f64) -> Planned {
+        Planned {
+            tasks,
+            configs_per_task,
+        }
+    }
+
+    fn assumed(r_d: f64, correlation: f64) -> Assumed {
+        Assumed {
+            level: Level::L2,
+            s_sim: 0.6,
+            r_d,
+            of_success: correlation,
+            of_change: correlation,
+            of_changed: correlation,
+        }
+    }
+
+    #[test]
+    fn an_excess_that_is_called_detectable_is_found_in_four_of_five_campaigns() {
+        let [here, there] = [planned(40, 10.0), planned(40, 2.0)];
+        let base = 0.05;
+        let excess = excess(base, 0.0, [here, there]).expect("some");
+        let mut rng = ChaCha8Rng::seed_from_u64(33);
+        let mut share = |of: Planned, rate: f64| {
+            let uniform = || f64::from(rng.next_u32()) / f64::from(u32::MAX);
+            let n = of.of_all();
+            let hits = std::iter::repeat_with(uniform).take(n as usize);
+            hits.filter(|it| *it < rate).count() as f64 / n
+        };
+        let campaigns = 2_000;
+        let is_found = |_: &u32| {
+            let (one, other) = (share(here, base + excess), share(there, base));
+            let pooled = (one * here.of_all() + other * there.of_all()) / 480.0;
+            let variance = here.variance(pooled, 0.0) + there.variance(pooled, 0.0);
+            (one - other).abs() > Z_TEST * variance.sqrt()
+        };
+        let found = (0..campaigns).filter(is_found).count();
+        let power = found as f64 / f64::from(campaigns);
+        assert!((0.75..0.85).contains(&power), "{power} for {excess}");
+    }
+
+    #[test]
+    fn more_configurations_show_less_and_tasks_that_resemble_themselves_show_more() {
+        let floor = |configs| Against::Floor {
+            r_d: 0.05,
+            planned: planned(40, configs),
+        };
+        let usual = assumed(0.27, 0.05);
+        let all = |it: Detectable| [it.difference, it.i, it.r_d].map(|it| it.expect("some"));
+        let of = |it: Assumed, tasks, against| all(it.detectable(planned(tasks, 10.0), against));
+        let here = of(usual, 40, floor(10.0));
+        for (better, worse) in [
+            (
+                of(usual, 100, Against::AnotherPolicy),
+                of(usual, 40, Against::AnotherPolicy),
+            ),
+            (of(assumed(0.27, 0.0), 40, floor(10.0)), here),
+        ] {
+            for (better, worse) in better.into_iter().zip(worse) {
+                assert!(0.0 < better && better < worse, "{better} {worse}");
+            }
+        }
+        let fewer = of(usual, 40, floor(2.0));
+        assert!(fewer[2] > here[2] && fewer[..2] == here[..2]);
+        let few_tasks = usual.detectable(planned(9, 10.0), Against::AnotherPolicy);
+        assert_eq!(few_tasks.i, None);
+    }
+
+    #[test]
+    fn what_is_assumed_at_a_level_is_what_is_known_of_the_nearest() {
+        let at = |text: &str| text.parse::<Level>().expect("a level");
+        let all = [at("L0"), at("L1"), at("L3")].map(|level| Assumed {
+            level,
+            ..assumed(0.2, 0.0)
+        });
+        for (level, nearest) in [("L2", "L1"), ("r7", "L3"), ("r0.1", "L1"), ("L3", "L3")] {
+            let found = Assumed::nearest(&all, at(level)).expect("some");
+            assert_eq!(found.level, at(nearest), "{level}");
+        }
+        assert_eq!(Assumed::nearest(&all[..1], Level::L2), None);
+    }
+}

@@ -1,0 +1,176 @@
+//! A further replicate against the first: the same configurations and realised
+//! perturbations, another policy seed.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Condition, Level};
+use serde::{Deserialize, Serialize};
+
+use crate::bootstrap::{Bootstrap, Interval};
+use crate::interval::{NoInterval, intervals};
+use crate::measures::{Configuration, Tally};
+use crate::outcomes::{Matched, Records, Transition};
+
+/// A replicate against replicate 0, over what both have. Source: section 6 of
+/// the protocol.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Replication {
+    /// The replicate that is compared with replicate 0.
+    pub replicate: u32,
+    /// Over all rollouts.
+    pub flips: Flips,
+    /// Over the rollouts of each condition.
+    pub flips_by_condition: BTreeMap<Condition, Flips>,
+    /// The changes of the measures, per level where both have complete
+    /// configurations.
+    pub changes: BTreeMap<Level, Change>,
+}
+
+/// Rollouts whose outcome is another when the policy's seed is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Flips {
+    /// Rollouts with an outcome in both replicates.
+    pub compared: u64,
+    /// Rollouts whose outcomes differ.
+    pub flipped: u64,
+}
+
+impl Flips {
+    /// `flipped` / `compared`; none of no rollout.
+    pub fn rate(&self) -> Option<f64> {
+        (self.compared > 0).then(|| self.flipped as f64 / self.compared as f64)
+    }
+
+    fn add(&mut self, differ: bool) {
+        self.compared += 1;
+        self.flipped += u64::from(differ);
+    }
+}
+
+/// Measures of a replicate less those of replicate 0, over the configurations
+/// that are complete in both. Intervals resample tasks, both replicates of a
+/// task together.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Change {
+    /// Configurations that are complete in both.
+    pub n: u64,
+    /// Configurations with the same transition in both.
+    pub same_transition: u64,
+    /// Emergent or compensated in replicate 0.
+    pub changed: u64,
+    /// Configurations among them with the same transition in this replicate.
+    pub changed_again: u64,
+    /// Change of `s_sim`.
+    pub s_sim: f64,
+    /// Change of `d`.
+    pub d: f64,
+    /// Interval of it.
+    pub d_ci95: Option<Interval>,
+    /// Change of `i`.
+    pub i: f64,
+    /// Interval of it.
+    pub i_ci95: Option<Interval>,
+    /// Change of `r_e`.
+    pub r_e: f64,
+    /// Interval of it.
+    pub r_e_ci95: Option<Interval>,
+    /// Change of `r_c`.
+    pub r_c: f64,
+    /// Interval of it.
+    pub r_c_ci95: Option<Interval>,
+    /// Change of `r_d`.
+    pub r_d: f64,
+    /// Interval of it.
+    pub r_d_ci95: Option<Interval>,
+    /// Reason why intervals are absent; absent where none is.
+    pub no_interval: Option<NoInterval>,
+}
+
+impl Replication {
+    /// Compares a replicate with replicate 0.
+    pub fn of(records: &Records, replicate: u32, bootstrap: &Bootstrap) -> Self {
+        let mut flips = Flips::default();
+        let mut by_condition: BTreeMap<Condition, Flips> = BTreeMap::new();
+        for (&(of, id), outcome) in &records.outcomes {
+            let first = records.outcome(0, id).success();
+            if let (true, Some(now), Some(then)) = (of == replicate, outcome.success(), first) {
+                flips.add(now != then);
+                by_condition
+                    .entry(id.condition())
+                    .or_default()
+                    .add(now != then);
+            }
+        }
+        Self {
+            replicate,
+            flips,
+            flips_by_condition: by_condition,
+            changes: changes(records.configurations(), replicate, bootstrap),
+        }
+    }
+}
+
+fn changes(all: &[Matched], replicate: u32, bootstrap: &Bootstrap) -> BTreeMap<Level, Change> {
+    let key = |matched: &Matched| (matched.level, matched.task, matched.config);
+    let first = all.iter().filter(|matched| matched.replicate == 0);
+    let first: BTreeMap<_, _> = first.map(|matched| (key(matched), matched)).collect();
+    let mut pairs: BTreeMap<Level, [Vec<Configuration>; 2]> = BTreeMap::new();
+    for now in all.iter().filter(|matched| matched.replicate == replicate) {
+        let then = first.get(&key(now)).and_then(|then| then.configuration());
+        if let (Some(then), Some(now_complete)) = (then, now.configuration()) {
+            let [thens, nows] = pairs.entry(now.level).or_default();
+            thens.push(then);
+            nows.push(now_complete);
+        }
+    }
+    let pairs = pairs.into_iter();
+    pairs
+        .map(|(level, [then, now])| (level, Change::between(&then, &now, bootstrap)))
+        .collect()
+}
+
+impl Change {
+    /// Compares the same configurations, in the same order.
+    fn between(then: &[Configuration], now: &[Configuration], bootstrap: &Bootstrap) -> Self {
+        let axes: Vec<_> = then[0].alone.keys().copied().collect();
+        let clusters = [then, now].map(|outcomes| Tally::of_tasks(outcomes, &axes));
+        let changes = |draws: &[u32]| {
+            let of = |of: usize| Tally::drawn(&clusters[of], draws).rates().with_intervals();
+            let (then, now) = (of(0), of(1));
+            std::array::from_fn::<f64, 5, _>(|i| now[i] - then[i])
+        };
+        let tasks = clusters[0].len();
+        let once = vec![1; tasks];
+        let [d, i, r_e, r_c, r_d] = changes(&once);
+        let (shown, no_interval) = intervals(bootstrap, tasks, changes);
+        let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] = shown;
+        let s_sim = |of: usize| Tally::drawn(&clusters[of], &once).rates().s_sim;
+        let transition = |c: &Configuration| Transition::between(c.conjunction(), c.simultaneous);
+        let (mut same, mut changed, mut again) = (0, 0, 0);
+        for (then, now) in then.iter().zip(now) {
+            let (then, now) = (transition(then), transition(now));
+            let is_change = matches!(then, Transition::Emergent | Transition::Compensated);
+            same += u64::from(then == now);
+            changed += u64::from(is_change);
+            again += u64::from(is_change && then == now);
+        }
+        Self {
+            n: then.len() as u64,
+            same_transition: same,
+            changed,
+            changed_again: again,
+            s_sim: s_sim(1) - s_sim(0),
+            d,
+            d_ci95,
+            i,
+            i_ci95,
+            r_e,
+            r_e_ci95,
+            r_c,
+            r_c_ci95,
+            r_d,
+            r_d_ci95,
+            no_interval,
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! A report: its cells, its nominal success, and the options that it is computed with.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Axis, AxisSet, Condition, Directions, Level, Suite};
+use serde::{Deserialize, Serialize};
+
+use crate::bootstrap::Bootstrap;
+use crate::bounds::Bounds;
+use crate::count::Count;
+use crate::finding::Finding;
+use crate::gate::{Gate, SuiteGate};
+use crate::inference::Inference;
+use crate::inference::components::Components;
+use crate::measures::Measures;
+use crate::replication::Replication;
+
+/// Options of a report.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Caveats that a reader must know first, one sentence each: another asset pack,
+    /// a privileged policy, mixed versions. Printed at the top.
+    pub notes: Vec<String>,
+    /// Settings of the intervals.
+    pub bootstrap: Bootstrap,
+    /// The policy's published nominal success rate, a fraction, for the gate.
+    pub published_nominal: Option<f64>,
+    /// Nominal success rates published of single suites, fractions, for a gate each.
+    pub published_by_suite: Vec<(Suite, f64)>,
+    /// Nominal successes as published elsewhere; used where there is no nominal
+    /// rollout among the records.
+    pub reported_nominal: Option<Count>,
+    /// Assignment of directions to configurations.
+    pub directions: Directions,
+}
+
+/// The statistics of one policy's records.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// The caller's notes.
+    pub notes: Vec<String>,
+    /// Axes that were perturbed alone, in the protocol's order.
+    pub axes: Vec<Axis>,
+    /// Nominal success, per replicate.
+    pub nominal: Vec<Nominal>,
+    /// The reproduction gate, where a published figure is known.
+    pub gate: Option<Gate>,
+    /// The gates of single suites whose published figures are known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub suite_gates: Vec<SuiteGate>,
+    /// Cells, by replicate and level.
+    pub cells: Vec<Cell>,
+    /// Each further replicate against the first.
+    pub replication: Vec<Replication>,
+    /// Variance components by level; empty without replicates.
+    pub components: Vec<Components>,
+    /// Sentences about the figures, see [`findings`].
+    pub findings: Vec<Finding>,
+    /// Quarantined rollouts, in no rate: `ID` or `ID#rK`.
+    pub quarantined: Vec<String>,
+    /// Settings of the intervals.
+    pub bootstrap: Bootstrap,
+}
+
+/// Nominal rollouts of one replicate.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Nominal {
+    /// The replicate.
+    pub replicate: u32,
+    /// Source of the count.
+    pub source: NominalSource,
+    /// Rollouts and their successes.
+    pub count: Count,
+    /// Rollouts without an outcome.
+    pub gap: Gap,
+}
+
+/// Source of nominal counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NominalSource {
+    /// Nominal rollouts among the records.
+    Records,
+    /// A count that was published elsewhere.
+    Reported,
+}
+
+/// One level of one replicate.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Cell {
+    /// The replicate.
+    pub replicate: u32,
+    /// The level.
+    pub level: Level,
+    /// Success of each axis alone over all its results, complete configuration
+    /// or not.
+    pub alone: BTreeMap<Axis, SingleAxis>,
+    /// Success under several axes but not all, over all results; empty where the
+    /// campaign has none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub subsets: BTreeMap<AxisSet, Count>,
+    /// Success of the simultaneous rollouts over all their results; absent where
+    /// the campaign has none.
+    pub simultaneous: Option<Count>,
+    /// Counts of complete configurations, which the paired measures are of.
+    pub completeness: Completeness,
+    /// The paired measures; absent while no configuration is complete, or
+    /// where the campaign has no simultaneous rollout.
+    pub paired: Option<Measures>,
+    /// The same on configurations whose nominal rollout succeeded: what was
+    /// solvable to begin with.
+    pub solvable: Option<Measures>,
+    /// Worst and best case; absent where no rollout is quarantined.
+    pub bounds: Option<Bounds>,
+    /// How much configurations of a task resemble one another, see
+    /// [`task_correlation`](crate::design::task_correlation).
+    pub task_correlation: Option<f64>,
+    /// Inference about these figures; absent while no configuration is complete.
+    pub inference: Option<Inference>,
+    /// The smallest |`i`| that this many configurations can show, see
+    /// [`minimum_detectable_effect`].
+    pub minimum_detectable_i: Option<f64>,
+}
+
+/// One axis alone at one level.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SingleAxis {
+    /// Rollouts and their successes.
+    pub count: Count,
+    /// 1 − success / nominal success; absent where either is unknown or the
+    /// nominal success is nought.
+    pub clean_relative_loss: Option<f64>,
+}
+
+/// Numbers of configurations of a cell with and without all their outcomes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Completeness {
+    /// Configurations that have all their outcomes.
+    pub complete: u64,
+    /// All configurations of the cell.
+    pub expected: u64,
+    /// Outcomes that the others lack, by condition.
+    pub gaps: BTreeMap<Condition, Gap>,
+}
+
+/// Rollouts without an outcome.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Gap {
+    /// Rollouts without a result yet.
+    pub missing: u64,
+    /// Quarantined.
+    pub quarantined: u64,
+}

@@ -1,0 +1,169 @@
+//! A campaign that may end early: what is known of it, level by level.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::{Level, RolloutId, Stop, Strata, TaskRef};
+
+use crate::outcomes::{Matched, Record, Records, Transition};
+use crate::sequential::look::Look;
+use crate::sequential::measures::SequentialMeasures;
+use crate::sequential::order::Order;
+
+/// The intervals of a level, or of a comparison, ever miss with a probability of at
+/// most this.
+pub const SEQUENTIAL_ALPHA: f64 = 0.05;
+
+/// A configuration: its task and its number.
+pub type Unit = (TaskRef, u16);
+
+/// A look at a campaign that may end early. All levels rest on the same
+/// configurations: the drawn order up to the first that is not complete.
+///
+/// One is complete when all its rollouts have ended, at all levels and under all
+/// conditions, and its nominal rollout too where the campaign has it: those that the
+/// intervals are not about count in other figures.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CampaignLook {
+    /// The configurations that it rests on, in the drawn order.
+    pub used: Vec<Unit>,
+    /// Configurations of the campaign.
+    pub units: usize,
+    /// The look at each level.
+    pub levels: BTreeMap<Level, Look>,
+}
+
+/// The order in which a campaign runs its configurations.
+pub fn drawn_order(stop: &Stop, units: impl IntoIterator<Item = Unit>) -> Order<Unit> {
+    match stop.strata {
+        Strata::Suites => Order::new(stop.seed, units, |(task, _)| task.suite()),
+        Strata::Tasks => Order::new(stop.seed, units, |(task, _)| *task),
+    }
+}
+
+impl CampaignLook {
+    /// Returns the look at the current outcomes; none of a campaign without configurations.
+    pub fn now(records: &Records, stop: &Stop) -> Option<Self> {
+        Walk::begin(records, stop).map(|mut walk| {
+            while walk.step() {}
+            walk.look
+        })
+    }
+
+    /// The first look at which the rule holds at every level, if that is before the
+    /// last configuration. A function of the outcomes: those that lie beyond that
+    /// look in the drawn order do not change it.
+    pub fn when_met(records: &Records, stop: &Stop) -> Option<Self> {
+        let mut walk = Walk::begin(records, stop)?;
+        while walk.step() {
+            let mut looks = walk.look.levels.values();
+            if looks.all(|look| look.meets(&stop.rule)) {
+                return (walk.look.used.len() < walk.look.units).then_some(walk.look);
+            }
+        }
+        None
+    }
+
+    /// Of the records of a campaign that stopped early, those of the configurations that
+    /// its last look rests on, with their nominal rollouts: which of the others came to an
+    /// end depends on how long they took, and so on how they ended. None if its rule is
+    /// not met.
+    pub fn counted_when_met(records: &[Record], stop: &Stop) -> Option<Vec<Record>> {
+        let matched = Records::new(records).ok()?;
+        Some(Self::when_met(&matched, stop)?.counted(records))
+    }
+
+    fn counted(&self, records: &[Record]) -> Vec<Record> {
+        let used: BTreeSet<Unit> = self.used.iter().copied().collect();
+        let is_used = |record: &Record| unit(record.id).is_some_and(|unit| used.contains(&unit));
+        let of_used = records.iter().filter(|record| is_used(record));
+        let states: BTreeSet<RolloutId> = of_used.map(nominal).collect();
+        let counts = |record: &&Record| is_used(record) || states.contains(&record.id);
+        records.iter().filter(counts).copied().collect()
+    }
+}
+
+fn unit(id: RolloutId) -> Option<Unit> {
+    Some((id.task(), id.config()?))
+}
+
+/// The nominal rollout of a record's configuration.
+fn nominal(record: &Record) -> RolloutId {
+    RolloutId::clean(record.id.task(), record.init_id)
+}
+
+/// A walk through the drawn order.
+struct Walk<'a> {
+    order: Vec<Unit>,
+    configurations: BTreeMap<(Level, Unit), &'a Matched>,
+    /// Configurations of which some rollout has not ended.
+    open: BTreeSet<Unit>,
+    sequences: BTreeMap<Level, SequentialMeasures<Unit>>,
+    look: CampaignLook,
+}
+
+impl<'a> Walk<'a> {
+    /// Before the first configuration.
+    fn begin(records: &'a Records, stop: &Stop) -> Option<Self> {
+        let of_first_replicate = records.configurations().iter();
+        let of_first_replicate = of_first_replicate.filter(|it| it.replicate == 0);
+        let configurations: BTreeMap<(Level, Unit), &Matched> = of_first_replicate
+            .map(|it| ((it.level, (it.task, it.config)), it))
+            .collect();
+        let units: BTreeSet<Unit> = configurations.keys().map(|(_, unit)| *unit).collect();
+        if units.is_empty() {
+            return None;
+        }
+        // The placebo level is the floor of the others, and may be run in few configurations.
+        let levels = configurations.keys().map(|(level, _)| *level);
+        let levels: BTreeSet<Level> = levels.filter(|level| *level != Level::L0).collect();
+        if levels.is_empty() {
+            return None;
+        }
+        let order = drawn_order(stop, units);
+        let open = configurations.iter().filter(|(_, it)| records.is_open(it));
+        let open = open.map(|((_, unit), _)| *unit).collect();
+        let sequence = |level| (level, SequentialMeasures::new(&order, SEQUENTIAL_ALPHA));
+        let sequences: BTreeMap<_, _> = levels.into_iter().map(sequence).collect();
+        Some(Self {
+            look: CampaignLook {
+                used: Vec::new(),
+                units: order.units().count(),
+                levels: looks(&sequences),
+            },
+            order: order.units().copied().collect(),
+            configurations,
+            open,
+            sequences,
+        })
+    }
+
+    /// Takes the next configuration. False if there is none, or it is not complete.
+    fn step(&mut self) -> bool {
+        let Some(&unit) = self.order.get(self.look.used.len()) else {
+            return false;
+        };
+        if self.open.contains(&unit) {
+            return false;
+        }
+        let of_level = |level: &Level| -> Option<Vec<Transition>> {
+            let matched = self.configurations.get(&(*level, unit))?;
+            matched.possible_transitions()
+        };
+        let possible: Option<Vec<_>> = self.sequences.keys().map(of_level).collect();
+        let Some(possible) = possible else {
+            return false;
+        };
+        for (sequence, possible) in self.sequences.values_mut().zip(possible) {
+            let taken = sequence.complete(&unit, &possible);
+            taken.expect("a configuration of the order");
+        }
+        self.look.used.push(unit);
+        self.look.levels = looks(&self.sequences);
+        true
+    }
+}
+
+fn looks(sequences: &BTreeMap<Level, SequentialMeasures<Unit>>) -> BTreeMap<Level, Look> {
+    let looks = sequences.iter();
+    looks.map(|(&level, it)| (level, it.look())).collect()
+}

@@ -1,0 +1,100 @@
+//! Two campaigns that run their configurations in the same drawn order, compared
+//! while they run.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::{Condition, Level, RolloutId, Stop, StopRule};
+
+use crate::outcomes::{Outcome, Record};
+use crate::sequential::campaign::{SEQUENTIAL_ALPHA, Unit, drawn_order};
+use crate::sequential::difference::SequentialDifference;
+use crate::sequential::look::Look;
+
+/// Look at the difference A − B under one condition at one level.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ComparedLook {
+    /// The level.
+    pub level: Level,
+    /// The condition.
+    pub condition: Condition,
+    /// The interval, after the configurations that both have.
+    pub look: Look,
+    /// Number of configurations after which the rule was first met, if it was.
+    pub met_after: Option<usize>,
+}
+
+/// Two campaigns with different configurations: their orders differ.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NotInOneOrder;
+
+/// Looks at the difference under every condition at every perturbed level, in the
+/// first replicate; `order` is the drawn order of both campaigns. A condition is left
+/// out if one of them lacks it in any configuration, or if any of its rollouts is
+/// `unpaired`.
+///
+/// # Errors
+/// If one campaign has a configuration that the other has not.
+pub fn compared_looks(
+    [a, b]: [&[Record]; 2],
+    unpaired: &BTreeSet<RolloutId>,
+    order: &Stop,
+    rule: Option<&StopRule>,
+) -> Result<Vec<ComparedLook>, NotInOneOrder> {
+    let [a, b] = [outcomes(a), outcomes(b)];
+    let units = units(&a);
+    if units != self::units(&b) {
+        return Err(NotInOneOrder);
+    }
+    let order = drawn_order(order, units.iter().copied());
+    let mut looks = Vec::new();
+    for (&(level, condition), of_a) in &a {
+        let of_b = b.get(&(level, condition));
+        let Some(of_b) = of_b.filter(|of_b| [of_a.len(), of_b.len()] == [units.len(); 2]) else {
+            continue;
+        };
+        let is_unpaired = |&(task, config): &Unit| {
+            let id = RolloutId::perturbed(task, condition, level, config);
+            id.is_ok_and(|id| unpaired.contains(&id))
+        };
+        if units.iter().any(is_unpaired) {
+            continue;
+        }
+        let mut difference = SequentialDifference::new(&order, SEQUENTIAL_ALPHA);
+        let mut met_after = None;
+        for unit in order.units() {
+            let taken = difference.complete(unit, of_a[unit], of_b[unit]);
+            taken.expect("a configuration of the order");
+            let look = difference.look();
+            if met_after.is_none() && rule.is_some_and(|rule| look.meets(rule)) {
+                met_after = Some(look.used);
+            }
+        }
+        looks.push(ComparedLook {
+            level,
+            condition,
+            look: difference.look(),
+            met_after,
+        });
+    }
+    Ok(looks)
+}
+
+type Outcomes = BTreeMap<(Level, Condition), BTreeMap<Unit, Outcome>>;
+
+/// The outcomes of perturbed rollouts.
+fn outcomes(records: &[Record]) -> Outcomes {
+    let mut outcomes = Outcomes::new();
+    for record in records.iter().filter(|record| record.replicate == 0) {
+        let id = record.id;
+        if let Some(config) = id.config() {
+            let of = outcomes.entry((id.level(), id.condition())).or_default();
+            of.insert((id.task(), config), record.outcome);
+        }
+    }
+    outcomes
+}
+
+fn units(outcomes: &Outcomes) -> BTreeSet<Unit> {
+    let units = outcomes.values().flat_map(BTreeMap::keys);
+    units.copied().collect()
+}

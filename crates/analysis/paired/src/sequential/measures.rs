@@ -1,0 +1,88 @@
+//! Confidence sequences of one policy's measures.
+
+use std::fmt;
+
+use libero_ctrl::Measure;
+
+use crate::outcomes::Transition;
+use crate::sequential::look::Look;
+use crate::sequential::order::Order;
+use crate::sequential::prefix::NotInOrder;
+use crate::sequential::together::Together;
+
+/// Confidence sequences of `S_sim`, `R_e`, `R_c`, `R_d` and `I` over the
+/// configurations of one level.
+///
+/// Configurations may be given as they complete, in any order. They are used in
+/// the drawn order, up to the first that is not complete. Those beyond it wait:
+/// a rollout that succeeds ends sooner than one that runs out of steps, so that
+/// the configurations that happen to be complete are not a random sample, and
+/// their intervals would be about the quick ones.
+#[derive(Clone, Debug)]
+pub struct SequentialMeasures<U>(Together<U, 5>);
+
+impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
+    /// Before the first configuration. The five intervals hold together, at all
+    /// looks, with a probability of at least 1 − `alpha`; the protocol's is 0.05.
+    ///
+    /// # Panics
+    /// If `alpha` is not between 0 and 1, or the order has no unit.
+    pub fn new(order: &Order<U>, alpha: f64) -> Self {
+        let measures = VALUES.map(|(measure, value)| (measure, range(value, &Transition::ALL)));
+        Self(Together::new(order, measures, alpha))
+    }
+
+    /// Takes a complete configuration: every transition that it can have. That is
+    /// one; several where a rollout is in quarantine, so that its outcome will
+    /// never be known ([`Matched::possible_transitions`]). Intervals then hold
+    /// whichever it would have been. The first that is given of a configuration
+    /// counts.
+    ///
+    /// # Errors
+    /// If the configuration is not in the order.
+    ///
+    /// # Panics
+    /// If no transition is possible.
+    ///
+    /// [`Matched::possible_transitions`]: crate::Matched::possible_transitions
+    pub fn complete(&mut self, unit: &U, possible: &[Transition]) -> Result<(), NotInOrder> {
+        let ranges = VALUES.map(|(_, value)| range(value, possible));
+        self.0.complete(unit, ranges)
+    }
+
+    /// The intervals now.
+    pub fn look(&self) -> Look {
+        self.0.look()
+    }
+}
+
+/// A measure and its value of one configuration; the measure itself is the mean.
+type Value = (Measure, fn(Transition) -> i64);
+
+const VALUES: [Value; 5] = [
+    (Measure::SSim, |it| still_succeeds(it) + compensated(it)),
+    (Measure::RE, emergent),
+    (Measure::RC, compensated),
+    (Measure::RD, |it| emergent(it) + compensated(it)),
+    (Measure::I, |it| compensated(it) - emergent(it)),
+];
+
+fn still_succeeds(transition: Transition) -> i64 {
+    i64::from(transition == Transition::StillSucceeds)
+}
+
+fn emergent(transition: Transition) -> i64 {
+    i64::from(transition == Transition::Emergent)
+}
+
+fn compensated(transition: Transition) -> i64 {
+    i64::from(transition == Transition::Compensated)
+}
+
+/// Least and greatest value over some transitions.
+fn range(value: fn(Transition) -> i64, over: &[Transition]) -> [i64; 2] {
+    let values = || over.iter().map(|&transition| value(transition));
+    let ends = values().min().zip(values().max());
+    let (least, greatest) = ends.expect("some transition is possible");
+    [least, greatest]
+}

@@ -1,0 +1,409 @@
+//! A report as text for a terminal of 80 columns: what to know first, success
+//! rates with their counts, the paired measures, and what is missing.
+
+use std::collections::BTreeSet;
+use std::fmt::Write;
+
+use libero_ctrl::{AxisSet, Condition};
+
+use crate::bounds::Bounds;
+use crate::count::Count;
+use crate::gate::{
+    GATE_ROLLOUTS, GATE_ROLLOUTS_OF_A_SUITE, GATE_TOLERANCE, Gate, GateVerdict, SuiteGate,
+};
+use crate::inference::components::Components;
+use crate::inference_table::push_inference;
+use crate::measures::Measures;
+use crate::report::{Cell, Gap, Nominal, NominalSource, Report};
+use crate::text::{
+    NOTHING, p_value, percent, points, points_interval, push_columns, push_row, push_wrapped, rate,
+    rate_interval, separate,
+};
+
+const PAIRED_LABEL: usize = 20;
+const PAIRED_COLUMN: usize = 19;
+/// Paired cells beside each other.
+const PAIRED_CELLS: usize = 3;
+/// Quarantined rollouts that are named; the others are counted.
+const MAX_NAMED: usize = 6;
+
+/// The report as a table. Rates and differences are in percent and percentage
+/// points; what its symbols mean is in [`legend`](crate::legend).
+pub fn table(report: &Report) -> String {
+    let mut text = String::new();
+    for note in &report.notes {
+        push_wrapped(&mut text, "! ", note);
+    }
+    if !report.quarantined.is_empty() {
+        push_wrapped(&mut text, "! ", &quarantined(&report.quarantined));
+    }
+    for nominal in &report.nominal {
+        separate(&mut text);
+        push_wrapped(&mut text, "", &nominal_line(nominal, report));
+    }
+    text.push_str(&gate_lines(report));
+    let mut replicates: Vec<u32> = report.cells.iter().map(|cell| cell.replicate).collect();
+    replicates.dedup();
+    for replicate in replicates {
+        let cells: Vec<&Cell> = report
+            .cells
+            .iter()
+            .filter(|cell| cell.replicate == replicate)
+            .collect();
+        let of = of_replicate(replicate, report);
+        push_rates(&mut text, report, &cells, &of);
+        push_subsets(&mut text, &cells, &of);
+        if cells.iter().any(|cell| cell.simultaneous.is_some()) {
+            for cells in cells.chunks(PAIRED_CELLS) {
+                push_paired(&mut text, cells, &of);
+            }
+            push_inference(&mut text, &cells, &of);
+        }
+        push_gaps(&mut text, &cells);
+    }
+    push_replication(&mut text, report);
+    text
+}
+
+fn of_replicate(replicate: u32, report: &Report) -> String {
+    match report.replication.is_empty() {
+        true => String::new(),
+        false => format!(", replicate {replicate}"),
+    }
+}
+
+fn quarantined(names: &[String]) -> String {
+    let named = names[..names.len().min(MAX_NAMED)].join(", ");
+    let more = match names.len().saturating_sub(MAX_NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    format!(
+        "in quarantine and in no rate ({}): {named}{more}",
+        names.len()
+    )
+}
+
+fn nominal_line(nominal: &Nominal, report: &Report) -> String {
+    let of = of_replicate(nominal.replicate, report);
+    let Count { successes, n } = nominal.count;
+    let rate = percent(nominal.count.rate());
+    let missing = match gap_text(&nominal.gap) {
+        Some(gap) => format!("; {gap}"),
+        None => String::new(),
+    };
+    let source = match nominal.source {
+        NominalSource::Records => "",
+        NominalSource::Reported => ", as reported",
+    };
+    format!("nominal success{of}: {rate} % ({successes}/{n}{source}){missing}")
+}
+
+/// Lines of the gates' verdicts, over all suites and of single ones.
+pub fn gate_lines(report: &Report) -> String {
+    let mut text = String::new();
+    if let Some(gate) = &report.gate {
+        let rest = "give a figure of one suite as SUITE:POLICY=PERCENT";
+        push_wrapped(&mut text, "", &gate_line("", gate, GATE_ROLLOUTS, rest));
+    }
+    for SuiteGate { suite, gate } in &report.suite_gates {
+        let of = format!(" of {suite}");
+        let rest = "create the campaign with `--nominal all`";
+        let line = gate_line(&of, gate, GATE_ROLLOUTS_OF_A_SUITE, rest);
+        push_wrapped(&mut text, "", &line);
+    }
+    text
+}
+
+fn gate_line(of: &str, gate: &Gate, rollouts: u64, remedy: &str) -> String {
+    let verdict = match gate.verdict {
+        GateVerdict::Passed => "passed".to_owned(),
+        GateVerdict::Failed => "FAILED: robustness is not to be interpreted".to_owned(),
+        GateVerdict::Undecided => format!(
+            "undecided: {} of {rollouts} nominal rollouts have a result; {remedy}",
+            gate.nominal.n
+        ),
+    };
+    let difference = gate.difference.map_or_else(|| NOTHING.to_owned(), points);
+    let equivalence = match gate.equivalence_p {
+        Some(p) if p < 0.05 => format!("; the rate is certainly within it (p = {})", p_value(p)),
+        Some(p) if gate.verdict == GateVerdict::Passed => format!(
+            "; the rate is not certainly within it (p = {}): more nominal rollouts would tell",
+            p_value(p)
+        ),
+        _ => String::new(),
+    };
+    format!(
+        "reproduction gate{of}: {difference} points from the published {} %, tolerance {:.0}: \
+         {verdict}{equivalence}",
+        percent(Some(gate.published)),
+        100.0 * GATE_TOLERANCE
+    )
+}
+
+fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
+    if report.axes.is_empty() {
+        return;
+    }
+    separate(text);
+    let losses = |cell: &&Cell| {
+        let mut axes = cell.alone.values();
+        axes.any(|axis| axis.clean_relative_loss.is_some())
+    };
+    let losses = cells.iter().any(losses);
+    let title = match losses {
+        true => "success, its counts, and the loss against nominal, %",
+        false => "success, and its counts, %",
+    };
+    let _ = writeln!(text, "{title}{of}");
+    let has_simultaneous = cells.iter().any(|cell| cell.simultaneous.is_some());
+    let singles = report.axes.iter().copied().map(Condition::Single);
+    let columns: Vec<Condition> = singles
+        .chain(has_simultaneous.then_some(Condition::Combination))
+        .collect();
+    let row = |label: &str, value: &dyn Fn(Condition) -> String| -> (String, Vec<String>) {
+        (
+            label.to_owned(),
+            columns.iter().copied().map(value).collect(),
+        )
+    };
+    let mut rows = vec![row("", &|condition| condition.label().to_owned())];
+    for cell in cells {
+        let count = |condition| match condition {
+            Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
+            _ => cell.simultaneous,
+        };
+        let loss = |condition| match condition {
+            Condition::Single(axis) => percent(cell.alone[&axis].clean_relative_loss),
+            _ => String::new(),
+        };
+        let success = |condition| match count(condition).and_then(|count| count.rate()) {
+            Some(success) => rate(success),
+            None => NOTHING.to_owned(),
+        };
+        let counts = |condition| match count(condition) {
+            Some(Count { successes, n }) => format!("{successes}/{n}"),
+            None => NOTHING.to_owned(),
+        };
+        rows.push(row(&cell.level.to_string(), &success));
+        rows.push(row(" counts", &counts));
+        if losses {
+            rows.push(row(" loss", &loss));
+        }
+    }
+    push_columns(text, &rows);
+}
+
+/// Success under several axes, one line for each set of them.
+fn push_subsets(text: &mut String, cells: &[&Cell], of: &str) {
+    let sets: BTreeSet<AxisSet> = cells
+        .iter()
+        .flat_map(|cell| cell.subsets.keys().copied())
+        .collect();
+    if sets.is_empty() {
+        return;
+    }
+    separate(text);
+    let _ = writeln!(text, "success under several axes, and its counts, %{of}");
+    for cells in cells.chunks(PAIRED_CELLS) {
+        let levels = cells.iter().map(|cell| cell.level.to_string());
+        push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "", levels);
+        for set in &sets {
+            let success = cells.iter().map(|cell| match cell.subsets.get(set) {
+                Some(count) => format!(
+                    "{} ({}/{})",
+                    percent(count.rate()),
+                    count.successes,
+                    count.n
+                ),
+                None => NOTHING.to_owned(),
+            });
+            // A long name has a line of its own.
+            let name = set.name();
+            let label = match name.len() < PAIRED_LABEL {
+                true => name,
+                false => {
+                    let _ = writeln!(text, "{name}");
+                    ""
+                }
+            };
+            push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, success);
+        }
+    }
+}
+
+/// One line of the paired block.
+type Line = (&'static str, fn(&Measures) -> String);
+
+const PAIRED_LINES: [Line; 17] = [
+    ("S_indep", |m| rate(m.s_indep)),
+    ("S_conj", |m| rate(m.s_conj)),
+    ("S_sim", |m| rate(m.s_sim)),
+    ("D = S_conj-S_indep", |m| points(m.d)),
+    ("  95 %", |m| points_interval(m.d_ci95, m.no_interval)),
+    ("I = S_sim-S_conj", |m| points(m.i)),
+    ("  95 %", |m| points_interval(m.i_ci95, m.no_interval)),
+    ("b emergent", |m| m.b.to_string()),
+    ("c compensated", |m| m.c.to_string()),
+    ("R_e = b/n", |m| rate(m.r_e)),
+    ("  95 %", |m| rate_interval(m.r_e_ci95, m.no_interval)),
+    ("R_c = c/n", |m| rate(m.r_c)),
+    ("  95 %", |m| rate_interval(m.r_c_ci95, m.no_interval)),
+    ("R_d = R_e+R_c", |m| rate(m.r_d)),
+    ("  95 %", |m| rate_interval(m.r_d_ci95, m.no_interval)),
+    ("emergent share", |m| percent(m.emergent_share)),
+    ("McNemar p", |m| p_value(m.mcnemar_p)),
+];
+
+const SOLVABLE_LINES: [Line; 4] = [
+    ("solvable: n", |m| m.n.to_string()),
+    ("  b, c", |m| format!("{}, {}", m.b, m.c)),
+    ("  I", |m| points(m.i)),
+    ("    95 %", |m| points_interval(m.i_ci95, m.no_interval)),
+];
+
+/// One line of the worst and best case.
+type BoundsLine = (&'static str, fn(&Bounds) -> String);
+
+/// The range of the measures over every outcome of the quarantined rollouts.
+const BOUNDS_LINES: [BoundsLine; 4] = [
+    ("worst and best: n", |b| b.n.to_string()),
+    ("  I", |b| points_interval(Some(b.i), None)),
+    ("  R_e", |b| rate_interval(Some(b.r_e), None)),
+    ("  R_c", |b| rate_interval(Some(b.r_c), None)),
+];
+
+fn push_paired(text: &mut String, cells: &[&Cell], of: &str) {
+    separate(text);
+    let _ = writeln!(text, "paired outcomes of complete configurations, %{of}");
+    let levels = cells.iter().map(|cell| cell.level.to_string());
+    push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "", levels);
+    let complete = cells.iter().map(|cell| {
+        let completeness = &cell.completeness;
+        format!("{} of {}", completeness.complete, completeness.expected)
+    });
+    push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "n complete", complete);
+    for (label, value) in PAIRED_LINES {
+        let values = cells.iter().map(|cell| shown(cell.paired.as_ref(), value));
+        push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
+    }
+    let detectable = cells.iter().map(|cell| match cell.minimum_detectable_i {
+        Some(i) => format!("{:.2}", 100.0 * i),
+        None => NOTHING.to_owned(),
+    });
+    push_row(
+        text,
+        PAIRED_LABEL,
+        PAIRED_COLUMN,
+        "detectable |I|",
+        detectable,
+    );
+    if cells.iter().any(|cell| cell.solvable.is_some()) {
+        for (label, value) in SOLVABLE_LINES {
+            let values = cells
+                .iter()
+                .map(|cell| shown(cell.solvable.as_ref(), value));
+            push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
+        }
+    }
+    if cells.iter().any(|cell| cell.bounds.is_some()) {
+        for (label, value) in BOUNDS_LINES {
+            let values = cells.iter().map(|cell| match &cell.bounds {
+                Some(bounds) => value(bounds),
+                None => NOTHING.to_owned(),
+            });
+            push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
+        }
+    }
+}
+
+fn push_gaps(text: &mut String, cells: &[&Cell]) {
+    let mut separated = false;
+    for cell in cells {
+        let gaps = cell.completeness.gaps.iter();
+        let gaps: Vec<String> = gaps
+            .filter_map(|(condition, gap)| {
+                Some(format!("{} {}", condition.label(), gap_text(gap)?))
+            })
+            .collect();
+        if gaps.is_empty() {
+            continue;
+        }
+        if !separated {
+            separate(text);
+            separated = true;
+        }
+        let prefix = format!("incomplete {}: ", cell.level);
+        push_wrapped(text, &prefix, &gaps.join("; "));
+    }
+}
+
+fn push_replication(text: &mut String, report: &Report) {
+    if report.replication.is_empty() {
+        return;
+    }
+    separate(text);
+    for replication in &report.replication {
+        let changes = replication.changes.iter();
+        let changes = changes.map(|(level, change)| {
+            let interval = points_interval(change.i_ci95, change.no_interval);
+            format!("{level} {} {interval}", points(change.i))
+        });
+        let changes = changes.collect::<Vec<_>>().join(", ");
+        let changes = match changes.as_str() {
+            "" => "?",
+            changes => changes,
+        };
+        let flips = &replication.flips;
+        let line = format!(
+            "replicate {} against 0: {} % of outcomes differ ({}/{}); I changes by {changes}",
+            replication.replicate,
+            percent(flips.rate()),
+            flips.flipped,
+            flips.compared,
+        );
+        push_wrapped(text, "", &line);
+    }
+    for components in &report.components {
+        let Components {
+            level,
+            replicates,
+            tasks,
+            configurations,
+            replicate,
+            ..
+        } = components;
+        let total = tasks + configurations + replicate;
+        if total <= 0.0 {
+            continue;
+        }
+        let share = |part: &f64| format!("{:.0} %", 100.0 * part / total);
+        let effect = components.design_effect;
+        let effect = effect.map_or_else(String::new, |it| format!("; design effect {it:.1}"));
+        let line = format!(
+            "variance of S_sim at {level}, {replicates} replicates: {} between tasks, {} between \
+             configurations, {} chance{effect}; standard error {} points, {} with one more replicate, \
+             {} with ten more configurations of every task",
+            share(tasks),
+            share(configurations),
+            share(replicate),
+            rate(components.standard_error),
+            rate(components.one_more_replicate),
+            rate(components.ten_more_configurations),
+        );
+        push_wrapped(text, "", &line);
+    }
+}
+
+fn gap_text(gap: &Gap) -> Option<String> {
+    match (gap.missing, gap.quarantined) {
+        (0, 0) => None,
+        (missing, 0) => Some(format!("{missing} missing")),
+        (0, quarantined) => Some(format!("{quarantined} quarantined")),
+        (missing, quarantined) => Some(format!("{missing} missing, {quarantined} quarantined")),
+    }
+}
+
+fn shown(measures: Option<&Measures>, value: fn(&Measures) -> String) -> String {
+    measures.map_or_else(|| NOTHING.to_owned(), value)
+}

@@ -1,0 +1,374 @@
+//! Two policies against each other: cases that can be worked out by hand, and
+//! what always holds.
+
+use libero_ctrl::{Axis, Condition, Level, RolloutId, TaskRef};
+use paired::{
+    Bootstrap, Comparison, Difference, DifferenceBounds, NoInterval, Obstacle, Outcome, Pair,
+    Record, comparison_table,
+};
+use proptest::collection::vec;
+use proptest::prelude::*;
+
+const S: Outcome = Outcome::Success;
+const F: Outcome = Outcome::Failure;
+const M: Outcome = Outcome::Missing;
+const Q: Outcome = Outcome::Quarantined;
+
+const CAMERA: Condition = Condition::Single(Axis::Camera);
+const SENSOR: Condition = Condition::Single(Axis::Sensor);
+
+fn task(index: usize) -> TaskRef {
+    TaskRef::all().nth(index).expect("one of forty")
+}
+
+/// Pairs, one task each, in the tasks' order.
+fn pairs(outcomes: &[(Outcome, Outcome)]) -> Vec<Pair> {
+    let of = outcomes.iter().enumerate();
+    of.map(|(index, &(a, b))| Pair {
+        task: task(index),
+        number: 0,
+        a,
+        b,
+    })
+    .collect()
+}
+
+fn difference(pairs: Vec<Pair>) -> Option<Difference> {
+    let mut all = Difference::of_each(&[pairs], &Bootstrap::default());
+    all.remove(0)
+}
+
+#[test]
+fn ten_rollouts_of_ten_tasks_differ_as_worked_out_by_hand() {
+    // Only A solves three, only B one, both four, neither two.
+    let it = difference(pairs(&[
+        (S, F),
+        (S, F),
+        (S, F),
+        (F, S),
+        (S, S),
+        (S, S),
+        (S, S),
+        (S, S),
+        (F, F),
+        (F, F),
+    ]))
+    .expect("ten");
+    assert_eq!((it.n, it.tasks), (10, 10));
+    assert_eq!((it.both, it.a_only, it.b_only, it.neither), (4, 3, 1, 2));
+    assert!((it.s_a - 0.7).abs() < 1e-12 && (it.s_b - 0.5).abs() < 1e-12);
+    assert!((it.difference - 0.2).abs() < 1e-12, "{it:?}");
+    // 2 · (C(4,0) + C(4,1)) / 2⁴
+    assert!((it.mcnemar_p - 0.625).abs() < 1e-12, "{it:?}");
+}
+
+#[test]
+fn the_interval_of_ten_tasks_of_which_half_differ_is_that_of_ten_tosses() {
+    // A resampling counts the tasks that only A solves: Bin(10, ½), of which
+    // P(≤ 1) = 1.1 %, P(≤ 2) = 5.5 %. So the 2.5th percentile is 2 of 10.
+    let half = [(S, F), (F, F)].repeat(5);
+    let it = difference(pairs(&half)).expect("ten");
+    assert_eq!(it.difference_ci95, Some([0.2, 0.8]));
+    assert_eq!(it.no_interval, None);
+}
+
+#[test]
+fn nine_tasks_have_a_difference_and_no_interval() {
+    let nine = [(S, F), (F, F), (S, S)].repeat(3);
+    let it = difference(pairs(&nine)).expect("nine");
+    assert!((it.difference - 1.0 / 3.0).abs() < 1e-12);
+    assert_eq!(it.difference_ci95, None);
+    assert_eq!(it.no_interval, Some(NoInterval::TooFewTasks));
+}
+
+#[test]
+fn a_difference_that_all_tasks_share_has_no_width_and_therefore_no_interval() {
+    let it = difference(pairs(&[(S, F); 10])).expect("ten");
+    assert_eq!((it.difference, it.difference_ci95), (1.0, None));
+    assert_eq!(it.no_interval, Some(NoInterval::NoSpread));
+    assert!((it.mcnemar_p - 2.0 / 1024.0).abs() < 1e-12);
+}
+
+#[test]
+fn rollouts_without_both_outcomes_are_in_no_rate() {
+    let it = difference(pairs(&[(S, F), (S, M), (Q, F), (F, Q), (M, M)])).expect("one");
+    assert_eq!((it.n, it.a_only), (1, 1));
+    assert_eq!(difference(pairs(&[(S, M), (Q, F)])), None);
+}
+
+#[test]
+fn quarantined_rollouts_are_bounded_by_the_worst_and_the_best_case() {
+    // The second can turn out 0 or +1, the third −1 or 0, the fourth −1 to +1.
+    let pairs = pairs(&[(S, F), (S, Q), (Q, S), (Q, Q), (S, M)]);
+    let bounds = DifferenceBounds::of(&pairs).expect("quarantined");
+    assert_eq!((bounds.n, bounds.affected), (4, 3));
+    assert_eq!(bounds.difference, [-0.25, 0.75]);
+    assert_eq!(DifferenceBounds::of(&pairs[..1]), None);
+}
+
+fn record(condition: Condition, config: u16, init_id: u16, outcome: Outcome) -> Record {
+    let id = match condition {
+        Condition::Clean => RolloutId::clean(task(0), init_id),
+        condition => RolloutId::perturbed(task(0), condition, Level::L2, config).expect("an id"),
+    };
+    Record {
+        id,
+        init_id,
+        replicate: 0,
+        outcome,
+    }
+}
+
+fn compare(a: &[Record], b: &[Record]) -> Comparison {
+    Comparison::of(a, b, &Bootstrap::default(), |_| None)
+}
+
+#[test]
+fn conditions_are_compared_one_by_one_nominal_first_over_what_both_have() {
+    let a = [
+        record(SENSOR, 0, 7, S),
+        record(Condition::Combination, 0, 7, S),
+        record(CAMERA, 0, 7, S),
+        record(CAMERA, 1, 8, S),
+        record(Condition::Clean, 0, 7, S),
+    ];
+    let mut b = a;
+    b[0].outcome = F;
+    b[1].outcome = Q;
+    b[3] = record(CAMERA, 2, 9, F);
+    let it = compare(&a, &b);
+    let names: Vec<String> = it.cells.iter().map(|cell| cell.name()).collect();
+    assert_eq!(
+        names,
+        ["nominal", "L2 camera", "L2 sensor", "L2 simultaneous"]
+    );
+    assert_eq!((it.only_in_a, it.only_in_b), (1, 1));
+    assert_eq!((it.shared(), it.compared()), (4, 3));
+    let sensor = it.cells[2].difference.as_ref().expect("one rollout");
+    assert_eq!((sensor.difference, sensor.a_only), (1.0, 1));
+    let simultaneous = &it.cells[3];
+    assert_eq!((simultaneous.shared, simultaneous.quarantined), (1, 1));
+    assert_eq!(simultaneous.difference, None);
+    let bounds = simultaneous.bounds.expect("quarantined");
+    assert_eq!(bounds.difference, [0.0, 1.0]);
+}
+
+#[test]
+fn what_differs_under_one_name_is_not_paired_and_named() {
+    let a = [
+        record(CAMERA, 0, 7, S),
+        record(CAMERA, 1, 8, S),
+        record(CAMERA, 2, 9, S),
+        record(Condition::Combination, 0, 7, S),
+    ];
+    // Another initial state of one, and another axis in *simultaneous*.
+    let b = [
+        record(CAMERA, 0, 9, S),
+        a[1],
+        a[2],
+        record(SENSOR, 0, 7, S),
+        a[3],
+    ];
+    let told = |record: &Record| {
+        let is_third = record.id.config() == Some(2);
+        is_third.then_some(Obstacle::Scene)
+    };
+    let it = Comparison::of(&a, &b, &Bootstrap::default(), told);
+    let unpaired: Vec<_> = it.unpaired.into_iter().collect();
+    assert_eq!(
+        unpaired,
+        [
+            (Obstacle::InitialState, vec![a[0].id]),
+            (Obstacle::Scene, vec![a[2].id]),
+            (Obstacle::Axes, vec![a[3].id]),
+        ]
+    );
+    let compared: Vec<_> = it
+        .cells
+        .iter()
+        .map(|cell| (cell.name(), cell.shared))
+        .collect();
+    assert_eq!(compared, [("L2 camera".to_owned(), 1)]);
+}
+
+#[test]
+fn replicates_are_paired_with_those_of_their_number() {
+    let mut a = vec![record(CAMERA, 0, 7, S)];
+    a.push(Record {
+        replicate: 1,
+        outcome: F,
+        ..a[0]
+    });
+    let mut b = a.clone();
+    b[1].outcome = S;
+    let it = compare(&a, &b);
+    let net: Vec<_> = it
+        .cells
+        .iter()
+        .map(|cell| Some((cell.replicate, cell.difference.as_ref()?.difference)))
+        .collect();
+    assert_eq!(net, [Some((0, 0.0)), Some((1, -1.0))]);
+    let table = comparison_table(&it, &Bootstrap::default());
+    assert!(table.contains("replicate 1\n"), "{table}");
+}
+
+#[test]
+fn the_table_fits_a_terminal_and_explains_every_symbol() {
+    let mut a = Vec::new();
+    for task in TaskRef::all() {
+        for (index, level) in [Level::L1, "r88.888888".parse().expect("a level")]
+            .into_iter()
+            .enumerate()
+        {
+            for condition in Axis::ALL
+                .into_iter()
+                .map(Condition::Single)
+                .chain([Condition::Combination])
+            {
+                for config in 0..10 {
+                    let id = RolloutId::perturbed(task, condition, level, config).expect("an id");
+                    a.push(Record {
+                        id,
+                        init_id: config,
+                        replicate: 0,
+                        outcome: match (index, config, task.index()) {
+                            (0, 0, 0) => Q,
+                            (0, 1, 0) => M,
+                            _ => S,
+                        },
+                    });
+                }
+            }
+        }
+    }
+    let mut b = a.clone();
+    for record in &mut b {
+        if record.id.level() == Level::L1 {
+            record.outcome = Outcome::from(record.id.task().index() > 4);
+        }
+    }
+    b.truncate(a.len() - 3);
+    let it = compare(&a, &b);
+    assert_eq!(
+        it.left_out(),
+        ["left out: 3 rollouts that only A has, 0 rollouts that only B has"]
+    );
+    let table = comparison_table(&it, &Bootstrap::default());
+    for line in table.lines() {
+        assert!(line.chars().count() <= 80, "{line}\n{table}");
+    }
+    for words in [
+        "simultaneous",
+        "A only, B only",
+        "no spread",
+        "worst and best",
+        "incomplete: L1 camera 4 missing, 4 quarantined",
+    ] {
+        assert!(table.contains(words), "no `{words}` in\n{table}");
+    }
+    assert!(!table.contains("too few tasks"), "{table}");
+}
+
+fn outcomes() -> impl Strategy<Value = Vec<Pair>> {
+    let known = |code: u8| [S, F, Q, M][usize::from(code)];
+    vec((0..14_usize, 0..4_u8, 0..4_u8), 1..80).prop_map(move |drawn| {
+        let of = drawn.into_iter();
+        of.map(|(index, a, b)| Pair {
+            task: task(index),
+            number: 0,
+            a: known(a),
+            b: known(b),
+        })
+        .collect()
+    })
+}
+
+fn exchanged(pairs: &[Pair]) -> Vec<Pair> {
+    let exchange = |pair: &Pair| Pair {
+        a: pair.b,
+        b: pair.a,
+        ..*pair
+    };
+    pairs.iter().map(exchange).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
+
+    #[test]
+    fn exchanging_the_policies_turns_every_sign(pairs in outcomes()) {
+        let bootstrap = Bootstrap { replicates: 100, seed: 3 };
+        let both = Difference::of_each(&[pairs.clone(), exchanged(&pairs)], &bootstrap);
+        let [Some(there), Some(back)] = both.as_slice() else {
+            prop_assert_eq!(both, [None, None]);
+            return Ok(());
+        };
+        prop_assert!((there.difference + back.difference).abs() < 1e-12);
+        prop_assert_eq!((there.a_only, there.b_only), (back.b_only, back.a_only));
+        prop_assert_eq!((there.both, there.neither), (back.both, back.neither));
+        prop_assert!((there.mcnemar_p - back.mcnemar_p).abs() < 1e-12);
+        prop_assert_eq!(there.no_interval, back.no_interval);
+        if let (Some([low, high]), Some(back)) = (there.difference_ci95, back.difference_ci95) {
+            prop_assert!((low + back[1]).abs() < 1e-12 && (high + back[0]).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_set_alone_and_among_others_has_the_same_difference(
+        pairs in outcomes(),
+        other in outcomes(),
+    ) {
+        let bootstrap = Bootstrap { replicates: 60, seed: 1 };
+        let alone = Difference::of_each(std::slice::from_ref(&pairs), &bootstrap);
+        let among = Difference::of_each(&[other, pairs], &bootstrap);
+        // Corrections for other rows depend on them.
+        let by_itself = |it: &Option<Difference>| {
+            it.clone().map(|it| Difference {
+                holm_p: it.sign_flip_p,
+                simultaneous_ci95: None,
+                ..it
+            })
+        };
+        prop_assert_eq!(by_itself(&alone[0]), by_itself(&among[1]));
+    }
+
+    #[test]
+    fn bounds_are_reached_and_never_left(pairs in outcomes(), choices in any::<u64>()) {
+        let Some(bounds) = DifferenceBounds::of(&pairs) else {
+            let is_quarantined = |pair: &Pair| {
+                let has = |outcome| pair.a == outcome || pair.b == outcome;
+                has(Q) && !has(M)
+            };
+            prop_assert!(!pairs.iter().any(is_quarantined));
+            return Ok(());
+        };
+        let settle = |fates: [&mut dyn FnMut() -> bool; 2]| {
+            let [of_a, of_b] = fates;
+            let mut settled = pairs.clone();
+            for pair in &mut settled {
+                for (outcome, fate) in [(&mut pair.a, &mut *of_a), (&mut pair.b, &mut *of_b)] {
+                    if *outcome == Q {
+                        *outcome = Outcome::from(fate());
+                    }
+                }
+            }
+            let bootstrap = Bootstrap { replicates: 1, seed: 1 };
+            Difference::of_each(&[settled], &bootstrap).remove(0)
+        };
+        let (mut next, mut after) = (0, 32);
+        let drawn = settle([
+            &mut || { next += 1; choices >> (next % 32) & 1 == 1 },
+            &mut || { after += 1; choices >> (after % 64) & 1 == 1 },
+        ]);
+        let low = settle([&mut || false, &mut || true]).expect("some pair");
+        let high = settle([&mut || true, &mut || false]).expect("some pair");
+        let drawn = drawn.expect("some pair");
+        prop_assert_eq!(bounds.n, low.n);
+        prop_assert!((bounds.difference[0] - low.difference).abs() < 1e-12);
+        prop_assert!((bounds.difference[1] - high.difference).abs() < 1e-12);
+        prop_assert!(low.difference <= drawn.difference && drawn.difference <= high.difference);
+    }
+}

@@ -1,0 +1,30 @@
+//! Assumptions about outcomes, against outcomes.
+
+use paired::{Assumed, Outcome, Record};
+use serde_json::Value;
+
+const STUDENT: &str = include_str!("../../../../examples/student/rollouts.jsonl");
+
+#[test]
+fn what_is_assumed_without_outcomes_is_what_the_students_published_ones_are_like() {
+    let record = |line: &str| {
+        let row: Value = serde_json::from_str(line).expect("JSON");
+        Record {
+            id: row["rollout_id"]
+                .as_str()
+                .and_then(|id| id.parse().ok())
+                .expect("an id"),
+            init_id: row["init_id"].as_u64().expect("a state") as u16,
+            replicate: 0,
+            outcome: Outcome::from(row["success"].as_bool().expect("an outcome")),
+        }
+    };
+    let records: Vec<Record> = STUDENT.lines().map(record).collect();
+    let found = Assumed::of(&records).expect("each rollout once");
+    let rounded = |it: &Assumed| {
+        let rates = [it.s_sim, it.r_d, it.of_success, it.of_change, it.of_changed];
+        (it.level, rates.map(|rate| (rate * 1e4).round() / 1e4))
+    };
+    let found: Vec<_> = found.iter().map(rounded).collect();
+    assert_eq!(found, Assumed::STUDENT.each_ref().map(rounded), "{found:?}");
+}

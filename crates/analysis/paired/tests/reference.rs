@@ -1,0 +1,240 @@
+//! Against an independent implementation: NumPy and SciPy, whose answers are in
+//! reference/expected.json. How they were made is said in reference/expected.py.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Axis, RolloutId, TaskRef};
+use paired::{
+    Bootstrap, Configuration, Difference, MIN_TASKS, Measures, NoInterval, Options, Outcome, Pair,
+    Record, mcnemar_exact, quantile, report,
+};
+use serde_json::Value;
+
+fn expected() -> Value {
+    serde_json::from_str(include_str!("reference/expected.json")).expect("JSON")
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().expect("a number")
+}
+
+/// One data set as configurations; see reference/expected.py for its form.
+fn configurations(data_set: &Value) -> Vec<Configuration> {
+    let tasks = data_set["tasks"].as_array().expect("tasks");
+    let tasks = TaskRef::all().zip(tasks);
+    let of_task = |(task, text): (TaskRef, &Value)| {
+        let text = text.as_str().expect("a text");
+        let digits = (0..text.len()).step_by(2).map(|at| &text[at..at + 2]);
+        let bits = digits.map(|digits| u8::from_str_radix(digits, 16).expect("hexadecimal"));
+        let one = move |bits: u8| Configuration {
+            task,
+            alone: BTreeMap::from_iter(
+                (0..)
+                    .zip(Axis::ALL)
+                    .map(|(k, axis)| (axis, bits >> k & 1 == 1)),
+            ),
+            simultaneous: bits >> 6 == 1,
+        };
+        bits.map(one).collect::<Vec<_>>()
+    };
+    tasks.flat_map(of_task).collect()
+}
+
+/// Point estimates exactly; intervals within the Monte-Carlo error of 4,000
+/// resamplings.
+///
+/// An end of the interval is the 2.5th percentile of a nearly normal sample of
+/// 4,000, whose standard error is √(0.025·0.975/4000) / φ(1.96) = 0.042
+/// deviations: five of them, and one step of the lattice on which a rate lies.
+fn check(measures: &Measures, expected: &Value, what: &str) {
+    let m = measures;
+    assert_eq!(Some(m.n), expected["n"].as_u64(), "{what}");
+    assert_eq!(Some(m.b), expected["b"].as_u64(), "{what}");
+    assert_eq!(Some(m.c), expected["c"].as_u64(), "{what}");
+    let close = |value: f64, key: &str| {
+        let expected = number(&expected[key]);
+        assert!(
+            (value - expected).abs() < 1e-12,
+            "{what} {key}: {value} is not {expected}"
+        );
+    };
+    for (axis, rate) in &m.s_axis {
+        let expected = number(&expected["s_axis"][axis.name()]);
+        assert!((rate - expected).abs() < 1e-12, "{what} {axis}");
+    }
+    for (value, key) in [
+        (m.s_indep, "s_indep"),
+        (m.s_conj, "s_conj"),
+        (m.s_sim, "s_sim"),
+    ] {
+        close(value, key);
+    }
+    let p = number(&expected["mcnemar_p"]);
+    assert!(
+        (m.mcnemar_p - p).abs() <= 1e-9 * p,
+        "{what}: p {} is not {p}",
+        m.mcnemar_p
+    );
+    let with_intervals = [
+        (m.d, m.d_ci95, "d"),
+        (m.i, m.i_ci95, "i"),
+        (m.r_e, m.r_e_ci95, "r_e"),
+        (m.r_c, m.r_c_ci95, "r_c"),
+        (m.r_d, m.r_d_ci95, "r_d"),
+    ];
+    for (value, interval, key) in with_intervals {
+        close(value, key);
+        if m.tasks < MIN_TASKS as u64 {
+            assert_eq!(interval, None, "{what}: of {} tasks", m.tasks);
+            assert_eq!(m.no_interval, Some(NoInterval::TooFewTasks), "{what}");
+            continue;
+        }
+        let interval = interval.expect("enough tasks");
+        check_interval(interval, expected, key, m.n, what);
+    }
+}
+
+fn check_interval(interval: [f64; 2], expected: &Value, key: &str, n: u64, what: &str) {
+    let deviation = number(&expected[format!("{key}_deviation")]);
+    let tolerance = 5.0 * 0.042 * deviation + 1.0 / n as f64;
+    let ends = expected[format!("{key}_ci95")].as_array().expect("two");
+    for (end, expected) in interval.into_iter().zip(ends.iter().map(number)) {
+        let off = (end - expected).abs();
+        assert!(
+            off <= tolerance,
+            "{what} {key}: {interval:?} is not {ends:?}"
+        );
+    }
+}
+
+/// One set of pairs; see reference/expected.py for its form.
+fn pairs(data_set: &Value) -> Vec<Pair> {
+    let tasks = data_set["tasks"].as_array().expect("tasks");
+    let tasks = TaskRef::all().zip(tasks);
+    let of_task = |(task, text): (TaskRef, &Value)| {
+        let text = text.as_str().expect("a text").to_owned();
+        let digits: Vec<u32> = text.chars().filter_map(|c| c.to_digit(4)).collect();
+        assert_eq!(digits.len(), text.len(), "{text}");
+        let success = |bit: u32| Outcome::from(bit == 1);
+        (0..).zip(digits).map(move |(number, bits)| Pair {
+            task,
+            number,
+            a: success(bits & 1),
+            b: success(bits >> 1),
+        })
+    };
+    tasks.flat_map(of_task).collect()
+}
+
+#[test]
+fn twelve_random_pairs_of_policies_differ_as_numpy_and_scipy_say() {
+    let expected = expected();
+    let data_sets = expected["paired_sets"].as_array().expect("data sets");
+    assert_eq!(data_sets.len(), 12);
+    let sets: Vec<Vec<Pair>> = data_sets.iter().map(pairs).collect();
+    let all = Difference::of_each(&sets, &Bootstrap::default());
+    for (number_of, (data_set, it)) in data_sets.iter().zip(all).enumerate() {
+        let (what, expected) = (format!("pairs {number_of}"), &data_set["expected"]);
+        let it = it.expect("not empty");
+        let counts = [
+            (it.n, "n"),
+            (it.tasks, "tasks"),
+            (it.both, "both"),
+            (it.a_only, "a_only"),
+            (it.b_only, "b_only"),
+            (it.neither, "neither"),
+        ];
+        for (count, key) in counts {
+            assert_eq!(Some(count), expected[key].as_u64(), "{what} {key}");
+        }
+        for (value, key) in [
+            (it.s_a, "s_a"),
+            (it.s_b, "s_b"),
+            (it.difference, "difference"),
+        ] {
+            let off = (value - number(&expected[key])).abs();
+            assert!(off < 1e-12, "{what} {key}: {value}");
+        }
+        let p = number(&expected["mcnemar_p"]);
+        assert!(
+            (it.mcnemar_p - p).abs() <= 1e-9 * p,
+            "{what}: {}",
+            it.mcnemar_p
+        );
+        let interval = it.difference_ci95.expect("enough tasks");
+        check_interval(interval, expected, "difference", it.n, &what);
+    }
+}
+
+#[test]
+fn twenty_random_data_sets_have_the_measures_and_intervals_of_numpy() {
+    let expected = expected();
+    let data_sets = expected["data_sets"].as_array().expect("data sets");
+    assert_eq!(data_sets.len(), 20);
+    for (number, data_set) in data_sets.iter().enumerate() {
+        let configurations = configurations(data_set);
+        let measures = Measures::of(&configurations, &Bootstrap::default());
+        let what = format!("data set {number}");
+        check(&measures.expect("not empty"), &data_set["expected"], &what);
+    }
+}
+
+#[test]
+fn the_example_data_have_the_measures_and_intervals_of_numpy() {
+    let rows = include_str!("../../../../examples/openvla_oft/rollouts.jsonl").lines();
+    let records: Vec<Record> = rows
+        .map(|row| {
+            let row: Value = serde_json::from_str(row).expect("a row");
+            let id: RolloutId = row["rollout_id"]
+                .as_str()
+                .expect("text")
+                .parse()
+                .expect("an id");
+            Record {
+                id,
+                init_id: row["init_id"].as_u64().expect("a number") as u16,
+                replicate: 0,
+                outcome: Outcome::from(row["success"].as_bool().expect("an outcome")),
+            }
+        })
+        .collect();
+    assert_eq!(records.len(), 8400);
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    let expected = &expected()["openvla_oft"];
+    for cell in &report.cells {
+        let level = cell.level.to_string();
+        check(
+            cell.paired.as_ref().expect("complete"),
+            &expected[&level],
+            &level,
+        );
+    }
+    assert_eq!(report.cells.len(), 3);
+}
+
+#[test]
+fn p_values_are_those_of_scipy() {
+    for case in expected()["mcnemar"].as_array().expect("cases") {
+        let count = |key: &str| case[key].as_u64().expect("a count");
+        let (p, expected) = (mcnemar_exact(count("b"), count("c")), number(&case["p"]));
+        assert!((p - expected).abs() <= 1e-9 * expected, "{case}: {p}");
+    }
+}
+
+#[test]
+fn quantiles_are_those_of_numpy() {
+    for case in expected()["quantiles"].as_array().expect("cases") {
+        let numbers = |key: &str| -> Vec<f64> {
+            let values = case[key].as_array().expect("numbers").iter();
+            values.map(number).collect()
+        };
+        let sorted = numbers("sorted");
+        for (share, expected) in numbers("shares").into_iter().zip(numbers("values")) {
+            let value = quantile(&sorted, share);
+            assert!(
+                (value - expected).abs() < 1e-12,
+                "{share} of {sorted:?}: {value}"
+            );
+        }
+    }
+}

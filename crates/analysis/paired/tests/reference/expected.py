@@ -1,0 +1,215 @@
+"""Writes expected.json: what NumPy and SciPy say of random data sets and of the
+example data, for tests/reference.rs to compare with. Shares no code with the
+crate, and resamples with another generator.
+
+    python3 -m venv venv && venv/bin/pip install numpy==2.4.6 scipy==1.17.1
+    venv/bin/python crates/analysis/paired/tests/reference/expected.py
+
+Takes a few seconds. A data set is one text per task, two hexadecimal digits
+per configuration: bits 0 to 5 are the success under camera, lighting, robot,
+sensor, actuation and language alone, bit 6 that under simultaneous
+perturbation. Of two policies it is one digit per rollout: bit 0 is the success
+of A, bit 1 that of B.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import scipy
+from scipy.stats import binomtest
+
+HERE = Path(__file__).parent
+EXAMPLE = HERE / "../../../../../examples/openvla_oft/rollouts.jsonl"
+AXES = ["camera", "lighting", "robot", "sensor", "actuation", "language"]
+DATA_SETS = 20
+PAIRED_SETS = 12
+RESAMPLINGS = 100_000
+INTERVALS = ["d", "i", "r_e", "r_c", "r_d"]
+
+
+def measures(y):
+    """All measures of an array of outcomes: configurations x 7."""
+    alone, together = y[:, :6], y[:, 6]
+    conjunction = alone.all(axis=1)
+    s_axis = alone.mean(axis=0)
+    return {
+        "n": len(y),
+        "b": int((conjunction & ~together).sum()),
+        "c": int((~conjunction & together).sum()),
+        "s_axis": dict(zip(AXES, s_axis.tolist())),
+        "s_indep": float(np.prod(s_axis)),
+        "s_conj": float(conjunction.mean()),
+        "s_sim": float(together.mean()),
+        "d": float(conjunction.mean() - np.prod(s_axis)),
+        "i": float(together.mean() - conjunction.mean()),
+        "r_e": float((conjunction & ~together).mean()),
+        "r_c": float((~conjunction & together).mean()),
+        "r_d": float((conjunction != together).mean()),
+    }
+
+
+def resampled(tasks, rng):
+    """The measures with an interval, for every resampling of whole tasks."""
+    sums = np.array(
+        [
+            [
+                len(y),
+                *y.sum(axis=0),
+                y[:, :6].all(axis=1).sum(),
+                (y[:, :6].all(axis=1) & ~y[:, 6]).sum(),
+                (~y[:, :6].all(axis=1) & y[:, 6]).sum(),
+            ]
+            for y in tasks
+        ],
+        dtype=float,
+    )
+    drawn = rng.integers(len(tasks), size=(RESAMPLINGS, len(tasks)))
+    total = np.zeros((RESAMPLINGS, sums.shape[1]))
+    for column in drawn.T:
+        total += sums[column]
+    rates = total[:, 1:] / total[:, :1]
+    alone, together, conjunction, r_e, r_c = (
+        rates[:, :6],
+        rates[:, 6],
+        rates[:, 7],
+        rates[:, 8],
+        rates[:, 9],
+    )
+    d = conjunction - alone.prod(axis=1)
+    return dict(zip(INTERVALS, [d, together - conjunction, r_e, r_c, r_e + r_c]))
+
+
+def expected(tasks, rng):
+    y = np.concatenate(tasks)
+    result = measures(y)
+    for name, values in resampled(tasks, rng).items():
+        result[f"{name}_ci95"] = np.percentile(values, [2.5, 97.5]).tolist()
+        result[f"{name}_deviation"] = float(values.std())
+    b, c = result["b"], result["c"]
+    result["mcnemar_p"] = float(binomtest(b, b + c, 0.5).pvalue) if b + c else 1.0
+    return result
+
+
+def random_tasks(rng):
+    """Tasks of unequal difficulty, axes that fail together, and simultaneous
+    perturbation that is harder or easier than its parts."""
+    ease = rng.normal(rng.uniform(0.5, 2.5), 0.8, size=rng.integers(4, 41))
+    shift = rng.uniform(-1.5, 1.0)
+    tasks = []
+    for own in ease:
+        luck = rng.normal(own, 0.7, size=rng.integers(1, 11))[:, None]
+        logit = luck + rng.normal(0.8, 0.8, size=(1, 7))
+        logit[:, 6] += shift
+        tasks.append(rng.random(logit.shape) < 1 / (1 + np.exp(-logit)))
+    return tasks
+
+
+def text(y):
+    return "".join(f"{sum(int(v) << k for k, v in enumerate(row)):02x}" for row in y)
+
+
+def random_pairs(rng):
+    """Two policies on tasks of unequal difficulty, alike in what they find
+    hard, on unequal numbers of rollouts."""
+    ease = rng.normal(rng.uniform(-1.0, 2.0), 1.0, size=rng.integers(10, 41))
+    shift = rng.uniform(-1.0, 1.0)
+    tasks = []
+    for own in ease:
+        gap = rng.normal(shift, 0.8)
+        luck = rng.normal(own, 0.8, size=rng.integers(1, 31))
+        logit = np.stack([luck + gap / 2, luck - gap / 2], axis=1)
+        tasks.append(rng.random(logit.shape) < 1 / (1 + np.exp(-logit)))
+    return tasks
+
+
+def difference(tasks, rng):
+    """A - B over the same rollouts, for whole tasks resampled."""
+    y = np.concatenate(tasks)
+    a, b = y[:, 0], y[:, 1]
+    net = np.array([float(t[:, 0].sum()) - float(t[:, 1].sum()) for t in tasks])
+    size = np.array([len(t) for t in tasks], dtype=float)
+    times = rng.multinomial(len(tasks), np.full(len(tasks), 1 / len(tasks)), size=RESAMPLINGS)
+    values = (times @ net) / (times @ size)
+    a_only, b_only = int((a & ~b).sum()), int((b & ~a).sum())
+    test = binomtest(a_only, a_only + b_only, 0.5).pvalue if a_only + b_only else 1.0
+    return {
+        "n": len(y),
+        "tasks": len(tasks),
+        "both": int((a & b).sum()),
+        "a_only": a_only,
+        "b_only": b_only,
+        "neither": int((~a & ~b).sum()),
+        "s_a": float(a.mean()),
+        "s_b": float(b.mean()),
+        "difference": float(a.mean() - b.mean()),
+        "difference_ci95": np.percentile(values, [2.5, 97.5]).tolist(),
+        "difference_deviation": float(values.std()),
+        "mcnemar_p": float(test),
+    }
+
+
+def pairs_text(y):
+    return "".join(str(int(a) + 2 * int(b)) for a, b in y)
+
+
+def example(level):
+    rows = {}
+    for line in EXAMPLE.read_text().splitlines():
+        row = json.loads(line)
+        suite, task, condition, of, config = row["rollout_id"].split("/")
+        if of == level:
+            rows[suite, task, condition, config] = row["success"]
+    columns = [*AXES, "combination"]
+    tasks = sorted({key[:2] for key in rows})
+    configs = sorted({key[3] for key in rows})
+    return [
+        np.array([[rows[*task, column, config] for column in columns] for config in configs])
+        for task in tasks
+    ]
+
+
+def main():
+    rng = np.random.default_rng(20260904)
+    data_sets = []
+    for _ in range(DATA_SETS):
+        tasks = random_tasks(rng)
+        data_sets.append({"tasks": [text(y) for y in tasks], "expected": expected(tasks, rng)})
+    counts = [(0, 0), (0, 1), (0, 5), (5, 5), (1, 9), (12, 3), (54, 55), (28, 57), (65, 14),
+              (91, 47), (0, 400), (700, 900), (2000, 2100)]
+    samples = [rng.normal(size=n) for n in [1, 2, 3, 10, 101]]
+    shares = [0, 0.025, 0.3, 0.5, 0.975, 1]
+    # Of its own, so that what is above stays as it is.
+    rng_of_pairs = np.random.default_rng(20260905)
+    paired_sets = []
+    for _ in range(PAIRED_SETS):
+        tasks = random_pairs(rng_of_pairs)
+        paired_sets.append(
+            {
+                "tasks": [pairs_text(y) for y in tasks],
+                "expected": difference(tasks, rng_of_pairs),
+            }
+        )
+    document = {
+        "made_with": {"numpy": np.__version__, "scipy": scipy.__version__},
+        "resamplings": RESAMPLINGS,
+        "mcnemar": [
+            {"b": b, "c": c, "p": float(binomtest(b, b + c, 0.5).pvalue) if b + c else 1.0}
+            for b, c in counts
+        ],
+        "quantiles": [
+            {
+                "sorted": sorted(sample.tolist()),
+                "shares": shares,
+                "values": np.percentile(sample, [100 * share for share in shares]).tolist(),
+            }
+            for sample in samples
+        ],
+        "data_sets": data_sets,
+        "openvla_oft": {level: expected(example(level), rng) for level in ["L1", "L2", "L3"]},
+        "paired_sets": paired_sets,
+    }
+    (HERE / "expected.json").write_text(json.dumps(document, indent=1) + "\n")
+
+
+main()

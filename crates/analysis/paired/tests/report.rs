@@ -1,0 +1,390 @@
+//! Properties of a report, and what it says of campaigns that are not whole.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Axis, Condition, Level, RolloutId, TaskRef};
+use paired::{
+    Bootstrap, Configuration, Count, DuplicateRecord, Flips, GateVerdict, Measures, NominalSource,
+    Options, Outcome, Record, report, table, task_correlation,
+};
+use proptest::collection::vec;
+use proptest::prelude::*;
+
+const AXES: [Axis; 3] = [Axis::Camera, Axis::Robot, Axis::Sensor];
+
+fn quick() -> Bootstrap {
+    Bootstrap {
+        replicates: 60,
+        seed: 1,
+    }
+}
+
+fn task(index: usize) -> TaskRef {
+    TaskRef::all().nth(index).expect("one of forty")
+}
+
+/// Configurations over the first sixteen tasks, so that many have intervals and
+/// some too few tasks.
+fn configurations() -> impl Strategy<Value = Vec<Configuration>> {
+    vec((0..16_usize, any::<[bool; 4]>()), 1..80).prop_map(|drawn| {
+        let configuration =
+            |(index, [camera, robot, sensor, simultaneous]): (usize, [bool; 4])| Configuration {
+                task: task(index),
+                alone: BTreeMap::from_iter(AXES.into_iter().zip([camera, robot, sensor])),
+                simultaneous,
+            };
+        drawn.into_iter().map(configuration).collect()
+    })
+}
+
+proptest! {
+    // A failing case prints its input; there is no folder to keep it in.
+    #![proptest_config(ProptestConfig {
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
+
+    #[test]
+    fn identities_of_the_measures_hold(configurations in configurations()) {
+        let m = Measures::of(&configurations, &quick()).expect("not empty");
+        let n = m.n as f64;
+        prop_assert!((m.i - (m.r_c - m.r_e)).abs() < 1e-12);
+        prop_assert!((m.d + m.i - (m.s_sim - m.s_indep)).abs() < 1e-12);
+        prop_assert!((m.r_d - (m.b + m.c) as f64 / n).abs() < 1e-12);
+        let lowest = m.s_axis.values().copied().fold(1.0, f64::min);
+        prop_assert!(m.s_conj <= lowest + 1e-12, "no conjunction beats its weakest part");
+        prop_assert!((0.0..=1.0).contains(&m.mcnemar_p));
+        if let Some(share) = m.emergent_share {
+            prop_assert!((0.0..=1.0).contains(&share));
+        }
+    }
+
+    #[test]
+    fn the_order_of_configurations_does_not_matter(
+        mut configurations in configurations(),
+        by in 0..80_usize,
+    ) {
+        let before = Measures::of(&configurations, &quick());
+        let by = by % configurations.len();
+        configurations.rotate_left(by);
+        configurations.reverse();
+        prop_assert_eq!(Measures::of(&configurations, &quick()), before);
+    }
+
+    #[test]
+    fn other_names_for_the_tasks_change_no_estimate(configurations in configurations()) {
+        let renamed: Vec<Configuration> = configurations
+            .iter()
+            .map(|configuration| Configuration {
+                // Sixteen other tasks, in the opposite order.
+                task: task(37 - TaskRef::all().position(|t| t == configuration.task).expect("one")),
+                ..configuration.clone()
+            })
+            .collect();
+        let before = Measures::of(&configurations, &quick()).expect("not empty");
+        let after = Measures::of(&renamed, &quick()).expect("not empty");
+        prop_assert_eq!((before.n, before.tasks, before.b, before.c),
+            (after.n, after.tasks, after.b, after.c));
+        prop_assert_eq!((before.s_indep, before.d, before.i), (after.s_indep, after.d, after.i));
+        prop_assert_eq!(task_correlation(&configurations).is_some(),
+            task_correlation(&renamed).is_some());
+    }
+
+    #[test]
+    fn bounds_are_reached_and_never_left(
+        drawn in vec((0..4_usize, [0..3_u8, 0..3, 0..3]), 1..6),
+        choices in any::<u32>(),
+    ) {
+        let known = |code: u8| [F, S, Q][usize::from(code)];
+        let records = |known: &mut dyn FnMut(u8) -> Outcome| -> Vec<Record> {
+            let rows = drawn.iter().enumerate();
+            rows.flat_map(|(config, (task, codes))| {
+                let conditions = [
+                    Condition::Single(Axis::Camera),
+                    Condition::Single(Axis::Robot),
+                    Condition::Combination,
+                ];
+                let outcomes = codes.map(&mut *known);
+                let record = |(c, o)| perturbed(*task, c, config as u16, o);
+                conditions.into_iter().zip(outcomes).map(record).collect::<Vec<_>>()
+            })
+            .collect()
+        };
+        let options = Options { bootstrap: quick(), ..Options::default() };
+        let quarantined = report(&records(&mut |code| known(code)), &options).expect("no duplicates");
+        let mut next = 0;
+        // Arbitrary outcomes of the quarantined rollouts, all failures, and all
+        // successes.
+        let mut fates: Vec<Box<dyn FnMut() -> bool>> = vec![
+            Box::new(move || { next += 1; choices >> (next % 32) & 1 == 1 }),
+            Box::new(|| false),
+            Box::new(|| true),
+        ];
+        for fate in &mut fates {
+            let mut settle = |code| match known(code) {
+                Q => Outcome::from(fate()),
+                outcome => outcome,
+            };
+            let settled = report(&records(&mut settle), &options).expect("no duplicates");
+            let m = settled.cells[0].paired.as_ref().expect("complete");
+            let Some(bounds) = &quarantined.cells[0].bounds else {
+                prop_assert!(quarantined.quarantined.is_empty());
+                break;
+            };
+            prop_assert_eq!(bounds.n, m.n);
+            let values = [m.s_indep, m.s_conj, m.s_sim, m.d, m.i, m.r_e, m.r_c, m.r_d];
+            let b = bounds;
+            let ranges = [b.s_indep, b.s_conj, b.s_sim, b.d, b.i, b.r_e, b.r_c, b.r_d];
+            for (value, [low, high]) in values.into_iter().zip(ranges) {
+                prop_assert!(low - 1e-12 <= value && value <= high + 1e-12, "{value} {low} {high}");
+            }
+        }
+    }
+
+    #[test]
+    fn exchanging_two_axes_exchanges_only_their_rates(configurations in configurations()) {
+        let exchanged: Vec<Configuration> = configurations
+            .iter()
+            .map(|configuration| {
+                let mut exchanged = configuration.clone();
+                exchanged.alone.insert(Axis::Camera, configuration.alone[&Axis::Robot]);
+                exchanged.alone.insert(Axis::Robot, configuration.alone[&Axis::Camera]);
+                exchanged
+            })
+            .collect();
+        let before = Measures::of(&configurations, &quick()).expect("not empty");
+        let after = Measures::of(&exchanged, &quick()).expect("not empty");
+        prop_assert_eq!(before.s_axis[&Axis::Camera], after.s_axis[&Axis::Robot]);
+        prop_assert_eq!((before.b, before.c, before.i_ci95), (after.b, after.c, after.i_ci95));
+        prop_assert!((before.s_indep - after.s_indep).abs() < 1e-12);
+    }
+
+    #[test]
+    fn twice_the_same_configurations_have_the_same_rates(configurations in configurations()) {
+        let once = Measures::of(&configurations, &quick()).expect("not empty");
+        let twice = [configurations.as_slice(), &configurations].concat();
+        let twice = Measures::of(&twice, &quick()).expect("not empty");
+        prop_assert_eq!(once.i_ci95, twice.i_ci95, "tasks are drawn, not configurations");
+        prop_assert_eq!(once.s_indep, twice.s_indep);
+        prop_assert_eq!(twice.b, 2 * once.b);
+    }
+}
+
+fn perturbed(task_index: usize, condition: Condition, config: u16, outcome: Outcome) -> Record {
+    let task = task(task_index);
+    Record {
+        id: RolloutId::perturbed(task, condition, Level::L2, config).expect("an id"),
+        init_id: task.eval_init_ids()[usize::from(config)],
+        replicate: 0,
+        outcome,
+    }
+}
+
+fn nominal(task_index: usize, config: u16, outcome: Outcome) -> Record {
+    let task = task(task_index);
+    let init_id = task.eval_init_ids()[usize::from(config)];
+    Record {
+        id: RolloutId::clean(task, init_id),
+        init_id,
+        replicate: 0,
+        outcome,
+    }
+}
+
+/// Two axes and their combination on three tasks with one configuration each.
+/// `outcomes`: nominal, camera, sensor, simultaneous.
+fn campaign(outcomes: [[Outcome; 4]; 3]) -> Vec<Record> {
+    let rows = outcomes.into_iter().enumerate();
+    rows.flat_map(|(task, [clean, camera, sensor, simultaneous])| {
+        [
+            nominal(task, 0, clean),
+            perturbed(task, Condition::Single(Axis::Camera), 0, camera),
+            perturbed(task, Condition::Single(Axis::Sensor), 0, sensor),
+            perturbed(task, Condition::Combination, 0, simultaneous),
+        ]
+    })
+    .collect()
+}
+
+const S: Outcome = Outcome::Success;
+const F: Outcome = Outcome::Failure;
+const M: Outcome = Outcome::Missing;
+const Q: Outcome = Outcome::Quarantined;
+
+#[test]
+fn a_campaign_of_two_axes_is_measured_on_its_own_axes() {
+    let records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    assert_eq!(report.axes, [Axis::Camera, Axis::Sensor]);
+    let cell = &report.cells[0];
+    let measures = cell.paired.as_ref().expect("complete");
+    assert_eq!((measures.n, measures.b, measures.c), (3, 1, 1));
+    assert_eq!(measures.emergent_share, Some(1.0));
+    let solvable = cell.solvable.as_ref().expect("two are solvable");
+    assert_eq!((solvable.n, solvable.b, solvable.c), (2, 1, 1));
+    let nominal = &report.nominal[0];
+    assert_eq!((nominal.count.successes, nominal.count.n), (2, 3));
+    let loss = cell.alone[&Axis::Camera].clean_relative_loss;
+    assert!(
+        loss.expect("known").abs() < 1e-12,
+        "2/3 of 2/3 nominal is no loss"
+    );
+}
+
+#[test]
+fn an_incomplete_cell_counts_what_is_complete_and_says_what_is_not() {
+    let records = campaign([[S, S, S, F], [S, M, S, S], [M, S, Q, S]]);
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    let cell = &report.cells[0];
+    assert_eq!(
+        (cell.completeness.complete, cell.completeness.expected),
+        (1, 3)
+    );
+    assert_eq!(cell.paired.as_ref().expect("one is").b, 1);
+    assert_eq!(cell.paired.as_ref().expect("one is").i_ci95, None);
+    let sensor = &cell.alone[&Axis::Sensor].count;
+    assert_eq!(
+        (sensor.successes, sensor.n),
+        (2, 2),
+        "a quarantined rollout is in no rate"
+    );
+    assert_eq!(report.quarantined, ["spatial/t2/sensor/L2/c00"]);
+
+    let text = table(&report);
+    for expected in [
+        "in quarantine and in no rate (1): spatial/t2/sensor/L2/c00",
+        "nominal success: 100.0 % (2/2); 1 missing",
+        "incomplete L2: camera 1 missing; sensor 1 quarantined",
+        "1 of 3",
+    ] {
+        assert!(text.contains(expected), "{expected} is not in:\n{text}");
+    }
+}
+
+#[test]
+fn quarantined_rollouts_are_bounded_by_the_worst_and_the_best_case() {
+    // Either of them could have been an emergent failure, or none.
+    let records = campaign([[S, S, S, F], [S, S, Q, F], [S, S, S, Q]]);
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    let cell = &report.cells[0];
+    assert_eq!(cell.paired.as_ref().expect("one is complete").n, 1);
+    let bounds = cell.bounds.as_ref().expect("two are quarantined");
+    assert_eq!((bounds.n, bounds.affected), (3, 2));
+    assert_eq!(bounds.r_e, [1.0 / 3.0, 1.0]);
+    assert_eq!(bounds.r_c, [0.0, 0.0]);
+    assert_eq!(bounds.i, [-1.0, -1.0 / 3.0]);
+    assert_eq!(bounds.s_axis[&Axis::Sensor], [2.0 / 3.0, 1.0]);
+    assert!(
+        table(&report).contains("worst and best: n"),
+        "{}",
+        table(&report)
+    );
+}
+
+#[test]
+fn nominal_counts_of_others_serve_where_no_clean_rollout_was_run() {
+    let mut records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
+    let options = Options {
+        published_nominal: Some(0.971),
+        reported_nominal: Some(Count {
+            successes: 1934,
+            n: 2000,
+        }),
+        ..Options::default()
+    };
+    let own = report(&records, &options).expect("no duplicates");
+    assert_eq!(own.nominal[0].count, Count { successes: 2, n: 3 });
+    assert_eq!(
+        own.gate.expect("a published figure").verdict,
+        GateVerdict::Undecided
+    );
+
+    records.retain(|record| record.id.condition() != Condition::Clean);
+    let theirs = report(&records, &options).expect("no duplicates");
+    assert_eq!(theirs.nominal[0].source, NominalSource::Reported);
+    assert_eq!(
+        theirs.gate.expect("a published figure").verdict,
+        GateVerdict::Passed
+    );
+    let text = table(&theirs);
+    assert!(text.contains("96.7 % (1934/2000, as reported)"), "{text}");
+    assert!(
+        text.contains("-0.40 points from the published 97.1 %, tolerance 5: passed"),
+        "{text}"
+    );
+}
+
+#[test]
+fn notes_come_first_and_fit_a_terminal() {
+    let note = "simulated with the built-in `primitives` asset pack, which is another \
+                benchmark than LIBERO, so that no figure here compares with a published one";
+    let options = Options {
+        notes: vec![note.to_owned()],
+        ..Options::default()
+    };
+    let records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
+    let text = table(&report(&records, &options).expect("no duplicates"));
+    assert!(text.starts_with("! simulated with"), "{text}");
+    assert!(
+        text.lines().all(|line| line.chars().count() <= 80),
+        "{text}"
+    );
+}
+
+#[test]
+fn one_axis_has_rates_and_nothing_to_pair() {
+    let records = [
+        nominal(0, 0, S),
+        perturbed(0, Condition::Single(Axis::Camera), 0, F),
+    ];
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    let cell = &report.cells[0];
+    assert_eq!(cell.simultaneous, None);
+    assert_eq!(cell.paired, None);
+    assert_eq!(cell.alone[&Axis::Camera].clean_relative_loss, Some(1.0));
+    assert!(!table(&report).contains("paired"));
+}
+
+#[test]
+fn nominal_rollouts_alone_make_a_report() {
+    let records = [nominal(0, 0, S), nominal(1, 0, F)];
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    assert_eq!(table(&report), "nominal success: 50.0 % (1/2)\n");
+}
+
+#[test]
+fn replicates_are_compared_with_the_first() {
+    let mut records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
+    let mut again = records.clone();
+    for record in &mut again {
+        record.replicate = 1;
+    }
+    // The first configuration's combination: no emergent failure any more.
+    again[3].outcome = S;
+    again[4].outcome = M;
+    records.extend(again);
+    let report = report(&records, &Options::default()).expect("no duplicates");
+    let replication = &report.replication[0];
+    let Flips { compared, flipped } = replication.flips;
+    assert_eq!((compared, flipped), (11, 1));
+    let simultaneous = replication.flips_by_condition[&Condition::Combination];
+    assert_eq!(simultaneous.rate(), Some(1.0 / 3.0));
+    let change = &replication.changes[&Level::L2];
+    assert_eq!((change.n, change.same_transition), (3, 2));
+    assert_eq!((change.changed, change.changed_again), (2, 1));
+    assert!((change.i - 1.0 / 3.0).abs() < 1e-12, "{change:?}");
+    assert!((change.r_e + 1.0 / 3.0).abs() < 1e-12, "{change:?}");
+    assert!(table(&report).contains("replicate 1 against 0: 9.1 % of outcomes differ (1/11)"));
+}
+
+#[test]
+fn a_rollout_recorded_twice_is_refused() {
+    let record = nominal(0, 0, S);
+    assert_eq!(
+        report(&[record, record], &Options::default()),
+        Err(DuplicateRecord {
+            id: record.id,
+            replicate: 0
+        })
+    );
+}

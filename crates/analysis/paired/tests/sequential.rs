@@ -1,0 +1,445 @@
+//! Confidence sequences hold at all looks: over every order of small populations
+//! exactly, and over random orders of published outcomes.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Axis, Level, Measure, StopRule, TaskRef};
+use paired::{
+    Bootstrap, Configuration, Matched, Measures, Order, Outcome, RateInterval,
+    SequentialDifference, SequentialMeasures, Transition,
+};
+use proptest::prelude::*;
+
+mod replay;
+
+use replay::{ALPHA, Design, Population, Unit, value};
+
+/// Orders per level.
+const ORDERS: u64 = 100;
+/// Number of orders with a look after each configuration, which take longer.
+const FEW_ORDERS: u64 = 10;
+
+/// Number of orders, over all levels, in which a way to make intervals ever
+/// misses.
+fn misses(orders: u64, design: Design, holds: impl Fn(&Population, &Order<Unit>) -> bool) -> usize {
+    let populations = Level::PERTURBED.map(Population::published);
+    let of_level = |population: &Population| {
+        let orders = (0..orders).map(|seed| population.order(seed, design));
+        orders.filter(|order| !holds(population, order)).count()
+    };
+    populations.iter().map(of_level).sum()
+}
+
+/// The number of misses in all levels that is exceeded with a probability below
+/// 10⁻⁷ if each order misses with a probability of [`ALPHA`], by the binomial
+/// distribution.
+fn most_misses(orders: u64) -> usize {
+    let n = 3 * orders as usize;
+    let mut probability = (1.0 - ALPHA).powi(n as i32);
+    let mut beyond = 1.0 - probability;
+    let mut k = 0;
+    while beyond > 1e-7 {
+        probability *= (n - k) as f64 / (k + 1) as f64 * ALPHA / (1.0 - ALPHA);
+        beyond -= probability;
+        k += 1;
+    }
+    k
+}
+
+#[test]
+fn all_intervals_hold_at_all_looks_at_published_outcomes() {
+    for (design, orders) in [
+        (Design::Tasks, ORDERS),
+        (Design::Suites, FEW_ORDERS),
+        (Design::Simple, FEW_ORDERS),
+    ] {
+        let missed = misses(orders, design, |it, order| it.replay(order, &[]).0);
+        assert!(missed <= most_misses(orders), "{design:?}: {missed}");
+    }
+}
+
+/// Returns true if the normal interval of a fixed sample size, with the correction
+/// for finite populations, holds after every round from the second on.
+fn fixed_size_interval_holds(
+    population: &Population,
+    order: &Order<Unit>,
+    measure: Measure,
+) -> bool {
+    let units = population.units.len() as f64;
+    let truth = population.total(measure) as f64 / units;
+    let (mut n, mut sum, mut squares) = (0.0_f64, 0.0, 0.0);
+    order.rounds().iter().enumerate().all(|(i, round)| {
+        for drawn in round {
+            let x = value(measure, population.transition(&drawn.unit)) as f64;
+            n += 1.0;
+            sum += x;
+            squares += x * x;
+        }
+        let mean = sum / n;
+        let variance = (squares / n - mean * mean) * (1.0 - n / units) / n;
+        i == 0 || (mean - truth).abs() <= 1.96 * variance.max(0.0).sqrt() + 1e-9
+    })
+}
+
+#[test]
+fn an_interval_of_a_fixed_sample_size_fails_the_same_test() {
+    let missed = misses(ORDERS, Design::Tasks, |population, order| {
+        let mut measures = Measure::OF_ONE_POLICY.into_iter();
+        measures.all(|measure| fixed_size_interval_holds(population, order, measure))
+    });
+    assert!(missed > most_misses(ORDERS), "{missed}");
+}
+
+#[test]
+fn once_all_configurations_are_seen_an_interval_is_the_measure() {
+    for level in Level::PERTURBED {
+        let population = Population::published(level);
+        let order = population.order(1, Design::Tasks);
+        let mut sequential = SequentialMeasures::new(&order, ALPHA);
+        let mut configurations = Vec::new();
+        for (unit, transition) in &population.units {
+            let taken = sequential.complete(unit, &[*transition]);
+            taken.expect("a configuration of the order");
+            configurations.push(configuration(unit.0, *transition));
+        }
+        let look = sequential.look();
+        let measures = Measures::of(&configurations, &Bootstrap::default()).expect("some");
+        let expected = [
+            measures.s_sim,
+            measures.r_e,
+            measures.r_c,
+            measures.r_d,
+            measures.i,
+        ];
+        assert_eq!((look.used, look.waiting, look.units), (400, 0, 400));
+        for (measure, expected) in Measure::OF_ONE_POLICY.iter().zip(expected) {
+            let interval = look.intervals[measure];
+            assert_eq!(interval.width(), 0.0, "{measure}");
+            assert!((interval.low() - expected).abs() < 1e-12, "{measure}");
+        }
+    }
+}
+
+fn configuration(task: TaskRef, transition: Transition) -> Configuration {
+    use Transition::{Compensated, Emergent, StillSucceeds};
+    Configuration {
+        task,
+        alone: [(Axis::Camera, matches!(transition, StillSucceeds | Emergent))].into(),
+        simultaneous: matches!(transition, StillSucceeds | Compensated),
+    }
+}
+
+/// A unit of a small population: its stratum and number.
+type Small = (usize, usize);
+
+/// The order of strata with three units each.
+fn small_order(strata: usize) -> Order<Small> {
+    let units = (0..strata).flat_map(|stratum| (0..3).map(move |number| (stratum, number)));
+    Order::new(1, units, |&(stratum, _)| stratum)
+}
+
+const PERMUTATIONS: [[usize; 3]; 6] = [
+    [0, 1, 2],
+    [0, 2, 1],
+    [1, 0, 2],
+    [1, 2, 0],
+    [2, 0, 1],
+    [2, 1, 0],
+];
+
+/// Every three transitions, in ascending order.
+fn threes() -> Vec<[Transition; 3]> {
+    let all = || Transition::ALL.into_iter();
+    let pairs = || all().flat_map(|a| all().map(move |b| (a, b)));
+    let threes = pairs().flat_map(|(a, b)| all().map(move |c| [a, b, c]));
+    threes.filter(|it| it.is_sorted()).collect()
+}
+
+/// Returns true if all intervals hold at all looks if the units of each stratum
+/// have these transitions.
+fn all_hold(order: &Order<Small>, strata: &[[Transition; 3]], alpha: f64) -> bool {
+    let mut sequential = SequentialMeasures::new(order, alpha);
+    order.units().all(|unit| {
+        let taken = sequential.complete(unit, &[strata[unit.0][unit.1]]);
+        taken.expect("a unit of the order");
+        let look = sequential.look();
+        look.intervals.iter().all(|(&measure, interval)| {
+            let total = strata.iter().flatten().map(|&it| value(measure, it)).sum();
+            (interval.least..=interval.greatest).contains(&total)
+        })
+    })
+}
+
+/// Share of all orders of both strata's units in which some interval misses.
+fn share_missed(order: &Order<Small>, strata: [[Transition; 3]; 2], alpha: f64) -> f64 {
+    let orders = PERMUTATIONS.iter();
+    let orders = orders.flat_map(|first| PERMUTATIONS.iter().map(move |second| [first, second]));
+    let missed = orders.filter(|permutations| {
+        let permuted = [0, 1].map(|k| permutations[k].map(|i| strata[k][i]));
+        !all_hold(order, &permuted, alpha)
+    });
+    missed.count() as f64 / 36.0
+}
+
+#[test]
+fn the_five_intervals_hold_together_over_all_orders_of_all_small_populations() {
+    let order = small_order(2);
+    for alpha in [0.3, 0.6, 0.95] {
+        let mut worst: f64 = 0.0;
+        for first in threes() {
+            for second in threes() {
+                worst = worst.max(share_missed(&order, [first, second], alpha));
+            }
+        }
+        assert!(worst <= alpha, "missed {worst} at {alpha}");
+    }
+}
+
+/// All units of an order, in an order of arrival that a key sorts.
+fn arrivals(order: &Order<Unit>, keys: &[u64]) -> Vec<Unit> {
+    let mut units: Vec<Unit> = order.units().copied().collect();
+    let key: BTreeMap<Unit, u64> = units.iter().copied().zip(keys.iter().copied()).collect();
+    units.sort_by_key(|unit| key[unit]);
+    units
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(8))]
+
+    #[test]
+    fn only_the_drawn_order_up_to_its_first_gap_is_used(
+        seed: u64, keys in proptest::collection::vec(any::<u64>(), 400),
+    ) {
+        let population = Population::published(Level::L2);
+        let order = population.order(seed, Design::Tasks);
+        let mut in_order = SequentialMeasures::new(&order, ALPHA);
+        let mut looks = vec![in_order.look().intervals];
+        for unit in order.units() {
+            in_order.complete(unit, &[population.transition(unit)]).expect("in the order");
+            looks.push(in_order.look().intervals);
+        }
+        let mut mixed = SequentialMeasures::new(&order, ALPHA);
+        let mut arrived = std::collections::BTreeSet::new();
+        for unit in arrivals(&order, &keys) {
+            mixed.complete(&unit, &[population.transition(&unit)]).expect("in the order");
+            arrived.insert(unit);
+            let look = mixed.look();
+            let without_gap = order.units().take_while(|unit| arrived.contains(unit)).count();
+            prop_assert_eq!(look.used, without_gap);
+            prop_assert_eq!(look.waiting, arrived.len() - without_gap);
+            prop_assert_eq!(&look.intervals, &looks[without_gap]);
+        }
+    }
+
+    #[test]
+    fn intervals_only_ever_narrow(seed: u64) {
+        let population = Population::published(Level::L3);
+        let order = population.order(seed, Design::Tasks);
+        let mut sequential = SequentialMeasures::new(&order, ALPHA);
+        let mut before = sequential.look().intervals;
+        for unit in order.units() {
+            sequential.complete(unit, &[population.transition(unit)]).expect("in the order");
+            let now = sequential.look().intervals;
+            for (measure, now) in &now {
+                let before = before[measure];
+                prop_assert!(before.least <= now.least && now.least <= now.greatest);
+                prop_assert!(now.greatest <= before.greatest);
+            }
+            before = now;
+        }
+    }
+
+    #[test]
+    fn the_difference_of_two_policies_changes_its_sign_with_their_places(
+        outcomes in proptest::collection::vec(0..16_u8, 30), strata in 1_usize..6,
+    ) {
+        let order = Order::new(3, 0..30_usize, |unit| unit % strata);
+        let mut ab = SequentialDifference::new(&order, ALPHA);
+        let mut ba = SequentialDifference::new(&order, ALPHA);
+        for (unit, outcome) in outcomes.iter().enumerate() {
+            let [a, b] = [outcome % 4, outcome / 4].map(|it| match it {
+                0 => Outcome::Failure,
+                1 => Outcome::Quarantined,
+                _ => Outcome::Success,
+            });
+            ab.complete(&unit, a, b).expect("in the order");
+            ba.complete(&unit, b, a).expect("in the order");
+            let [ab, ba] = [&ab, &ba].map(|it| it.look().intervals[&Measure::Difference]);
+            prop_assert_eq!([ab.least, ab.greatest], [-ba.greatest, -ba.least]);
+        }
+    }
+}
+
+#[test]
+fn the_five_measures_share_alpha_equally() {
+    let population = Population::published(Level::L1);
+    let order = population.order(2, Design::Tasks);
+    let mut measures = SequentialMeasures::new(&order, 0.5);
+    // A difference of +1 where simultaneity compensates, −1 where failures emerge.
+    let mut of_i = SequentialDifference::new(&order, 0.5 / 5.0);
+    for unit in order.units() {
+        let transition = population.transition(unit);
+        measures
+            .complete(unit, &[transition])
+            .expect("in the order");
+        let a = Outcome::from(transition == Transition::Compensated);
+        let b = Outcome::from(transition == Transition::Emergent);
+        of_i.complete(unit, a, b).expect("in the order");
+        assert_eq!(
+            measures.look().intervals[&Measure::I],
+            of_i.look().intervals[&Measure::Difference]
+        );
+    }
+}
+
+#[test]
+fn a_rollout_without_an_outcome_of_both_policies_is_a_gap() {
+    let order = small_order(1);
+    let units: Vec<Small> = order.units().copied().collect();
+    let mut sequential = SequentialDifference::new(&order, ALPHA);
+    let (won, missing) = (Outcome::Success, Outcome::Missing);
+    for (unit, b) in units
+        .iter()
+        .zip([Outcome::Failure, missing, Outcome::Failure])
+    {
+        sequential.complete(unit, won, b).expect("in the order");
+    }
+    let look = sequential.look();
+    assert_eq!((look.used, look.waiting), (1, 1));
+    sequential
+        .complete(&units[1], won, Outcome::Failure)
+        .expect("in the order");
+    let expected = RateInterval {
+        least: 3,
+        greatest: 3,
+        units: 3,
+    };
+    let look = sequential.look();
+    assert_eq!((look.used, look.waiting), (3, 0));
+    assert_eq!(look.intervals, [(Measure::Difference, expected)].into());
+}
+
+#[test]
+fn a_configuration_counts_once_and_only_if_it_is_in_the_order() {
+    let order = small_order(1);
+    let unit = *order.units().next().expect("a unit");
+    let mut sequential = SequentialMeasures::new(&order, ALPHA);
+    for transition in [Transition::Emergent, Transition::Compensated] {
+        sequential
+            .complete(&unit, &[transition])
+            .expect("in the order");
+    }
+    let look = sequential.look();
+    assert_eq!(look.used, 1);
+    assert_eq!(look.intervals[&Measure::RE].least, 1);
+    assert_eq!(look.intervals[&Measure::RC].least, 0);
+    let error = sequential.complete(&(7, 0), &[Transition::Emergent]);
+    assert_eq!(
+        error.expect_err("not in the order").to_string(),
+        "take the outcome of (7, 0): it is not in the drawn order of 3 configurations"
+    );
+}
+
+#[test]
+fn what_is_in_quarantine_leaves_every_value_that_it_could_have_led_to() {
+    let order = small_order(4);
+    for quarantined in order.units() {
+        let mut sequential = SequentialMeasures::new(&order, ALPHA);
+        let mut known: Vec<Transition> = Vec::new();
+        for unit in order.units() {
+            let transition = [Transition::ALL[(unit.0 + unit.1) % 4]];
+            let possible = match unit == quarantined {
+                true => &Transition::ALL[..],
+                false => &transition,
+            };
+            sequential.complete(unit, possible).expect("in the order");
+            known.extend((unit != quarantined).then_some(transition[0]));
+        }
+        for (measure, interval) in sequential.look().intervals {
+            let sum: i64 = known.iter().map(|&it| value(measure, it)).sum();
+            let least = if measure == Measure::I { sum - 1 } else { sum };
+            assert_eq!([interval.least, interval.greatest], [least, sum + 1]);
+        }
+    }
+}
+
+#[test]
+fn possible_transitions_are_those_over_every_outcome_of_what_is_in_quarantine() {
+    use Outcome::{Failure, Missing, Quarantined, Success};
+    let all = [Success, Failure, Quarantined, Missing];
+    for camera in all {
+        for robot in all {
+            for simultaneous in all {
+                let matched = matched(camera, robot, simultaneous);
+                let mut expected = Vec::new();
+                for filled in fillings(&[camera, robot, simultaneous]) {
+                    let transition = Transition::between(filled[0] && filled[1], filled[2]);
+                    if !expected.contains(&transition) {
+                        expected.push(transition);
+                    }
+                }
+                expected.sort();
+                let is_missing = [camera, robot, simultaneous].contains(&Missing);
+                let possible = matched.possible_transitions();
+                let possible = possible.map(|mut it| {
+                    it.sort();
+                    it
+                });
+                assert_eq!(possible, (!is_missing).then_some(expected), "{matched:?}");
+            }
+        }
+    }
+}
+
+fn matched(camera: Outcome, robot: Outcome, simultaneous: Outcome) -> Matched {
+    Matched {
+        replicate: 0,
+        level: Level::L1,
+        task: TaskRef::all().next().expect("a task"),
+        config: 0,
+        init_id: 0,
+        nominal: Outcome::Missing,
+        alone: [(Axis::Camera, camera), (Axis::Robot, robot)].into(),
+        subsets: BTreeMap::new(),
+        simultaneous,
+    }
+}
+
+/// Every way to replace what is in quarantine by an outcome.
+fn fillings(outcomes: &[Outcome]) -> Vec<Vec<bool>> {
+    let mut all = vec![Vec::new()];
+    for outcome in outcomes {
+        let ends = match outcome.success() {
+            Some(success) => vec![success],
+            None => vec![false, true],
+        };
+        all = all
+            .iter()
+            .flat_map(|filled| {
+                ends.iter().map(|&end| {
+                    let mut filled = filled.clone();
+                    filled.push(end);
+                    filled
+                })
+            })
+            .collect();
+    }
+    all
+}
+
+#[test]
+fn a_rule_ends_a_campaign_at_the_first_look_at_which_it_holds() {
+    let population = Population::published(Level::L3);
+    let order = population.order(5, Design::Tasks);
+    let rules: Vec<StopRule> = ["width(I) < 2", "width(I) < 0.12", "width(I) < 0.001"]
+        .map(|text| text.parse().expect("a rule"))
+        .to_vec();
+    let (_, met) = population.replay(&order, &rules);
+    let met: Vec<usize> = met
+        .into_iter()
+        .map(|met| met.expect("met in the end"))
+        .collect();
+    assert!(met[0] < 40, "anything seen narrows an interval: {met:?}");
+    assert!(met[1] > met[0] && met[1] < 400, "{met:?}");
+    assert!(met[2] > met[1], "{met:?}");
+}

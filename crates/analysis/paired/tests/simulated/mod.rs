@@ -1,0 +1,337 @@
+//! Campaigns of policies whose true success probabilities are known.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Axis, Condition, Level, RolloutId, Suite, TaskRef};
+use paired::{Cell, Estimate, Outcome, Record};
+use rand_chacha::ChaCha12Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+/// Configurations of every task, and directions.
+pub(crate) const CONFIGURATIONS: u16 = 10;
+const AXES: usize = Axis::ALL.len();
+/// Conditions at a level: each axis alone, and simultaneous.
+const CONDITIONS: usize = AXES + 1;
+
+/// Random numbers.
+pub(crate) struct Chance(ChaCha12Rng);
+
+impl Chance {
+    /// The same numbers for the same seed.
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(ChaCha12Rng::seed_from_u64(seed))
+    }
+
+    /// Uniform in 0..1.
+    pub(crate) fn uniform(&mut self) -> f64 {
+        f64::from(self.0.next_u32()) / f64::from(u32::MAX)
+    }
+
+    /// Standard normal, by Box and Muller.
+    pub(crate) fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * self.uniform().max(1e-300).ln()).sqrt();
+        radius * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+}
+
+/// A rollout of the simulated campaign.
+pub(crate) fn record(
+    task: TaskRef,
+    condition: Condition,
+    level: Level,
+    config: u16,
+    success: bool,
+) -> Record {
+    let id = match condition {
+        Condition::Clean => RolloutId::clean(task, config),
+        _ => RolloutId::perturbed(task, condition, level, config).expect("a perturbed rollout"),
+    };
+    Record {
+        id,
+        init_id: config,
+        replicate: 0,
+        outcome: Outcome::from(success),
+    }
+}
+
+/// The conditions at a level.
+pub(crate) fn conditions() -> impl Iterator<Item = Condition> {
+    let singles = Axis::ALL.into_iter().map(Condition::Single);
+    singles.chain([Condition::Combination])
+}
+
+/// True success probabilities of one configuration.
+#[derive(Clone, Copy)]
+struct Probabilities {
+    nominal: f64,
+    /// Each axis alone at L2, then simultaneous.
+    perturbed: [f64; CONDITIONS],
+}
+
+/// Parameters shared by the tasks and directions of a population.
+pub(crate) struct Population {
+    /// Logit of nominal success in each suite.
+    ease: [f64; 4],
+    /// Cost of each condition on the logit.
+    costs: [f64; CONDITIONS],
+    /// Standard deviations on the logit: of tasks, of a condition in a task, and of a
+    /// direction.
+    deviations: [f64; 3],
+}
+
+/// Random effects of tasks, or of directions, by condition.
+type Effects = Vec<[f64; CONDITIONS + 1]>;
+
+impl Population {
+    /// Suites of unequal difficulty, axes of unequal cost, directions that matter.
+    pub(crate) const fn usual() -> Self {
+        Self {
+            ease: [2.8, 3.2, 2.4, 1.4],
+            costs: [1.4, 0.9, 0.7, 0.2, 0.5, 0.1, 2.2],
+            deviations: [0.7, 0.4, 0.5],
+        }
+    }
+
+    /// Effects of tasks, the last one nominal.
+    pub(crate) fn tasks(&self, tasks: usize, chance: &mut Chance) -> Effects {
+        let of_task = |_| {
+            let own = self.deviations[0] * chance.normal();
+            std::array::from_fn(|_| own + self.deviations[1] * chance.normal())
+        };
+        (0..tasks).map(of_task).collect()
+    }
+
+    /// Effects of directions; none on nominal rollouts.
+    pub(crate) fn directions(&self, directions: u16, chance: &mut Chance) -> Effects {
+        let of_direction = |_| {
+            let mut effects = [0.0; CONDITIONS + 1];
+            for effect in &mut effects[..CONDITIONS] {
+                *effect = self.deviations[2] * chance.normal();
+            }
+            effects
+        };
+        (0..directions).map(of_direction).collect()
+    }
+
+    fn probabilities(
+        &self,
+        suite: usize,
+        task: &[f64; CONDITIONS + 1],
+        direction: &[f64; CONDITIONS + 1],
+    ) -> Probabilities {
+        let ease = self.ease[suite];
+        let probability = |logit: f64| 1.0 / (1.0 + (-logit).exp());
+        Probabilities {
+            nominal: probability(ease + task[CONDITIONS]),
+            perturbed: std::array::from_fn(|k| {
+                probability(ease - self.costs[k] + task[k] + direction[k])
+            }),
+        }
+    }
+
+    /// The true values of all figures over tasks and directions, tasks of suite k at
+    /// positions k, k + suites, ….
+    pub(crate) fn truth(
+        &self,
+        tasks: &Effects,
+        suites: usize,
+        directions: &Effects,
+    ) -> BTreeMap<&'static str, f64> {
+        let mut sums = [0.0; 8 + CONDITIONS];
+        for (at, task) in tasks.iter().enumerate() {
+            for direction in directions {
+                let p = self.probabilities(at % suites, task, direction);
+                let conjunction: f64 = p.perturbed[..AXES].iter().product();
+                let simultaneous = p.perturbed[AXES];
+                let all = p.nominal.powi(AXES as i32);
+                let values = [
+                    1.0,
+                    p.nominal,
+                    conjunction,
+                    conjunction * (1.0 - simultaneous),
+                    (1.0 - conjunction) * simultaneous,
+                    all * (1.0 - p.nominal),
+                    (1.0 - all) * p.nominal,
+                    0.0,
+                ];
+                for (sum, value) in sums.iter_mut().zip(values.into_iter().chain(p.perturbed)) {
+                    *sum += value;
+                }
+            }
+        }
+        let [n, nominal, conjunction, e, c, floor_e, floor_c, _, ..] =
+            sums.map(|sum| sum / sums[0]);
+        let axes: Vec<f64> = sums[8..8 + AXES].iter().map(|sum| sum / sums[0]).collect();
+        let s_sim = sums[8 + AXES] / sums[0];
+        let s_indep: f64 = axes.iter().product();
+        let prediction = nominal * axes.iter().map(|axis| axis / nominal).product::<f64>();
+        [
+            ("S_indep", s_indep),
+            ("S_conj", conjunction),
+            ("S_sim", s_sim),
+            ("D", conjunction - s_indep),
+            ("I", s_sim - conjunction),
+            ("R_e", e),
+            ("R_c", c),
+            ("R_d", e + c),
+            ("b / S_conj", e / conjunction),
+            ("c / (1 - S_conj)", c / (n - conjunction)),
+            ("relative independence", prediction),
+            ("S_sim - relative", s_sim - prediction),
+            ("nominal, matched", nominal),
+            ("loss, camera", nominal - axes[0]),
+            ("loss, language", nominal - axes[5]),
+            ("loss, simultaneous", nominal - s_sim),
+            ("floor of R_d", floor_e + floor_c),
+            ("R_e - floor", e - floor_e),
+            ("R_c - floor", c - floor_c),
+            ("R_d - floor", e + c - floor_e - floor_c),
+            ("I - floor", c - e - floor_c + floor_e),
+        ]
+        .into()
+    }
+
+    /// A campaign over tasks and directions at L0 and L2, with nominal rollouts. Tasks
+    /// take the suites in turn.
+    pub(crate) fn campaign(
+        &self,
+        tasks: &Effects,
+        suites: usize,
+        directions: &Effects,
+        chance: &mut Chance,
+    ) -> Vec<Record> {
+        let mut records = Vec::new();
+        for (at, effects) in tasks.iter().enumerate() {
+            let task = task(at, suites);
+            for (config, direction) in (0..).zip(directions) {
+                let p = self.probabilities(at % suites, effects, direction);
+                let mut coin = |p: f64| chance.uniform() < p;
+                records.push(record(
+                    task,
+                    Condition::Clean,
+                    Level::L0,
+                    config,
+                    coin(p.nominal),
+                ));
+                for (condition, p_perturbed) in conditions().zip(p.perturbed) {
+                    records.push(record(task, condition, Level::L0, config, coin(p.nominal)));
+                    records.push(record(
+                        task,
+                        condition,
+                        Level::L2,
+                        config,
+                        coin(p_perturbed),
+                    ));
+                }
+            }
+        }
+        records
+    }
+}
+
+/// Task number `at` of a campaign over the first so many suites.
+pub(crate) fn task(at: usize, suites: usize) -> TaskRef {
+    let suite = Suite::ALL[at % suites];
+    let of_suite = TaskRef::all().filter(|task| task.suite() == suite);
+    of_suite
+        .into_iter()
+        .nth(at / suites)
+        .expect("ten tasks a suite")
+}
+
+/// All figures of a cell that have an interval for each target, by the names of
+/// [`Population::truth`].
+pub(crate) fn estimates(cell: &Cell) -> BTreeMap<&'static str, Estimate> {
+    let inference = cell.inference.as_ref().expect("a complete configuration");
+    let paired = &inference.paired;
+    let relative = inference.relative.as_ref().expect("nominal rollouts");
+    let loss = |condition: Condition| &inference.losses[&condition];
+    let single = |axis| loss(Condition::Single(axis));
+    let excess = inference.excess.as_ref().expect("a placebo");
+    let mut estimates: BTreeMap<&'static str, Estimate> = [
+        ("S_indep", paired.s_indep),
+        ("S_conj", paired.s_conj),
+        ("S_sim", paired.s_sim),
+        ("D", paired.d),
+        ("I", paired.i),
+        ("R_e", paired.r_e),
+        ("R_c", paired.r_c),
+        ("R_d", paired.r_d),
+        ("relative independence", relative.prediction),
+        ("S_sim - relative", relative.difference),
+        ("nominal, matched", relative.nominal),
+        ("loss, camera", single(Axis::Camera).loss),
+        ("loss, language", single(Axis::Language).loss),
+        ("loss, simultaneous", loss(Condition::Combination).loss),
+        ("floor of R_d", excess.floor.r_d),
+        ("R_e - floor", excess.excess.r_e),
+        ("R_c - floor", excess.excess.r_c),
+        ("R_d - floor", excess.excess.r_d),
+        ("I - floor", excess.excess.i),
+    ]
+    .into();
+    let eligible = [
+        ("b / S_conj", inference.eligible.emergent),
+        ("c / (1 - S_conj)", inference.eligible.compensated),
+    ];
+    let eligible = eligible.into_iter();
+    estimates.extend(eligible.filter_map(|(name, estimate)| Some((name, estimate?))));
+    estimates
+}
+
+/// A policy whose rollouts fail by chance, and what is planted in it.
+#[derive(Clone, Copy)]
+pub(crate) enum Planted {
+    /// Nothing: every rollout is a coin, whatever is done.
+    Coins,
+    /// One axis makes three configurations of ten fail, alone and simultaneously. Of the
+    /// others, one in seven fails simultaneously only: 10 points of all configurations.
+    Interaction,
+    /// The camera makes three directions of ten fail in half of the tasks, alone and
+    /// simultaneously.
+    Directions,
+}
+
+impl Planted {
+    /// Success probability of a rollout that nothing makes fail.
+    const fn luck(self) -> f64 {
+        match self {
+            Self::Coins => 0.95,
+            Self::Interaction | Self::Directions => 0.98,
+        }
+    }
+
+    /// A campaign of 40 tasks and ten configurations at L0 and L2, with nominal rollouts.
+    pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
+        let mut records = Vec::new();
+        for at in 0..40 {
+            let task = task(at, 4);
+            let is_touched = chance.uniform() < 0.5;
+            for config in 0..CONFIGURATIONS {
+                let [camera, together] = match self {
+                    Self::Coins => [false; 2],
+                    Self::Interaction => [chance.uniform() < 0.3, chance.uniform() < 1.0 / 7.0],
+                    Self::Directions => [is_touched && config < 3, false],
+                };
+                let mut coin = |fails: bool| !fails && chance.uniform() < self.luck();
+                records.push(record(
+                    task,
+                    Condition::Clean,
+                    Level::L0,
+                    config,
+                    coin(false),
+                ));
+                for condition in conditions() {
+                    let fails = match condition {
+                        Condition::Single(Axis::Camera) => camera,
+                        Condition::Combination => camera || together,
+                        _ => false,
+                    };
+                    records.push(record(task, condition, Level::L0, config, coin(false)));
+                    records.push(record(task, condition, Level::L2, config, coin(fails)));
+                }
+            }
+        }
+        records
+    }
+}

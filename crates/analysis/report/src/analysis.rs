@@ -1,0 +1,135 @@
+//! One policy, measured: its subject, its records matched, its statistics; or what a
+//! campaign that follows from another has found out.
+
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+
+use libero_ctrl::Level;
+use paired::{Cell, DuplicateRecord, Options, Outcome, Record, Records, Report};
+
+use crate::explanation::Findings;
+use crate::how_far::HowFar;
+use crate::interactions::AxisInteractions;
+use crate::sequential::Sequential;
+use crate::subject::Subject;
+use crate::warnings;
+
+/// One policy, measured.
+#[derive(Clone, Debug)]
+pub struct Analysis {
+    /// Name of the policy in this document, unlike all others.
+    pub label: String,
+    /// Subject: the outcomes and their circumstances.
+    pub subject: Subject,
+    /// Its outcomes, matched. Of a campaign that stopped early, those of the
+    /// configurations that its confidence sequences rest on.
+    pub records: Records,
+    /// The records of these, if some do not count.
+    counted: Option<Vec<Record>>,
+    /// Its confidence sequences, if it may end early.
+    pub sequential: Option<Sequential>,
+    /// The statistics; without figures if it follows from another campaign, whose
+    /// configurations it has only parts of.
+    pub report: Report,
+    /// Explanations of another campaign's transitions, if it explains one.
+    pub findings: Option<Findings>,
+    /// Thresholds of another campaign, if it measures them.
+    pub how_far: Option<HowFar>,
+    /// Interactions of the axes, where configurations have their whole lattice.
+    pub interactions: Option<AxisInteractions>,
+}
+
+impl Analysis {
+    /// Measures a subject.
+    pub(crate) fn new(label: String, subject: Subject) -> Result<Self, DuplicateRecord> {
+        let sequential = Sequential::of(&subject)?;
+        let counted = match subject.counted() {
+            Cow::Owned(counted) => Some(counted),
+            Cow::Borrowed(_) => None,
+        };
+        let mut records = Records::new(counted.as_deref().unwrap_or(&subject.records))?;
+        let mut notes = warnings::of_subject(&subject);
+        let warning = sequential.as_ref().and_then(Sequential::warning);
+        let is_interim = warning.is_some();
+        notes.splice(0..0, warning);
+        let findings = Findings::of(&subject).unwrap_or_else(|error| {
+            notes.push(error.to_string());
+            None
+        });
+        let mut report = paired::report_of(
+            &records,
+            &Options {
+                notes,
+                published_nominal: subject.published_nominal,
+                published_by_suite: subject.published_by_suite.clone(),
+                reported_nominal: subject.reported_nominal,
+                directions: subject.directions,
+                ..Options::default()
+            },
+        );
+        if let Some(sequential) = sequential.as_ref().filter(|_| is_interim) {
+            report.findings = sequential.findings();
+        }
+        if subject.derived.is_some() {
+            records = Records::default();
+            report = Report {
+                axes: Vec::new(),
+                nominal: Vec::new(),
+                cells: Vec::new(),
+                replication: Vec::new(),
+                components: Vec::new(),
+                findings: Vec::new(),
+                ..report
+            };
+        }
+        Ok(Self {
+            label,
+            interactions: AxisInteractions::of(&subject).ok(),
+            how_far: HowFar::of(&subject),
+            subject,
+            records,
+            counted,
+            sequential,
+            report,
+            findings,
+        })
+    }
+
+    /// Returns true if it has configurations to be paired: not if it follows from
+    /// another campaign.
+    pub fn is_paired(&self) -> bool {
+        self.subject.derived.is_none()
+    }
+
+    /// The records that figures are of.
+    pub(crate) fn counted(&self) -> &[Record] {
+        self.counted.as_deref().unwrap_or(&self.subject.records)
+    }
+
+    /// All records, without the outcomes that figures are not of.
+    pub(crate) fn outcomes_of_all(&self) -> Vec<Record> {
+        let counted = self.counted().iter();
+        let counted: BTreeSet<_> = counted.map(|it| (it.replicate, it.id)).collect();
+        let all = self.subject.records.iter();
+        all.map(
+            |record| match counted.contains(&(record.replicate, record.id)) {
+                true => *record,
+                false => Record {
+                    outcome: Outcome::Missing,
+                    ..*record
+                },
+            },
+        )
+        .collect()
+    }
+
+    /// The cells of replicate 0, by level.
+    pub fn cells(&self) -> impl Iterator<Item = &Cell> {
+        self.report.cells.iter().filter(|cell| cell.replicate == 0)
+    }
+
+    /// The cell of a level in replicate 0.
+    pub fn cell(&self, level: Level) -> Option<&Cell> {
+        self.cells().find(|cell| cell.level == level)
+    }
+}

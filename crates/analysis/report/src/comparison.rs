@@ -1,0 +1,288 @@
+//! Two policies compared over the rollouts that both have, and why some cannot
+//! be: what was simulated differently, or perturbed differently, is not paired.
+
+use std::collections::BTreeSet;
+
+use libero_ctrl::{RolloutId, StopRule};
+use paired::{Bootstrap, MIN_TASKS, Obstacle, Record, comparison_table, push_wrapped};
+use serde::Serialize;
+
+use crate::analysis::Analysis;
+use crate::sequential_comparison::{NoCommonOrder, SequentialComparison};
+use crate::subject::{Origin, Setups, Subject};
+use crate::warnings::{Of, mujoco, pack, renderer};
+
+/// A comparison that was made.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// The policy A.
+    pub a: Side,
+    /// The policy B.
+    pub b: Side,
+    /// Warnings about the comparison, to be read first.
+    pub warnings: Vec<String>,
+    /// Warnings about either policy, to be read first.
+    pub notes: Vec<String>,
+    /// The statistics.
+    #[serde(flatten)]
+    pub statistics: paired::Comparison,
+    /// Intervals that hold at any look, if both ran in the same drawn order.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sequential: Option<SequentialComparison>,
+    /// Settings of the intervals.
+    pub bootstrap: Bootstrap,
+    /// Fewest tasks that give an interval.
+    pub min_tasks: usize,
+}
+
+/// One of the policies that are compared.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Side {
+    /// Name of the policy in this comparison, unlike the other's.
+    pub label: String,
+    /// The policy's name.
+    pub policy: String,
+    /// Source of its outcomes.
+    pub origin: Origin,
+}
+
+/// Two policies of which nothing can be paired.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("compare {a} with {b}: {}", .reasons.join("; "))]
+pub struct Unpairable {
+    /// Label of policy A.
+    pub a: String,
+    /// Label of policy B.
+    pub b: String,
+    /// Reasons, each with a remedy.
+    pub reasons: Vec<String>,
+}
+
+/// Circumstances in which both policies must have been measured.
+const SHARED: [(&str, Of); 3] = [
+    ("asset pack", pack),
+    ("MuJoCo version", mujoco),
+    ("renderer", renderer),
+];
+
+impl Comparison {
+    /// Compares two policies, A − B, with what is known of their rollouts.
+    ///
+    /// # Errors
+    /// If nothing of them can be paired: they were measured with different
+    /// asset packs, simulators, renderers or realisation modes, or no rollout
+    /// of both is the same.
+    pub fn of(analyses: [&Analysis; 2], setups: [&Setups; 2]) -> Result<Self, Unpairable> {
+        let [a, b] = analyses;
+        let sides = sides(a, b);
+        let (mut reasons, mut warnings) = (Vec::new(), Vec::new());
+        let subjects = [&a.subject, &b.subject];
+        for (subject, side) in subjects.into_iter().zip(&sides) {
+            warnings.extend(unknown(subject, side));
+        }
+        reasons.extend(
+            SHARED
+                .iter()
+                .filter_map(|it| different(it, subjects, &sides)),
+        );
+        reasons.extend(different_realisation(subjects, &sides));
+        let notes = [a, b].into_iter().zip(&sides).flat_map(|(analysis, side)| {
+            let notes = analysis.report.notes.iter();
+            notes.map(move |note| format!("`{}`: {note}", side.label))
+        });
+        let notes = notes.collect();
+        let [a, b] = sides;
+        let refused = |reasons| Unpairable {
+            a: a.label.clone(),
+            b: b.label.clone(),
+            reasons,
+        };
+        if !reasons.is_empty() {
+            return Err(refused(reasons));
+        }
+        let bootstrap = Bootstrap::default();
+        let [of_a, of_b] = analyses.map(Analysis::counted);
+        let statistics =
+            paired::Comparison::of(of_a, of_b, &bootstrap, |record| obstacle(record, setups));
+        if statistics.shared() == 0 {
+            let mut reasons = statistics.left_out();
+            reasons.insert(
+                0,
+                "they have no rollout in common: give both the same tasks, axes, levels and \
+                 configurations"
+                    .to_owned(),
+            );
+            return Err(refused(reasons));
+        }
+        let unpaired = unpaired(&statistics);
+        Ok(Self {
+            a,
+            b,
+            warnings,
+            notes,
+            sequential: SequentialComparison::of(analyses, &unpaired, None).ok(),
+            statistics,
+            bootstrap,
+            min_tasks: MIN_TASKS,
+        })
+    }
+
+    /// Follows a rule about the difference: says under which conditions it is met.
+    ///
+    /// # Errors
+    /// If both did not run in the same drawn order.
+    pub fn follow(
+        &mut self,
+        analyses: [&Analysis; 2],
+        rule: Option<&StopRule>,
+    ) -> Result<(), NoCommonOrder> {
+        let unpaired = unpaired(&self.statistics);
+        let found = SequentialComparison::of(analyses, &unpaired, rule)?;
+        self.sequential = Some(found);
+        Ok(())
+    }
+
+    /// `A − B`, in the names of both.
+    pub(crate) fn title(&self) -> String {
+        format!("{} − {}", self.a.label, self.b.label)
+    }
+
+    /// Writes the comparison for a terminal of 80 columns.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        for (letter, side) in [("A", &self.a), ("B", &self.b)] {
+            push_wrapped(&mut text, &format!("{letter}  "), &side.words());
+        }
+        text.push('\n');
+        let left_out = self.statistics.left_out();
+        let said = self.warnings.iter().chain(&self.notes).chain(&left_out);
+        for warning in said {
+            push_wrapped(&mut text, "! ", warning);
+        }
+        if !text.ends_with("\n\n") {
+            text.push('\n');
+        }
+        text.push_str(&comparison_table(&self.statistics, &self.bootstrap));
+        if let Some(sequential) = &self.sequential {
+            text.push('\n');
+            text.push_str(&sequential.text());
+        }
+        text
+    }
+
+    /// Writes the comparison as JSON, several lines.
+    ///
+    /// # Errors
+    /// If serde cannot write it, which is a defect.
+    pub fn json(&self) -> Result<String, serde_json::Error> {
+        serde_json::to_string_pretty(self)
+    }
+}
+
+impl Side {
+    fn words(&self) -> String {
+        match &self.origin {
+            Origin::Campaign { name, endpoint, .. } => {
+                format!("{} at {endpoint}, campaign {name}", self.policy)
+            }
+            Origin::File { name, .. } => format!("{}, results of {name}", self.policy),
+        }
+    }
+}
+
+/// Rollouts of one name that were not the same for both.
+fn unpaired(statistics: &paired::Comparison) -> BTreeSet<RolloutId> {
+    statistics.unpaired.values().flatten().copied().collect()
+}
+
+/// Both, told apart by where their outcomes come from if not by name.
+fn sides(a: &Analysis, b: &Analysis) -> [Side; 2] {
+    let is_ambiguous = a.label == b.label;
+    let side = |analysis: &Analysis, letter: &str| {
+        let subject = &analysis.subject;
+        let label = match is_ambiguous {
+            false => analysis.label.clone(),
+            true if a.subject.origin_name() != b.subject.origin_name() => {
+                format!("{} ({})", subject.policy, subject.origin_name())
+            }
+            true => format!("{} {letter}", analysis.label),
+        };
+        Side {
+            label,
+            policy: subject.policy.clone(),
+            origin: subject.origin.clone(),
+        }
+    };
+    [side(a, "A"), side(b, "B")]
+}
+
+/// Names the unknown circumstances of a subject, though both must share them.
+fn unknown(subject: &Subject, side: &Side) -> Option<String> {
+    // A campaign without any result has nothing yet that could be known.
+    let has_results = !subject.provenances.is_empty();
+    let may_be_unknown = has_results || matches!(subject.origin, Origin::File { .. });
+    let is_unknown = |(_, of): &&(&str, Of)| may_be_unknown && values(subject, *of).is_empty();
+    let unknown = SHARED.iter().filter(is_unknown).map(|(what, _)| *what);
+    let mode = subject.realisation.is_none().then_some("realisation mode");
+    let unknown: Vec<&str> = unknown.chain(mode).collect();
+    (!unknown.is_empty()).then(|| {
+        format!(
+            "`{}`: {} not known; compare it only with what was measured in the same way",
+            side.label,
+            unknown.join(", ")
+        )
+    })
+}
+
+/// A property that both must share and do not, as far as it is known.
+fn different(
+    (what, of): &(&str, Of),
+    subjects: [&Subject; 2],
+    sides: &[Side; 2],
+) -> Option<String> {
+    let values = subjects.map(|subject| values(subject, *of));
+    if values.iter().any(BTreeSet::is_empty) || values[0] == values[1] && values[0].len() == 1 {
+        return None;
+    }
+    let said = sides.iter().zip(values).map(|(side, values)| {
+        let values: Vec<String> = values.into_iter().collect();
+        format!("{} with {}", side.label, values.join(" and "))
+    });
+    let said: Vec<String> = said.collect();
+    Some(format!(
+        "they were measured with more than one {what} ({}): run both with one",
+        said.join(", ")
+    ))
+}
+
+/// Distinct values of a property, empty ones aside.
+fn values(subject: &Subject, of: Of) -> BTreeSet<String> {
+    let values = subject.provenances.iter().map(of);
+    values.filter(|value| !value.is_empty()).collect()
+}
+
+fn different_realisation([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<String> {
+    let (of_a, of_b) = (a.realisation?, b.realisation?);
+    (of_a != of_b).then(|| {
+        format!(
+            "they were perturbed in different realisation modes ({}: {}, {}: {}): create both \
+             campaigns with the same `--realisation`",
+            sides[0].label,
+            of_a.name(),
+            sides[1].label,
+            of_b.name()
+        )
+    })
+}
+
+/// Returns the reason why a rollout of both cannot be paired, as far as digests
+/// are known.
+fn obstacle(record: &Record, [a, b]: [&Setups; 2]) -> Option<Obstacle> {
+    let differ = |a: Option<&String>, b: Option<&String>| a.zip(b).is_some_and(|(a, b)| a != b);
+    let state = RolloutId::clean(record.id.task(), record.init_id);
+    if differ(a.scenes.get(&state), b.scenes.get(&state)) {
+        return Some(Obstacle::Scene);
+    }
+    let id = &record.id;
+    differ(a.rollouts.get(id), b.rollouts.get(id)).then_some(Obstacle::Perturbation)
+}

@@ -1,0 +1,311 @@
+//! A report on one or several policies, and its forms for a terminal and for
+//! programs.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::{JsonError, Level};
+use paired::{DuplicateRecord, Measures, Report, push_wrapped};
+use serde::Serialize;
+
+use crate::analysis::Analysis;
+use crate::comparison::{Comparison, Unpairable};
+use crate::explanation::Findings;
+use crate::how_far::HowFar;
+use crate::interactions;
+use crate::sequential::Sequential;
+use crate::subject::{Origin, Quarantined, Subject};
+use crate::warnings;
+
+/// Columns of a terminal. Errors are cut there; the JSON form has them whole.
+const WIDTH: usize = 80;
+
+/// Policies, measured.
+#[derive(Clone, Debug)]
+pub struct Document {
+    /// Warnings about comparing the policies, to be read first.
+    pub warnings: Vec<String>,
+    /// Analyses, one per subject, in the given order.
+    pub analyses: Vec<Analysis>,
+}
+
+/// A report that cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum DocumentError {
+    /// The same rollout twice.
+    #[error("measure policy `{policy}`")]
+    Duplicate {
+        /// Name of the policy.
+        policy: String,
+        /// The duplicate rollout.
+        source: DuplicateRecord,
+    },
+    /// The report cannot be written as JSON.
+    #[error("write the report as JSON")]
+    Json(#[from] JsonError),
+}
+
+/// The JSON form: the measures of each policy and level first, where programs
+/// look for them, then everything.
+#[derive(Serialize)]
+struct JsonForm<'a> {
+    warnings: &'a [String],
+    /// Measures of replicate 0; null where no configuration is complete.
+    paired: BTreeMap<&'a str, BTreeMap<Level, Option<&'a Measures>>>,
+    reports: Vec<JsonReport<'a>>,
+}
+
+#[derive(Serialize)]
+struct JsonReport<'a> {
+    label: &'a str,
+    policy: &'a str,
+    origin: &'a Origin,
+    realisation: Option<&'a str>,
+    errors: &'a [Quarantined],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sequential: Option<&'a Sequential>,
+    #[serde(flatten)]
+    report: &'a Report,
+    /// Form of `explain --json`.
+    explanation: Option<&'a Findings>,
+    /// Form of `thresholds --json`.
+    thresholds: Option<&'a HowFar>,
+    /// Form of `interactions --json`.
+    interactions: Option<interactions::JsonForm<'a>>,
+}
+
+impl Document {
+    /// Measures the subjects.
+    ///
+    /// # Errors
+    /// If a subject holds the same rollout and replicate twice.
+    pub fn new(subjects: Vec<Subject>) -> Result<Self, DocumentError> {
+        let warnings = warnings::of_comparison(&subjects);
+        let labels = labels(&subjects);
+        let analyses = labels.into_iter().zip(subjects);
+        let analyses = analyses.map(|(label, subject)| {
+            let refused = |source| DocumentError::Duplicate {
+                policy: label.clone(),
+                source,
+            };
+            Analysis::new(label.clone(), subject).map_err(refused)
+        });
+        Ok(Self {
+            warnings,
+            analyses: analyses.collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// Compares every policy with every later one.
+    pub(crate) fn comparisons(&self) -> Vec<Result<Comparison, Unpairable>> {
+        let pairs = self.analyses.iter().enumerate().flat_map(|(index, a)| {
+            let later = self.analyses[index + 1..].iter();
+            later.map(move |b| Comparison::of([a, b], [&a.subject.setups, &b.subject.setups]))
+        });
+        pairs.collect()
+    }
+
+    /// The policies with complete configurations at a level: how each is called
+    /// here, and its measures.
+    pub(crate) fn paired(&self, level: Level) -> Vec<(&str, &Measures)> {
+        let policies = self.analyses.iter().filter_map(|analysis| {
+            let measures = analysis.cell(level)?.paired.as_ref()?;
+            Some((analysis.label.as_str(), measures))
+        });
+        policies.collect()
+    }
+
+    /// The report as JSON, several lines.
+    ///
+    /// # Errors
+    /// If serde cannot write it, which is a defect.
+    pub fn json(&self) -> Result<String, DocumentError> {
+        let paired = self.analyses.iter().map(|analysis| {
+            let levels = analysis
+                .cells()
+                .map(|cell| (cell.level, cell.paired.as_ref()));
+            (analysis.label.as_str(), levels.collect())
+        });
+        let reports = self.analyses.iter().map(|analysis| JsonReport {
+            label: &analysis.label,
+            policy: &analysis.subject.policy,
+            origin: &analysis.subject.origin,
+            realisation: analysis.subject.realisation.map(|r| r.name()),
+            errors: &analysis.subject.errors,
+            sequential: analysis.sequential.as_ref(),
+            report: &analysis.report,
+            explanation: analysis.findings.as_ref(),
+            thresholds: analysis.how_far.as_ref(),
+            interactions: analysis.interactions.as_ref().map(|it| it.form()),
+        });
+        let text = serde_json::to_string_pretty(&JsonForm {
+            warnings: &self.warnings,
+            paired: paired.collect(),
+            reports: reports.collect(),
+        });
+        Ok(text.map_err(JsonError::from)?)
+    }
+
+    /// The report in a few lines for a terminal of 80 columns: success by condition, and
+    /// sentences in place of symbols.
+    pub fn brief(&self) -> String {
+        let mut text = String::new();
+        for warning in &self.warnings {
+            push_wrapped(&mut text, "! ", warning);
+        }
+        for analysis in &self.analyses {
+            if !text.is_empty() {
+                text.push('\n');
+            }
+            text.push_str(&title(&analysis.subject));
+            match analysis.is_paired() {
+                true => text.push_str(&paired::brief(&analysis.report)),
+                false => push_found(&mut text, analysis),
+            }
+        }
+        if self.analyses.iter().any(Analysis::is_paired) {
+            text.push('\n');
+            push_wrapped(
+                &mut text,
+                "",
+                "`--full` prints the paired measures with their intervals, and the meaning of each \
+                 symbol; `--html FILE` writes a page with figures, `--table FILE.csv` the outcomes.",
+            );
+        }
+        text
+    }
+
+    /// The whole report for a terminal of 80 columns.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        for warning in &self.warnings {
+            push_wrapped(&mut text, "! ", warning);
+        }
+        for analysis in &self.analyses {
+            if !text.is_empty() {
+                text.push('\n');
+            }
+            text.push_str(&head(&analysis.subject));
+            text.push('\n');
+            match analysis.is_paired() {
+                true => text.push_str(&paired::table(&analysis.report)),
+                false => push_found(&mut text, analysis),
+            }
+            if let Some(sequential) = &analysis.sequential {
+                text.push('\n');
+                text.push_str(&sequential.text());
+            }
+            text.push_str(&tail(&analysis.subject));
+        }
+        let measured = self.analyses.iter().filter(|it| it.is_paired());
+        let reports: Vec<&Report> = measured.map(|it| &it.report).collect();
+        let legend = paired::legend(&reports);
+        if !legend.is_empty() {
+            text.push('\n');
+            text.push_str(&legend);
+        }
+        text
+    }
+}
+
+/// The policies' names, with their origins where two have the same, and with a
+/// number where that is not enough.
+fn labels(subjects: &[Subject]) -> Vec<String> {
+    let mut labels: Vec<String> = Vec::new();
+    let mut taken = BTreeSet::new();
+    for subject in subjects {
+        let of_name = subjects
+            .iter()
+            .filter(|other| other.policy == subject.policy);
+        let mut label = match of_name.count() {
+            1 => subject.policy.clone(),
+            _ => format!("{} ({})", subject.policy, subject.origin_name()),
+        };
+        let first = label.clone();
+        for number in 2.. {
+            if taken.insert(label.clone()) {
+                break;
+            }
+            label = format!("{first} {number}");
+        }
+        labels.push(label);
+    }
+    labels
+}
+
+/// The campaign or file and the policy, in one line.
+fn title(subject: &Subject) -> String {
+    let mut text = String::new();
+    let line = match &subject.origin {
+        Origin::Campaign { name, endpoint, .. } => {
+            format!("campaign {name}, policy {} at {endpoint}", subject.policy)
+        }
+        Origin::File { name, .. } => format!("policy {}, results of {name}", subject.policy),
+    };
+    push_wrapped(&mut text, "", &line);
+    text
+}
+
+fn head(subject: &Subject) -> String {
+    let policy = &subject.policy;
+    let realisation = match subject.realisation {
+        Some(realisation) => realisation.name(),
+        None => "unknown",
+    };
+    match &subject.origin {
+        Origin::Campaign {
+            name,
+            endpoint,
+            design,
+        } => format!(
+            "campaign {name}\npolicy {policy} at {endpoint}\n\
+             design {design}, realisation {realisation}\n"
+        ),
+        Origin::File {
+            name,
+            digest,
+            source,
+        } => {
+            let mut head = format!("policy {policy}, results of {name}\n");
+            if !source.is_empty() {
+                push_wrapped(&mut head, "", source);
+            }
+            let digest = warnings::short(digest);
+            head.push_str(&format!("SHA-256 {digest}…, realisation {realisation}\n"));
+            head
+        }
+    }
+}
+
+/// Appends the findings of a campaign that follows from another, its warnings first.
+fn push_found(text: &mut String, analysis: &Analysis) {
+    for note in &analysis.report.notes {
+        push_wrapped(text, "! ", note);
+    }
+    if !analysis.report.notes.is_empty() {
+        text.push('\n');
+    }
+    if let Some(findings) = &analysis.findings {
+        text.push_str(&findings.text());
+    }
+    if let Some(far) = &analysis.how_far {
+        text.push_str(&far.text());
+    }
+}
+
+/// The last error of each quarantined rollout, one per line.
+fn tail(subject: &Subject) -> String {
+    let mut text = String::new();
+    if !subject.errors.is_empty() {
+        text.push_str("\nin quarantine, with the last error:\n");
+    }
+    for Quarantined {
+        rollout,
+        last_error,
+    } in &subject.errors
+    {
+        let error = last_error.lines().next().unwrap_or_default();
+        text.extend(format!("  {rollout}: {error}").chars().take(WIDTH));
+        text.push('\n');
+    }
+    text
+}

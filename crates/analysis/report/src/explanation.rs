@@ -1,0 +1,282 @@
+//! Findings of a campaign that explains another, as text for a terminal and as JSON.
+//! The definition of minimal subsets and the choice of those to run are `lattice`'s
+//! business.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use lattice::{
+    Answer, Decision, Explained, KnownError, Occurrence, Sample, Unexplained, Verdict,
+    configurations, next, occurrences, plan,
+};
+use libero_ctrl::{AxisSet, Explanation, JsonError};
+use paired::{Outcome, Record, Transition, push_wrapped};
+use serde::Serialize;
+
+use crate::subject::{Prospect, Subject, things};
+
+/// Columns of a terminal for the names of axes.
+const NAMES: usize = 52;
+
+/// Findings about a campaign's transitions.
+#[derive(Clone, Debug, Serialize)]
+pub struct Findings {
+    /// The campaign whose transitions are explained.
+    pub campaign: String,
+    /// The campaign that ran the subsets.
+    pub explained_by: String,
+    /// The policy.
+    pub policy: String,
+    /// True if nothing remains to be run.
+    pub complete: bool,
+    /// Configurations with a transition to be explained.
+    pub transitions: u64,
+    /// Transitions whose explanation is finished.
+    pub explained: u64,
+    /// Emergent failures that are left out because the nominal rollout fails too.
+    pub nominal_fails: u64,
+    /// Rollouts that were run or wait to be run, beyond those of the campaign.
+    pub rollouts: u64,
+    /// Rollouts among them without an outcome yet.
+    pub waiting: u64,
+    /// Occurrences of each minimal subset.
+    pub subsets: Vec<Occurrence>,
+    /// Each configuration of which a subset was run.
+    pub configurations: Vec<Explained>,
+}
+
+impl Findings {
+    /// Returns the number of transitions and rollouts that explaining a campaign
+    /// would take.
+    ///
+    /// # Errors
+    /// If it perturbs one axis only.
+    pub fn prospect(campaign: &Subject, explanation: &Explanation) -> Result<Prospect, KnownError> {
+        let known = configurations(&campaign.counted(), &[], explanation)?;
+        let mut prospect = Prospect {
+            subjects: 0,
+            most_rollouts: BTreeMap::new(),
+        };
+        for (&configuration, known) in &known {
+            if Explained::of(configuration, known).is_ok() {
+                let several = known.full().subsets().into_iter();
+                let several = several.filter(|it| it.len() > 1 && *it != known.full());
+                let times = u64::from(explanation.repeats.unwrap_or(1));
+                let suite = configuration.task().suite();
+                prospect.subjects += 1;
+                *prospect.most_rollouts.entry(suite).or_default() += several.count() as u64 * times;
+            }
+        }
+        if let Some(budget) = explanation.budget {
+            prospect.bound(budget.into());
+        }
+        Ok(prospect)
+    }
+
+    /// Puts together what a campaign that explains another knows and what that one
+    /// does; none of a campaign that explains nothing.
+    ///
+    /// # Errors
+    /// If the campaign that is explained perturbs one axis only.
+    pub fn of(by: &Subject) -> Result<Option<Self>, KnownError> {
+        let Some((explanation, records)) = by.explains() else {
+            return Ok(None);
+        };
+        let known = configurations(records, &by.records, explanation)?;
+        let sample = Sample::of(explanation, records);
+        let mut findings = Self {
+            campaign: explanation.campaign.clone(),
+            explained_by: by.origin_name().to_owned(),
+            policy: by.policy.clone(),
+            // While an outcome is missing, there may be further transitions.
+            complete: records.iter().all(is_settled) && plan(&known, &sample).is_empty(),
+            transitions: 0,
+            explained: 0,
+            nominal_fails: 0,
+            rollouts: by.records.len() as u64,
+            waiting: 0,
+            subsets: Vec::new(),
+            configurations: Vec::new(),
+        };
+        for (&configuration, known) in &known {
+            let explained = match Explained::of(configuration, known) {
+                Ok(explained) => explained,
+                Err(Unexplained::NominalFails) => {
+                    findings.nominal_fails += 1;
+                    continue;
+                }
+                Err(Unexplained::Incomplete | Unexplained::Unchanged(_)) => continue,
+            };
+            findings.transitions += 1;
+            findings.explained += u64::from(next(known, sample.strategy) == Decision::Done);
+            let pending = explained
+                .outcomes
+                .iter()
+                .map(|it| u64::from(it.tally.pending));
+            findings.waiting += pending.sum::<u64>();
+            if explained.rollouts > 0 {
+                findings.configurations.push(explained);
+            }
+        }
+        findings.complete &= findings.waiting == 0;
+        findings.subsets = occurrences(&findings.configurations);
+        Ok(Some(findings))
+    }
+
+    /// Writes the findings as JSON, several lines.
+    ///
+    /// # Errors
+    /// If serde cannot write it, which is a defect.
+    pub fn json(&self) -> Result<String, JsonError> {
+        Ok(serde_json::to_string_pretty(self)?)
+    }
+
+    /// Writes the findings as text for a terminal of 80 columns.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        push_wrapped(
+            &mut text,
+            "",
+            &format!("{} {}", self.explained_by, self.standing()),
+        );
+        let emergent = |it: &&Occurrence| it.transition == Transition::Emergent;
+        let (emergent, compensated): (Vec<&Occurrence>, Vec<&Occurrence>) =
+            self.subsets.iter().partition(emergent);
+        push_subsets(
+            &mut text,
+            "emergent failures: the fewest axes that fail together",
+            &emergent,
+        );
+        push_subsets(
+            &mut text,
+            "compensated successes: what makes an axis succeed that fails alone",
+            &compensated,
+        );
+        if !self.configurations.is_empty() {
+            text.push_str("\neach configuration\n");
+        }
+        for explained in &self.configurations {
+            push_configuration(&mut text, explained);
+        }
+        text
+    }
+
+    /// Progress of the explanation, in a sentence without its subject and its stop.
+    pub(crate) fn standing(&self) -> String {
+        let Self {
+            transitions,
+            explained,
+            rollouts,
+            waiting,
+            ..
+        } = self;
+        let mut words = format!(
+            "explains {}: {explained} of {transitions} transitions explained in {}",
+            self.campaign,
+            things(*rollouts, "rollout")
+        );
+        if *waiting > 0 {
+            let _ = write!(words, ", of which {waiting} have no outcome yet");
+        }
+        if self.nominal_fails > 0 {
+            let _ = write!(
+                words,
+                "; emergent failures left out because their nominal rollout fails too: {}",
+                self.nominal_fails
+            );
+        }
+        words
+    }
+}
+
+fn is_settled(record: &Record) -> bool {
+    record.outcome != Outcome::Missing
+}
+
+/// Appends the occurrences of each minimal subset.
+fn push_subsets(text: &mut String, title: &str, occurrences: &[&Occurrence]) {
+    if occurrences.is_empty() {
+        return;
+    }
+    let _ = writeln!(text, "\n{title}");
+    let _ = writeln!(
+        text,
+        "{:NAMES$}{:>15}{:>13}",
+        "", "configurations", "established"
+    );
+    for occurrence in occurrences {
+        let (found, established) = (occurrence.configurations, occurrence.established);
+        let name = subset(occurrence.start, occurrence.set);
+        if name.len() < NAMES {
+            let _ = write!(text, "{name:NAMES$}");
+        } else {
+            let _ = write!(text, "{name}\n{:NAMES$}", "");
+        }
+        let _ = writeln!(text, "{found:>15}{established:>13}");
+    }
+}
+
+/// `camera+robot`, or `robot with camera` where the search started at robot.
+pub(crate) fn subset(start: AxisSet, set: AxisSet) -> String {
+    match start.is_empty() {
+        true => set.to_string(),
+        false => format!("{start} with {}", set.without(start)),
+    }
+}
+
+fn push_configuration(text: &mut String, explained: &Explained) {
+    let Explained {
+        configuration,
+        explanation,
+        rollouts,
+        ..
+    } = explained;
+    let name = explanation.transition.name();
+    let _ = writeln!(text, "{name:<12} {configuration}  {rollouts} rollouts");
+    for answer in &explanation.answers {
+        push_answer(text, answer, explanation.transition);
+    }
+    let undecided = explained
+        .outcomes
+        .iter()
+        .filter(|it| matches!(it.verdict, Verdict::Undecided | Verdict::Quarantined));
+    let undecided: Vec<&str> = undecided.map(|it| it.set.name()).collect();
+    if !undecided.is_empty() {
+        push_wrapped(text, "  undecided: ", &undecided.join(", "));
+    }
+}
+
+fn push_answer(text: &mut String, answer: &Answer, transition: Transition) {
+    let (does, does_not) = match transition {
+        Transition::Compensated => ("succeeds", "fails"),
+        _ => ("fails", "succeeds"),
+    };
+    let prefix = match answer.start.is_empty() {
+        true => format!("  {does}: "),
+        false => format!("  {}, which fails alone, {does}: ", answer.start),
+    };
+    let minimal = answer.minimal.iter().map(|minimal| {
+        let name = subset(answer.start, minimal.set);
+        match minimal.is_established() {
+            true => name,
+            false => format!(
+                "{name} (not established: {} smaller not run)",
+                minimal.open.len()
+            ),
+        }
+    });
+    push_wrapped(text, &prefix, &minimal.collect::<Vec<_>>().join(", "));
+    let largest: Vec<&str> = answer
+        .largest_unflipped
+        .iter()
+        .map(|set| set.name())
+        .collect();
+    push_wrapped(text, &format!("  still {does_not}: "), &largest.join(", "));
+    for pair in &answer.non_monotone {
+        let words = format!(
+            "{} {does}, and with more axes {} {does_not}",
+            pair.minimal, pair.superset
+        );
+        push_wrapped(text, "  not monotone: ", &words);
+    }
+}

@@ -1,0 +1,192 @@
+//! The figures, as SVG. Each is a panel of one fixed width, so that a page can
+//! set panels side by side where there is room and below one another where
+//! there is not, and no text has to shrink.
+//!
+//! A meaning never rests on colour alone: transitions have marks, measures have
+//! shapes, heat maps have numbers. Colours are those of M. Okabe and K. Ito,
+//! Color Universal Design (2008), and, for the heat map, of ColorBrewer's YlGnBu
+//! (C. Brewer, 2002).
+
+mod decomposition;
+mod differences;
+mod directions;
+mod gate;
+mod heat_map;
+mod interactions;
+mod lattice;
+mod matrix;
+mod replication;
+mod survival;
+mod svg;
+mod upset;
+
+use std::collections::BTreeSet;
+
+use libero_ctrl::{Level, RolloutId};
+use maud::{Markup, PreEscaped, html};
+use paired::Transition;
+
+use crate::analysis::Analysis;
+use crate::document::Document;
+use crate::how_far::HowFar;
+
+pub use self::lattice::{SubsetLink, lattice};
+pub use decomposition::decomposition;
+pub use differences::differences;
+pub use directions::directions;
+pub use gate::gate;
+pub use heat_map::heat_map;
+pub use interactions::{additive, interaction_matrix};
+pub use matrix::matrix;
+pub use replication::{flips, replicates};
+pub use survival::survival;
+pub use svg::WIDTH;
+pub use upset::upset;
+
+/// The style that the panels need; a page includes it once.
+pub const STYLE: &str = include_str!("figures/style.css");
+
+/// Address of a configuration's page of rollouts, by its simultaneous rollout and its
+/// replicate.
+pub type Link<'a> = &'a dyn Fn(RolloutId, u32) -> String;
+
+/// Around the panel in a file of its own.
+const PADDING: f64 = 14.0;
+
+/// One panel.
+#[derive(Clone, Debug)]
+pub struct Figure {
+    /// Name of its file, without extension.
+    pub name: String,
+    /// Description for readers who cannot see the figure.
+    pub title: String,
+    has_links: bool,
+    is_wide: bool,
+    height: f64,
+    body: Markup,
+}
+
+impl Figure {
+    fn new(name: &str, title: String, height: f64, body: Markup) -> Self {
+        let plain = |c: char| match c.is_ascii_alphanumeric() || c == '.' {
+            true => c.to_ascii_lowercase(),
+            false => '-',
+        };
+        Self {
+            name: name.chars().map(plain).collect(),
+            title,
+            has_links: false,
+            is_wide: false,
+            height,
+            body,
+        }
+    }
+
+    /// Makes the figure as wide as a page, for which a narrow page needs a box that
+    /// scrolls.
+    fn wide(self) -> Self {
+        Self {
+            is_wide: true,
+            ..self
+        }
+    }
+
+    /// Renders the figure for a page that includes [`STYLE`].
+    pub fn inline(&self) -> Markup {
+        self.svg(html! {}, 0.0)
+    }
+
+    /// Renders the figure for a file of its own.
+    pub fn standalone(&self) -> String {
+        // A viewer's own background may be of the other scheme than the text.
+        let style = html! {
+            style { (PreEscaped(STYLE)) }
+            rect class="ground" x=(svg::number(-PADDING)) y=(svg::number(-PADDING))
+                width="100%" height="100%" {}
+        };
+        format!(
+            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n",
+            self.svg(style, PADDING).0
+        )
+    }
+
+    fn svg(&self, style: Markup, padding: f64) -> Markup {
+        let (width, class) = match self.is_wide {
+            true => (svg::WIDE, "panel wide"),
+            false => (WIDTH, "panel"),
+        };
+        let from = svg::number(0.0 - padding);
+        let (width, height) = (width + 2.0 * padding, self.height + 2.0 * padding);
+        let (width, height) = (svg::number(width), svg::number(height));
+        // Screen readers do not reach links inside an element of role `img`.
+        let role = if self.has_links { "group" } else { "img" };
+        html! {
+            svg xmlns="http://www.w3.org/2000/svg" class=(class) role=(role)
+                viewBox={ (from) " " (from) " " (width) " " (height) } width=(width) height=(height) {
+                title { (self.title) }
+                (style)
+                (self.body)
+            }
+        }
+    }
+}
+
+/// The levels of a document, by radius.
+pub fn levels(document: &Document) -> Vec<Level> {
+    let cells = document.analyses.iter().flat_map(Analysis::cells);
+    let levels: BTreeSet<Level> = cells.map(|cell| cell.level).collect();
+    levels.into_iter().collect()
+}
+
+/// The survival curves of a campaign that measures thresholds.
+pub fn of_thresholds(found: &HowFar) -> Vec<Figure> {
+    found.curves.iter().filter_map(survival).collect()
+}
+
+/// All figures of a document, in the page's order.
+pub fn all(document: &Document) -> Vec<Figure> {
+    let mut figures = Vec::new();
+    figures.extend(gate(document));
+    let levels = levels(document);
+    figures.extend(levels.iter().filter_map(|&level| heat_map(document, level)));
+    figures.extend(
+        levels
+            .iter()
+            .filter_map(|&level| decomposition(document, level)),
+    );
+    figures.extend(
+        levels
+            .iter()
+            .filter_map(|&level| directions(document, level)),
+    );
+    for analysis in &document.analyses {
+        let matrices = levels.iter().map(|&level| matrix(analysis, level, None));
+        figures.extend(matrices.flatten());
+    }
+    for analysis in &document.analyses {
+        if let Some(findings) = &analysis.findings {
+            let transitions = [Transition::Emergent, Transition::Compensated];
+            figures.extend(transitions.iter().filter_map(|it| upset(findings, *it)));
+        }
+        figures.extend(analysis.how_far.iter().flat_map(of_thresholds));
+        for level in analysis.interactions.iter().flat_map(|it| &it.levels) {
+            figures.extend([
+                interaction_matrix(analysis, level),
+                additive(analysis, level),
+            ]);
+        }
+        figures.extend(replicates(analysis));
+        figures.extend(flips(analysis));
+    }
+    for pair in document.comparisons() {
+        figures.extend(pair.ok().and_then(|comparison| differences(&comparison)));
+    }
+    // Two labels can have one plain form, and no file may overwrite another.
+    let mut taken = BTreeSet::new();
+    for figure in &mut figures {
+        while !taken.insert(figure.name.clone()) {
+            figure.name.push_str("-2");
+        }
+    }
+    figures
+}

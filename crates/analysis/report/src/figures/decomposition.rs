@@ -1,0 +1,101 @@
+//! From what independent axes would give to what happens: S_indep → S_conj by
+//! D, S_conj → S_sim by I. The paper's Figure 3 A, C and E, one panel per level.
+
+use libero_ctrl::Level;
+use maud::{Markup, html};
+use paired::Measures;
+
+use super::Figure;
+use super::svg::{
+    AXIS, HEAD, MARGIN, Scale, circle, diamond, line, percent_ticks, shortened, square, text,
+};
+use crate::document::Document;
+use crate::words;
+
+const LEGEND: f64 = 20.0;
+const ROW: f64 = 66.0;
+
+/// The panel of a level; none where no policy has a complete configuration.
+pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
+    let rows = document.paired(level);
+    if rows.is_empty() {
+        return None;
+    }
+    let domain = [0.0, 1.0];
+    let scale = Scale::over(domain);
+    let top = HEAD + LEGEND;
+    let bottom = top + ROW * rows.len() as f64;
+    let counts = words::counts(rows.iter().map(|(_, m)| m.n));
+    let axis = format!("success, % of {counts} configurations");
+    let body = html! {
+        (text(0.0, 15.0, "head", &format!("{level}: radius {}", level.radius())))
+        (legend())
+        (scale.axis([top, bottom], &percent_ticks(domain, 0.25, false), &axis))
+        @for (index, (name, measures)) in rows.iter().enumerate() {
+            (row(&scale, name, measures, top + ROW * index as f64))
+        }
+    };
+    let title = format!(
+        "Success expected of independent axes, under every axis alone, and under simultaneous \
+         perturbation, at {level}"
+    );
+    Some(Figure::new(
+        &format!("decomposition-{level}"),
+        title,
+        bottom + AXIS,
+        body,
+    ))
+}
+
+fn legend() -> Markup {
+    let y = HEAD + 4.0;
+    let name = |x: f64, name: &str| text(x, y + 4.0, "small", name);
+    html! {
+        (circle(MARGIN, y, "open"))
+        (name(MARGIN + 10.0, "S_indep"))
+        (line("d", [88.0, y], [108.0, y]))
+        (name(114.0, "D"))
+        (diamond(146.0, y, "mark"))
+        (name(157.0, "S_conj"))
+        (line("i", [218.0, y], [238.0, y]))
+        (name(244.0, "I"))
+        (square(274.0, y, "mark"))
+        (name(284.0, "S_sim"))
+    }
+}
+
+fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
+    let [indep, conj, sim] = [m.s_indep, m.s_conj, m.s_sim].map(|rate| scale.at(rate));
+    let (d, i) = (top + 28.0, top + 40.0);
+    let said = format!(
+        "{name}: S_indep {} %, S_conj {} %, S_sim {} %",
+        words::percent(m.s_indep),
+        words::percent(m.s_conj),
+        words::percent(m.s_sim)
+    );
+    let in_d = format!(
+        "D {}{}",
+        words::points(m.d),
+        words::points_interval(m.d_ci95, m.no_interval)
+    );
+    let in_i = format!(
+        "I {}{}",
+        words::points(m.i),
+        words::points_interval(m.i_ci95, m.no_interval)
+    );
+    html! {
+        g {
+            title { (said) }
+            (text(0.0, top + 15.0, "name", &shortened(name, 40)))
+            (text(scale.at(1.0) + MARGIN, top + 15.0, "small muted end", &format!("n = {}", m.n)))
+            (line("d", [indep, d], [conj, d]))
+            (line("zero", [conj, d], [conj, i]))
+            (line("i", [conj, i], [sim, i]))
+            (circle(indep, d, "open"))
+            (diamond(conj, f64::midpoint(d, i), "mark"))
+            (square(sim, i, "mark"))
+            (text(0.0, top + 61.0, "small d", &in_d))
+            (text(scale.at(0.5) , top + 61.0, "small i", &in_i))
+        }
+    }
+}

@@ -1,0 +1,96 @@
+//! The difference of two policies under every condition at every level, with
+//! intervals.
+
+use libero_ctrl::Condition;
+use maud::{Markup, html};
+use paired::{ComparedCell, Difference};
+
+use super::svg::{
+    AXIS, HEAD, Scale, circle, line, number, percent_ticks, shortened, text, whisker, withheld,
+};
+use super::{Figure, WIDTH};
+use crate::comparison::Comparison;
+use crate::words;
+
+const LABELS: f64 = 96.0;
+const ROW: f64 = 18.0;
+const GAP: f64 = 10.0;
+/// Steps of the axis, in fractions; the first that gives few enough ticks.
+const STEPS: [f64; 5] = [0.02, 0.05, 0.1, 0.25, 0.5];
+const MOST_TICKS: f64 = 3.0;
+
+/// The panel of two policies, replicate 0; none while no rollout has an outcome
+/// of both.
+pub fn differences(comparison: &Comparison) -> Option<Figure> {
+    let cells = comparison.statistics.cells.iter();
+    let cells = cells.filter(|cell| cell.replicate == 0);
+    let rows: Vec<(&ComparedCell, &Difference)> = cells
+        .filter_map(|cell| Some((cell, cell.difference.as_ref()?)))
+        .collect();
+    if rows.is_empty() {
+        return None;
+    }
+    let ends = rows.iter().flat_map(|(_, it)| {
+        let [low, high] = it.difference_ci95.unwrap_or([it.difference; 2]);
+        [low, high, it.difference].map(f64::abs)
+    });
+    let largest = ends.fold(0.01, f64::max);
+    let fits = |step: &&f64| largest / **step <= MOST_TICKS;
+    let step = *STEPS.iter().find(fits).unwrap_or(&STEPS[STEPS.len() - 1]);
+    let end = (largest / step - 1e-9).ceil() * step;
+    let scale = Scale::between([-end, end], [LABELS, WIDTH - 14.0]);
+    let mut y = HEAD + 22.0;
+    let mut above = None;
+    let mut body = Vec::new();
+    for (cell, difference) in &rows {
+        if above.is_some_and(|above| above != cell.level) {
+            y += GAP;
+        }
+        let is_first = above != Some(cell.level) && cell.condition != Condition::Clean;
+        above = Some(cell.level);
+        body.push(row(&scale, cell, difference, is_first, y));
+        y += ROW;
+    }
+    let counts = words::counts(rows.iter().map(|(_, it)| it.n));
+    let (a, b) = (&comparison.a.label, &comparison.b.label);
+    let (better_a, better_b) = (shortened(a, 20), shortened(b, 20));
+    let markup = html! {
+        (text(0.0, 15.0, "head", &shortened(&comparison.title(), 46)))
+        (text(scale.at(0.0) - 6.0, HEAD + 10.0, "small muted end", &format!("← {better_b}")))
+        (text(scale.at(0.0) + 6.0, HEAD + 10.0, "small muted", &format!("{better_a} →")))
+        (scale.axis([HEAD + 16.0, y], &percent_ticks([-end, end], step, true),
+            &format!("difference of success, points ({counts})")))
+        (line("zero", [scale.at(0.0), HEAD + 16.0], [scale.at(0.0), y]))
+        @for row in body { (row) }
+    };
+    let title = format!("Success of {a} less that of {b}, by condition and level");
+    let name = format!("difference-{a}-{b}");
+    Some(Figure::new(&name, title, y + AXIS, markup))
+}
+
+fn row(scale: &Scale, cell: &ComparedCell, it: &Difference, names_level: bool, y: f64) -> Markup {
+    let middle = y + ROW / 2.0;
+    let said = format!(
+        "{}: {}{}; only A {}, only B {}, of {}",
+        cell.name(),
+        words::points(it.difference),
+        words::points_interval(it.difference_ci95, it.no_interval),
+        it.a_only,
+        it.b_only,
+        it.n
+    );
+    html! {
+        g {
+            title { (said) }
+            @if names_level { (text(0.0, middle + 4.0, "name small", &cell.level.to_string())) }
+            text class="small end" x=(number(LABELS - 10.0)) y=(number(middle + 4.0)) {
+                (cell.condition.label())
+            }
+            @match it.difference_ci95 {
+                Some(interval) => (whisker(scale, interval, middle)),
+                None => (withheld(scale, it.difference, it.no_interval, middle)),
+            }
+            (circle(scale.at(it.difference), middle, "mark"))
+        }
+    }
+}

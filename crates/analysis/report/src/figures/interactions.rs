@@ -1,0 +1,200 @@
+//! Interactions of the axes at one level: a matrix of shares and pairs, and the way
+//! from nominal to simultaneous success, which adds up.
+
+use lattice::Estimate;
+use libero_ctrl::{Axis, AxisSet};
+use maud::{Markup, html};
+
+use super::svg::{AXIS, HEAD, Scale, line, number, percent_ticks, rect, shortened, text, whisker};
+use super::{Figure, WIDTH};
+use crate::analysis::Analysis;
+use crate::interactions::LevelInteractions;
+use crate::words::{percent, points, points_interval};
+
+const LABELS: f64 = 78.0;
+/// Height of the heading, with what is shown below it.
+const TOP: f64 = HEAD + 22.0;
+const ROW: f64 = 32.0;
+/// Height of the slanted names below the columns.
+const NAMES: f64 = 66.0;
+/// Share of a cell's colour above which its number is white.
+const DARK_ABOVE: f64 = 0.6;
+const STEP_LABELS: f64 = 132.0;
+/// Width of the column of numbers.
+const NUMBERS: f64 = 58.0;
+const STEP: f64 = 26.0;
+
+/// Each axis's share on the diagonal, and below it what each pair does together.
+pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Figure {
+    let found = &level.interactions;
+    let axes: Vec<Axis> = found.full.axes().collect();
+    let all = found.shapley.values().chain(found.pairs.values());
+    let largest = all.map(|it| it.value.abs()).fold(0.01, f64::max);
+    let side = (WIDTH - LABELS) / axes.len().max(1) as f64;
+    let bottom = TOP + ROW * axes.len() as f64;
+    let place = |row: usize, column: usize| [LABELS + side * column as f64, TOP + ROW * row as f64];
+    let pair = |row: usize, column: usize| {
+        let set: AxisSet = [axes[row], axes[column]].into_iter().collect();
+        html! {
+            @if let Some(estimate) = found.pairs.get(&set) {
+                (cell(set.name(), estimate, largest, place(row, column), side))
+            }
+        }
+    };
+    let body = html! {
+        (text(0.0, 15.0, "head", &heading(analysis, level)))
+        (text(WIDTH, 15.0, "small muted end", &format!("n = {}", found.n)))
+        (text(0.0, 34.0, "small muted", "shares of the axes (framed), and pairs: points of success"))
+        @for (row, axis) in axes.iter().enumerate() {
+            (text(0.0, TOP + ROW * row as f64 + 20.5, "small", axis.name()))
+            @for column in 0..row { (pair(row, column)) }
+            @if let Some(estimate) = found.shapley.get(axis) {
+                (cell(axis.name(), estimate, largest, place(row, row), side))
+                (rect_outline(place(row, row), side))
+            }
+        }
+        @for (column, axis) in axes.iter().enumerate() {
+            @let turned = format!("translate({} {}) rotate(-45)",
+                number(LABELS + side * (column as f64 + 0.6)), number(bottom + 12.0));
+            text class="small end" transform=(turned) { (axis.name()) }
+        }
+        (rect(0.0, bottom + NAMES + 8.0, 10.0, 10.0, "emergent"))
+        (text(16.0, bottom + NAMES + 17.0, "small", "lowers success"))
+        (rect(130.0, bottom + NAMES + 8.0, 10.0, 10.0, "compensated"))
+        (text(146.0, bottom + NAMES + 17.0, "small", "raises it"))
+        (text(0.0, bottom + NAMES + 36.0, "small muted", "bold: the 95 % interval excludes 0"))
+    };
+    let title = format!(
+        "{}, {}: share of each axis, and interaction of each pair",
+        analysis.label, level.level
+    );
+    let name = format!("interactions-{}-{}", analysis.label, level.level);
+    Figure::new(&name, title, bottom + NAMES + 44.0, body)
+}
+
+fn heading(analysis: &Analysis, level: &LevelInteractions) -> String {
+    format!("{}, {}", shortened(&analysis.label, 30), level.level)
+}
+
+/// A square whose colour says in which direction, and how far of the largest.
+fn cell(what: &str, it: &Estimate, largest: f64, [x, y]: [f64; 2], side: f64) -> Markup {
+    let share = it.value.abs() / largest;
+    let class = if it.value < 0.0 {
+        "emergent"
+    } else {
+        "compensated"
+    };
+    let ink = if share > DARK_ABOVE {
+        "bare on-dark"
+    } else {
+        "bare"
+    };
+    let is_sure = it.ci95.is_some_and(|[low, high]| low > 0.0 || high < 0.0);
+    let weight = if is_sure { "name" } else { "" };
+    html! {
+        g {
+            title {
+                (what) ": " (points(it.value)) " points" (points_interval(it.ci95, it.no_interval))
+            }
+            rect class="cell" x=(number(x + 1.0)) y=(number(y + 1.0)) width=(number(side - 2.0))
+                height=(number(ROW - 2.0)) rx="2" {}
+            rect class=(class) fill-opacity=(number(share)) x=(number(x + 1.0))
+                y=(number(y + 1.0)) width=(number(side - 2.0)) height=(number(ROW - 2.0)) rx="2" {}
+            (text(x + side / 2.0, y + 20.5, &format!("tiny middle {ink} {weight}"), &points(it.value)))
+        }
+    }
+}
+
+fn rect_outline([x, y]: [f64; 2], side: f64) -> Markup {
+    html! {
+        rect class="frame" x=(number(x + 1.5)) y=(number(y + 1.5)) width=(number(side - 3.0))
+            height=(number(ROW - 3.0)) rx="2" {}
+    }
+}
+
+/// From nominal success, by what single axes, pairs, triples, … add, to simultaneous
+/// success.
+pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
+    let found = &level.interactions;
+    let [nominal, simultaneous] = level.ends();
+    let mut reached = nominal.value;
+    let steps: Vec<(usize, &Estimate, [f64; 2])> = found
+        .sizes
+        .iter()
+        .map(|(&axes, estimate)| {
+            let from = reached;
+            reached += estimate.value;
+            (axes, estimate, [from, reached])
+        })
+        .collect();
+    let ends = steps.iter().flat_map(|(.., ends)| *ends);
+    let (low, high) = ends.fold((0.0_f64, 1.0_f64), |(low, high), end| {
+        (low.min(end), high.max(end))
+    });
+    let grain = if high - low > 1.5 { 0.5 } else { 0.25 };
+    let domain = [
+        (low / grain + 1e-9).floor() * grain,
+        (high / grain - 1e-9).ceil() * grain,
+    ];
+    let scale = Scale::between(domain, [STEP_LABELS, WIDTH - NUMBERS]);
+    let rows = steps.len() + 2;
+    let bottom = TOP + STEP * rows as f64;
+    let y = |row: usize| TOP + STEP * row as f64;
+    let end = |name: &str, it: &Estimate, row: usize| {
+        html! {
+            (text(0.0, y(row) + 17.0, "small name", name))
+            (rect(scale.at(0.0), y(row) + 6.0, scale.at(it.value) - scale.at(0.0), 14.0, "bar"))
+            @if let Some(interval) = it.ci95 { (whisker(&scale, interval, y(row) + 13.0)) }
+            (text(WIDTH, y(row) + 17.0, "small name end", &percent(it.value)))
+        }
+    };
+    let body = html! {
+        (text(0.0, 15.0, "head", &heading(analysis, level)))
+        (text(WIDTH, 15.0, "small muted end", &format!("n = {}", found.n)))
+        (text(0.0, 34.0, "small muted", "from nominal to simultaneous success"))
+        (scale.axis([TOP, bottom], &ticks(domain, grain), "success, % of configurations"))
+        (line("zero", [scale.at(0.0), TOP], [scale.at(0.0), bottom]))
+        (end("nominal", nominal, 0))
+        @for (index, (axes, estimate, [from, to])) in steps.iter().enumerate() {
+            @let row = index + 1;
+            @let (left, right) = (scale.at(from.min(*to)), scale.at(from.max(*to)));
+            @let class = if estimate.value < 0.0 { "emergent" } else { "compensated" };
+            g {
+                title {
+                    (points(estimate.value)) " points"
+                    (points_interval(estimate.ci95, estimate.no_interval))
+                }
+                (text(0.0, y(row) + 17.0, "small", &step_name(*axes)))
+                (rect(left, y(row) + 6.0, (right - left).max(1.0), 14.0, class))
+                (line("zero", [scale.at(*from), y(row) - 6.0], [scale.at(*from), y(row) + 20.0]))
+                (text(WIDTH, y(row) + 17.0, "small end", &points(estimate.value)))
+            }
+        }
+        (end("simultaneous", simultaneous, rows - 1))
+    };
+    let title = format!(
+        "{}, {}: from nominal to simultaneous success, by how many axes act together",
+        analysis.label, level.level
+    );
+    let name = format!("additive-{}-{}", analysis.label, level.level);
+    Figure::new(&name, title, bottom + AXIS, body)
+}
+
+fn step_name(axes: usize) -> String {
+    match axes {
+        1 => "each axis alone".to_owned(),
+        2 => "+ pairs".to_owned(),
+        3 => "+ triples".to_owned(),
+        axes => format!("+ sets of {axes} axes"),
+    }
+}
+
+/// Ticks in percent. Sums on the way can be below nought, and above one.
+fn ticks(domain: [f64; 2], grain: f64) -> Vec<(f64, String)> {
+    let ticks = percent_ticks(domain, grain, false).into_iter();
+    let signed = |(value, label): (f64, String)| match value < 0.0 {
+        true => (value, format!("−{label}")),
+        false => (value, label),
+    };
+    ticks.map(signed).collect()
+}

@@ -1,0 +1,184 @@
+//! One configuration under every subset of the axes: the nominal rollout on top, all
+//! axes at the bottom, a line wherever one axis is added.
+
+use std::collections::BTreeMap;
+
+use ::lattice::{Explanation, SubsetOutcome, Verdict};
+use libero_ctrl::{Axis, AxisSet, RolloutId};
+use maud::{Markup, html};
+
+use super::Figure;
+use super::svg::{HEAD, WIDE, diamond, line, number, square, text};
+
+const LABELS: f64 = 64.0;
+const LAYER: f64 = 76.0;
+const LEGEND: f64 = 86.0;
+/// Radius of the ring around a minimal subset.
+const RING: f64 = 11.0;
+/// Distance from a node to the words below it.
+const WORDS: f64 = 26.0;
+
+/// Address of the rollout under a subset.
+pub type SubsetLink<'a> = &'a dyn Fn(AxisSet) -> Option<String>;
+
+/// The picture of a configuration, named by its simultaneous rollout, of a campaign of
+/// the axes `full`. Minimal subsets have a ring, if it has an explanation.
+pub fn lattice(
+    configuration: RolloutId,
+    full: AxisSet,
+    outcomes: &[SubsetOutcome],
+    explanation: Option<&Explanation>,
+    link: SubsetLink,
+) -> Figure {
+    let verdicts: BTreeMap<AxisSet, Verdict> =
+        outcomes.iter().map(|it| (it.set, it.verdict)).collect();
+    let answers = explanation.map_or(&[][..], |it| it.answers.as_slice());
+    let minimal: Vec<AxisSet> = answers
+        .iter()
+        .flat_map(|answer| answer.minimal.iter().map(|it| it.set))
+        .collect();
+    let subsets = full.subsets();
+    let places = places(full, &subsets);
+    let bottom = HEAD + LAYER * (full.len() + 1) as f64;
+    let known = verdicts
+        .values()
+        .filter(|it| it.success().is_some())
+        .count();
+    let node = |set: AxisSet| {
+        let verdict = verdicts.get(&set).copied().unwrap_or(Verdict::NotRun);
+        let is_minimal = minimal.contains(&set);
+        let content = node(set, full, verdict, is_minimal, places[&set]);
+        html! {
+            @match link(set) {
+                Some(address) => a href=(address) { (content) },
+                None => g { (content) },
+            }
+        }
+    };
+    let body = html! {
+        (text(0.0, 15.0, "head", "Every subset of the axes"))
+        (text(WIDE, 15.0, "small muted end",
+            &format!("{known} of {} subsets have an outcome", subsets.len())))
+        @for size in 0..=full.len() {
+            @let y = HEAD + LAYER * (size as f64 + 0.5);
+            @let words = match size { 1 => "1 axis".to_owned(), size => format!("{size} axes") };
+            (text(0.0, y + 4.0, "small muted", &words))
+        }
+        @for (&set, &[x, y]) in &places {
+            @for axis in full.without(set).axes() {
+                (line("edge", [x, y], places[&set.union(AxisSet::of(axis))]))
+            }
+        }
+        @for set in &subsets { (node(*set)) }
+        (legend(bottom + 12.0, !minimal.is_empty()))
+    };
+    let title = format!("{configuration}: outcomes under every subset of the axes");
+    let name = format!("lattice-{configuration}");
+    let mut figure = Figure::new(&name, title, bottom + LEGEND, body).wide();
+    figure.has_links = true;
+    figure
+}
+
+/// Layers by number of axes, each in the middle.
+fn places(full: AxisSet, subsets: &[AxisSet]) -> BTreeMap<AxisSet, [f64; 2]> {
+    let mut places = BTreeMap::new();
+    for size in 0..=full.len() {
+        let layer = || subsets.iter().filter(|set| set.len() == size);
+        let step = (WIDE - LABELS) / layer().count() as f64;
+        let y = HEAD + LAYER * (size as f64 + 0.5);
+        for (place, set) in layer().enumerate() {
+            places.insert(*set, [LABELS + step * (place as f64 + 0.5), y]);
+        }
+    }
+    places
+}
+
+fn node(set: AxisSet, full: AxisSet, verdict: Verdict, is_minimal: bool, at: [f64; 2]) -> Markup {
+    let [x, y] = at;
+    let ring = if is_minimal { "; minimal" } else { "" };
+    html! {
+        title { (name(set, full)) ": " (in_words(verdict)) (ring) }
+        @if is_minimal {
+            circle class="ring" cx=(number(x)) cy=(number(y)) r=(number(RING)) {}
+        }
+        (shape(verdict, at))
+        (text(x, y + WORDS, "tiny middle", &label(set, full)))
+    }
+}
+
+/// An outcome by shape and colour.
+fn shape(verdict: Verdict, [x, y]: [f64; 2]) -> Markup {
+    let circle = |class: &str, radius: f64| {
+        html! { circle class=(class) cx=(number(x)) cy=(number(y)) r=(number(radius)) {} }
+    };
+    match verdict {
+        Verdict::Success => circle("succeeds", 6.0),
+        Verdict::Failure => square(x, y, "fails"),
+        Verdict::Quarantined | Verdict::Undecided => diamond(x, y, "aside"),
+        Verdict::NotRun | Verdict::Pending | Verdict::Short { .. } => circle("not-run", 4.0),
+    }
+}
+
+fn in_words(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Success => "succeeds",
+        Verdict::Failure => "fails",
+        Verdict::Quarantined => "in quarantine",
+        Verdict::Undecided => "undecided",
+        Verdict::NotRun => "not run",
+        Verdict::Pending | Verdict::Short { .. } => "waits for rollouts",
+    }
+}
+
+fn name(set: AxisSet, full: AxisSet) -> &'static str {
+    match set.is_empty() {
+        true => "nominal",
+        false if set == full => "simultaneous",
+        false => set.name(),
+    }
+}
+
+/// Label below a node: names where there is room, their first letters where there is
+/// not.
+fn label(set: AxisSet, full: AxisSet) -> String {
+    match set.len() {
+        1 => name(set, full).to_owned(),
+        _ if set.is_empty() || set == full => name(set, full).to_owned(),
+        _ if full.len() - set.len() == 1 => format!("all but {}", full.without(set)),
+        _ => set.axes().map(short).collect(),
+    }
+}
+
+fn short(axis: Axis) -> &'static str {
+    match axis {
+        Axis::Camera => "Ca",
+        Axis::Lighting => "Li",
+        Axis::Robot => "Ro",
+        Axis::Sensor => "Se",
+        Axis::Actuation => "Ac",
+        Axis::Language => "La",
+    }
+}
+
+fn legend(top: f64, has_minimal: bool) -> Markup {
+    let entries = [
+        (Verdict::Success, "succeeds"),
+        (Verdict::Failure, "fails"),
+        (Verdict::NotRun, "not run, or not yet"),
+        (Verdict::Quarantined, "quarantined or undecided"),
+    ];
+    let names = Axis::ALL.map(|axis| format!("{} {axis}", short(axis)));
+    html! {
+        @for (index, (verdict, meaning)) in entries.into_iter().enumerate() {
+            @let x = LABELS + [0.0, 120.0, 220.0, 400.0][index];
+            (shape(verdict, [x + 6.0, top + 5.0]))
+            (text(x + 20.0, top + 9.0, "small", meaning))
+        }
+        @if has_minimal {
+            circle class="ring" cx=(number(LABELS + 6.0)) cy=(number(top + 58.0)) r=(number(RING)) {}
+            (text(LABELS + 24.0, top + 62.0, "small",
+                "minimal: it changes the outcome, and no smaller subset that was run does"))
+        }
+        (text(LABELS, top + 34.0, "small muted", &names.join(", ")))
+    }
+}

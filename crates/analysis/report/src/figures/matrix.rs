@@ -1,0 +1,228 @@
+//! The outcome matrix of a cell: forty tasks × their configurations, each
+//! marked with what simultaneous perturbation did to its outcome.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Axis, Condition, Level, RolloutId, Suite, TaskRef};
+use maud::{Markup, html};
+use paired::{Matched, Outcome, Transition};
+
+use super::svg::{HEAD, number, rect, text};
+use super::{Figure, Link, WIDTH};
+use crate::analysis::Analysis;
+
+/// Most configurations of a task that fit; more are counted in words.
+const MAX_COLUMNS: usize = 10;
+const SQUARE: f64 = 14.0;
+const LABELS: f64 = 26.0;
+/// Distance from one suite's block to the next.
+const BLOCK_WIDTH: f64 = WIDTH / 2.0 + 6.0;
+const BLOCK_HEAD: f64 = 36.0;
+const LEGEND: f64 = 58.0;
+
+/// The matrix of a level in replicate 0, its squares leading to where `link`
+/// says, if there is one; none where the policy has no such cell, or combines
+/// nothing.
+pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<Figure> {
+    analysis.cell(level)?.simultaneous?;
+    let mut tasks: BTreeMap<TaskRef, Vec<&Matched>> = BTreeMap::new();
+    for matched in analysis.records.configurations() {
+        if matched.replicate == 0 && matched.level == level {
+            tasks.entry(matched.task).or_default().push(matched);
+        }
+    }
+    let suites: Vec<Suite> = Suite::ALL
+        .into_iter()
+        .filter(|suite| tasks.keys().any(|task| task.suite() == *suite))
+        .collect();
+    let mut y = HEAD;
+    let mut blocks = Vec::new();
+    for pair in suites.chunks(2) {
+        let height = |suite: &Suite| tasks.keys().filter(|t| t.suite() == *suite).count();
+        let rows = pair.iter().map(height).max().unwrap_or_default();
+        for (column, suite) in pair.iter().enumerate() {
+            blocks.push(block(
+                *suite,
+                &tasks,
+                link,
+                [BLOCK_WIDTH * column as f64, y],
+            ));
+        }
+        y += BLOCK_HEAD + SQUARE * rows as f64 + 8.0;
+    }
+    let all = tasks.values().flatten();
+    let complete = all
+        .clone()
+        .filter(|matched| matched.transition().is_some())
+        .count();
+    let shown = match all.count() {
+        all if complete < all => format!("n = {complete} of {all}"),
+        all => format!("n = {all}"),
+    };
+    let heading = format!("{}, {level}", super::svg::shortened(&analysis.label, 36));
+    let body = html! {
+        (text(0.0, 15.0, "head", &heading))
+        (text(WIDTH, 15.0, "small muted end", &shown))
+        @for block in blocks { (block) }
+        (legend(y + 8.0))
+    };
+    let title = format!(
+        "{}, {level}: outcome of every configuration",
+        analysis.label
+    );
+    let name = format!("matrix-{}-{level}", analysis.label);
+    let mut figure = Figure::new(&name, title, y + LEGEND, body);
+    figure.has_links = link.is_some();
+    Some(figure)
+}
+
+/// Legend of the squares, in two lines below `top`.
+fn legend(top: f64) -> Markup {
+    let entries = [
+        (0.0, 0.0, Some(Transition::Emergent), "emergent failure"),
+        (
+            130.0,
+            0.0,
+            Some(Transition::Compensated),
+            "compensated success",
+        ),
+        (292.0, 0.0, None, "incomplete"),
+        (
+            0.0,
+            22.0,
+            Some(Transition::StillSucceeds),
+            "succeeds either way",
+        ),
+        (
+            150.0,
+            22.0,
+            Some(Transition::StillFails),
+            "fails either way",
+        ),
+    ];
+    html! {
+        @for (x, below, transition, meaning) in entries {
+            (mark([x, top + below], transition))
+            (text(x + 18.0, top + below + 10.5, "small", meaning))
+        }
+    }
+}
+
+/// One suite: tasks downwards, configurations to the right.
+fn block(
+    suite: Suite,
+    tasks: &BTreeMap<TaskRef, Vec<&Matched>>,
+    link: Option<Link>,
+    [x, y]: [f64; 2],
+) -> Markup {
+    let rows = tasks.iter().filter(|(task, _)| task.suite() == suite);
+    let columns = rows
+        .clone()
+        .map(|(_, row)| row.len())
+        .max()
+        .unwrap_or_default();
+    let top = y + BLOCK_HEAD;
+    html! {
+        (text(x, y + 14.0, "name", suite.name()))
+        @for column in 0..columns.min(MAX_COLUMNS) {
+            @let config = rows.clone().find_map(|(_, row)| Some(row.get(column)?.config));
+            @let letter = if column == 0 { "c" } else { "" };
+            @let name = config.map_or_else(String::new, |config| format!("{letter}{config}"));
+            (text(x + LABELS + SQUARE * (column as f64 + 0.5), y + 30.0, "tiny muted middle", &name))
+        }
+        @for (index, (task, row)) in rows.enumerate() {
+            @let below = top + SQUARE * index as f64;
+            (text(x + LABELS - 5.0, below + 10.5, "tiny muted end", &format!("t{}", task.index())))
+            @for (column, matched) in row.iter().take(MAX_COLUMNS).enumerate() {
+                (square(matched, link, [x + LABELS + SQUARE * column as f64, below]))
+            }
+            @if row.len() > MAX_COLUMNS {
+                (text(x + LABELS + SQUARE * MAX_COLUMNS as f64 + 2.0, below + 10.5, "tiny muted",
+                    &format!("+{}", row.len() - MAX_COLUMNS)))
+            }
+        }
+    }
+}
+
+/// A configuration: its mark, what is said of it, and where it leads.
+fn square(matched: &Matched, link: Option<Link>, place: [f64; 2]) -> Markup {
+    let content = html! {
+        title { (said(matched)) }
+        (mark(place, matched.transition()))
+    };
+    html! {
+        @match link {
+            Some(link) => a href=(link(shown_first(matched), matched.replicate)) { (content) },
+            None => g { (content) },
+        }
+    }
+}
+
+/// The rollout that a configuration is called by: the simultaneous one.
+fn shown_first(matched: &Matched) -> RolloutId {
+    RolloutId::perturbed(
+        matched.task,
+        Condition::Combination,
+        matched.level,
+        matched.config,
+    )
+    .unwrap_or_else(|_| RolloutId::clean(matched.task, matched.init_id))
+}
+
+/// A square, and in it a cross for a failure that emerges or a plus for a
+/// success that is compensated.
+fn mark([x, y]: [f64; 2], transition: Option<Transition>) -> Markup {
+    let side = SQUARE - 2.0;
+    let class = match transition {
+        Some(Transition::Emergent) => "emergent",
+        Some(Transition::Compensated) => "compensated",
+        Some(Transition::StillSucceeds) => "still-succeeds",
+        Some(Transition::StillFails) => "still-fails",
+        None => {
+            return html! { (rect(x + 1.0, y + 1.0, side - 2.0, side - 2.0, "unknown")) };
+        }
+    };
+    let (left, right) = (number(x + 3.0), number(x + side - 3.0));
+    let (top, bottom) = (number(y + 3.0), number(y + side - 3.0));
+    let (middle, centre) = (number(x + side / 2.0), number(y + side / 2.0));
+    html! {
+        (rect(x, y, side, side, class))
+        @if transition == Some(Transition::Emergent) {
+            path class="cut" d={ "M" (left) " " (top) "L" (right) " " (bottom)
+                "M" (right) " " (top) "L" (left) " " (bottom) } {}
+        }
+        @if transition == Some(Transition::Compensated) {
+            path class="cut" d={ "M" (middle) " " (top) "V" (bottom)
+                "M" (left) " " (centre) "H" (right) } {}
+        }
+    }
+}
+
+/// A configuration in words.
+fn said(matched: &Matched) -> String {
+    let named = |outcome: Outcome| -> Vec<&str> {
+        let axes = Axis::ALL.into_iter().map(Condition::Single);
+        axes.chain([Condition::Combination])
+            .filter(|c| match c {
+                Condition::Single(axis) => matched.alone.contains_key(axis),
+                _ => true,
+            })
+            .filter(|&condition| matched.outcome(condition) == outcome)
+            .map(Condition::label)
+            .collect()
+    };
+    let place = format!("{} c{}", matched.task, matched.config);
+    let transition = matched.transition().map_or("incomplete", Transition::name);
+    let mut said = format!("{place}: {transition}");
+    for (outcome, what) in [
+        (Outcome::Failure, "fails under"),
+        (Outcome::Missing, "no result under"),
+        (Outcome::Quarantined, "quarantined under"),
+    ] {
+        let names = named(outcome);
+        if !names.is_empty() {
+            said.push_str(&format!("; {what} {}", names.join(", ")));
+        }
+    }
+    said
+}

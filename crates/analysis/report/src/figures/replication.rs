@@ -1,0 +1,131 @@
+//! Replication: the net effect in every replicate, and how often a rollout's
+//! outcome is another when the policy's seed is.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Condition, Level};
+use maud::{Markup, html};
+use paired::{Cell, Flips};
+
+use super::svg::{
+    AXIS, HEAD, Scale, circle, line, number, percent_ticks, rect, text, whisker, withheld,
+};
+use super::{Figure, WIDTH};
+use crate::analysis::Analysis;
+use crate::words;
+
+const LABELS: f64 = 84.0;
+const REPLICATE: f64 = 20.0;
+const GAP: f64 = 12.0;
+const BAR_ROW: f64 = 24.0;
+
+/// I of every replicate and level with its interval; none where there is one
+/// replicate.
+pub fn replicates(analysis: &Analysis) -> Option<Figure> {
+    let mut levels: BTreeMap<Level, Vec<&Cell>> = BTreeMap::new();
+    for cell in analysis
+        .report
+        .cells
+        .iter()
+        .filter(|cell| cell.paired.is_some())
+    {
+        levels.entry(cell.level).or_default().push(cell);
+    }
+    if analysis.report.replication.is_empty() || levels.is_empty() {
+        return None;
+    }
+    let measures = levels
+        .values()
+        .flatten()
+        .filter_map(|cell| cell.paired.as_ref());
+    let ends = measures
+        .clone()
+        .flat_map(|m| m.i_ci95.unwrap_or([m.i, m.i]));
+    let largest = ends.fold(0.05, |most: f64, end| most.max(end.abs()));
+    let step = if largest > 0.2 { 0.1 } else { 0.05 };
+    let end = (largest / step).ceil() * step;
+    let scale = Scale::between([-end, end], [LABELS, WIDTH - 14.0]);
+    let rows: usize = levels.values().map(Vec::len).sum();
+    let bottom = HEAD + REPLICATE * rows as f64 + GAP * levels.len() as f64;
+    let counts = words::counts(measures.map(|m| m.n));
+    let mut y = HEAD;
+    let body = html! {
+        (text(0.0, 15.0, "head", "I = S_sim − S_conj by replicate"))
+        (scale.axis([HEAD, bottom], &percent_ticks([-end, end], step, true),
+            &format!("I, points of success ({counts})")))
+        (line("zero", [scale.at(0.0), HEAD], [scale.at(0.0), bottom]))
+        @for (level, cells) in &levels {
+            @let first = y + GAP / 2.0 + REPLICATE / 2.0;
+            (text(0.0, first + 4.0, "name", &level.to_string()))
+            @for (index, cell) in cells.iter().enumerate() {
+                (replicate(&scale, cell, first + REPLICATE * index as f64))
+            }
+            ({ y += REPLICATE * cells.len() as f64 + GAP; html! {} })
+        }
+    };
+    let title = format!(
+        "{}: net effect of simultaneity in every replicate",
+        analysis.label
+    );
+    let name = format!("replicates-{}", analysis.label);
+    Some(Figure::new(&name, title, bottom + AXIS, body))
+}
+
+fn replicate(scale: &Scale, cell: &Cell, y: f64) -> Markup {
+    let Some(measures) = &cell.paired else {
+        return html! {};
+    };
+    let of = format!("seed {}", cell.replicate);
+    html! {
+        (text(LABELS - 10.0, y + 4.0, "small muted end", &of))
+        @match measures.i_ci95 {
+            Some(interval) => (whisker(scale, interval, y)),
+            None => (withheld(scale, measures.i, measures.no_interval, y)),
+        }
+        (circle(scale.at(measures.i), y, "mark"))
+    }
+}
+
+/// Share of rollouts whose outcome differs from that of replicate 0, by
+/// condition, over all further replicates; none where there is one replicate.
+pub fn flips(analysis: &Analysis) -> Option<Figure> {
+    let mut conditions: BTreeMap<Condition, Flips> = BTreeMap::new();
+    for replication in &analysis.report.replication {
+        for (&condition, flips) in &replication.flips_by_condition {
+            let sum = conditions.entry(condition).or_default();
+            sum.compared += flips.compared;
+            sum.flipped += flips.flipped;
+        }
+    }
+    let largest = conditions
+        .values()
+        .filter_map(Flips::rate)
+        .fold(0.0, f64::max);
+    if conditions.is_empty() {
+        return None;
+    }
+    let step = if largest > 0.2 { 0.1 } else { 0.05 };
+    let end = ((largest / step).ceil() * step).max(step);
+    let scale = Scale::between([0.0, end], [LABELS, WIDTH - 100.0]);
+    let bottom = HEAD + BAR_ROW * conditions.len() as f64;
+    let body = html! {
+        (text(0.0, 15.0, "head", "Outcomes that another seed changes"))
+        (scale.axis([HEAD, bottom], &percent_ticks([0.0, end], step, false),
+            "flipped outcomes, % of rollouts"))
+        @for (index, (condition, flips)) in conditions.iter().enumerate() {
+            @let y = HEAD + BAR_ROW * index as f64;
+            @let rate = flips.rate().unwrap_or_default();
+            (text(0.0, y + 16.0, "small", condition.label()))
+            (rect(LABELS, y + 5.0, scale.at(rate) - LABELS, 14.0, "bar"))
+            text class="small muted" x=(number(scale.at(rate) + 6.0)) y=(number(y + 16.0)) {
+                (words::percent(rate)) " % of " (flips.compared)
+            }
+        }
+    };
+    let title = format!(
+        "{}: share of outcomes that another policy seed changes",
+        analysis.label
+    );
+    let name = format!("flips-{}", analysis.label);
+    Some(Figure::new(&name, title, bottom + AXIS, body))
+}

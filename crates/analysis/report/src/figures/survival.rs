@@ -1,0 +1,186 @@
+//! Configurations that still succeed at each radius: one panel per condition, with the
+//! protocol's levels on the axis, and the radius at which half of them still do.
+
+use libero_ctrl::Level;
+use maud::{Markup, html};
+use thresholds::{Curve, Point};
+
+use super::svg::{AXIS, HEAD, MARGIN, Scale, circle, diamond, line, number, text, whisker};
+use super::{Figure, WIDTH};
+use crate::words;
+
+/// Space for the numbers of the upright axis.
+const LABELS: f64 = 48.0;
+const PLOT: f64 = 190.0;
+/// Height of the row that names the protocol's levels.
+const LEVELS: f64 = 18.0;
+const LEGEND: f64 = 36.0;
+/// Least space between two numbers on an axis.
+const APART: f64 = 20.0;
+const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+
+/// The panel of a condition; none where nothing is known.
+pub fn survival(curve: &Curve) -> Option<Figure> {
+    if curve.points.is_empty() {
+        return None;
+    }
+    let scale = Scale::between([0.0, curve.largest_radius], [LABELS, WIDTH - MARGIN]);
+    let (top, bottom) = (HEAD + LEVELS, HEAD + LEVELS + PLOT);
+    let place = Place { scale, bottom };
+    let name = curve.condition.label();
+    let body = html! {
+        (text(0.0, 15.0, "head", name))
+        (text(WIDTH, 15.0, "small muted end", &format!("{}, {}", half(curve), words::counts([curve.n]))))
+        (scale.axis([top, bottom], &ticks(&scale, curve), "radius of the perturbation"))
+        @for share in SHARES {
+            @let y = place.y(share);
+            (line("grid", [LABELS, y], [WIDTH - MARGIN, y]))
+            @let unit = if share >= 1.0 { " %" } else { "" };
+            (text(LABELS - 6.0, y + 4.0, "tiny muted end", &format!("{}{unit}", number(100.0 * share))))
+        }
+        (intervals(&place, &curve.points))
+        (brackets(&place, &curve.points))
+        path class="curve" d=(path(curve.points.iter().map(|it| place.of(it.radius, it.survival)))) {}
+        @for (level, point) in levels(&scale, curve) {
+            @let [x, y] = place.of(point.radius, point.survival);
+            (text(x, HEAD + 12.0, "small middle", &level.to_string()))
+            g {
+                title { (level) ": " (words::percent(point.survival)) " %" }
+                (circle(x, y, "mark"))
+            }
+        }
+        @if let Some(ends) = curve.half_success.ci95 { (whisker(&scale, ends, place.y(0.5))) }
+        @if let Some(radius) = curve.half_success.radius {
+            (diamond(scale.at(radius), place.y(0.5), "open"))
+        }
+        (legend(bottom + AXIS))
+    };
+    let title = format!("Share of configurations that still succeed, by radius: {name}");
+    let height = bottom + AXIS + LEGEND;
+    Some(Figure::new(
+        &format!("survival-{name}"),
+        title,
+        height,
+        body,
+    ))
+}
+
+/// Words for the radius at which half of the configurations still succeed, with its
+/// interval or the reason why it has none.
+fn half(curve: &Curve) -> String {
+    let share = |point: Option<&Point>| point.map_or(0.0, |point| point.survival);
+    if share(curve.points.first()) < 0.5 {
+        return "fewer than half succeed".to_owned();
+    }
+    if share(curve.points.last()) > 0.5 {
+        return format!("half beyond {}", number(curve.largest_radius));
+    }
+    let half = words::half_success(curve);
+    match curve.half_success.ci95 {
+        Some([low, high]) => format!("half at {half} [{low:.2}, {high:.2}]"),
+        None => format!("half at {half}"),
+    }
+}
+
+/// Map from radii and shares to coordinates.
+struct Place {
+    scale: Scale,
+    bottom: f64,
+}
+
+impl Place {
+    fn y(&self, share: f64) -> f64 {
+        self.bottom - PLOT * share
+    }
+
+    fn of(&self, radius: f64, share: f64) -> [f64; 2] {
+        [self.scale.at(radius), self.y(share)]
+    }
+}
+
+/// The radii of the grid, as far as there is room for their numbers.
+fn ticks(scale: &Scale, curve: &Curve) -> Vec<(f64, String)> {
+    let radii = [0.0].into_iter().chain(curve.grid.iter().copied());
+    let label = |radius: f64| (radius, number(radius));
+    apart(scale, radii).into_iter().map(label).collect()
+}
+
+/// The protocol's levels, with the curve's point there, as far as there is room.
+fn levels<'a>(scale: &Scale, curve: &'a Curve) -> Vec<(Level, &'a Point)> {
+    let named = curve.points.iter().filter_map(|it| Some((it.level?, it)));
+    let room = apart(scale, named.clone().map(|(level, _)| level.radius()));
+    named
+        .filter(|(level, _)| room.contains(&level.radius()))
+        .collect()
+}
+
+/// Values without those that come too close to a larger one.
+fn apart(scale: &Scale, values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.reverse();
+    let mut kept: Vec<f64> = Vec::new();
+    for value in values {
+        let has_room = |last: &f64| scale.at(*last) - scale.at(value) >= APART;
+        if kept.last().is_none_or(has_room) {
+            kept.push(value);
+        }
+    }
+    kept.reverse();
+    kept
+}
+
+/// The intervals of the curve, as a band; without one, it is as narrow as the curve.
+fn intervals(place: &Place, points: &[Point]) -> Markup {
+    let ends = |it: &Point| it.ci95.unwrap_or([it.survival; 2]);
+    let low = points.iter().map(|it| place.of(it.radius, ends(it)[0]));
+    let high = points
+        .iter()
+        .rev()
+        .map(|it| place.of(it.radius, ends(it)[1]));
+    html! { path class="band" d={ (path(low.chain(high))) "Z" } {} }
+}
+
+/// Range that the brackets allow: steps below and above the curve.
+fn brackets(place: &Place, points: &[Point]) -> Markup {
+    let pairs = || points.iter().zip(points.iter().skip(1));
+    // A configuration that fails somewhere in a bracket may fail at once, or only at its
+    // end.
+    let low = pairs().flat_map(|(a, b)| [(a.radius, b.band[0]), (b.radius, b.band[0])]);
+    let high = pairs().flat_map(|(a, b)| [(a.radius, a.band[1]), (b.radius, a.band[1])]);
+    let to_path = |steps: Vec<(f64, f64)>| {
+        path(
+            steps
+                .into_iter()
+                .map(|(radius, share)| place.of(radius, share)),
+        )
+    };
+    html! {
+        path class="bracket" d=(to_path(low.collect())) {}
+        path class="bracket" d=(to_path(high.collect())) {}
+    }
+}
+
+fn path(places: impl Iterator<Item = [f64; 2]>) -> String {
+    let step = |(index, [x, y]): (usize, [f64; 2])| {
+        let command = if index == 0 { "M" } else { "L" };
+        format!("{command}{} {}", number(x), number(y))
+    };
+    places.enumerate().map(step).collect()
+}
+
+fn legend(top: f64) -> Markup {
+    let key = |x: f64, class: &str, label: &str| {
+        html! {
+            (line(class, [x, top + 4.0], [x + 18.0, top + 4.0]))
+            (text(x + 24.0, top + 8.0, "small", label))
+        }
+    };
+    html! {
+        (key(LABELS, "curve", "still succeed"))
+        (key(LABELS + 150.0, "bracket", "least and most possible"))
+        rect class="band" x=(number(LABELS)) y=(number(top + 16.0)) width="18" height="10" {}
+        (text(LABELS + 24.0, top + 25.0, "small", "95 % interval"))
+        (diamond(LABELS + 159.0, top + 21.0, "open"))
+        (text(LABELS + 174.0, top + 25.0, "small", "half still succeed"))
+    }
+}

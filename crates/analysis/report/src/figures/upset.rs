@@ -1,0 +1,143 @@
+//! UpSet plot of the minimal subsets that explain a campaign's transitions (A. Lex et
+//! al., IEEE Transactions on Visualization and Computer Graphics 20, 2014). Axes are
+//! rows, each minimal subset is a column of dots, and above it stands in how many
+//! configurations it was found.
+
+use lattice::Occurrence;
+use libero_ctrl::{Axis, AxisSet};
+use maud::{Markup, html};
+use paired::Transition;
+
+use super::svg::{HEAD, line, number, rect, text};
+use super::{Figure, WIDTH};
+use crate::explanation::{Findings, subset};
+
+const LABELS: f64 = 100.0;
+const COLUMN: f64 = 23.0;
+const ROW: f64 = 22.0;
+/// Height of the tallest bar, and what its number needs above it.
+const BARS: f64 = 96.0;
+const NUMBERS: f64 = 18.0;
+const DOT: f64 = 6.0;
+const LEGEND: f64 = 46.0;
+/// Columns that fit; further subsets are counted in words.
+const MOST: usize = ((WIDTH - LABELS) / COLUMN) as usize;
+
+/// The panel of one transition; none where nothing was found of it.
+pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
+    let all: Vec<&Occurrence> = findings
+        .subsets
+        .iter()
+        .filter(|it| it.transition == transition)
+        .collect();
+    let full = findings.configurations.first()?.full;
+    let most = all.iter().map(|it| it.configurations).max()?;
+    let (shown, further) = all.split_at(all.len().min(MOST));
+    let of = findings.configurations.iter();
+    let n = of.filter(|it| it.explanation.transition == transition);
+    let n = n.count();
+    let top = HEAD + NUMBERS;
+    let base = top + BARS;
+    let rows = base + 8.0;
+    let axes: Vec<Axis> = full.axes().collect();
+    let bottom = rows + ROW * axes.len() as f64;
+    let is_compensated = transition == Transition::Compensated;
+    let heading = match is_compensated {
+        true => "Compensated successes",
+        false => "Emergent failures",
+    };
+    let body = html! {
+        (text(0.0, 15.0, "head", heading))
+        (text(WIDTH, 15.0, "small muted end", &format!("n = {n}")))
+        (text(4.0, base - 4.0, "tiny muted", "configurations"))
+        @for (row, axis) in axes.iter().enumerate() {
+            @let y = rows + ROW * row as f64;
+            @if row % 2 == 0 { (rect(0.0, y, WIDTH, ROW, "band")) }
+            (text(4.0, y + 15.5, "small bare", axis.name()))
+        }
+        (line("zero", [LABELS, base], [WIDTH, base]))
+        @for (index, occurrence) in shown.iter().enumerate() {
+            @let x = LABELS + COLUMN * (index as f64 + 0.5);
+            (column(occurrence, &axes, most, [x, base, rows]))
+        }
+        @if !further.is_empty() {
+            (text(WIDTH, top - 2.0, "tiny muted end", &format!("{} rarer subsets are not drawn", further.len())))
+        }
+        (legend(bottom + 10.0, is_compensated))
+    };
+    let name = format!("minimal-subsets-{}", transition.name());
+    let title = format!(
+        "{}: minimal subsets of {}, and in how many of {n} configurations each was found",
+        findings.explained_by,
+        heading.to_lowercase()
+    );
+    Some(Figure::new(&name, title, bottom + LEGEND, body))
+}
+
+/// A bar, and below it a dot for each axis: filled for those of the subset, a ring for
+/// the axis that fails alone.
+fn column(it: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f64; 3]) -> Markup {
+    let height = |count: u64| BARS * count as f64 / most as f64;
+    let (all, established) = (height(it.configurations), height(it.established));
+    let class = match it.transition {
+        Transition::Compensated => "compensated",
+        _ => "emergent",
+    };
+    let said = format!(
+        "{}: {} configurations, established in {}",
+        subset(it.start, it.set),
+        it.configurations,
+        it.established
+    );
+    let y = |row: usize| rows + ROW * (row as f64 + 0.5);
+    let inside: Vec<usize> = (0..axes.len())
+        .filter(|&row| it.set.contains(axes[row]))
+        .collect();
+    html! {
+        g {
+            title { (said) }
+            (rect(x - 7.0, base - all, 14.0, all, &format!("{class} pale")))
+            (rect(x - 7.0, base - established, 14.0, established, class))
+            (text(x, base - all - 5.0, "tiny middle", &it.configurations.to_string()))
+            @if let (Some(first), Some(last)) = (inside.first(), inside.last()) {
+                (line("join", [x, y(*first)], [x, y(*last)]))
+            }
+            @for (row, axis) in axes.iter().enumerate() {
+                (dot([x, y(row)], it.set.contains(*axis), AxisSet::of(*axis) == it.start))
+            }
+        }
+    }
+}
+
+fn dot([x, y]: [f64; 2], is_inside: bool, is_start: bool) -> Markup {
+    let class = match (is_inside, is_start) {
+        (_, true) => "open",
+        (true, false) => "mark",
+        (false, false) => "absent",
+    };
+    let radius = if class == "absent" { DOT / 2.0 } else { DOT };
+    html! { circle class=(class) cx=(number(x)) cy=(number(y)) r=(number(radius)) {} }
+}
+
+fn legend(top: f64, is_compensated: bool) -> Markup {
+    let class = if is_compensated {
+        "compensated"
+    } else {
+        "emergent"
+    };
+    html! {
+        (rect(0.0, top, 10.0, 10.0, class))
+        (text(16.0, top + 9.0, "small", "established"))
+        (rect(100.0, top, 10.0, 10.0, &format!("{class} pale")))
+        (text(116.0, top + 9.0, "small", "smaller subsets were not all run"))
+        @if is_compensated {
+            (dot([6.0, top + 24.0], true, true))
+            (text(16.0, top + 28.0, "small", "fails alone"))
+            (dot([106.0, top + 24.0], true, false))
+            (text(116.0, top + 28.0, "small", "perturbed as well, it succeeds"))
+        } @else {
+            (dot([6.0, top + 24.0], true, false))
+            (text(16.0, top + 28.0, "small", "perturbed: these axes together fail"))
+        }
+    }
+}

@@ -1,0 +1,391 @@
+//! How far: what a campaign that measures another one's thresholds has found out, as text
+//! for a terminal and as JSON. What a threshold is, and which radii to run, is
+//! `thresholds`' business.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use libero_ctrl::{Condition, JsonError, Level, TaskRef, Thresholds};
+use paired::{Bootstrap, Outcome, Record, push_wrapped};
+use serde::Serialize;
+use thresholds::{Curve, Decision, Known, Measurement, Ray, Threshold};
+
+use crate::subject::{Prospect, Subject, things};
+use crate::words;
+
+/// Columns of a terminal for the names of conditions.
+const NAMES: usize = 14;
+
+/// Measured thresholds of a campaign.
+#[derive(Clone, Debug, Serialize)]
+pub struct HowFar {
+    /// The campaign whose thresholds are measured.
+    pub campaign: String,
+    /// The campaign that runs further radii.
+    pub measured_by: String,
+    /// The policy.
+    pub policy: String,
+    /// Width that a bracket must not exceed, radius.
+    pub tolerance: f64,
+    /// The largest radius that is run.
+    pub max_radius: f64,
+    /// True if nothing remains to be run.
+    pub complete: bool,
+    /// Thresholds that are looked for: one for each configuration under each condition.
+    pub looked_for: u64,
+    /// Thresholds of which nothing remains to be run.
+    pub found: u64,
+    /// Thresholds that are not looked for, because the budget does not suffice.
+    pub beyond_budget: u64,
+    /// Rollouts that were run or wait to be run, beyond those of the campaign.
+    pub rollouts: u64,
+    /// Rollouts among them without an outcome yet.
+    pub waiting: u64,
+    /// Curves of configurations that still succeed at each radius, by condition.
+    pub curves: Vec<Curve>,
+    /// Each threshold that is looked for.
+    pub thresholds: Vec<Measured>,
+}
+
+/// The threshold of one configuration under one condition.
+#[derive(Clone, Debug, Serialize)]
+pub struct Measured {
+    /// Condition: the perturbed axes.
+    pub condition: Condition,
+    /// The task.
+    pub task: TaskRef,
+    /// The configuration's number.
+    pub config: u16,
+    /// Kind of the threshold, as far as it is known.
+    pub threshold: Kind,
+    /// The largest radius below `fails_at` at which it succeeds, 0 for the nominal
+    /// rollout; without a failure, the largest at which it succeeds.
+    pub succeeds_at: Option<f64>,
+    /// The smallest radius at which it fails, 0 for the nominal rollout.
+    pub fails_at: Option<f64>,
+    /// Larger radii at which it succeeds again: it is not monotone.
+    pub recovers_at: Vec<f64>,
+    /// True if nothing remains to be run.
+    pub is_found: bool,
+    /// Every radius that was asked for, from the smallest; the nominal rollout first.
+    pub outcomes: Vec<AtRadius>,
+}
+
+/// Kind of a threshold, as far as it is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// The nominal rollout fails.
+    NominalFails,
+    /// The nominal rollout has no outcome.
+    NominalUnknown,
+    /// The threshold is between two radii.
+    Between,
+    /// The threshold is beyond the largest radius.
+    Beyond,
+    /// Nothing failed so far, and the largest radius has no outcome.
+    Open,
+}
+
+impl Kind {
+    /// Name in JSON and tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::NominalFails => "nominal_fails",
+            Self::NominalUnknown => "nominal_unknown",
+            Self::Between => "between",
+            Self::Beyond => "beyond",
+            Self::Open => "open",
+        }
+    }
+}
+
+/// Outcome of the rollout at a radius.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct AtRadius {
+    /// The radius.
+    pub radius: f64,
+    /// Outcome of the rollout.
+    pub outcome: Outcome,
+}
+
+/// A budget that no configuration can be measured with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "measure thresholds with a budget of {budget}: one configuration may take {most} rollouts, give \
+     as many or more"
+)]
+pub struct BudgetTooSmall {
+    /// The budget.
+    pub budget: u32,
+    /// Most rollouts that a configuration may take.
+    pub most: u32,
+}
+
+impl HowFar {
+    /// Checks that a budget suffices for a configuration of the campaign.
+    ///
+    /// # Errors
+    /// If it does not.
+    pub fn is_affordable(
+        campaign: &Subject,
+        thresholds: &Thresholds,
+    ) -> Result<(), BudgetTooSmall> {
+        let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
+        let is_empty = measurement.rays().next().is_none() && measurement.of_rays() > 0;
+        match thresholds.budget {
+            Some(budget) if is_empty => Err(BudgetTooSmall {
+                budget,
+                most: measurement.most_rollouts_of_one(),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Returns the number of thresholds and rollouts that measuring a campaign would
+    /// take.
+    pub fn prospect(campaign: &Subject, thresholds: &Thresholds) -> Prospect {
+        let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
+        let mut prospect = Prospect {
+            subjects: measurement.rays().count() as u64,
+            most_rollouts: BTreeMap::new(),
+        };
+        for (task, most) in measurement.most_rollouts() {
+            *prospect.most_rollouts.entry(task.suite()).or_default() += u64::from(most);
+        }
+        prospect
+    }
+
+    /// Puts together what a campaign that measures another one's thresholds knows and
+    /// what that one does; none of a campaign that measures no thresholds.
+    pub fn of(by: &Subject) -> Option<Self> {
+        let (thresholds, records) = by.measures()?;
+        let measurement = Measurement::of(records, &by.records, thresholds);
+        let is_settled = |record: &Record| record.outcome != Outcome::Missing;
+        let waiting = by.records.iter().filter(|it| !is_settled(it)).count();
+        let rays = measurement.rays();
+        let measured: Vec<Measured> = rays
+            .map(|(ray, known)| Measured::of(&measurement, ray, known))
+            .collect();
+        Some(Self {
+            campaign: thresholds.campaign.clone(),
+            measured_by: by.origin_name().to_owned(),
+            policy: by.policy.clone(),
+            tolerance: thresholds.tolerance,
+            max_radius: thresholds.max_radius,
+            complete: records.iter().all(is_settled)
+                && waiting == 0
+                && measurement.plan().is_empty(),
+            looked_for: measured.len() as u64,
+            found: measured.iter().filter(|it| it.is_found).count() as u64,
+            beyond_budget: (measurement.of_rays() - measured.len()) as u64,
+            rollouts: by.records.len() as u64,
+            waiting: waiting as u64,
+            curves: measurement.curves(&Bootstrap::default()),
+            thresholds: measured,
+        })
+    }
+
+    /// Writes the measurement as JSON, several lines.
+    ///
+    /// # Errors
+    /// If serde cannot write it, which is a defect.
+    pub fn json(&self) -> Result<String, JsonError> {
+        Ok(serde_json::to_string_pretty(self)?)
+    }
+
+    /// Writes the measurement as text for a terminal of 80 columns.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        push_wrapped(
+            &mut text,
+            "",
+            &format!("{} {}", self.measured_by, self.standing()),
+        );
+        let curves: Vec<&Curve> = self.curves.iter().filter(|it| it.n > 0).collect();
+        if !curves.is_empty() {
+            push_survival(&mut text, &curves);
+            push_half_success(&mut text, &curves);
+        }
+        let not_monotone = self.thresholds.iter();
+        let not_monotone: Vec<&Measured> = not_monotone
+            .filter(|it| !it.recovers_at.is_empty())
+            .collect();
+        if !not_monotone.is_empty() {
+            text.push_str("\nnot monotone: they succeed again beyond a failure\n");
+        }
+        for measured in not_monotone {
+            push_not_monotone(&mut text, measured);
+        }
+        text
+    }
+
+    /// Progress of the measurement, in a sentence without its subject and its stop.
+    pub(crate) fn standing(&self) -> String {
+        let mut words = format!(
+            "measures thresholds of {}: {} of {} found in {}",
+            self.campaign,
+            self.found,
+            self.looked_for,
+            things(self.rollouts, "rollout")
+        );
+        if self.waiting > 0 {
+            let _ = write!(words, ", of which {} have no outcome yet", self.waiting);
+        }
+        if self.beyond_budget > 0 {
+            let _ = write!(
+                words,
+                "; the budget leaves {} others out",
+                self.beyond_budget
+            );
+        }
+        words
+    }
+}
+
+impl Measured {
+    fn of(measurement: &Measurement, ray: Ray, known: &Known) -> Self {
+        let found = measurement.found(ray, known);
+        let (threshold, succeeds_at, fails_at) = match found.threshold {
+            Threshold::NominalFails => (Kind::NominalFails, None, Some(Level::L0)),
+            Threshold::NominalUnknown => (Kind::NominalUnknown, None, None),
+            Threshold::Between {
+                succeeds_at,
+                fails_at,
+            } => (Kind::Between, Some(succeeds_at), Some(fails_at)),
+            Threshold::Beyond => (Kind::Beyond, largest_success(known), None),
+            Threshold::Open { succeeds_at } => (Kind::Open, Some(succeeds_at), None),
+        };
+        let points = [(Level::L0, known.nominal())]
+            .into_iter()
+            .chain(known.points());
+        Self {
+            condition: ray.condition,
+            task: ray.task,
+            config: ray.config,
+            threshold,
+            succeeds_at: succeeds_at.map(Level::radius),
+            fails_at: fails_at.map(Level::radius),
+            recovers_at: found.recovers_at.into_iter().map(Level::radius).collect(),
+            is_found: measurement.decision(ray, known) == Decision::Done,
+            outcomes: points
+                .map(|(level, outcome)| AtRadius {
+                    radius: level.radius(),
+                    outcome,
+                })
+                .collect(),
+        }
+    }
+
+    /// The radii at which it is known that it succeeds, or that it fails.
+    pub(crate) fn radii(&self, success: bool) -> String {
+        let such = self.outcomes.iter();
+        let such = such.filter(|it| it.outcome.success() == Some(success));
+        let radii: Vec<String> = such.map(|it| it.radius.to_string()).collect();
+        radii.join(", ")
+    }
+}
+
+/// The largest radius at which it succeeds, where it succeeds nominally.
+fn largest_success(known: &Known) -> Option<Level> {
+    let succeeds = known.points().filter(|(_, it)| *it == Outcome::Success);
+    Some(succeeds.map(|(level, _)| level).max().unwrap_or(Level::L0))
+}
+
+/// A row per condition, a column per radius of the grid.
+fn push_survival(text: &mut String, curves: &[&Curve]) {
+    text.push_str("\nconfigurations that still succeed, %, by radius\n");
+    // Conditions with a perturbed language have a shorter grid.
+    let longest = curves
+        .iter()
+        .max_by(|a, b| a.largest_radius.total_cmp(&b.largest_radius));
+    let grid = longest
+        .map(|curve| curve.grid.as_slice())
+        .unwrap_or_default();
+    let radii: Vec<f64> = [0.0].into_iter().chain(grid.iter().copied()).collect();
+    let _ = write!(text, "{:NAMES$}{:>6}", "", "n");
+    for radius in &radii {
+        let level = Level::of_radius(*radius).filter(|level| level.is_named());
+        let name = match level {
+            Some(level) => level.to_string(),
+            None => radius.to_string(),
+        };
+        let _ = write!(text, "{name:>6}");
+    }
+    text.push('\n');
+    for curve in curves {
+        push_name(text, curve.condition);
+        let _ = write!(text, "{:>6}", curve.n);
+        for radius in &radii {
+            let share = match curve.at(*radius) {
+                Some(point) => words::percent(point.survival),
+                None => "-".to_owned(),
+            };
+            let _ = write!(text, "{share:>6}");
+        }
+        text.push('\n');
+    }
+}
+
+/// A row per condition: where half of the configurations survive, and what the curve is
+/// over.
+fn push_half_success(text: &mut String, curves: &[&Curve]) {
+    text.push_str("\nradius at which half of the configurations still succeed\n");
+    let _ = writeln!(
+        text,
+        "{:NAMES$}{:>8}  {:<14}{:>14}{:>8}{:>14}",
+        "", "radius", "95 %", "nominal fails", "beyond", "not monotone"
+    );
+    for curve in curves {
+        push_name(text, curve.condition);
+        let _ = writeln!(
+            text,
+            "{:>8}  {:<14}{:>14}{:>8}{:>14}",
+            words::half_success(curve),
+            words::half_success_interval(&curve.half_success),
+            curve.nominal_fails,
+            curve.beyond,
+            curve.not_monotone
+        );
+    }
+    let left_out: u64 = curves.iter().map(|curve| curve.left_out).sum();
+    if left_out > 0 {
+        let words = format!(
+            "{left_out} thresholds are in no figure, because outcomes are missing or in quarantine"
+        );
+        push_wrapped(text, "", &words);
+    }
+    if curves.iter().any(|curve| !curve.is_bisected) {
+        let words = "where language is perturbed, there are wordings at L1, L2 and L3 and at no \
+                     radius between or beyond";
+        push_wrapped(text, "", words);
+    }
+}
+
+fn push_name(text: &mut String, condition: Condition) {
+    let name = condition.label();
+    match name.len() < NAMES {
+        true => {
+            let _ = write!(text, "{name:NAMES$}");
+        }
+        false => {
+            let _ = write!(text, "{name}\n{:NAMES$}", "");
+        }
+    }
+}
+
+fn push_not_monotone(text: &mut String, measured: &Measured) {
+    let Measured {
+        condition,
+        task,
+        config,
+        ..
+    } = measured;
+    let [succeeds, fails] = [true, false].map(|success| measured.radii(success));
+    let words = format!("succeeds at {succeeds}; fails at {fails}");
+    push_wrapped(
+        text,
+        "  ",
+        &format!("{task} {} c{config:02}: {words}", condition.label()),
+    );
+}

@@ -1,0 +1,349 @@
+//! Result files of the reference implementation, and of `coordinator export`:
+//! `rollouts.jsonl`, one policy per folder, and beside it, optionally,
+//! `about.json` with what the rows do not say.
+//!
+//! Lines are read one at a time. A file with a bad line is refused whole, with
+//! the numbers of its bad lines: half a file would make other figures.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use libero_ctrl::{Condition, Directions, JsonError, Level, RolloutId, Suite};
+use libero_ctrl::{MAX_ROWS, Realisation};
+use paired::{Count, Outcome, Record};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+
+use crate::subject::{Origin, Setups, Subject};
+
+/// The rows, inside a folder.
+const ROWS: &str = "rollouts.jsonl";
+/// Name of the file about the rows' circumstances, inside a folder.
+const ABOUT: &str = "about.json";
+/// Longest line that is read, bytes.
+const MAX_LINE_BYTES: u64 = 64 << 10;
+/// Largest `about.json` that is read, bytes.
+const MAX_ABOUT_BYTES: u64 = 64 << 10;
+/// Bad lines that are named; the others are counted.
+const MAX_NAMED: usize = 10;
+/// Most rows of a file: ten replicates of the largest design.
+const MAX_FILE_ROWS: usize = 10 * MAX_ROWS;
+/// Most bytes of a file, above [`MAX_FILE_ROWS`] rows of some hundred bytes. Without a limit a
+/// sparse file or a device is read for hours, or for ever.
+const MAX_FILE_BYTES: u64 = 4 << 30;
+
+/// A file that cannot be read as results.
+#[derive(Debug, thiserror::Error)]
+pub enum ImportError {
+    /// The file system.
+    #[error("read {path}: name a folder that holds {ROWS}, or such a file")]
+    Read {
+        /// Path of the folder or file.
+        path: PathBuf,
+        /// Error of the system.
+        source: std::io::Error,
+    },
+    /// Lines that are no result rows.
+    #[error("import {path}: {} bad, nothing was taken of it: {}", counted(.bad), said(.named, .bad))]
+    Lines {
+        /// Path of the file.
+        path: PathBuf,
+        /// Number of bad lines.
+        bad: usize,
+        /// First of the bad lines.
+        named: Vec<BadLine>,
+    },
+    /// More rows than any design has.
+    #[error("import {path}: it has more than {MAX_FILE_ROWS} rows: divide it")]
+    TooLong {
+        /// Path of the file.
+        path: PathBuf,
+    },
+    /// Larger than any file of rows.
+    #[error("import {path}: it is larger than {} GiB; divide it", MAX_FILE_BYTES >> 30)]
+    TooLarge {
+        /// Path of the file.
+        path: PathBuf,
+    },
+    /// The file has no row.
+    #[error("import {path}: it has no row")]
+    Empty {
+        /// Path of the file.
+        path: PathBuf,
+    },
+    /// The file about the rows does not parse.
+    #[error("read {path}, which says what the rows are")]
+    About {
+        /// Path of the file.
+        path: PathBuf,
+        /// Error in its JSON.
+        source: JsonError,
+    },
+}
+
+/// A line that is no result row.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BadLine {
+    /// Number of the line, from 1.
+    pub number: usize,
+    /// Reason why it is no row.
+    pub reason: String,
+}
+
+/// Content of `about.json`; every field may be absent.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct About {
+    policy: Option<String>,
+    source: String,
+    realisation: Option<Realisation>,
+    published_nominal: Option<f64>,
+    nominal: Option<Count>,
+}
+
+/// A result row of the reference. What repeats the id is checked against it;
+/// step counts and times are not looked at.
+#[derive(Deserialize)]
+struct Row {
+    rollout_id: RolloutId,
+    success: bool,
+    #[serde(default)]
+    replicate: u32,
+    init_id: Option<u16>,
+    axis: Option<Condition>,
+    level: Option<Level>,
+    suite: Option<Suite>,
+    task_id: Option<u8>,
+    config: Option<u16>,
+    policy: Option<String>,
+}
+
+/// Reads one policy's results from a folder, or from a file of rows.
+///
+/// # Errors
+/// See [`ImportError`].
+pub fn import(path: &Path) -> Result<Subject, ImportError> {
+    let (rows, about) = match path.is_dir() {
+        true => (path.join(ROWS), read_about(&path.join(ABOUT))?),
+        false => (path.to_owned(), About::default()),
+    };
+    let in_rows = |source| ImportError::Read {
+        path: rows.clone(),
+        source,
+    };
+    let mut reading = Reading::default();
+    let mut digest = Sha256::new();
+    let file = File::open(&rows).map_err(in_rows)?;
+    let size_bytes = file.metadata().map_err(in_rows)?.len();
+    let mut read_bytes = 0;
+    let mut file = BufReader::new(file);
+    let mut line = Vec::new();
+    loop {
+        if size_bytes.max(read_bytes) > MAX_FILE_BYTES {
+            return Err(ImportError::TooLarge { path: rows });
+        }
+        line.clear();
+        let read = file
+            .by_ref()
+            .take(MAX_LINE_BYTES)
+            .read_until(b'\n', &mut line);
+        let read = read.map_err(in_rows)? as u64;
+        if read == 0 {
+            break;
+        }
+        read_bytes += read;
+        digest.update(&line);
+        if reading.records.len() == MAX_FILE_ROWS {
+            return Err(ImportError::TooLong { path: rows });
+        }
+        reading.line(&line);
+    }
+    if reading.bad > 0 {
+        let Reading { bad, named, .. } = reading;
+        return Err(ImportError::Lines {
+            path: rows,
+            bad,
+            named,
+        });
+    }
+    if reading.records.is_empty() {
+        return Err(ImportError::Empty { path: rows });
+    }
+    let name = path
+        .file_name()
+        .map(|name| name.to_string_lossy().into_owned());
+    let name = name.unwrap_or_else(|| ".".to_owned());
+    Ok(Subject {
+        policy: about
+            .policy
+            .or(reading.policy)
+            .unwrap_or_else(|| name.clone()),
+        origin: Origin::File {
+            name,
+            digest: digest
+                .finalize()
+                .iter()
+                .map(|byte| format!("{byte:02x}"))
+                .collect(),
+            source: about.source,
+        },
+        realisation: about.realisation,
+        records: reading.records,
+        errors: Vec::new(),
+        divergent: Vec::new(),
+        left_out: 0,
+        beyond: None,
+        fingerprints: None,
+        provenances: Vec::new(),
+        published_nominal: about.published_nominal,
+        directions: Directions::default(),
+        published_by_suite: Vec::new(),
+        reported_nominal: about.nominal,
+        setups: Setups::default(),
+        derived: None,
+        early_stop: None,
+    })
+}
+
+fn read_about(path: &Path) -> Result<About, ImportError> {
+    let path = path.to_owned();
+    let file = match File::open(&path) {
+        Ok(file) => file,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(About::default()),
+        Err(source) => return Err(ImportError::Read { path, source }),
+    };
+    let about = serde_json::from_reader(file.take(MAX_ABOUT_BYTES));
+    about.map_err(|error: serde_json::Error| ImportError::About {
+        path,
+        source: error.into(),
+    })
+}
+
+/// Rows and bad lines read so far.
+#[derive(Default)]
+struct Reading {
+    number: usize,
+    records: Vec<Record>,
+    /// The line of each rollout.
+    lines: HashMap<(RolloutId, u32), usize>,
+    policy: Option<String>,
+    bad: usize,
+    named: Vec<BadLine>,
+}
+
+impl Reading {
+    fn line(&mut self, line: &[u8]) {
+        self.number += 1;
+        if line.iter().all(u8::is_ascii_whitespace) {
+            return;
+        }
+        match self.record(line) {
+            Ok(record) => self.records.push(record),
+            Err(reason) => {
+                self.bad += 1;
+                if self.named.len() < MAX_NAMED {
+                    let number = self.number;
+                    self.named.push(BadLine { number, reason });
+                }
+            }
+        }
+    }
+
+    fn record(&mut self, line: &[u8]) -> Result<Record, String> {
+        if line.len() as u64 == MAX_LINE_BYTES {
+            return Err(format!("it is longer than {MAX_LINE_BYTES} bytes"));
+        }
+        let row: Row = serde_json::from_slice(line.trim_ascii_end()).map_err(|error| {
+            // Its own line number is always 1, which would mislead.
+            let error = JsonError::from(error);
+            match error.place() {
+                Some((_, column)) => format!("{}, at column {column}", error.problem()),
+                None => error.problem().to_owned(),
+            }
+        })?;
+        row.agrees_with_itself()?;
+        let key = (row.rollout_id, row.replicate);
+        if let Some(earlier) = self.lines.insert(key, self.number) {
+            return Err(format!("{} is on line {earlier} too", row.rollout_id));
+        }
+        let policy = row.policy.clone();
+        match (&self.policy, policy) {
+            (Some(one), Some(other)) if *one != other => {
+                return Err(format!(
+                    "it is of policy `{other}`, those before are of `{one}`: one policy per file"
+                ));
+            }
+            (None, Some(policy)) => self.policy = Some(policy),
+            _ => {}
+        }
+        Ok(Record {
+            id: row.rollout_id,
+            init_id: row.initial_state()?,
+            replicate: row.replicate,
+            outcome: Outcome::from(row.success),
+        })
+    }
+}
+
+impl Row {
+    fn agrees_with_itself(&self) -> Result<(), String> {
+        let (id, task) = (self.rollout_id, self.rollout_id.task());
+        let of_id = [
+            ("axis", self.axis.is_none_or(|axis| axis == id.condition())),
+            ("level", self.level.is_none_or(|level| level == id.level())),
+            (
+                "suite",
+                self.suite.is_none_or(|suite| suite == task.suite()),
+            ),
+            (
+                "task_id",
+                self.task_id.is_none_or(|index| index == task.index()),
+            ),
+            (
+                "config",
+                self.config
+                    .is_none_or(|config| id.config().is_none_or(|own| own == config)),
+            ),
+        ];
+        match of_id.iter().find(|(_, agrees)| !agrees) {
+            Some((field, _)) => Err(format!("`{field}` is another than in its id {id}")),
+            None => Ok(()),
+        }
+    }
+
+    /// As the row says, or as the protocol does for its configurations 0 to 9.
+    fn initial_state(&self) -> Result<u16, String> {
+        let own = self.rollout_id.config();
+        let known = match own {
+            None => Some(self.rollout_id.number()),
+            Some(config) => self
+                .rollout_id
+                .task()
+                .eval_init_ids()
+                .get(usize::from(config))
+                .copied(),
+        };
+        let stated = self.init_id.or(known);
+        stated.ok_or_else(|| format!("{} has no `init_id`", self.rollout_id))
+    }
+}
+
+fn counted(bad: &usize) -> String {
+    match bad {
+        1 => "1 line is".to_owned(),
+        bad => format!("{bad} lines are"),
+    }
+}
+
+fn said(named: &[BadLine], bad: &usize) -> String {
+    let mut said: Vec<String> = named
+        .iter()
+        .map(|line| format!("line {}: {}", line.number, line.reason))
+        .collect();
+    if *bad > named.len() {
+        said.push(format!("and {} more", bad - named.len()));
+    }
+    said.join("; ")
+}

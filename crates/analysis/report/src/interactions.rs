@@ -1,0 +1,333 @@
+//! Interactions of the axes in a campaign, over the configurations of which the
+//! whole lattice was run, level by level: as text for a terminal and as JSON. The
+//! definitions are `lattice`'s.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use lattice::{
+    CompleteLattice, Estimate, IncompleteLattice, Interactions, Known, KnownError, configurations,
+    own_configurations,
+};
+use libero_ctrl::{Axis, AxisSet, JsonError, Level, RolloutId};
+use paired::{Bootstrap, push_wrapped};
+use serde::Serialize;
+
+use crate::subject::Subject;
+use crate::words::{percent, points, points_interval};
+
+/// Columns of a terminal for the names of axes.
+const NAMES: usize = 48;
+/// Columns for a success rate, and for a change of it.
+const RATE: usize = 7;
+const CHANGE: usize = 8;
+
+/// Interactions of a campaign's axes.
+#[derive(Clone, Debug)]
+pub struct AxisInteractions {
+    /// The campaign.
+    pub campaign: String,
+    /// Name of its policy.
+    pub policy: String,
+    /// Warnings to be read first.
+    pub notes: Vec<String>,
+    /// Settings of the intervals.
+    pub bootstrap: Bootstrap,
+    /// Each level with a configuration whose whole lattice was run, by radius.
+    pub levels: Vec<LevelInteractions>,
+}
+
+/// The interactions at one level.
+#[derive(Clone, Debug)]
+pub struct LevelInteractions {
+    /// The level.
+    pub level: Level,
+    /// Configurations that lack an outcome under some subset.
+    pub left_out: u64,
+    /// Over all others.
+    pub interactions: Interactions,
+}
+
+/// A campaign without a configuration whose whole lattice was run.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum NoInteractions {
+    /// The campaign perturbs one axis.
+    #[error(transparent)]
+    Axes(#[from] KnownError),
+    /// The campaign has no perturbed configuration.
+    #[error("compute the interactions of `{0}`: it perturbs nothing; create it with `--axes`")]
+    Empty(String),
+    /// Every configuration has a gap.
+    #[error(
+        "compute the interactions of `{campaign}`: none of its {configurations} configurations has \
+         an outcome under every subset of the axes, nominal included ({first}: {gap}); wait for its \
+         rollouts, create a campaign with `--subsets all`, or explain one with `--exhaustive`"
+    )]
+    Incomplete {
+        /// The campaign.
+        campaign: String,
+        /// Number of its configurations.
+        configurations: usize,
+        /// First of its configurations.
+        first: RolloutId,
+        /// Subsets that its lattice lacks.
+        gap: IncompleteLattice,
+    },
+}
+
+impl AxisInteractions {
+    /// Computes the interactions of a subject: of the subsets that it ran itself,
+    /// or together with the campaign that it explains.
+    ///
+    /// # Errors
+    /// If no configuration has its whole lattice.
+    pub fn of(subject: &Subject) -> Result<Self, NoInteractions> {
+        let campaign = subject.origin_name();
+        let explains = subject.explains();
+        let known = match explains {
+            Some((explanation, records)) => configurations(records, &subject.records, explanation)?,
+            None => own_configurations(&subject.counted())?,
+        };
+        let mut notes = Vec::new();
+        if let Some((explanation, _)) = explains {
+            notes.push(format!(
+                "these configurations were picked because simultaneous perturbation changes their \
+                 outcome: what follows is true of them, and not of all configurations of `{}`; for \
+                 that, create a campaign with `--subsets all`",
+                explanation.campaign
+            ));
+        }
+        let bootstrap = Bootstrap::default();
+        let mut levels: BTreeMap<Level, Vec<Result<CompleteLattice, IncompleteLattice>>> =
+            BTreeMap::new();
+        for (id, known) in &known {
+            levels.entry(id.level()).or_default().push(whole(id, known));
+        }
+        let of_level = |(level, lattices): (Level, Vec<Result<_, _>>)| {
+            let all = lattices.len() as u64;
+            let complete: Vec<CompleteLattice> = lattices.into_iter().flatten().collect();
+            Some(LevelInteractions {
+                level,
+                left_out: all - complete.len() as u64,
+                interactions: Interactions::of(&complete, &bootstrap)?,
+            })
+        };
+        let levels: Vec<LevelInteractions> = levels.into_iter().filter_map(of_level).collect();
+        match known
+            .iter()
+            .find_map(|(id, known)| Some((id, whole(id, known).err()?)))
+        {
+            _ if !levels.is_empty() => Ok(Self {
+                campaign: campaign.to_owned(),
+                policy: subject.policy.clone(),
+                notes,
+                bootstrap,
+                levels,
+            }),
+            None => Err(NoInteractions::Empty(campaign.to_owned())),
+            Some((first, gap)) => Err(NoInteractions::Incomplete {
+                campaign: campaign.to_owned(),
+                configurations: known.len(),
+                first: *first,
+                gap,
+            }),
+        }
+    }
+
+    /// Writes the interactions as JSON, several lines.
+    ///
+    /// # Errors
+    /// If serde cannot write it, which is a defect.
+    pub fn json(&self) -> Result<String, JsonError> {
+        Ok(serde_json::to_string_pretty(&self.form())?)
+    }
+
+    /// Returns the JSON form.
+    pub(crate) fn form(&self) -> JsonForm<'_> {
+        JsonForm {
+            campaign: &self.campaign,
+            policy: &self.policy,
+            notes: &self.notes,
+            bootstrap: self.bootstrap,
+            levels: self.levels.iter().map(JsonLevel::of).collect(),
+        }
+    }
+
+    /// Writes the interactions as text for a terminal of 80 columns.
+    pub fn text(&self) -> String {
+        let mut text = format!("campaign {}\npolicy {}\n\n", self.campaign, self.policy);
+        for note in &self.notes {
+            push_wrapped(&mut text, "! ", note);
+        }
+        if !self.notes.is_empty() {
+            text.push('\n');
+        }
+        for level in &self.levels {
+            level.push(&mut text);
+        }
+        push_wrapped(
+            &mut text,
+            "",
+            "Success is v, the success rate under the subset, in percent. Effect is its Moebius \
+             interaction, in points: what its axes do together beyond all that their subsets do. \
+             Nominal success and all interactions add up to simultaneous success. A share is an \
+             axis's Shapley value: its effect, averaged over all orders in which axes can be added. \
+             Of a pair, the Shapley interaction index is how much one axis changes the effect of the \
+             other; below 0 they do more harm together. In brackets, 95 % intervals; those of all \
+             shares hold together, so do those of all pairs, and of all effects of subsets.",
+        );
+        text
+    }
+}
+
+/// The lattice of a configuration, if all its outcomes are known.
+fn whole(id: &RolloutId, known: &Known) -> Result<CompleteLattice, IncompleteLattice> {
+    CompleteLattice::new(id.task(), known.full(), |set| known.verdict(set).success())
+}
+
+impl LevelInteractions {
+    /// Success under no axis and under all of them.
+    pub(crate) fn ends(&self) -> [&Estimate; 2] {
+        let success = &self.interactions.success;
+        [&success[&AxisSet::EMPTY], &success[&self.interactions.full]]
+    }
+
+    fn push(&self, text: &mut String) {
+        let Interactions {
+            n,
+            tasks,
+            success,
+            moebius,
+            sizes,
+            shapley,
+            pairs,
+            ..
+        } = &self.interactions;
+        let _ = write!(text, "{}: {n} configurations of {tasks} tasks", self.level);
+        if self.left_out > 0 {
+            let _ = write!(text, "; {} lack an outcome and are left out", self.left_out);
+        }
+        text.push_str("\n\n");
+        let [nominal, simultaneous] = self.ends();
+        push_line(text, "from nominal to simultaneous", "success", "effect");
+        push_line(text, "nominal", &rate(nominal), "");
+        for (axes, estimate) in sizes {
+            let name = match axes {
+                1 => "+ each axis alone".to_owned(),
+                axes => format!("+ what {axes} axes do together"),
+            };
+            push_line(text, &name, "", &change(estimate));
+        }
+        push_line(text, "= simultaneous", &rate(simultaneous), "");
+        text.push('\n');
+        push_line(text, "shares of that change", "", "share");
+        for (axis, estimate) in shapley {
+            push_line(text, axis.name(), "", &change(estimate));
+        }
+        text.push('\n');
+        push_line(text, "pairs", "", "index");
+        for (pair, estimate) in pairs {
+            push_line(text, pair.name(), "", &change(estimate));
+        }
+        text.push('\n');
+        push_line(text, "subsets", "success", "effect");
+        for (set, estimate) in success {
+            let beyond = moebius.get(set).map(change).unwrap_or_default();
+            push_line(text, set.name(), &rate(estimate), &beyond);
+        }
+        text.push('\n');
+    }
+}
+
+/// The number of a change stands under its head, the interval behind it.
+fn push_line(text: &mut String, name: &str, success: &str, change: &str) {
+    let (number, interval) = change.split_once(' ').unwrap_or((change, ""));
+    let line = format!("{name:<NAMES$}{success:>RATE$}{number:>CHANGE$} {interval}");
+    text.push_str(line.trim_end());
+    text.push('\n');
+}
+
+fn rate(estimate: &Estimate) -> String {
+    percent(estimate.value)
+}
+
+/// `-12.3 [-20.1, -4.0]`, in a terminal's letters.
+fn change(estimate: &Estimate) -> String {
+    let interval = estimate.simultaneous_ci95.or(estimate.ci95);
+    let interval = points_interval(interval, estimate.no_interval);
+    format!("{}{interval}", points(estimate.value)).replace('−', "-")
+}
+
+/// Lists in place of maps, so that every key is a name of something.
+#[derive(Serialize)]
+pub(crate) struct JsonForm<'a> {
+    campaign: &'a str,
+    policy: &'a str,
+    notes: &'a [String],
+    bootstrap: Bootstrap,
+    levels: Vec<JsonLevel<'a>>,
+}
+
+#[derive(Serialize)]
+struct JsonLevel<'a> {
+    level: Level,
+    axes: AxisSet,
+    n: u64,
+    tasks: u64,
+    left_out: u64,
+    subsets: Vec<JsonSubset<'a>>,
+    sizes: Vec<JsonSize<'a>>,
+    shares: Vec<JsonShare<'a>>,
+    pairs: Vec<JsonPair<'a>>,
+}
+
+#[derive(Serialize)]
+struct JsonSubset<'a> {
+    set: AxisSet,
+    success: &'a Estimate,
+    /// Null of the empty set.
+    moebius: Option<&'a Estimate>,
+}
+
+#[derive(Serialize)]
+struct JsonSize<'a> {
+    axes: usize,
+    moebius: &'a Estimate,
+}
+
+#[derive(Serialize)]
+struct JsonShare<'a> {
+    axis: Axis,
+    shapley: &'a Estimate,
+}
+
+#[derive(Serialize)]
+struct JsonPair<'a> {
+    set: AxisSet,
+    shapley: &'a Estimate,
+}
+
+impl<'a> JsonLevel<'a> {
+    fn of(level: &'a LevelInteractions) -> Self {
+        let found = &level.interactions;
+        let subset = |(&set, success)| JsonSubset {
+            set,
+            success,
+            moebius: found.moebius.get(&set),
+        };
+        let size = |(&axes, moebius)| JsonSize { axes, moebius };
+        let share = |(&axis, shapley)| JsonShare { axis, shapley };
+        let pair = |(&set, shapley)| JsonPair { set, shapley };
+        Self {
+            level: level.level,
+            axes: found.full,
+            n: found.n,
+            tasks: found.tasks,
+            left_out: level.left_out,
+            subsets: found.success.iter().map(subset).collect(),
+            sizes: found.sizes.iter().map(size).collect(),
+            shares: found.shapley.iter().map(share).collect(),
+            pairs: found.pairs.iter().map(pair).collect(),
+        }
+    }
+}

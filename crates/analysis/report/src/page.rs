@@ -1,0 +1,167 @@
+//! The report as one page of HTML: no script, no network, light and dark, on a
+//! phone and on paper. What is written in its sections is in the modules below.
+
+mod differences;
+mod explanation;
+mod findings;
+mod how_far;
+mod inference;
+mod methods;
+mod panels;
+mod sequential;
+mod tables;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use crate::analysis::Analysis;
+use crate::comparison::Comparison;
+use crate::document::Document;
+use crate::figures::{self, Figure, Link, levels};
+use panels::figure;
+
+/// The page's style, with that of its figures.
+pub const STYLE: &str = concat!(
+    include_str!("page/style.css"),
+    include_str!("figures/style.css")
+);
+
+/// The page, a whole file.
+pub fn page(document: &Document) -> String {
+    let title = title(document);
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                meta name="generator" content={ "rollout " (env!("CARGO_PKG_VERSION")) };
+                title { (title) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                header {
+                    p.kicker { "LIBERO-CTRL paired report" }
+                    h1 { (title) }
+                    (findings::subtitle(document))
+                }
+                main { (warnings(document)) (sections(document, None)) }
+            }
+        }
+    };
+    page.into_string()
+}
+
+/// Renders the warnings, for another page that includes [`STYLE`].
+pub fn warnings(document: &Document) -> Markup {
+    findings::warnings(document)
+}
+
+/// Renders the sections below the warnings, for another page that includes
+/// [`STYLE`]. The squares of the outcome matrices lead to the addresses that
+/// `link` returns.
+pub fn sections(document: &Document, link: Option<Link>) -> Markup {
+    let levels = levels(document);
+    let per_level = |panel: fn(&Document, libero_ctrl::Level) -> Option<Figure>| {
+        let panels = levels.iter().filter_map(|&level| panel(document, level));
+        panels.collect::<Vec<_>>()
+    };
+    let paired = document.analyses.iter().any(Analysis::is_paired);
+    html! {
+        (explanation::findings(document, link))
+        (how_far::sections(document))
+        (findings::in_words(document))
+        @if paired {
+            section {
+                h2 { "Paired outcomes" }
+                (tables::paired(document))
+            }
+        }
+        (inference::tables(document))
+        (sequential::of_campaigns(document))
+        (figure("Success under each axis alone, and under simultaneous perturbation by all of them.",
+            per_level(figures::heat_map)))
+        (figure("From independent axes to simultaneous perturbation. D: how far the axes' \
+            failures coincide in the same configurations. I: what simultaneity adds to that, for \
+            better or for worse. In brackets, 95 % intervals.",
+            per_level(figures::decomposition)))
+        (figure("In which direction outcomes change. Left, every axis alone succeeds and the \
+            simultaneous rollout fails; right, some axis alone fails and the simultaneous rollout \
+            succeeds. Whiskers and brackets: 95 % intervals; p: exact McNemar test of left against \
+            right.",
+            per_level(figures::directions)))
+        (figure(matrix_caption(link), document.analyses.iter().flat_map(|analysis| {
+            levels.iter().filter_map(move |&level| figures::matrix(analysis, level, link))
+        }).collect()))
+        (explanation::interactions(document))
+        @if paired {
+            section {
+                h2 { "Nominal success and single axes" }
+                (tables::nominal(document))
+                (figure("The reproduction gate: a policy that does not reach its published nominal \
+                    success within 5 points is not set up as its authors had it, and its robustness \
+                    is not to be interpreted.", figures::gate(document).into_iter().collect()))
+                (tables::single_axes(document))
+                (tables::subsets(document))
+            }
+        }
+        (replication(document))
+        @let pairs = document.comparisons();
+        @if !pairs.is_empty() { (differences::of_pairs(&pairs)) }
+        (tables::solvable(document))
+        (tables::bounds(document))
+        (tables::quarantine(document))
+        (methods::methods(document))
+    }
+}
+
+/// A comparison of two policies, for another page that includes [`STYLE`].
+pub fn comparison(comparison: &Comparison) -> Markup {
+    differences::of_one(comparison)
+}
+
+fn title(document: &Document) -> String {
+    match document.analyses.as_slice() {
+        [one] if one.findings.is_some() => format!("Why outcomes of {} change", one.label),
+        [one] if one.how_far.is_some() => format!("How far {} goes", one.label),
+        [one] => format!("Robustness of {}", one.label),
+        several => format!("Robustness of {} policies", several.len()),
+    }
+}
+
+fn matrix_caption(link: Option<Link>) -> &'static str {
+    match link {
+        None => {
+            "Every configuration: tasks downwards, configurations to the right, one square each. \
+             On a screen, pointing at a square tells its rollouts."
+        }
+        Some(_) => {
+            "Every configuration: tasks downwards, configurations to the right, one square each. \
+             A square opens its rollouts side by side; with the keyboard, arrow keys go from \
+             square to square."
+        }
+    }
+}
+
+fn replication(document: &Document) -> Markup {
+    let panels = |analysis: &Analysis| {
+        let panels = [figures::replicates(analysis), figures::flips(analysis)];
+        panels.into_iter().flatten().collect::<Vec<_>>()
+    };
+    let replicated = document.analyses.iter();
+    let replicated = replicated.filter(|analysis| !analysis.report.replication.is_empty());
+    let replicated: Vec<&Analysis> = replicated.collect();
+    html! {
+        @if !replicated.is_empty() {
+            section {
+                h2 { "Replication" }
+                p { "The same initial states and realised perturbations, another policy seed." }
+                @for analysis in replicated {
+                    (figure(&format!("{}: agreement of the replicates. Whiskers: 95 % intervals.",
+                        analysis.label), panels(analysis)))
+                    (tables::replication(analysis))
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,260 @@
+//! Sections on the findings of a campaign that explains another, and on the interactions
+//! of axes in whole lattices.
+
+use lattice::{Answer, Explained, Occurrence};
+use libero_ctrl::RolloutId;
+use maud::{Markup, html};
+use paired::Transition;
+
+use super::panels::figure;
+use super::tables::{difference, plain, table, with};
+use crate::analysis::Analysis;
+use crate::document::Document;
+use crate::explanation::{Findings, subset};
+use crate::figures::{self, Link};
+use crate::interactions::{AxisInteractions, LevelInteractions};
+use crate::subject::things;
+use crate::words::{percent, rate_interval};
+
+/// The findings of every campaign among the subjects that explains another.
+pub(super) fn findings(document: &Document, link: Option<Link>) -> Markup {
+    let found = document.analyses.iter();
+    let found = found.filter_map(|analysis| analysis.findings.as_ref());
+    html! { @for findings in found { (of_campaign(findings, link)) } }
+}
+
+fn of_campaign(found: &Findings, link: Option<Link>) -> Markup {
+    let transitions = [Transition::Emergent, Transition::Compensated];
+    let panels = transitions
+        .iter()
+        .filter_map(|it| figures::upset(found, *it));
+    html! {
+        section {
+            h2 { "Which axes it takes" }
+            p { code { (found.explained_by) } " " (found.standing()) "." }
+            ul.findings {
+                @for transition in transitions { (in_words(found, transition)) }
+                (non_monotone(found))
+            }
+        }
+        (figure("The smallest sets of axes that change the outcome. Each column of dots is one set: \
+            a filled dot is an axis that is perturbed. The bar above it says in how many \
+            configurations that set changes the outcome and no smaller one that was run does; one \
+            configuration can have several. Left, what makes a rollout fail that succeeds under \
+            every axis alone; right, what makes a rollout succeed that fails under one axis alone.",
+            panels.collect()))
+        (configurations(found, link))
+    }
+}
+
+/// Counts the configurations with a transition of this kind and names the subset that
+/// explains most.
+fn in_words(found: &Findings, transition: Transition) -> Markup {
+    let of_kind = |it: &&Explained| it.explanation.transition == transition;
+    let all: Vec<&Explained> = found.configurations.iter().filter(of_kind).collect();
+    let is_established = |it: &&&Explained| {
+        let mut minimal = it.explanation.answers.iter().flat_map(|it| &it.minimal);
+        minimal.all(lattice::MinimalSubset::is_established)
+    };
+    let established = all.iter().filter(is_established).count();
+    let of_kind: Vec<&Occurrence> = found
+        .subsets
+        .iter()
+        .filter(|it| it.transition == transition)
+        .collect();
+    let most = of_kind.iter().map(|it| it.configurations).max();
+    // All subsets that explain the most configurations, where several tie.
+    let first: Vec<&Occurrence> = of_kind
+        .into_iter()
+        .filter(|it| Some(it.configurations) == most)
+        .collect();
+    let n = all.len();
+    let (class, one, several) = match transition {
+        Transition::Compensated => (
+            "compensated",
+            "compensated success was explained",
+            "compensated successes were explained",
+        ),
+        _ => (
+            "emergent",
+            "emergent failure was explained",
+            "emergent failures were explained",
+        ),
+    };
+    html! {
+        @if let Some(most) = most {
+            li {
+                span class=(class) { (n) " " @if n == 1 { (one) } @else { (several) } }
+                ". "
+                @match first.as_slice() {
+                    [first] => {
+                        "The most frequent minimal subset is "
+                        strong { (subset(first.start, first.set)) }
+                        ", in " (things(most, "configuration")) "."
+                    }
+                    several => {
+                        (several.len()) " minimal subsets are equally frequent, in "
+                        (things(most, "configuration")) " each."
+                    }
+                }
+                @if established == n {
+                    " Every smaller subset was run."
+                } @else {
+                    " Every smaller subset was run for " (established) " of " (n) "; the others \
+                    may have smaller minimal subsets."
+                }
+            }
+        }
+    }
+}
+
+/// Table of larger subsets that undo the change of smaller ones.
+fn non_monotone(found: &Findings) -> Markup {
+    let pairs = |it: &Explained| {
+        let answers = it.explanation.answers.iter();
+        answers
+            .map(|answer| answer.non_monotone.len())
+            .sum::<usize>()
+    };
+    let all: usize = found.configurations.iter().map(pairs).sum();
+    let concerned = found.configurations.iter().filter(|it| pairs(it) > 0);
+    html! {
+        @if all > 0 {
+            li {
+                strong { "More axes can undo what fewer do" } ": in " (concerned.count())
+                " configurations a larger set that contains a minimal one does not change the \
+                outcome (" (all) @if all == 1 { " pair" } @else { " pairs" } " of sets, listed \
+                below as “undone by”)."
+            }
+        }
+    }
+}
+
+fn configurations(found: &Findings, link: Option<Link>) -> Markup {
+    let name = |id: RolloutId| {
+        html! {
+            @match link {
+                Some(link) => a href=(link(id, 0)) { code { (id) } },
+                None => code { (id) },
+            }
+        }
+    };
+    let row = |it: &Explained| {
+        let answers = &it.explanation.answers;
+        vec![
+            name(it.configuration),
+            plain(it.explanation.transition.name()),
+            html! { @for answer in answers { (minimal(answer)) } },
+            html! { @for answer in answers { (unflipped(answer)) } },
+            plain(it.rollouts),
+        ]
+    };
+    let heads = [
+        "configuration",
+        "transition.",
+        "it takes.",
+        "not enough.",
+        "rollouts",
+    ];
+    let rows: Vec<Vec<Markup>> = found.configurations.iter().map(row).collect();
+    html! {
+        @if !rows.is_empty() {
+            section {
+                h2 { "Each configuration" }
+                (table("Each configuration", &heads, rows))
+                p.muted {
+                    "It takes: the minimal subsets. “robot with camera” means that robot fails alone, \
+                    and succeeds with camera beside it. Not enough: the largest subsets that were \
+                    run and do not change the outcome."
+                }
+            }
+        }
+    }
+}
+
+fn minimal(answer: &Answer) -> Markup {
+    html! {
+        @for it in &answer.minimal {
+            div {
+                (subset(answer.start, it.set))
+                @if !it.is_established() {
+                    span.muted { " (not established: " (it.open.len()) " smaller not run)" }
+                }
+            }
+        }
+        @for pair in &answer.non_monotone {
+            div.muted { (pair.minimal) " is undone by " (pair.superset) }
+        }
+    }
+}
+
+fn unflipped(answer: &Answer) -> Markup {
+    let names: Vec<&str> = answer
+        .largest_unflipped
+        .iter()
+        .map(|it| it.name())
+        .collect();
+    html! { div { (names.join(", ")) } }
+}
+
+/// Sections on the interactions of the axes, for every subject with whole lattices.
+pub(super) fn interactions(document: &Document) -> Markup {
+    let found = document.analyses.iter();
+    let found = found.filter_map(|it| Some((it, it.interactions.as_ref()?)));
+    let found: Vec<(&Analysis, &AxisInteractions)> = found.collect();
+    html! {
+        @if !found.is_empty() {
+            section {
+                h2 { "How the axes interact" }
+                p {
+                    "Over the configurations of which every subset of the axes was run. What single \
+                    axes do, what pairs do beyond that, what triples do beyond both, and so on, add \
+                    up to the whole way from nominal to simultaneous success, exactly."
+                }
+                @for (_, interactions) in &found {
+                    @for note in &interactions.notes { p { strong { (super::findings::sentence(note)) } } }
+                }
+            }
+            @for (analysis, interactions) in &found {
+                @for level in &interactions.levels { (of_level(analysis, level)) }
+            }
+        }
+    }
+}
+
+fn of_level(analysis: &Analysis, level: &LevelInteractions) -> Markup {
+    let found = &level.interactions;
+    let row = |(set, success): (&libero_ctrl::AxisSet, &lattice::Estimate)| {
+        let moebius = found.moebius.get(set);
+        vec![
+            plain(set),
+            with(
+                percent(success.value),
+                &rate_interval(success.ci95, success.no_interval),
+            ),
+            super::tables::or_dash(moebius.map(|it| difference(it.value, it.ci95, it.no_interval))),
+        ]
+    };
+    let rows: Vec<Vec<Markup>> = found.success.iter().map(row).collect();
+    html! {
+        (figure("Left, framed on the diagonal: each axis's share of the way from nominal to \
+            simultaneous success, averaged over all orders in which the axes can be added (Shapley \
+            value); the shares add up to the whole way. Below it: how much one axis changes the \
+            effect of the other (Shapley interaction index); negative where two axes do more harm \
+            together than each by itself, positive where one makes up for the other, or where both \
+            do the same harm. Right, the whole way, by how many axes act together.",
+            vec![
+                figures::interaction_matrix(analysis, level),
+                figures::additive(analysis, level),
+            ]))
+        details {
+            summary {
+                "Every subset at " (level.level) ": success, and what its axes do beyond smaller \
+                subsets (" (found.n) " configurations"
+                @if level.left_out > 0 { "; " (level.left_out) " lack an outcome and are left out" }
+                ")"
+            }
+            (table("Every subset", &["axes", "success %", "beyond smaller, points"], rows))
+        }
+    }
+}

@@ -1,0 +1,147 @@
+//! Methods behind the figures: versions, digests, modes, and the statistics, so
+//! that others can reproduce them.
+
+use std::collections::BTreeSet;
+
+use libero_ctrl::Realisation;
+use maud::{Markup, html};
+use paired::MIN_TASKS;
+use rollout_types::Provenance;
+
+use crate::analysis::Analysis;
+use crate::document::Document;
+use crate::subject::{BeyondRange, Origin};
+
+pub(super) fn methods(document: &Document) -> Markup {
+    let bootstrap = document
+        .analyses
+        .first()
+        .map(|analysis| analysis.report.bootstrap);
+    let is_paired = document.analyses.iter().any(Analysis::is_paired);
+    html! {
+        section {
+            h2 { "Methods" }
+            p {
+                "Protocol: LIBERO-CTRL (arXiv 2609.15940). "
+                @if is_paired {
+                    "Every configuration pairs one initial state with one preset of each axis; it \
+                    is run under each axis alone and under all of them simultaneously, so that \
+                    outcomes are compared configuration by configuration. S_indep is the product of \
+                    the axes' success rates, S_conj the share of configurations that succeed under \
+                    every axis alone, S_sim the success rate under simultaneous perturbation; \
+                    D = S_conj − S_indep, I = S_sim − S_conj. McNemar's exact test takes rollouts \
+                    as independent; sign-flip tests take tasks as independent, and sentences rest \
+                    on these, at 1 % after Holm's correction. Intervals for each target are \
+                    jackknives over tasks, directions and configurations with Student's t. "
+                } @else {
+                    "This campaign goes on with configurations of another one: the same initial \
+                    states, and perturbations drawn from the same seeds. "
+                }
+                @if let Some(bootstrap) = bootstrap {
+                    "The paper's intervals, about new tasks under these directions, are 95 % percentile intervals of " (bootstrap.replicates)
+                    " bootstrap replicates that resample whole tasks (ChaCha12, seed "
+                    (bootstrap.seed) "). Fewer than "
+                    (MIN_TASKS) " tasks get no interval (“too few tasks”), because it would be too narrow: of \
+                    normally distributed tasks, what is called 95 % covers the truth in 50 % of \
+                    cases for two tasks, 85 % for five, 90 % for ten and 94 % for forty (Hesterberg, \
+                    The American Statistician 69, 2015; Cameron, Gelbach and Miller, Review of \
+                    Economics and Statistics 90, 2008). A measure that no resampling changes \
+                    gets none either (“no spread”): an interval without width would say nothing of its \
+                    uncertainty."
+                }
+                @if is_paired { " Incomplete configurations are in no paired figure." }
+                " Rollouts that infrastructure \
+                kept from finishing are never counted as failures. Computed by rollout "
+                (env!("CARGO_PKG_VERSION")) "."
+            }
+            @for analysis in &document.analyses { (of_policy(analysis)) }
+        }
+    }
+}
+
+fn of_policy(analysis: &Analysis) -> Markup {
+    let subject = &analysis.subject;
+    let distinct = |of: fn(&Provenance) -> String| -> Option<String> {
+        let values: BTreeSet<String> = subject.provenances.iter().map(of).collect();
+        let values: Vec<String> = values
+            .into_iter()
+            .filter(|value| !value.is_empty())
+            .collect();
+        (!values.is_empty()).then(|| values.join("; "))
+    };
+    let named = |name: &str, digest: &str| match digest {
+        "" => name.to_owned(),
+        digest => format!("{name}, SHA-256 {digest}"),
+    };
+    let entries = [
+        ("MuJoCo", distinct(|p| p.pin.mujoco_version.clone())),
+        ("renderer", distinct(|p| p.pin.renderer.clone())),
+        ("fingerprint", distinct(|p| p.fingerprint.clone())),
+        (
+            "policy settings",
+            distinct(Provenance::policy_settings_in_words),
+        ),
+        (
+            "actions beyond ±1",
+            subject.beyond.map(|it| beyond(it, subject.realisation)),
+        ),
+        ("batch mode", distinct(|p| p.batch_mode.clone())),
+        (
+            "worker",
+            distinct(|p| format!("rollout {}", p.program_version)),
+        ),
+        ("machines", distinct(|p| p.host.clone())),
+    ];
+    let packs: BTreeSet<String> = subject
+        .provenances
+        .iter()
+        .map(|p| named(&p.pin.asset_pack, &p.pin.asset_pack_digest))
+        .collect();
+    let checkpoints: BTreeSet<String> = subject
+        .provenances
+        .iter()
+        .map(|p| {
+            let name = format!("{} {}", p.policy_name, p.policy_checkpoint);
+            named(name.trim(), &p.policy_checkpoint_digest)
+        })
+        .collect();
+    html! {
+        h3 { (analysis.label) }
+        dl.methods {
+            @match &subject.origin {
+                Origin::Campaign { name, endpoint, design } => {
+                    dt { "campaign" } dd { (name) ", design " code { (design) } }
+                    dt { "policy" } dd { (subject.policy) " at " code { (endpoint) } }
+                }
+                Origin::File { name, digest, source } => {
+                    dt { "results" } dd { (name) ", SHA-256 " code { (digest) } }
+                    @if !source.is_empty() { dt { "source" } dd { (source) } }
+                }
+            }
+            dt { "realisation" }
+            dd { (subject.realisation.map_or("not known", |realisation| realisation.name())) }
+            @for checkpoint in &checkpoints { dt { "checkpoint" } dd { (checkpoint) } }
+            @for pack in &packs { dt { "asset pack" } dd { (pack) } }
+            @for (name, values) in entries {
+                @if let Some(values) = values { dt { (name) } dd { (values) } }
+            }
+            @if subject.provenances.is_empty() {
+                dt { "simulator" } dd { "not known: result rows do not say" }
+            }
+        }
+    }
+}
+
+/// Actions that were clipped: a bound on the effect of clipping before or after the actuation axis.
+fn beyond(of: BeyondRange, realisation: Option<Realisation>) -> String {
+    let BeyondRange {
+        actions,
+        of_actions,
+        rollouts,
+    } = of;
+    let when = match realisation {
+        Some(Realisation::Reference) => "after",
+        _ => "before",
+    };
+    format!("{actions} of {of_actions}, in {rollouts} rollouts; clipped {when} the actuation axis")
+}

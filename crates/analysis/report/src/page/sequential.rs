@@ -1,0 +1,62 @@
+//! Confidence sequences: of campaigns that may end early, and of two of them.
+
+use libero_ctrl::Measure;
+use maud::{Markup, html};
+
+use super::findings::sentence;
+use super::tables::{plain, table};
+use crate::comparison::Comparison;
+use crate::document::Document;
+use crate::sequential::percent_text;
+
+/// The section; nothing where no campaign may end early.
+pub(super) fn of_campaigns(document: &Document) -> Markup {
+    let analyses = document.analyses.iter();
+    let all = analyses.filter_map(|it| Some((it.label.as_str(), it.sequential.as_ref()?)));
+    let all: Vec<_> = all.collect();
+    let mut heads = vec!["policy", "level", "configurations"];
+    heads.extend(["S_sim %", "R_e %", "R_c %", "R_d %", "I points"]);
+    let rows = all.iter().flat_map(|(label, of)| {
+        of.levels.iter().map(move |(level, intervals)| {
+            let used = format!("{} of {}", of.used, of.configurations);
+            let mut row = vec![plain(label), plain(level), plain(used)];
+            row.extend(
+                intervals
+                    .iter()
+                    .map(|(&measure, &ends)| interval(measure, ends)),
+            );
+            row
+        })
+    });
+    html! {
+        @if !all.is_empty() {
+            section {
+                h2 { "Confidence sequences" }
+                (table("Confidence sequences", &heads, rows.collect()))
+                @for (label, of) in &all {
+                    p.muted { (label) ": " (sentence(&of.explanation())) }
+                }
+            }
+        }
+    }
+}
+
+/// The table of two policies; nothing where they have no drawn order in common.
+pub(super) fn of_two(comparison: &Comparison) -> Markup {
+    let heads = ["rollouts", "configurations", "A − B points"];
+    html! {
+        @if let Some(of) = &comparison.sequential {
+            h4 { "At any look" }
+            (table("At any look", &heads, of.cells.iter().map(|cell| vec![
+                plain(cell.name()),
+                plain(format!("{} of {}", cell.used, cell.configurations)),
+                interval(Measure::Difference, cell.difference),
+            ]).collect()))
+            p.muted { (sentence(&of.explanation())) }
+        }
+    }
+}
+
+fn interval(measure: Measure, ends: [f64; 2]) -> Markup {
+    plain(percent_text(measure, ends).replace('-', "−"))
+}

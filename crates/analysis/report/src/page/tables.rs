@@ -1,0 +1,406 @@
+//! The tables. Each scrolls by itself where it is wider than the page.
+
+use std::fmt::Display;
+
+use libero_ctrl::{Axis, Condition};
+use maud::{Markup, Render, html};
+use paired::{
+    Bounds, Cell, Count, Gap, GateVerdict, Interval, Measures, NoInterval, Nominal, NominalSource,
+};
+
+use crate::analysis::Analysis;
+use crate::document::Document;
+use crate::words::{self, percent, points, points_interval, rate_interval};
+
+/// A cell and what it is of.
+#[derive(Clone, Copy)]
+struct Row<'a> {
+    policy: &'a str,
+    cell: &'a Cell,
+}
+
+fn rows(document: &Document) -> impl Iterator<Item = Row<'_>> {
+    document.analyses.iter().flat_map(|analysis| {
+        let policy = analysis.label.as_str();
+        analysis.cells().map(move |cell| Row { policy, cell })
+    })
+}
+
+/// A table in a box that scrolls, reachable by keyboard. A column whose head
+/// ends with a stop holds words, the others numbers. Nothing without rows.
+pub(super) fn table(name: &str, heads: &[&str], rows: Vec<Vec<Markup>>) -> Markup {
+    let is_words = |column: usize| heads[column].ends_with('.').then_some("words");
+    html! {
+        @if !rows.is_empty() {
+            div.scroll tabindex="0" role="region" aria-label=(name) {
+                table {
+                    thead {
+                        tr {
+                            @for (column, head) in heads.iter().enumerate() {
+                                th scope="col" class=[is_words(column)] {
+                                    (head.trim_end_matches('.'))
+                                }
+                            }
+                        }
+                    }
+                    tbody {
+                        @for row in &rows {
+                            tr {
+                                th scope="row" { (row[0]) }
+                                @for (column, value) in row.iter().enumerate().skip(1) {
+                                    td class=[is_words(column)] { (value) }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+pub(super) fn plain(value: impl Display) -> Markup {
+    html! { (value.to_string()) }
+}
+
+/// A value, or a dash.
+pub(super) fn or_dash(value: Option<impl Render>) -> Markup {
+    html! { @if let Some(value) = value { (value) } @else { span.muted { "–" } } }
+}
+
+/// A value with something smaller below it.
+pub(super) fn with(value: impl Display, below: &str) -> Markup {
+    html! { (value.to_string()) @if !below.is_empty() { small { (below.trim_start()) } } }
+}
+
+fn rate(rate: f64, interval: Option<Interval>, why: Option<NoInterval>) -> Markup {
+    with(percent(rate), &rate_interval(interval, why))
+}
+
+pub(super) fn difference(
+    difference: f64,
+    interval: Option<Interval>,
+    why: Option<NoInterval>,
+) -> Markup {
+    with(points(difference), &points_interval(interval, why))
+}
+
+type Column = (&'static str, fn(&Measures) -> Markup);
+
+const PAIRED: [Column; 12] = [
+    ("S_indep %", |m| plain(percent(m.s_indep))),
+    ("S_conj %", |m| plain(percent(m.s_conj))),
+    ("S_sim %", |m| plain(percent(m.s_sim))),
+    ("D points", |m| difference(m.d, m.d_ci95, m.no_interval)),
+    ("I points", |m| difference(m.i, m.i_ci95, m.no_interval)),
+    ("b", |m| plain(m.b)),
+    ("c", |m| plain(m.c)),
+    ("R_e %", |m| rate(m.r_e, m.r_e_ci95, m.no_interval)),
+    ("R_c %", |m| rate(m.r_c, m.r_c_ci95, m.no_interval)),
+    ("R_d %", |m| rate(m.r_d, m.r_d_ci95, m.no_interval)),
+    ("emergent share %", |m| {
+        or_dash(m.emergent_share.map(percent))
+    }),
+    ("McNemar p", |m| plain(words::p_value(m.mcnemar_p))),
+];
+
+/// The paired measures of every policy and level.
+pub(super) fn paired(document: &Document) -> Markup {
+    let mut heads = vec!["policy", "level", "n"];
+    heads.extend(PAIRED.map(|(head, _)| head));
+    heads.push("detectable |I|");
+    let values = |Row { policy, cell }: Row| {
+        let completeness = &cell.completeness;
+        let of = match completeness.complete < completeness.expected {
+            true => format!("of {}", completeness.expected),
+            false => String::new(),
+        };
+        let mut values = vec![
+            plain(policy),
+            plain(cell.level),
+            with(completeness.complete, &of),
+        ];
+        let measures = cell.paired.as_ref();
+        values.extend(PAIRED.map(|(_, value)| or_dash(measures.map(value))));
+        values.push(or_dash(cell.minimum_detectable_i.map(percent)));
+        values
+    };
+    html! {
+        (table("Paired outcomes", &heads, rows(document).map(values).collect()))
+        p.muted {
+            "n: configurations of which all outcomes are known. b: every axis alone succeeds, the \
+            simultaneous rollout fails (emergent). c: some axis alone fails, the simultaneous \
+            rollout succeeds (compensated). R_e = b/n, R_c = c/n, R_d = R_e + R_c, I = R_c − R_e. \
+            Emergent share: b of all simultaneous failures. In brackets, 95 % intervals; where \
+            one would mislead, why (see Methods). Detectable |I|, in points: the smallest net effect \
+            that so many configurations, with so many changes, show in four of five repetitions."
+        }
+    }
+}
+
+/// Nominal success, and how the gate came out.
+pub(super) fn nominal(document: &Document) -> Markup {
+    let values = |analysis: &Analysis| {
+        let nominal = analysis.report.nominal.iter().find(|n| n.replicate == 0)?;
+        let gate = analysis.report.gate.as_ref();
+        Some(vec![
+            plain(&analysis.label),
+            or_dash(nominal.count.rate().map(percent)),
+            nominal_counts(nominal),
+            or_dash(gate.map(|gate| percent(gate.published))),
+            plain(match gate.map(|gate| gate.verdict) {
+                Some(GateVerdict::Passed) => "passed",
+                Some(GateVerdict::Failed) => "failed: robustness is not to be interpreted",
+                Some(GateVerdict::Undecided) => {
+                    "undecided: not all 2,000 nominal rollouts are there"
+                }
+                None => "no published figure",
+            }),
+        ])
+    };
+    let rows = document.analyses.iter().filter_map(values);
+    let heads = ["policy", "nominal %", "counts", "published %", "gate."];
+    table("Nominal success", &heads, rows.collect())
+}
+
+fn nominal_counts(nominal: &Nominal) -> Markup {
+    let Count { successes, n } = nominal.count;
+    let below = match nominal.source {
+        NominalSource::Reported => Some("as reported".to_owned()),
+        NominalSource::Records => gap_words(&nominal.gap),
+    };
+    with(format!("{successes}/{n}"), &below.unwrap_or_default())
+}
+
+fn gap_words(gap: &Gap) -> Option<String> {
+    match (gap.missing, gap.quarantined) {
+        (0, 0) => None,
+        (missing, 0) => Some(format!("{missing} missing")),
+        (0, quarantined) => Some(format!("{quarantined} quarantined")),
+        (missing, quarantined) => Some(format!("{missing} missing, {quarantined} quarantined")),
+    }
+}
+
+/// Success under each axis alone, with counts, losses and gaps.
+pub(super) fn single_axes(document: &Document) -> Markup {
+    let has = |axis: &Axis| rows(document).any(|row| row.cell.alone.contains_key(axis));
+    let axes: Vec<Axis> = Axis::ALL.into_iter().filter(has).collect();
+    let names: Vec<String> = axes.iter().map(|axis| format!("{axis} %")).collect();
+    let mut heads = vec!["policy", "level"];
+    heads.extend(names.iter().map(String::as_str));
+    heads.push("simultaneous %");
+    let values = |Row { policy, cell }: Row| {
+        let alone = |axis: &Axis| {
+            let alone = cell.alone.get(axis);
+            let loss = alone.and_then(|alone| alone.clean_relative_loss);
+            let count = alone.map(|alone| alone.count);
+            success(cell, Condition::Single(*axis), count, loss)
+        };
+        let mut values = vec![plain(policy), plain(cell.level)];
+        values.extend(axes.iter().map(alone));
+        values.push(success(
+            cell,
+            Condition::Combination,
+            cell.simultaneous,
+            None,
+        ));
+        values
+    };
+    html! {
+        (table("Single axes", &heads, rows(document).map(values).collect()))
+        p.muted {
+            "Success over all rollouts that have a result, complete configuration or not. Loss: 1 − \
+            success / nominal success, in percent."
+        }
+    }
+}
+
+/// Success under several axes but not all, where a campaign has that.
+pub(super) fn subsets(document: &Document) -> Markup {
+    let of_cell = |Row { policy, cell }: Row| {
+        let subsets = cell.subsets.iter();
+        let subsets = subsets.map(|(axes, count)| {
+            vec![
+                plain(policy),
+                plain(cell.level),
+                plain(axes),
+                or_dash(count.rate().map(percent)),
+                plain(format!("{}/{}", count.successes, count.n)),
+            ]
+        });
+        subsets.collect::<Vec<_>>()
+    };
+    let heads = ["policy", "level", "axes.", "success %", "counts"];
+    let rows: Vec<Vec<Markup>> = rows(document).flat_map(of_cell).collect();
+    html! {
+        @if !rows.is_empty() {
+            details {
+                summary { "Success under several axes but not all: " (rows.len()) " rows" }
+                (table("Several axes", &heads, rows))
+            }
+        }
+    }
+}
+
+fn success(cell: &Cell, condition: Condition, count: Option<Count>, loss: Option<f64>) -> Markup {
+    let Gap {
+        missing,
+        quarantined,
+    } = cell
+        .completeness
+        .gaps
+        .get(&condition)
+        .copied()
+        .unwrap_or_default();
+    html! {
+        (or_dash(count.and_then(|count| count.rate()).map(percent)))
+        @if let Some(Count { successes, n }) = count { small { (successes) "/" (n) } }
+        @if let Some(loss) = loss { small { "loss " (percent(loss)) } }
+        @if missing > 0 { small { (missing) " missing" } }
+        @if quarantined > 0 { small { (quarantined) " quarantined" } }
+    }
+}
+
+/// Table of the changes by another policy seed.
+pub(super) fn replication(analysis: &Analysis) -> Markup {
+    let heads = [
+        "replicate",
+        "level",
+        "n",
+        "ΔI points",
+        "ΔR_e points",
+        "ΔR_c points",
+        "same transition %",
+        "changes that recur %",
+    ];
+    let mut rows = Vec::new();
+    let mut flips = Vec::new();
+    for replication in &analysis.report.replication {
+        let rate = replication
+            .flips
+            .rate()
+            .map_or_else(|| "–".to_owned(), percent);
+        let (compared, replicate) = (replication.flips.compared, replication.replicate);
+        flips.push(format!("{rate} % of {compared} in replicate {replicate}"));
+        for (level, change) in &replication.changes {
+            let again = (change.changed > 0).then(|| {
+                let share = change.changed_again as f64 / change.changed as f64;
+                let counts = format!("{}/{}", change.changed_again, change.changed);
+                with(percent(share), &counts)
+            });
+            rows.push(vec![
+                plain(format!("{replicate} against 0")),
+                plain(level),
+                plain(change.n),
+                difference(change.i, change.i_ci95, change.no_interval),
+                difference(change.r_e, change.r_e_ci95, change.no_interval),
+                difference(change.r_c, change.r_c_ci95, change.no_interval),
+                plain(percent(change.same_transition as f64 / change.n as f64)),
+                or_dash(again),
+            ]);
+        }
+    }
+    html! {
+        (table("Replication", &heads, rows))
+        p.muted {
+            "Rollouts whose outcome is another than in replicate 0: " (flips.join("; ")) ". Changes \
+            that recur: of the emergent failures and compensated successes of replicate 0."
+        }
+    }
+}
+
+/// The measures over configurations that were solvable to begin with.
+pub(super) fn solvable(document: &Document) -> Markup {
+    let values = |Row { policy, cell }: Row| {
+        let m = cell.solvable.as_ref()?;
+        Some(vec![
+            plain(policy),
+            plain(cell.level),
+            plain(m.n),
+            plain(m.b),
+            plain(m.c),
+            difference(m.i, m.i_ci95, m.no_interval),
+            rate(m.r_e, m.r_e_ci95, m.no_interval),
+            rate(m.r_c, m.r_c_ci95, m.no_interval),
+            plain(words::p_value(m.mcnemar_p)),
+        ])
+    };
+    let rows: Vec<Vec<Markup>> = rows(document).filter_map(values).collect();
+    let heads = [
+        "policy",
+        "level",
+        "n",
+        "b",
+        "c",
+        "I points",
+        "R_e %",
+        "R_c %",
+        "McNemar p",
+    ];
+    html! {
+        @if !rows.is_empty() {
+            section {
+                h2 { "Only what was solvable to begin with" }
+                p { "The same measures over configurations whose nominal rollout succeeds." }
+                (table("Solvable configurations", &heads, rows))
+            }
+        }
+    }
+}
+
+/// The range of each measure over every outcome of the quarantined rollouts.
+pub(super) fn bounds(document: &Document) -> Markup {
+    let range = |[low, high]: [f64; 2]| plain(format!("{} to {}", percent(low), percent(high)));
+    let of_bounds = |policy: &str, cell: &Cell, bounds: &Bounds| {
+        let [low, high] = bounds.i.map(points);
+        vec![
+            plain(policy),
+            plain(cell.level),
+            plain(bounds.n),
+            plain(bounds.affected),
+            plain(format!("{low} to {high}")),
+            range(bounds.r_e),
+            range(bounds.r_c),
+            range(bounds.s_conj),
+            range(bounds.s_sim),
+        ]
+    };
+    let values = |row: Row| Some(of_bounds(row.policy, row.cell, row.cell.bounds.as_ref()?));
+    let rows: Vec<Vec<Markup>> = rows(document).filter_map(values).collect();
+    let heads = [
+        "policy", "level", "n", "affected", "I points", "R_e %", "R_c %", "S_conj %", "S_sim %",
+    ];
+    html! {
+        @if !rows.is_empty() {
+            section {
+                h2 { "Worst and best case of quarantined rollouts" }
+                p {
+                    "Quarantined rollouts are in no rate. Whatever their outcomes had been, the \
+                    measures would lie within these bounds."
+                }
+                (table("Worst and best case", &heads, rows))
+            }
+        }
+    }
+}
+
+/// Every quarantined rollout, with its error.
+pub(super) fn quarantine(document: &Document) -> Markup {
+    let of_policy = |analysis: &Analysis| -> Vec<Vec<Markup>> {
+        let errors = analysis.subject.errors.iter();
+        let row = errors.map(|it| {
+            let rollout = html! { code { (it.rollout) } };
+            vec![rollout, plain(&analysis.label), plain(&it.last_error)]
+        });
+        row.collect()
+    };
+    let rows: Vec<Vec<Markup>> = document.analyses.iter().flat_map(of_policy).collect();
+    html! {
+        @if !rows.is_empty() {
+            section {
+                h2 { "Quarantine" }
+                (table("Quarantine", &["rollout", "policy.", "last error."], rows))
+            }
+        }
+    }
+}

@@ -1,0 +1,193 @@
+//! Confidence sequences: what a campaign that may end early knows whenever one looks,
+//! and what its early end saved.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use libero_ctrl::{Level, Measure, StopRule, Strata};
+use paired::{CampaignLook, DuplicateRecord, Finding, FindingKind, Outcome, Records, push_wrapped};
+use serde::Serialize;
+
+use crate::subject::{EarlyStop, Subject};
+
+/// Columns of a terminal for the interval of each measure, the last of them signed.
+const RATE_COLUMNS: usize = 14;
+const POINTS_COLUMNS: usize = 17;
+
+/// The confidence sequences of a campaign: of one that stopped early, at the look at
+/// which it did, of any other now.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Sequential {
+    /// Rule by which it ends early.
+    pub rule: StopRule,
+    /// Seed of the order of its configurations.
+    pub seed: u64,
+    /// Strata of the order: each round has one configuration of each.
+    pub strata: Strata,
+    /// True if it did end early.
+    pub has_stopped: bool,
+    /// Configurations of the campaign: the population of the intervals.
+    pub configurations: usize,
+    /// Configurations that the intervals rest on: the first in the drawn order.
+    pub used: usize,
+    /// Rollouts of the campaign.
+    pub rollouts: usize,
+    /// Rollouts without an outcome because it ended early.
+    pub saved: usize,
+    /// Both ends by level and measure, fractions.
+    pub levels: BTreeMap<Level, BTreeMap<Measure, [f64; 2]>>,
+}
+
+/// That a campaign stopped early, after how many of its configurations, why, and how
+/// many of its rollouts that saved.
+pub fn stopped_in_words(
+    [used, configurations]: [u64; 2],
+    rule: &str,
+    [saved, rollouts]: [u64; 2],
+) -> String {
+    let percent = (saved * 100).checked_div(rollouts).unwrap_or_default();
+    format!(
+        "stopped early after {used} of {configurations} configurations: {rule}; saved {saved} \
+         rollouts ({percent} %)"
+    )
+}
+
+impl Sequential {
+    /// Computes the sequences of a campaign that may end early and has configurations.
+    pub(crate) fn of(subject: &Subject) -> Result<Option<Self>, DuplicateRecord> {
+        let Some(EarlyStop { stop, has_stopped }) = &subject.early_stop else {
+            return Ok(None);
+        };
+        let records = Records::new(&subject.records)?;
+        let met = match has_stopped {
+            true => CampaignLook::when_met(&records, stop),
+            false => None,
+        };
+        let look = met.or_else(|| CampaignLook::now(&records, stop));
+        let missing = subject.records.iter();
+        let missing = missing.filter(|record| record.outcome == Outcome::Missing);
+        Ok(look.map(|look| Self {
+            rule: stop.rule.clone(),
+            seed: stop.seed,
+            strata: stop.strata,
+            has_stopped: *has_stopped,
+            configurations: look.units,
+            used: look.used.len(),
+            rollouts: subject.records.len(),
+            saved: match has_stopped {
+                true => missing.count(),
+                false => 0,
+            },
+            levels: look
+                .levels
+                .into_iter()
+                .map(|(level, look)| {
+                    let intervals = look.intervals.into_iter();
+                    let intervals = intervals.map(|(it, of)| (it, [of.low(), of.high()]));
+                    (level, intervals.collect())
+                })
+                .collect(),
+        }))
+    }
+
+    /// Findings that are valid at any look, in place of those of a fixed sample: intervals
+    /// of simultaneous success and its net effect over the campaign's configurations.
+    pub(crate) fn findings(&self) -> Vec<Finding> {
+        let levels = self.levels.iter().filter_map(|(&level, measures)| {
+            let [success, net] = [Measure::SSim, Measure::I].map(|it| measures.get(&it));
+            let one = |value: f64| format!("{:.1}", 100.0 * value);
+            let [[low, high], [least, most]] = [*success?, *net?].map(|ends| ends.map(one));
+            Some(Finding {
+                kind: FindingKind::Simultaneity,
+                level: Some(level),
+                claims: false,
+                holm_p: None,
+                sentence: format!(
+                    "At {level}, {low} to {high} % of the campaign's {} configurations succeed \
+                     simultaneously, and the net effect of simultaneity on them is {least} to {most} \
+                     points: these confidence sequences hold at any look, and say nothing of new \
+                     tasks.",
+                    self.configurations
+                ),
+            })
+        });
+        levels.collect()
+    }
+
+    /// Returns the warning that figures rest on fewer configurations; none where every one
+    /// counts.
+    pub(crate) fn warning(&self) -> Option<String> {
+        if self.has_stopped {
+            let configurations = [self.used as u64, self.configurations as u64];
+            let rollouts = [self.saved as u64, self.rollouts as u64];
+            return Some(format!(
+                "{}; figures are of these {} configurations, and their bootstrap intervals and \
+                 p-values are not valid, because they hold for one look that was settled \
+                 beforehand: use the confidence sequences. A measure at which the rule `excludes` a \
+                 value is overstated by such an end, and rates weight suites by what was drawn",
+                stopped_in_words(configurations, &self.rule.to_string(), rollouts),
+                self.used
+            ));
+        }
+        (self.used < self.configurations).then(|| {
+            format!(
+                "the campaign ends early once {}: until it is through, use the confidence \
+                 sequences; bootstrap intervals and p-values hold for one look that was settled \
+                 beforehand",
+                self.rule
+            )
+        })
+    }
+
+    /// Defines the intervals and their population in words.
+    pub(crate) fn explanation(&self) -> String {
+        format!(
+            "confidence sequences: at each level, the five hold together at all looks with a \
+             probability of 95 %, whichever rule ends the campaign; about all {} configurations, \
+             from the first {} in the order of seed {} (rounds of {})",
+            self.configurations,
+            self.used,
+            self.seed,
+            self.strata.name()
+        )
+    }
+
+    /// Writes the sequences for a terminal of 80 columns: percent and points.
+    pub(crate) fn text(&self) -> String {
+        let names = self.levels.keys().map(ToString::to_string);
+        let widest = names.map(|name| name.len()).max().unwrap_or_default();
+        let mut text = " ".repeat(widest);
+        for measure in Measure::OF_ONE_POLICY {
+            let name = measure.name();
+            let _ = write!(text, "{name:>width$}", width = columns(measure));
+        }
+        text.push('\n');
+        for (level, intervals) in &self.levels {
+            let level = level.to_string();
+            let _ = write!(text, "{level:<widest$}");
+            for (&measure, &interval) in intervals {
+                let interval = percent_text(measure, interval);
+                let _ = write!(text, "{interval:>width$}", width = columns(measure));
+            }
+            text.push('\n');
+        }
+        push_wrapped(&mut text, "", &self.explanation());
+        text
+    }
+}
+
+fn columns(measure: Measure) -> usize {
+    match measure {
+        Measure::I | Measure::Difference => POINTS_COLUMNS,
+        Measure::SSim | Measure::RE | Measure::RC | Measure::RD => RATE_COLUMNS,
+    }
+}
+
+/// `[3.5, 12.0]`, or of a difference `[-4.0, +1.5]`: percent, or points.
+pub(crate) fn percent_text(measure: Measure, [low, high]: [f64; 2]) -> String {
+    let (low, high) = (100.0 * low, 100.0 * high);
+    match measure {
+        Measure::I | Measure::Difference => format!("[{low:+.1}, {high:+.1}]"),
+        Measure::SSim | Measure::RE | Measure::RC | Measure::RD => format!("[{low:.1}, {high:.1}]"),
+    }
+}

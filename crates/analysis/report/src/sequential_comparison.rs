@@ -1,0 +1,184 @@
+//! Two campaigns that run their configurations in the same drawn order, compared
+//! whenever one looks.
+
+use std::collections::BTreeSet;
+use std::fmt::Write;
+
+use libero_ctrl::{Condition, Level, Measure, RolloutId, Stop, StopRule, Strata};
+use paired::{NotInOneOrder, compared_looks, push_wrapped};
+use serde::Serialize;
+
+use crate::analysis::Analysis;
+use crate::sequential::percent_text;
+
+/// The confidence sequences of A − B.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SequentialComparison {
+    /// Seed of the order of both.
+    pub seed: u64,
+    /// Strata of the order: each round has one configuration of each.
+    pub strata: Strata,
+    /// Rule that was asked for, if any.
+    pub rule: Option<StopRule>,
+    /// Every condition at every perturbed level.
+    pub cells: Vec<SequentialCell>,
+}
+
+/// The difference under one condition at one level.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SequentialCell {
+    /// The level.
+    pub level: Level,
+    /// The condition.
+    pub condition: Condition,
+    /// Configurations of the campaigns: the population of the interval.
+    pub configurations: usize,
+    /// Configurations that it rests on: the first in the drawn order that both
+    /// have.
+    pub used: usize,
+    /// Both ends, fractions.
+    pub difference: [f64; 2],
+    /// Number of configurations after which the rule was first met, if it was.
+    pub met_after: Option<usize>,
+}
+
+/// Two subjects that did not run their configurations in the same drawn order.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NoCommonOrder {
+    /// A subject was not drawn at all.
+    #[error(
+        "compare {subject} sequentially: its configurations did not run in a drawn order; create \
+         both campaigns with `--stop`"
+    )]
+    NotDrawn {
+        /// Name of the subject.
+        subject: String,
+    },
+    /// The subjects were drawn in different orders.
+    #[error(
+        "compare {a} with {b} sequentially: {a} ran in the order of {order_a}, {b} in that of \
+         {order_b}; create both campaigns with the same `--stop-seed` and `--stop-strata`"
+    )]
+    Differ {
+        /// Name of policy A.
+        a: String,
+        /// Order of policy A.
+        order_a: String,
+        /// Name of policy B.
+        b: String,
+        /// Order of policy B.
+        order_b: String,
+    },
+    /// The subjects were drawn of different configurations.
+    #[error(
+        "compare {a} with {b} sequentially: they have different configurations; give both the \
+         same tasks and configurations"
+    )]
+    Configurations {
+        /// Name of policy A.
+        a: String,
+        /// Name of policy B.
+        b: String,
+    },
+}
+
+impl SequentialComparison {
+    /// Compares two campaigns, A − B, without the `unpaired` rollouts.
+    ///
+    /// # Errors
+    /// If they did not run in the same drawn order.
+    pub fn of(
+        [a, b]: [&Analysis; 2],
+        unpaired: &BTreeSet<RolloutId>,
+        rule: Option<&StopRule>,
+    ) -> Result<Self, NoCommonOrder> {
+        let (of_a, of_b) = (order(a)?, order(b)?);
+        let [name_a, name_b] = [a, b].map(|it| it.label.clone());
+        if (of_a.seed, of_a.strata) != (of_b.seed, of_b.strata) {
+            return Err(NoCommonOrder::Differ {
+                a: name_a,
+                order_a: in_words(of_a),
+                b: name_b,
+                order_b: in_words(of_b),
+            });
+        }
+        let outcomes = [a, b].map(Analysis::outcomes_of_all);
+        let outcomes = outcomes.each_ref().map(Vec::as_slice);
+        let looks = compared_looks(outcomes, unpaired, of_a, rule);
+        let looks = looks.map_err(|NotInOneOrder| NoCommonOrder::Configurations {
+            a: name_a,
+            b: name_b,
+        })?;
+        let cells = looks.into_iter().map(|cell| SequentialCell {
+            level: cell.level,
+            condition: cell.condition,
+            configurations: cell.look.units,
+            used: cell.look.used,
+            difference: cell
+                .look
+                .intervals
+                .get(&Measure::Difference)
+                .map_or([-1.0, 1.0], |it| [it.low(), it.high()]),
+            met_after: cell.met_after,
+        });
+        Ok(Self {
+            seed: of_a.seed,
+            strata: of_a.strata,
+            rule: rule.cloned(),
+            cells: cells.collect(),
+        })
+    }
+
+    /// Defines the intervals in words.
+    pub(crate) fn explanation(&self) -> String {
+        format!(
+            "each holds at all looks with a probability of 95 %; about all configurations, from \
+             the first that both have in the order of seed {} (rounds of {})",
+            self.seed,
+            self.strata.name()
+        )
+    }
+
+    /// Writes the sequences for a terminal of 80 columns: points.
+    pub(crate) fn text(&self) -> String {
+        let mut text = format!("{:<30}{:>14}{:>20}\n", "", "configurations", "A - B");
+        for cell in &self.cells {
+            let name = cell.name();
+            let used = format!("{} of {}", cell.used, cell.configurations);
+            let interval = percent_text(Measure::Difference, cell.difference);
+            let _ = write!(text, "{name:<30}{used:>14}{interval:>20}");
+            match (&self.rule, cell.met_after) {
+                (None, _) => {}
+                (Some(_), Some(after)) => {
+                    let _ = write!(text, "  met after {after}");
+                }
+                (Some(_), None) => text.push_str("  not met"),
+            }
+            text.push('\n');
+        }
+        if let Some(rule) = &self.rule {
+            push_wrapped(&mut text, "rule: ", &rule.to_string());
+        }
+        push_wrapped(&mut text, "", &self.explanation());
+        text
+    }
+}
+
+impl SequentialCell {
+    /// `L2 camera`.
+    pub(crate) fn name(&self) -> String {
+        format!("{} {}", self.level, self.condition.label())
+    }
+}
+
+fn order(analysis: &Analysis) -> Result<&Stop, NoCommonOrder> {
+    let early = analysis.subject.early_stop.as_ref();
+    let order = early.map(|early| &early.stop);
+    order.ok_or_else(|| NoCommonOrder::NotDrawn {
+        subject: analysis.label.clone(),
+    })
+}
+
+fn in_words(order: &Stop) -> String {
+    format!("seed {} in rounds of {}", order.seed, order.strata.name())
+}

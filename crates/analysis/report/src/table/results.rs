@@ -1,0 +1,89 @@
+//! A row per committed rollout, from the rows that `coordinator export` writes as JSON.
+
+use std::io::Write;
+
+use libero_ctrl::JsonError;
+use serde::Deserialize;
+
+use super::form::{Column, Kind, Table, TableError, Value, text};
+
+/// A result row. What it does not say is absent.
+#[derive(Debug, Deserialize)]
+pub struct ResultRow {
+    rollout_id: String,
+    #[serde(default)]
+    replicate: u32,
+    success: bool,
+    steps: u32,
+    axis: String,
+    level: String,
+    suite: String,
+    task_id: u8,
+    init_id: u16,
+    config: Option<u16>,
+    policy: String,
+    wall_s: f64,
+    ik_res_mm: Option<f64>,
+    placebo_radius: Option<f64>,
+    goal_predicates: Option<u32>,
+    goal_at_end: Option<u32>,
+    goal_at_most: Option<u32>,
+}
+
+impl ResultRow {
+    /// Reads a line of an export.
+    ///
+    /// # Errors
+    /// If it is no result row.
+    pub fn from_json(line: &str) -> Result<Self, JsonError> {
+        Ok(serde_json::from_str(line)?)
+    }
+}
+
+/// Writes result rows as Parquet, as [`write_parquet`](super::write_parquet) does.
+///
+/// # Errors
+/// If `out` fails.
+pub fn write_results_parquet(
+    rows: Vec<ResultRow>,
+    out: impl Write + Send,
+) -> Result<(), TableError> {
+    let columns = columns().into();
+    let table = Table {
+        of: "results",
+        columns,
+        rows,
+    };
+    table.parquet(out)
+}
+
+fn columns() -> [Column<ResultRow>; 17] {
+    use Kind::{Bool, Integer, Number, Real, Text};
+    [
+        ("rollout_id", Text, |it| text(&it.rollout_id)),
+        ("replicate", Number, |it| Value::Number(it.replicate.into())),
+        ("success", Bool, |it| Value::Bool(Some(it.success))),
+        ("steps", Number, |it| Value::Number(it.steps.into())),
+        ("axis", Text, |it| text(&it.axis)),
+        ("level", Text, |it| text(&it.level)),
+        ("suite", Text, |it| text(&it.suite)),
+        ("task_id", Number, |it| Value::Number(it.task_id.into())),
+        ("init_id", Number, |it| Value::Number(it.init_id.into())),
+        ("config", Integer, |it| {
+            Value::Integer(it.config.map(i64::from))
+        }),
+        ("policy", Text, |it| text(&it.policy)),
+        ("wall_s", Real, |it| Value::Real(Some(it.wall_s))),
+        ("ik_res_mm", Real, |it| Value::Real(it.ik_res_mm)),
+        ("placebo_radius", Real, |it| Value::Real(it.placebo_radius)),
+        ("goal_predicates", Integer, |it| {
+            Value::Integer(it.goal_predicates.map(i64::from))
+        }),
+        ("goal_at_end", Integer, |it| {
+            Value::Integer(it.goal_at_end.map(i64::from))
+        }),
+        ("goal_at_most", Integer, |it| {
+            Value::Integer(it.goal_at_most.map(i64::from))
+        }),
+    ]
+}

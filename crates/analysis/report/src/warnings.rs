@@ -1,0 +1,262 @@
+//! Warnings of a report, to be read before its figures, in words. Pure, and the
+//! same for the same results: no instant, no count of attempts, no worker.
+
+use std::collections::BTreeSet;
+
+use paired::Outcome;
+
+use libero_ctrl::Condition;
+use rollout_types::{Fingerprints, Provenance};
+
+use crate::subject::Subject;
+
+/// The built-in pack, which is another benchmark than LIBERO.
+const PRIMITIVES: &str = "primitives";
+/// Rollouts named in one warning; more are counted.
+const MAX_NAMED: usize = 5;
+/// Digits of a digest that are shown.
+const DIGEST_DIGITS: usize = 12;
+
+/// The warnings about one subject, worst first.
+pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
+    let provenances = &subject.provenances;
+    let mut warnings = Vec::new();
+    warnings.extend(left_out(subject));
+    for (what, so, of) in MIXTURES {
+        warnings.extend(mixed(provenances, what, so, of));
+    }
+    warnings.extend(subject.fingerprints.as_ref().map(fingerprints_in_words));
+    if provenances.iter().any(|p| p.pin.asset_pack == PRIMITIVES) {
+        warnings.push(format!(
+            "simulated with the built-in `{PRIMITIVES}` asset pack: boxes and cylinders, not \
+             LIBERO's objects; these rates say nothing about LIBERO and compare with no \
+             published figure"
+        ));
+    }
+    if provenances.iter().any(|p| p.policy_privileged) {
+        warnings.push(format!(
+            "policy `{}` is privileged: it was given the simulator's own state, which no real \
+             policy sees; these rates are a check of the set-up, not a measurement of a policy",
+            subject.policy
+        ));
+    }
+    if provenances.iter().any(|p| p.policy_canonical_only) {
+        warnings.push(format!(
+            "policy `{}` always gets the canonical instruction: its language axis is an \
+             identity, and its rates there say nothing about language",
+            subject.policy
+        ));
+    }
+    warnings.extend(taught_elsewhere(subject));
+    warnings.extend(solves_nothing(subject));
+    warnings.extend(divergent(subject));
+    warnings.extend(incomplete(subject));
+    warnings
+}
+
+/// The warnings about comparing subjects with one another, worst first.
+pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if subjects.len() < 2 {
+        return warnings;
+    }
+    let realisations: BTreeSet<&str> = subjects
+        .iter()
+        .filter_map(|subject| Some(subject.realisation?.name()))
+        .collect();
+    if realisations.len() > 1 {
+        warnings.push(format!(
+            "the policies were perturbed in different realisation modes ({}): the magnitudes \
+             agree, the random elements do not; compare them with care",
+            realisations.into_iter().collect::<Vec<_>>().join(", ")
+        ));
+    }
+    let comparable = [
+        ("MuJoCo version", "each is another simulator", mujoco as Of),
+        ("asset pack", "each is another benchmark", pack),
+        ("renderer", "each draws other pictures", renderer),
+    ];
+    for (what, so, of) in comparable {
+        let values = subjects.iter().flat_map(|s| s.provenances.iter().map(of));
+        let values: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
+        if values.len() > 1 {
+            warnings.push(format!(
+                "the policies were measured with more than one {what} ({so}): {}",
+                values.into_iter().collect::<Vec<_>>().join("; ")
+            ));
+        }
+    }
+    warnings
+}
+
+pub(crate) type Of = fn(&Provenance) -> String;
+
+/// Properties that all results of a campaign should share, and what it means if
+/// they do not.
+const MIXTURES: [(&str, &str, Of); 6] = [
+    (
+        "MuJoCo version",
+        "never pooled: each is another simulator",
+        mujoco,
+    ),
+    (
+        "asset pack",
+        "never pooled: each is another benchmark",
+        pack,
+    ),
+    ("policy checkpoint", "each is another policy", checkpoint),
+    (
+        "batch mode",
+        "batched queries can change a policy's answers",
+        |p| p.batch_mode.clone(),
+    ),
+    (
+        "renderer",
+        "never pooled: each draws other pictures",
+        renderer,
+    ),
+    ("program version", "compare with care", |p| {
+        p.program_version.clone()
+    }),
+];
+
+pub(crate) fn mujoco(p: &Provenance) -> String {
+    p.pin.mujoco_version.clone()
+}
+
+pub(crate) fn pack(p: &Provenance) -> String {
+    format!("{} ({})", p.pin.asset_pack, short(&p.pin.asset_pack_digest))
+}
+
+/// Empty in results of older workers that drew no frame.
+pub(crate) fn renderer(p: &Provenance) -> String {
+    p.pin.renderer.clone()
+}
+
+fn checkpoint(p: &Provenance) -> String {
+    let digest = short(&p.policy_checkpoint_digest);
+    format!("{} {} ({digest})", p.policy_name, p.policy_checkpoint)
+}
+
+fn mixed(provenances: &[Provenance], what: &str, so: &str, of: Of) -> Option<String> {
+    let values = provenances.iter().map(of);
+    let values: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
+    (values.len() > 1).then(|| {
+        let values: Vec<String> = values.into_iter().collect();
+        format!(
+            "results of more than one {what} are mixed ({so}): {}",
+            values.join("; ")
+        )
+    })
+}
+
+/// Names the number of results with each fingerprint, and the configurations
+/// that mix them.
+pub fn fingerprints_in_words(mix: &Fingerprints) -> String {
+    let results = mix.results.iter();
+    let results: Vec<String> = results
+        .map(|(fingerprint, count)| format!("{count} of {}", short(fingerprint)))
+        .collect();
+    let met = match mix.mixed.len() {
+        0 => "no configuration mixes them".to_owned(),
+        1 => format!("1 configuration mixes them: {}", some_of(&mix.mixed)),
+        many => format!("{many} configurations mix them: {}", some_of(&mix.mixed)),
+    };
+    format!(
+        "results have {} fingerprints, so that the machines' arithmetic or frames differ: {}; \
+         {met}",
+        mix.results.len(),
+        results.join(", ")
+    )
+}
+
+fn left_out(subject: &Subject) -> Option<String> {
+    let own = subject.realisation?;
+    (subject.left_out > 0).then(|| {
+        format!(
+            "realisation modes are mixed: {} results are of another mode than `{own}`, which \
+             perturbs differently; they are in no figure and count as missing",
+            subject.left_out
+        )
+    })
+}
+
+/// Warns of a policy that was measured on other assets than it was taught on.
+fn taught_elsewhere(subject: &Subject) -> Option<String> {
+    let mut provenances = subject.provenances.iter();
+    provenances.find_map(|provenance| {
+        let taught_on = provenance.taught_elsewhere()?;
+        Some(format!(
+            "policy `{}` was taught on asset pack `{taught_on}` and measured on `{}`: objects there \
+             look otherwise, so that these rates say little about the policy",
+            subject.policy, provenance.pin.asset_pack
+        ))
+    })
+}
+
+/// Warns of a policy that solves no nominal rollout.
+fn solves_nothing(subject: &Subject) -> Option<String> {
+    let nominal = subject.records.iter();
+    let nominal = nominal.filter(|record| record.id.condition() == Condition::Clean);
+    let outcomes = nominal.map(|record| record.outcome);
+    let (mut successes, mut failures) = (0_u64, 0_u64);
+    for outcome in outcomes {
+        match outcome {
+            Outcome::Success => successes += 1,
+            Outcome::Failure => failures += 1,
+            Outcome::Missing | Outcome::Quarantined => {}
+        }
+    }
+    (successes == 0 && failures > 0).then(|| {
+        format!(
+            "policy `{}` solved none of {failures} nominal rollouts, so that nothing is known of \
+             its robustness; `policy-gateway doctor` looks for the usual mistakes of a policy \
+             server that scores 0 %",
+            subject.policy
+        )
+    })
+}
+
+fn divergent(subject: &Subject) -> Option<String> {
+    let divergent = &subject.divergent;
+    (!divergent.is_empty()).then(|| {
+        format!(
+            "{} rollouts ran twice and came out differently (the first outcome counts): {}",
+            divergent.len(),
+            some_of(divergent)
+        )
+    })
+}
+
+fn incomplete(subject: &Subject) -> Option<String> {
+    if subject.has_stopped() {
+        return None;
+    }
+    let open = subject.records.iter();
+    let open = open
+        .filter(|record| record.outcome == Outcome::Missing)
+        .count();
+    (open > 0).then(|| {
+        format!(
+            "{open} of {} rollouts have no result yet: figures are of what is complete",
+            subject.records.len()
+        )
+    })
+}
+
+/// Some names, and how many more there are.
+pub(crate) fn some_of(names: &[String]) -> String {
+    let mut text = names[..names.len().min(MAX_NAMED)].join("; ");
+    if names.len() > MAX_NAMED {
+        text.push_str(&format!("; and {} more", names.len() - MAX_NAMED));
+    }
+    text
+}
+
+/// The beginning of a digest.
+pub(crate) fn short(digest: &str) -> &str {
+    match digest.get(..DIGEST_DIGITS).unwrap_or(digest) {
+        "" => "no digest",
+        digest => digest,
+    }
+}

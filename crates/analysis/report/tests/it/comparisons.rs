@@ -1,0 +1,293 @@
+//! Two policies against each other: what is paired, what is refused and in
+//! which words, and every form of what comes of it.
+
+use std::path::Path;
+
+use libero_ctrl::{Condition, RolloutId};
+use paired::{Obstacle, Outcome};
+use report::{Comparison, Document, Origin, Setups, Subject, Unpairable, figures, import, page};
+use rollout_types::{Pin, Provenance};
+use serde_json::{Value, json};
+
+/// The published outcomes of OpenVLA-OFT, as a campaign's.
+fn campaign(policy: &str) -> Subject {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../examples/openvla_oft");
+    let subject = import(Path::new(folder)).expect("the example data");
+    Subject {
+        policy: policy.to_owned(),
+        origin: Origin::Campaign {
+            name: format!("of-{policy}"),
+            endpoint: "http://127.0.0.1:1".to_owned(),
+            design: "libero-ctrl-v0.1".to_owned(),
+        },
+        realisation: Some("matched".parse().expect("a mode")),
+        provenances: vec![Provenance {
+            pin: Pin {
+                renderer: "software".to_owned(),
+                mujoco_version: "3.3.7".to_owned(),
+                asset_pack: "libero".to_owned(),
+                asset_pack_digest: "a".repeat(64),
+            },
+            ..Provenance::default()
+        }],
+        published_nominal: None,
+        published_by_suite: Vec::new(),
+        ..subject
+    }
+}
+
+/// Subject that fails where the index of the row is a multiple of thirteen, and
+/// succeeds where it is one of seventeen.
+fn other(policy: &str) -> Subject {
+    let mut subject = campaign(policy);
+    for (index, record) in subject.records.iter_mut().enumerate() {
+        if index.is_multiple_of(17) {
+            record.outcome = Outcome::Success;
+        } else if index.is_multiple_of(13) {
+            record.outcome = Outcome::Failure;
+        }
+    }
+    subject
+}
+
+fn compare(a: Subject, b: Subject) -> Result<Comparison, Unpairable> {
+    let document = Document::new(vec![a, b]).expect("no duplicates");
+    let [a, b] = document.analyses.as_slice() else {
+        panic!("two");
+    };
+    Comparison::of([a, b], [&a.subject.setups, &b.subject.setups])
+}
+
+#[test]
+fn json_has_every_condition_at_every_level_with_its_counts() {
+    let (a, b) = (campaign("first"), other("second"));
+    // Counted here by another way: both files have one order.
+    let is_cell =
+        |id: &RolloutId| id.level().to_string() == "L2" && id.condition() == Condition::Combination;
+    let both = a.records.iter().zip(&b.records);
+    let both = both.filter(|(a, _)| is_cell(&a.id));
+    let only = |one: Outcome, other: Outcome| {
+        let found = both
+            .clone()
+            .filter(|(a, b)| (a.outcome, b.outcome) == (one, other));
+        found.count()
+    };
+    let (a_only, b_only) = (
+        only(Outcome::Success, Outcome::Failure),
+        only(Outcome::Failure, Outcome::Success),
+    );
+    assert!(a_only > 0 && b_only > 0);
+    let comparison = compare(a, b).expect("comparable");
+    let json: Value = serde_json::from_str(&comparison.json().expect("written")).expect("JSON");
+    assert_eq!(json["a"]["label"], "first");
+    assert_eq!(json["b"]["origin"]["campaign"]["name"], "of-second");
+    assert_eq!(
+        (&json["warnings"], &json["notes"]),
+        (&json!([]), &json!([]))
+    );
+    assert_eq!(json["min_tasks"], 10);
+    let cells = json["cells"].as_array().expect("cells");
+    assert_eq!(cells.len(), 3 * 7);
+    let is_asked = |cell: &&Value| cell["level"] == "L2" && cell["condition"] == "combination";
+    let cell = cells.iter().find(is_asked).expect("a cell");
+    let it = &cell["difference"];
+    assert_eq!((&it["n"], &it["tasks"]), (&json!(400), &json!(40)));
+    assert_eq!(
+        (&it["a_only"], &it["b_only"]),
+        (&json!(a_only), &json!(b_only))
+    );
+    let difference = (a_only as f64 - b_only as f64) / 400.0;
+    assert!((it["difference"].as_f64().expect("a number") - difference).abs() < 1e-12);
+    let ends = it["difference_ci95"].as_array().expect("an interval");
+    let ends: Vec<f64> = ends.iter().filter_map(Value::as_f64).collect();
+    assert!(ends[0] < difference && difference < ends[1], "{it}");
+    assert_eq!(it["no_interval"], Value::Null);
+}
+
+#[test]
+fn a_policy_against_itself_differs_nowhere_and_has_no_interval() {
+    let comparison = compare(campaign("one"), campaign("one")).expect("comparable");
+    assert_eq!(
+        (comparison.a.label.as_str(), comparison.b.label.as_str()),
+        ("one (of-one)", "one (of-one) 2")
+    );
+    for cell in &comparison.statistics.cells {
+        let it = cell.difference.as_ref().expect("outcomes");
+        assert_eq!((it.a_only, it.b_only, it.mcnemar_p), (0, 0, 1.0));
+        assert_eq!((it.difference, it.difference_ci95), (0.0, None));
+    }
+    assert!(comparison.text().contains("no spread"));
+}
+
+fn reasons(a: Subject, b: Subject) -> String {
+    let refused = compare(a, b).expect_err("nothing can be paired");
+    refused.to_string()
+}
+
+#[test]
+fn what_was_measured_otherwise_is_not_compared_and_the_difference_is_named() {
+    let with = |alter: fn(&mut Pin)| {
+        let mut subject = other("second");
+        alter(&mut subject.provenances[0].pin);
+        reasons(campaign("first"), subject)
+    };
+    let said = with(|pin| {
+        "primitives".clone_into(&mut pin.asset_pack);
+        pin.asset_pack_digest = "b".repeat(64);
+    });
+    assert!(
+        said.contains(
+            "more than one asset pack (first with libero (aaaaaaaaaaaa), second with primitives \
+             (bbbbbbbbbbbb))"
+        ),
+        "{said}"
+    );
+    let said = with(|pin| "llvmpipe".clone_into(&mut pin.renderer));
+    assert!(said.contains("more than one renderer"), "{said}");
+    let said = with(|pin| "3.9.9".clone_into(&mut pin.mujoco_version));
+    assert!(said.contains("more than one MuJoCo version"), "{said}");
+    let mut reference = other("second");
+    reference.realisation = Some("reference".parse().expect("a mode"));
+    let said = reasons(campaign("first"), reference);
+    assert!(
+        said.contains("first: matched, second: reference") && said.contains("--realisation"),
+        "{said}"
+    );
+    // A subject that mixes two packs is comparable with neither.
+    let mut mixed = other("second");
+    let mut more = mixed.provenances[0].clone();
+    more.pin.asset_pack_digest = "b".repeat(64);
+    mixed.provenances.push(more);
+    assert!(reasons(campaign("first"), mixed.clone()).contains("asset pack"));
+    assert!(reasons(mixed.clone(), mixed).contains("asset pack"));
+}
+
+#[test]
+fn policies_without_a_common_rollout_are_not_compared() {
+    let is_l1 = |id: &RolloutId| id.level().to_string() == "L1";
+    let (mut a, mut b) = (campaign("first"), other("second"));
+    a.records.retain(|record| is_l1(&record.id));
+    b.records.retain(|record| !is_l1(&record.id));
+    let said = reasons(a, b);
+    assert!(said.contains("no rollout in common"), "{said}");
+}
+
+#[test]
+fn result_files_are_compared_with_a_warning_of_what_they_do_not_say() {
+    let mut file = other("second");
+    file.provenances.clear();
+    file.realisation = None;
+    file.origin = Origin::File {
+        name: "second".to_owned(),
+        digest: "0".repeat(64),
+        source: String::new(),
+    };
+    let comparison = compare(campaign("first"), file).expect("comparable");
+    let said = comparison.warnings.join("\n");
+    let expected = "`second`: asset pack, MuJoCo version, renderer, realisation mode not known";
+    assert!(said.starts_with(expected), "{said}");
+    let text = comparison.text();
+    assert!(text.contains("! `second`: asset pack, MuJoCo"), "{text}");
+}
+
+#[test]
+fn a_campaign_without_results_is_compared_and_only_said_to_be_incomplete() {
+    let mut begun = other("second");
+    begun.provenances.clear();
+    for record in &mut begun.records {
+        record.outcome = Outcome::Missing;
+    }
+    let comparison = compare(campaign("first"), begun).expect("comparable");
+    assert_eq!(comparison.warnings, [""; 0]);
+    assert_eq!(comparison.statistics.compared(), 0);
+    let text = comparison.text();
+    assert!(
+        text.contains("8400 of 8400 rollouts have no result yet"),
+        "{text}"
+    );
+}
+
+#[test]
+fn rollouts_of_another_scene_or_perturbation_are_left_out_and_named() {
+    let (mut a, mut b) = (campaign("first"), other("second"));
+    let (id, init_id) = (a.records[0].id, a.records[0].init_id);
+    let state = RolloutId::clean(id.task(), init_id);
+    let of_state = a.records.iter();
+    let of_state = of_state.filter(|it| it.id.task() == id.task() && it.init_id == init_id);
+    let of_state = of_state.count();
+    let elsewhere = a.records.iter().find(|it| it.id.task() != id.task());
+    let elsewhere = elsewhere.expect("forty tasks").id;
+    let setups = |scene: &str, row: &str| Setups {
+        rollouts: [(elsewhere, row.to_owned())].into(),
+        scenes: [(state, scene.to_owned())].into(),
+    };
+    (a.setups, b.setups) = (setups("11", "33"), setups("22", "44"));
+    let comparison = compare(a, b).expect("comparable");
+    let unpaired = &comparison.statistics.unpaired;
+    assert_eq!(unpaired[&Obstacle::Scene].len(), of_state);
+    assert_eq!(unpaired[&Obstacle::Perturbation], [elsewhere]);
+    assert_eq!(comparison.statistics.shared(), 8400 - 1 - of_state as u64);
+    let text = comparison.text();
+    assert!(
+        text.contains("1 rollout of both cannot be paired (another perturbation"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_page_of_several_policies_shows_every_pair_and_says_which_it_cannot() {
+    let mut elsewhere = other("third <b>");
+    elsewhere.provenances[0].pin.renderer = "llvmpipe".to_owned();
+    let subjects = vec![campaign("first"), other("second"), elsewhere];
+    let document = Document::new(subjects).expect("no duplicates");
+    let page = page(&document);
+    for words in [
+        "Differences between policies",
+        "<h3>first − second</h3>",
+        "first and third &lt;b&gt; are not compared",
+        "second and third &lt;b&gt; are not compared",
+        "more than one renderer",
+    ] {
+        assert!(page.contains(words), "{words}");
+    }
+    let figures = figures::all(&document);
+    let of_pairs: Vec<&str> = figures
+        .iter()
+        .map(|figure| figure.name.as_str())
+        .filter(|name| name.starts_with("difference-"))
+        .collect();
+    assert_eq!(of_pairs, ["difference-first-second"]);
+    let alone = Document::new(vec![campaign("first")]).expect("no duplicates");
+    assert!(!report::page(&alone).contains("Differences between policies"));
+}
+
+#[test]
+fn quarantined_rollouts_of_either_are_in_no_rate_and_bounded() {
+    let (a, mut b) = (campaign("first"), campaign("second"));
+    b.records[0].outcome = Outcome::Quarantined;
+    b.records[1].outcome = Outcome::Missing;
+    let cells = [b.records[0].id, b.records[1].id];
+    let comparison = compare(a, b).expect("comparable");
+    let cell = |id: RolloutId| {
+        let mut cells = comparison.statistics.cells.iter();
+        let cell = cells.find(|it| (it.level, it.condition) == (id.level(), id.condition()));
+        cell.expect("a cell")
+    };
+    let quarantined = cell(cells[0]);
+    assert_eq!(quarantined.quarantined, 1);
+    let bounds = quarantined.bounds.expect("bounds");
+    assert!((bounds.difference[1] - bounds.difference[0] - 1.0 / bounds.n as f64).abs() < 1e-12);
+    assert_eq!(cell(cells[1]).missing, 1);
+    let text = comparison.text();
+    for words in [
+        "worst and best A - B: ",
+        "incomplete: ",
+        "1 quarantined",
+        "1 missing",
+    ] {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+    for line in text.lines() {
+        assert!(line.chars().count() <= 80, "{line}");
+    }
+}

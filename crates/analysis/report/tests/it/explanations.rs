@@ -1,0 +1,305 @@
+//! Tests of explanations and interactions: figures, page and tables of planted rules.
+
+use libero_ctrl::{AxisSet, Condition, Explanation, Level, RolloutId, TaskRef};
+use paired::{Outcome, Record, Transition};
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use report::{
+    AxisInteractions, Derived, NoInteractions, Purpose, Subject, figures, page, write_csv,
+    write_parquet,
+};
+
+use crate::subjects::{document, example};
+
+fn set(text: &str) -> AxisSet {
+    text.parse().expect("a set of axes")
+}
+
+/// Returns true if the planted rule of a task fails under these axes.
+fn fails(task: usize, axes: AxisSet) -> bool {
+    let has = |text| set(text).is_subset(axes);
+    match task % 4 {
+        0 => has("camera+robot"),
+        1 => has("camera+lighting+sensor"),
+        2 => has("robot") && !has("camera"),
+        _ => has("lighting+actuation") && !has("lighting+actuation+sensor") || axes == AxisSet::ALL,
+    }
+}
+
+/// One configuration of each of twelve tasks under some subsets.
+fn records(wanted: impl Fn(usize, AxisSet) -> bool) -> Vec<Record> {
+    let mut records = Vec::new();
+    for (index, task) in TaskRef::all().take(12).enumerate() {
+        for axes in AxisSet::ALL.subsets() {
+            let condition = Condition::of(axes);
+            let id = match condition {
+                Condition::Clean => RolloutId::clean(task, 16),
+                _ => RolloutId::perturbed(task, condition, Level::L2, 0).expect("an id"),
+            };
+            if wanted(index, axes) {
+                records.push(Record {
+                    id,
+                    init_id: 16,
+                    replicate: 0,
+                    outcome: Outcome::from(!fails(index, axes)),
+                });
+            }
+        }
+    }
+    records
+}
+
+fn is_of_campaign(axes: AxisSet) -> bool {
+    axes.len() < 2 || axes == AxisSet::ALL
+}
+
+/// A campaign that ran every subset.
+fn whole() -> Subject {
+    Subject {
+        records: records(|_, _| true),
+        directions: libero_ctrl::Directions::default(),
+        reported_nominal: None,
+        published_nominal: None,
+        published_by_suite: Vec::new(),
+        ..example()
+    }
+}
+
+/// A campaign that explains another by pairs and triples, without two pairs of the first
+/// rule's tasks.
+fn explaining() -> Subject {
+    let explanation = Explanation {
+        campaign: "first <b>".to_owned(),
+        budget: None,
+        seed: 0,
+        exhaustive: false,
+        repeats: None,
+    };
+    let is_run =
+        |_: usize, axes: AxisSet| (2..=3).contains(&axes.len()) && axes != set("camera+lighting");
+    Subject {
+        records: records(is_run),
+        derived: Some(Derived {
+            purpose: Purpose::Explanation(explanation),
+            records: records(|_, axes| is_of_campaign(axes)),
+        }),
+        directions: libero_ctrl::Directions::default(),
+        reported_nominal: None,
+        published_nominal: None,
+        published_by_suite: Vec::new(),
+        ..example()
+    }
+}
+
+/// All texts of a figure, with what is said of its parts.
+fn texts(figure: &figures::Figure) -> String {
+    let file = figure.standalone();
+    let svg = roxmltree::Document::parse(&file);
+    let svg = svg.unwrap_or_else(|error| panic!("{}: {error}", figure.name));
+    let texts: Vec<&str> = svg.descendants().filter_map(|node| node.text()).collect();
+    assert!(!file.contains("NaN"), "{}", figure.name);
+    texts.join("\n")
+}
+
+#[test]
+fn an_upset_plot_counts_each_minimal_subset_and_what_is_established_of_it() {
+    let document = document(vec![explaining()]);
+    let findings = document.analyses[0].findings.as_ref().expect("findings");
+    let emergent = figures::upset(findings, Transition::Emergent).expect("a figure");
+    let emergent = texts(&emergent);
+    for said in [
+        "camera+robot: 3 configurations, established in 3",
+        // A pair in it was not run.
+        "camera+lighting+sensor: 3 configurations, established in 0",
+        "lighting+actuation: 3 configurations, established in 3",
+        "n = 9",
+    ] {
+        assert!(emergent.contains(said), "{said}: {emergent}");
+    }
+    let compensated = figures::upset(findings, Transition::Compensated).expect("a figure");
+    let said = "robot with camera: 3 configurations, established in 3";
+    assert!(texts(&compensated).contains(said));
+    let names: Vec<String> = figures::all(&document)
+        .into_iter()
+        .map(|it| it.name)
+        .collect();
+    assert_eq!(
+        names,
+        ["minimal-subsets-emergent", "minimal-subsets-compensated"]
+    );
+}
+
+#[test]
+fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
+    let document = document(vec![explaining()]);
+    let findings = document.analyses[0].findings.as_ref().expect("findings");
+    let explained = &findings.configurations[0];
+    let link = |set: AxisSet| (set.len() == 2).then(|| format!("/{set}"));
+    let figure = figures::lattice(
+        explained.configuration,
+        explained.full,
+        &explained.outcomes,
+        Some(&explained.explanation),
+        &link,
+    );
+    let said = texts(&figure);
+    for words in [
+        "camera+robot: fails; minimal",
+        "camera+lighting: not run",
+        "robot: succeeds",
+        "nominal: succeeds",
+        "simultaneous: fails",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    let file = figure.standalone();
+    let count = |what: &str| file.matches(what).count();
+    assert_eq!(count("<title>"), 1 + 64, "the figure, and its nodes");
+    assert_eq!(
+        count("class=\"edge\""),
+        6 * 32,
+        "a line for every axis that is added"
+    );
+    assert_eq!(count("<a href=\"/"), 15);
+    // Shape and colour both, with one more of each in the legend.
+    let fails = explained
+        .outcomes
+        .iter()
+        .filter(|it| it.verdict.success() == Some(false));
+    assert_eq!(count("class=\"fails\""), 1 + fails.count());
+    assert_eq!(count("<rect class=\"fails\""), count("class=\"fails\""));
+    assert_eq!(
+        count("<circle class=\"succeeds\""),
+        count("class=\"succeeds\"")
+    );
+}
+
+#[test]
+fn the_report_of_an_explaining_campaign_is_what_it_found() {
+    let document = document(vec![explaining()]);
+    let html = page(&document);
+    for said in [
+        "Why outcomes of OpenVLA-OFT change",
+        "emergent failures were explained",
+        "More axes can undo what fewer do",
+        "lighting+actuation is undone by lighting+sensor+actuation",
+        "first &lt;b&gt;",
+    ] {
+        assert!(html.contains(said), "{said}");
+    }
+    for absent in ["Paired outcomes", "Nominal success", "NaN", "<b>"] {
+        assert!(!html.contains(absent), "{absent}");
+    }
+    let text = document.text();
+    assert!(
+        text.lines().all(|line| line.chars().count() <= 80),
+        "{text}"
+    );
+    assert!(text.contains("transitions explained"), "{text}");
+    // Beside a policy that was measured, both are there.
+    let both = page(&crate::subjects::document(vec![example(), explaining()]));
+    assert!(both.contains("Which axes it takes") && both.contains("Paired outcomes"));
+}
+
+#[test]
+fn the_table_of_explanations_has_a_row_for_each_minimal_subset() {
+    let document = document(vec![explaining()]);
+    let mut bytes = Vec::new();
+    write_csv(&document, &mut bytes).expect("written");
+    let mut csv = csv::Reader::from_reader(bytes.as_slice());
+    let header = csv.headers().expect("names").clone();
+    let column = |name: &str| header.iter().position(|it| it == name).expect("a column");
+    let (subset, undone, open) = (column("subset"), column("undone_by"), column("open"));
+    let rows: Vec<csv::StringRecord> = csv.records().collect::<Result<_, _>>().expect("rows");
+    assert_eq!(rows.len(), 12);
+    for row in &rows {
+        let masked = &row[subset] == "lighting+actuation";
+        let expected = if masked {
+            "lighting+sensor+actuation"
+        } else {
+            ""
+        };
+        assert_eq!(&row[undone], expected);
+        let expected = if &row[subset] == "camera+lighting+sensor" {
+            "1"
+        } else {
+            "0"
+        };
+        assert_eq!(&row[open], expected);
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("table.parquet");
+    let file = std::fs::File::create(&path).expect("created");
+    write_parquet(&document, file).expect("written");
+    let file = std::fs::File::open(&path).expect("opened");
+    let reader = SerializedFileReader::new(file).expect("Parquet");
+    let read = reader.get_row_iter(None).expect("rows").count();
+    assert_eq!(read, rows.len());
+}
+
+#[test]
+fn interactions_add_up_to_what_the_report_measures() {
+    let document = document(vec![whole()]);
+    let analysis = &document.analyses[0];
+    let found = analysis.interactions.as_ref().expect("whole lattices");
+    let [level] = found.levels.as_slice() else {
+        panic!("one level");
+    };
+    let interactions = &level.interactions;
+    let s_sim = analysis
+        .cell(Level::L2)
+        .and_then(|cell| cell.paired.as_ref());
+    let s_sim = s_sim.expect("measures").s_sim;
+    let nominal = interactions.success[&AxisSet::EMPTY];
+    let all: i64 = interactions.moebius.values().map(|it| it.numerator).sum();
+    let total = (nominal.numerator + all) as f64 / nominal.denominator as f64;
+    assert_eq!(total, s_sim, "to the last bit");
+
+    let matrix = texts(&figures::interaction_matrix(analysis, level));
+    let pair = set("camera+robot");
+    let index = 100.0 * interactions.pairs[&pair].value;
+    let said = format!("camera+robot: {index:+.1} points").replace('-', "−");
+    assert!(matrix.contains(&said), "{said}: {matrix}");
+    let additive = texts(&figures::additive(analysis, level));
+    assert!(
+        additive.contains("+ triples") && additive.contains("n = 12"),
+        "{additive}"
+    );
+    let text = found.text();
+    assert!(
+        text.lines().all(|line| line.chars().count() <= 80),
+        "{text}"
+    );
+    assert!(page(&document).contains("How the axes interact"));
+}
+
+#[test]
+fn without_a_whole_lattice_there_are_no_interactions_and_the_remedy_is_named() {
+    let gap = set("robot+language");
+    let some = Subject {
+        records: records(|_, axes| axes != gap),
+        ..whole()
+    };
+    let refused = AxisInteractions::of(&some).expect_err("a gap everywhere");
+    assert!(matches!(
+        refused,
+        NoInteractions::Incomplete {
+            configurations: 12,
+            ..
+        }
+    ));
+    let words = refused.to_string();
+    assert!(
+        words.contains("robot+language") && words.contains("--subsets all"),
+        "{words}"
+    );
+    // A gap in one configuration leaves that one out.
+    let one = Subject {
+        records: records(|index, axes| index > 0 || axes != gap),
+        ..whole()
+    };
+    let found = AxisInteractions::of(&one).expect("eleven");
+    assert_eq!(
+        (found.levels[0].interactions.n, found.levels[0].left_out),
+        (11, 1)
+    );
+}

@@ -1,0 +1,160 @@
+//! Result files: what is read of them, and that a bad one is refused whole.
+
+use std::fs;
+use std::path::Path;
+
+use paired::Outcome;
+use report::{ImportError, Origin, import};
+
+const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../examples/openvla_oft");
+
+/// A row as the reference writes it.
+const ROW: &str = concat!(
+    r#"{"rollout_id": "goal/t0/camera/L2/c01", "success": true, "steps": 113, "axis": "camera", "#,
+    r#""level": "L2", "suite": "libero_goal", "task_id": 0, "init_id": 6, "config": 1, "#,
+    r#""policy": "oft", "wall_s": 7.2, "ik_res_mm": 0.12}"#
+);
+
+fn file(rows: &[&str]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    fs::write(folder.path().join("rollouts.jsonl"), rows.join("\n")).expect("written");
+    folder
+}
+
+/// The bad lines of a file, as they are told.
+fn refused(rows: &[&str]) -> String {
+    let folder = file(rows);
+    let error = import(folder.path()).expect_err("bad lines");
+    assert!(matches!(error, ImportError::Lines { .. }), "{error}");
+    error.to_string()
+}
+
+#[test]
+fn the_example_is_read_with_what_is_said_beside_it() {
+    let subject = import(Path::new(EXAMPLE)).expect("read");
+    assert_eq!(subject.policy, "OpenVLA-OFT");
+    assert_eq!(subject.records.len(), 8400);
+    assert_eq!(subject.published_nominal, Some(0.971));
+    assert_eq!(subject.reported_nominal.expect("counts").n, 2000);
+    let Origin::File {
+        name,
+        digest,
+        source,
+    } = &subject.origin
+    else {
+        panic!("of a file");
+    };
+    assert_eq!((name.as_str(), digest.len()), ("openvla_oft", 64));
+    assert!(source.contains("2609.15940"), "{source}");
+}
+
+#[test]
+fn a_row_of_the_reference_is_read_with_or_without_what_its_id_says() {
+    let bare = r#"{"rollout_id": "goal/t0/combination/L2/c01", "success": false}"#;
+    let clean = r#"{"rollout_id": "goal/t0/clean/i06", "success": true, "replicate": 2}"#;
+    let folder = file(&[ROW, "", bare, clean, ""]);
+    let subject = import(folder.path()).expect("read");
+    assert_eq!(subject.policy, "oft");
+    let [full, bare, clean] = subject.records.as_slice() else {
+        panic!("three rows");
+    };
+    assert_eq!((full.init_id, full.outcome), (6, Outcome::Success));
+    assert_eq!((bare.init_id, bare.outcome), (6, Outcome::Failure));
+    assert_eq!((clean.init_id, clean.replicate), (6, 2));
+    let alone = import(&folder.path().join("rollouts.jsonl")).expect("a file too");
+    assert_eq!(alone.records, subject.records);
+}
+
+#[test]
+fn bad_lines_are_named_by_their_numbers_and_nothing_is_taken() {
+    let told = refused(&[
+        ROW,
+        "{",
+        r#"{"rollout_id": "goal/t0/camera/L9/c01", "success": true}"#,
+        r#"{"rollout_id": "goal/t0/camera/L1/c01", "success": "yes"}"#,
+    ]);
+    for expected in [
+        "3 lines are bad",
+        "line 2: ",
+        "line 3: read level `L9`",
+        "line 4: \"yes\" stands where true or false belongs",
+    ] {
+        assert!(told.contains(expected), "{expected}: {told}");
+    }
+    assert!(!told.contains("line 1"), "{told}");
+}
+
+#[test]
+fn many_bad_lines_are_counted() {
+    let told = refused(&["[]"; 25]);
+    assert!(
+        told.contains("25 lines are bad") && told.ends_with("and 15 more"),
+        "{told}"
+    );
+}
+
+#[test]
+fn a_row_that_contradicts_itself_or_another_is_bad() {
+    let wrong = |from: &str, to: &str| ROW.replace(from, to);
+    for (from, to, expected) in [
+        ("\"L2\",", "\"L3\",", "`level` is another than in its id"),
+        ("\"camera\",", "\"robot\",", "`axis` is another"),
+        ("libero_goal", "libero_object", "`suite` is another"),
+        ("\"task_id\": 0", "\"task_id\": 7", "`task_id` is another"),
+        ("\"config\": 1", "\"config\": 2", "`config` is another"),
+    ] {
+        let told = refused(&[&wrong(from, to)]);
+        assert!(told.contains(expected), "{expected}: {told}");
+    }
+    let told = refused(&[ROW, ROW]);
+    assert!(
+        told.contains("line 2: goal/t0/camera/L2/c01 is on line 1 too"),
+        "{told}"
+    );
+    let other = wrong("c01", "c02").replace("\"config\": 1", "\"config\": 2");
+    let told = refused(&[ROW, &other.replace("oft", "pi05")]);
+    assert!(told.contains("line 2: it is of policy `pi05`"), "{told}");
+    let told = refused(&[r#"{"rollout_id": "goal/t0/camera/L2/c12", "success": true}"#]);
+    assert!(told.contains("has no `init_id`"), "{told}");
+}
+
+#[test]
+fn a_line_without_end_is_refused_and_not_kept() {
+    let long = format!("{{\"rollout_id\": \"{}", "x".repeat(200_000));
+    assert!(refused(&[&long]).contains("line 1: it is longer than 65536 bytes"));
+}
+
+#[test]
+fn an_empty_or_absent_file_is_refused_by_its_name() {
+    let folder = file(&[""]);
+    let error = import(folder.path()).expect_err("no row");
+    assert!(
+        error.to_string().ends_with("rollouts.jsonl: it has no row"),
+        "{error}"
+    );
+    let error = import(&folder.path().join("nowhere")).expect_err("nothing there");
+    assert!(
+        error
+            .to_string()
+            .contains("nowhere: name a folder that holds"),
+        "{error}"
+    );
+}
+
+#[test]
+fn an_about_file_with_an_unknown_word_is_refused() {
+    let folder = file(&[ROW]);
+    fs::write(folder.path().join("about.json"), r#"{"polcy": "oft"}"#).expect("written");
+    let error = import(folder.path()).expect_err("misspelt");
+    assert!(matches!(error, ImportError::About { .. }), "{error}");
+}
+
+/// A sparse file takes no room on a disk, and would take an hour to read.
+#[test]
+fn a_file_larger_than_any_is_refused_before_it_is_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let rows = std::fs::File::create(folder.path().join("rollouts.jsonl")).expect("a file");
+    rows.set_len(1 << 40).expect("a sparse file");
+    let error = import(folder.path()).expect_err("a terabyte");
+    assert!(error.to_string().contains("4 GiB"), "{error}");
+}

@@ -1,0 +1,91 @@
+//! Reports of campaigns that may end early.
+
+use libero_ctrl::{Level, Stop, Strata};
+use paired::Outcome;
+use report::{Document, EarlyStop, Subject};
+use serde_json::Value;
+
+use crate::subjects::example;
+
+/// The published outcomes, as those of a campaign with a rule.
+fn early(rule: &str, has_stopped: bool) -> Subject {
+    Subject {
+        early_stop: Some(EarlyStop {
+            stop: Stop {
+                rule: rule.parse().expect("a rule"),
+                seed: 3,
+                strata: Strata::Suites,
+            },
+            has_stopped,
+        }),
+        ..example()
+    }
+}
+
+fn json(document: &Document) -> Value {
+    serde_json::from_str(&document.json().expect("JSON")).expect("JSON")
+}
+
+fn document(subject: Subject) -> Document {
+    Document::new(vec![subject]).expect("no rollout twice")
+}
+
+#[test]
+fn figures_of_a_stopped_campaign_are_of_what_its_intervals_rest_on() {
+    let stopped = document(early("width(I) < 0.2", true));
+    let found = json(&stopped);
+    let sequential = &found["reports"][0]["sequential"];
+    let used = &sequential["used"];
+    assert!(used.as_u64().is_some_and(|used| used < 400), "{used}");
+    let policy = found["paired"].as_object().expect("policies").keys().next();
+    let measures = &found["paired"][policy.expect("one")];
+    for level in ["L1", "L2", "L3"] {
+        assert_eq!(&measures[level]["n"], used, "{level}");
+        let [low, high] = [0, 1].map(|end| &sequential["levels"][level]["I"][end]);
+        let width = high.as_f64().expect("a number") - low.as_f64().expect("a number");
+        assert!(width < 0.2, "{level}: {width}");
+    }
+    let text = stopped.text();
+    assert!(
+        text.lines().all(|line| line.chars().count() <= 80),
+        "{text}"
+    );
+    let page = report::page(&stopped);
+    assert!(page.contains("Stopped early after") && page.contains("not valid"));
+
+    // The outcomes beyond that look are in no figure, whatever they are.
+    let analysis = &stopped.analyses[0];
+    let mut others = early("width(I) < 0.2", true);
+    for record in &mut others.records {
+        let is_used = |it: &&paired::Matched| {
+            (it.task, Some(it.config)) == (record.id.task(), record.id.config())
+        };
+        let is_perturbed = record.id.level() != Level::L0;
+        let used = analysis
+            .records
+            .configurations()
+            .iter()
+            .any(|it| is_used(&it));
+        if is_perturbed && !used {
+            record.outcome = Outcome::Success;
+        }
+    }
+    assert_eq!(json(&document(others)), found);
+}
+
+#[test]
+fn a_campaign_that_came_to_its_end_has_points_and_all_its_figures() {
+    let plain = json(&document(example()));
+    let mut ended = json(&document(early("I excludes 1", false)));
+    let report = ended["reports"][0].as_object_mut().expect("a report");
+    let sequential = report.remove("sequential").expect("confidence sequences");
+    assert_eq!(sequential["used"], 400);
+    for interval in sequential["levels"]["L2"]
+        .as_object()
+        .expect("measures")
+        .values()
+    {
+        assert_eq!(interval[0], interval[1]);
+    }
+    assert_eq!(ended, plain, "nothing else is said of it");
+}

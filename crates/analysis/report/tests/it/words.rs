@@ -1,0 +1,179 @@
+//! Tests of a report's words: intervals that it withholds, its legend, and one
+//! name for one thing.
+
+use paired::Outcome;
+use report::{Subject, figures, page};
+use serde_json::Value;
+
+use crate::subjects::{broken, document, example, provenance, replicated};
+
+/// The first `tasks` tasks of the example.
+fn some_tasks(tasks: usize) -> Subject {
+    let mut subject = example();
+    let first: Vec<libero_ctrl::TaskRef> = libero_ctrl::TaskRef::all().take(tasks).collect();
+    subject
+        .records
+        .retain(|record| first.contains(&record.id.task()));
+    subject
+}
+
+#[test]
+fn too_few_tasks_for_an_interval_is_said_in_every_form() {
+    let few = document(vec![some_tasks(9)]);
+    let json: Value = serde_json::from_str(&few.json().expect("written")).expect("JSON");
+    let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
+    assert_eq!((&l2["tasks"], &l2["i_ci95"]), (&9.into(), &Value::Null));
+    assert_eq!(l2["no_interval"], "too_few_tasks");
+    let text = few.text();
+    assert!(
+        text.contains("too few tasks for an interval: it takes 10"),
+        "{text}"
+    );
+    let paper = text.split("how sure").next().expect("the paper's measures");
+    assert!(!paper.contains('['), "{text}");
+    let html = page(&few);
+    assert!(
+        html.contains("(too few tasks)") && !html.contains("S_sim, ["),
+        "no interval"
+    );
+    let drawn = figures::all(&few);
+    for kind in ["decomposition-l2", "directions-l2"] {
+        let figure = drawn.iter().find(|figure| figure.name == kind);
+        let figure = figure.expect(kind).standalone();
+        assert!(figure.contains("(too few tasks)"), "{figure}");
+        assert!(!figure.contains("class=\"whisker\""), "{figure}");
+    }
+
+    let enough = document(vec![some_tasks(10)]);
+    assert!(!enough.text().contains("too few tasks"));
+    let json: Value = serde_json::from_str(&enough.json().expect("written")).expect("JSON");
+    let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
+    assert_eq!(l2["i_ci95"].as_array().map(Vec::len), Some(2));
+    assert_eq!(l2["no_interval"], Value::Null);
+}
+
+/// All simultaneous rollouts succeed, so that no failure emerges anywhere.
+fn nothing_emerges() -> Subject {
+    let mut subject = example();
+    for record in &mut subject.records {
+        if record.id.condition() == libero_ctrl::Condition::Combination {
+            record.outcome = Outcome::Success;
+        }
+    }
+    subject
+}
+
+#[test]
+fn nought_has_no_interval_of_no_width() {
+    let none = document(vec![nothing_emerges()]);
+    let json: Value = serde_json::from_str(&none.json().expect("written")).expect("JSON");
+    let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
+    assert_eq!((&l2["b"], &l2["r_e_ci95"]), (&0.into(), &Value::Null));
+    assert_eq!(l2["no_interval"], "no_spread");
+    assert_eq!(l2["r_c_ci95"].as_array().map(Vec::len), Some(2));
+    // A share of no configuration has an interval all the same.
+    let [low, high] = [0, 1].map(|end| {
+        let of = &json["reports"][0]["cells"][1]["inference"]["paired"]["r_e"];
+        assert_eq!(of["value"], 0.0);
+        of["new_tasks"][end].as_f64().expect("an end")
+    });
+    assert!(low == 0.0 && high > 0.0, "{low} {high}");
+}
+
+#[test]
+fn every_symbol_of_the_table_is_explained_below_it_once() {
+    let text = document(vec![example(), broken()]).text();
+    let legend = text.rfind("\n\n").expect("a block");
+    let legend: Vec<&str> = text[legend..].lines().collect();
+    for symbol in [
+        "loss",
+        "simultaneous",
+        "n complete",
+        "S_indep",
+        "S_conj",
+        "S_sim",
+        "D ",
+        "I ",
+        "b emergent",
+        "c compensated",
+        "R_e, R_c, R_d",
+        "emergent share",
+        "McNemar p",
+        "detectable |I|",
+        "worst and best",
+        "95 %",
+    ] {
+        let lines = legend.iter().filter(|line| line.starts_with(symbol));
+        assert_eq!(lines.count(), 1, "{symbol}: {legend:#?}");
+    }
+    // The legend leaves out symbols that the table does not print.
+    assert!(
+        !legend.iter().any(|line| line.starts_with("solvable")),
+        "{legend:#?}"
+    );
+    let nominal_only = {
+        let mut subject = example();
+        subject.records.truncate(1);
+        subject
+    };
+    let text = document(vec![nominal_only]).text();
+    assert!(!text.contains("S_indep"), "{text}");
+}
+
+#[test]
+fn the_axes_at_once_have_one_name_in_every_form() {
+    let document = document(vec![example(), replicated()]);
+    let drawn = figures::all(&document);
+    let drawn: String = drawn.iter().map(|figure| figure.standalone()).collect();
+    for (form, text) in [
+        ("text", document.text()),
+        ("page", page(&document)),
+        ("figures", drawn),
+    ] {
+        let text = text.to_lowercase();
+        assert!(text.contains("simultaneous"), "{form}");
+        for other in ["at once", "combination", "all together"] {
+            assert!(!text.contains(other), "{form}: {other}");
+        }
+    }
+}
+
+#[test]
+fn a_policy_that_solves_no_nominal_rollout_is_sent_to_the_doctor() {
+    let mut subject = example();
+    assert!(!page(&document(vec![subject.clone()])).contains("policy-gateway doctor"));
+    let failed = (0..3).map(|state| paired::Record {
+        id: format!("object/t0/clean/i{state:02}")
+            .parse()
+            .expect("an id"),
+        replicate: 0,
+        init_id: state,
+        outcome: Outcome::Failure,
+    });
+    subject.records.extend(failed);
+    let said = "policy `OpenVLA-OFT` solved none of 3 nominal rollouts, so that nothing is known";
+    let text = document(vec![subject]).text();
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    for part in [said, "`policy-gateway doctor`"] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+}
+
+#[test]
+fn a_policy_that_was_taught_on_other_assets_is_warned_of() {
+    let taught_on = |pack: &str| {
+        let mut provenance = provenance("3.3.7", "single");
+        let setting = (rollout_types::TAUGHT_ON.to_owned(), pack.to_owned());
+        provenance.policy_settings.extend([setting]);
+        let subject = Subject {
+            provenances: vec![provenance],
+            ..example()
+        };
+        let text = document(vec![subject]).text();
+        text.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let elsewhere = taught_on("primitives");
+    let said = "was taught on asset pack `primitives` and measured on `libero`";
+    assert!(elsewhere.contains(said), "{elsewhere}");
+    assert!(!taught_on("libero").contains("was taught on asset pack"));
+}

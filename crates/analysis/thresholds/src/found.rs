@@ -1,0 +1,90 @@
+//! Threshold found along one ray.
+
+use libero_ctrl::Level;
+use paired::Outcome;
+
+use crate::ray::Known;
+use crate::search::Search;
+
+/// Radius at which success turns to failure, as far as it is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Threshold {
+    /// The nominal rollout fails: there is no success that could turn.
+    NominalFails,
+    /// The nominal rollout has no outcome.
+    NominalUnknown,
+    /// The threshold is between these radii: the smallest at which it fails, and the
+    /// largest below at which it succeeds.
+    Between {
+        /// Largest radius at which it succeeds; L0 is the nominal rollout.
+        succeeds_at: Level,
+        /// Smallest radius at which it fails.
+        fails_at: Level,
+    },
+    /// Beyond the largest radius that is run, where it succeeds: the threshold is
+    /// censored on the right.
+    Beyond,
+    /// No radius is known to fail, and the largest has no outcome: the threshold is
+    /// censored on the right, at the largest radius that is known to succeed.
+    Open {
+        /// Largest radius at which it succeeds; L0 is the nominal rollout.
+        succeeds_at: Level,
+    },
+}
+
+/// Findings about a ray's threshold.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Found {
+    /// The first radius at which success turns to failure.
+    pub threshold: Threshold,
+    /// Larger radii at which it succeeds nevertheless: the ray is not monotone.
+    pub recovers_at: Vec<Level>,
+    /// True if no outcome of the grid is missing. Before, failures can turn up at
+    /// smaller radii.
+    pub is_on_grid: bool,
+}
+
+/// Derives a ray's threshold from its known outcomes.
+pub fn found(known: &Known, search: &Search) -> Found {
+    let largest = search.largest().unwrap_or(Level::L0);
+    let fails_at = known.levels(false).find(|level| *level <= largest);
+    let threshold = match (known.nominal(), fails_at) {
+        (Outcome::Failure, _) => Threshold::NominalFails,
+        (Outcome::Missing | Outcome::Quarantined, _) => Threshold::NominalUnknown,
+        (Outcome::Success, Some(fails_at)) => {
+            let mut below = known.levels(true).rev().filter(|level| *level < fails_at);
+            Threshold::Between {
+                succeeds_at: below.next().unwrap_or(Level::L0),
+                fails_at,
+            }
+        }
+        (Outcome::Success, None) => match known.at(largest).and_then(Outcome::success) {
+            Some(_) => Threshold::Beyond,
+            None => Threshold::Open {
+                succeeds_at: known
+                    .levels(true)
+                    .rfind(|level| *level <= largest)
+                    .unwrap_or(Level::L0),
+            },
+        },
+    };
+    let first_failure = match threshold {
+        Threshold::NominalFails => Some(Level::L0),
+        Threshold::Between { fails_at, .. } => Some(fails_at),
+        _ => None,
+    };
+    let recovers_at = first_failure.map(|failure| {
+        let levels = known.levels(true).filter(|level| *level <= largest);
+        levels.filter(|level| *level > failure).collect()
+    });
+    let is_missing = |level: &Level| known.at(*level).unwrap_or_default() == Outcome::Missing;
+    Found {
+        threshold,
+        recovers_at: recovers_at.unwrap_or_default(),
+        is_on_grid: match threshold {
+            Threshold::NominalFails => true,
+            Threshold::NominalUnknown => false,
+            _ => !search.grid.iter().any(is_missing),
+        },
+    }
+}

@@ -1,0 +1,219 @@
+//! The rays of a campaign, from the records of two: the one that is measured, and the
+//! one that runs further radii of it. How a budget of rollouts is spent on them.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::seeds::rollout_seed;
+use libero_ctrl::{AxisSet, Condition, Level, RolloutId, TaskRef, Thresholds};
+use paired::{Bootstrap, Outcome, Record};
+use rand_chacha::ChaCha12Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+use crate::curve::Curve;
+use crate::found::{Found, found};
+use crate::next::{Decision, next};
+use crate::ray::{Known, Ray};
+use crate::search::Search;
+
+/// A configuration: its task and its number.
+type Configuration = (TaskRef, u16);
+
+/// Everything that is known of the thresholds of a campaign.
+#[derive(Clone, Debug)]
+pub struct Measurement {
+    thresholds: Thresholds,
+    rays: BTreeMap<Ray, Known>,
+    searches: BTreeMap<Condition, Search>,
+    /// The most rollouts that each configuration takes, whatever its outcomes are.
+    costs: BTreeMap<Configuration, u32>,
+    sample: BTreeSet<Configuration>,
+}
+
+impl Measurement {
+    /// Puts together what is known: `source` are the records of the campaign that is
+    /// measured, `own` those of the one that runs further radii.
+    pub fn of(source: &[Record], own: &[Record], thresholds: &Thresholds) -> Self {
+        let source: Vec<Record> = source
+            .iter()
+            .filter(|it| it.replicate == 0 && !it.id.is_placebo())
+            .copied()
+            .collect();
+        let nominal = source
+            .iter()
+            .filter(|it| it.id.condition() == Condition::Clean);
+        let nominal: BTreeMap<RolloutId, Outcome> =
+            nominal.map(|record| (record.id, record.outcome)).collect();
+        let is_asked_for = |condition: Condition| {
+            let conditions = &thresholds.conditions;
+            let is_named = conditions.is_empty() || conditions.contains(&condition);
+            is_named && condition != Condition::Clean
+        };
+        let mut axes = AxisSet::EMPTY;
+        let mut rays: BTreeMap<Ray, Known> = BTreeMap::new();
+        for record in &source {
+            let condition = record.id.condition();
+            axes = axes.union(alone(condition));
+            if is_asked_for(condition) {
+                let begins = RolloutId::clean(record.id.task(), record.init_id);
+                let begins = nominal.get(&begins).copied().unwrap_or_default();
+                let known = rays.entry(ray(record.id));
+                let known = known.or_insert_with(|| Known::new(begins));
+                known.record(record.id.level(), record.outcome);
+            }
+        }
+        let conditions: BTreeSet<Condition> = rays.keys().map(|ray| ray.condition).collect();
+        let search = |condition| (condition, Search::of(thresholds, condition, axes));
+        let searches: BTreeMap<Condition, Search> = conditions.into_iter().map(search).collect();
+        let mut costs: BTreeMap<Configuration, u32> = BTreeMap::new();
+        for (ray, known) in &rays {
+            let most = searches[&ray.condition].most_rollouts(|level| known.at(level).is_some());
+            *costs.entry((ray.task, ray.config)).or_default() += most;
+        }
+        for record in own {
+            if let Some(known) = rays.get_mut(&ray(record.id)) {
+                known.record_further(record.id.level(), record.outcome);
+            }
+        }
+        Self {
+            thresholds: thresholds.clone(),
+            sample: sample(&costs, thresholds),
+            costs,
+            rays,
+            searches,
+        }
+    }
+
+    /// The rays that are measured, with what is known of them, by condition, task and
+    /// configuration.
+    pub fn rays(&self) -> impl Iterator<Item = (Ray, &Known)> {
+        let rays = self.rays.iter();
+        let measured = rays.filter(|(ray, _)| self.sample.contains(&(ray.task, ray.config)));
+        measured.map(|(&ray, known)| (ray, known))
+    }
+
+    /// Number of rays, measured or not.
+    pub fn of_rays(&self) -> usize {
+        self.rays.len()
+    }
+
+    /// The conditions that are measured, and how.
+    pub fn searches(&self) -> impl Iterator<Item = (Condition, &Search)> {
+        self.searches
+            .iter()
+            .map(|(&condition, search)| (condition, search))
+    }
+
+    /// The most rollouts that any configuration takes, whatever its outcomes are.
+    pub fn most_rollouts_of_one(&self) -> u32 {
+        self.costs.values().copied().max().unwrap_or_default()
+    }
+
+    /// The most rollouts that each configuration of the sample takes.
+    pub fn most_rollouts(&self) -> impl Iterator<Item = (TaskRef, u32)> {
+        let sampled = self.costs.iter().filter(|(it, _)| self.sample.contains(it));
+        sampled.map(|((task, _), most)| (*task, *most))
+    }
+
+    /// Returns a ray's threshold as far as it is known.
+    pub fn found(&self, ray: Ray, known: &Known) -> Found {
+        found(known, &self.searches[&ray.condition])
+    }
+
+    /// Returns the next step for a ray.
+    pub fn decision(&self, ray: Ray, known: &Known) -> Decision {
+        next(known, &self.searches[&ray.condition])
+    }
+
+    /// The rollouts to run next, in the order to run them in; none where everything is found, or asked for.
+    pub fn plan(&self) -> Vec<(Ray, Level)> {
+        let asked: u32 = self.rays.values().map(Known::further).sum();
+        let left = self
+            .thresholds
+            .budget
+            .unwrap_or(u32::MAX)
+            .saturating_sub(asked);
+        let wanted = self.rays().flat_map(|(ray, known)| {
+            let levels = match self.decision(ray, known) {
+                Decision::Run(levels) => levels,
+                Decision::Wait | Decision::Done => Vec::new(),
+            };
+            levels.into_iter().map(move |level| (ray, level))
+        });
+        let mut wanted: Vec<(Ray, Level)> = wanted.collect();
+        // Configuration by configuration, so that what is there covers all tasks early.
+        wanted.sort_by_key(|(ray, level)| (ray.config, ray.task, ray.condition, *level));
+        // The sample is chosen so that this cuts nothing off, unless rollouts come back
+        // from quarantine after their brackets were halved without them.
+        wanted.truncate(left as usize);
+        wanted
+    }
+
+    /// Returns the curves of configurations that still succeed at each radius, by condition.
+    pub fn curves(&self, bootstrap: &Bootstrap) -> Vec<Curve> {
+        let of_one = |(condition, search): (Condition, &Search)| {
+            let rays = self.rays().filter(|(ray, _)| ray.condition == condition);
+            let found: Vec<(TaskRef, Found)> = rays
+                .map(|(ray, known)| (ray.task, self.found(ray, known)))
+                .collect();
+            Curve::of(condition, search, &found, bootstrap)
+        };
+        self.searches().map(of_one).collect()
+    }
+}
+
+fn ray(id: RolloutId) -> Ray {
+    Ray {
+        condition: id.condition(),
+        task: id.task(),
+        config: id.number(),
+    }
+}
+
+fn alone(condition: Condition) -> AxisSet {
+    match condition {
+        Condition::Single(axis) => AxisSet::of(axis),
+        _ => AxisSet::EMPTY,
+    }
+}
+
+/// The configurations that are measured: all of them, or as many as the budget suffices
+/// for whatever their outcomes turn out to be.
+///
+/// The choice depends on the seed and on the campaign's rows, and on no outcome: it is a random
+/// sample. Configurations come in rounds, one of each task, so that a small sample has many tasks,
+/// and with all conditions, so that these are compared over the same configurations.
+fn sample(
+    costs: &BTreeMap<Configuration, u32>,
+    thresholds: &Thresholds,
+) -> BTreeSet<Configuration> {
+    let Some(budget) = thresholds.budget else {
+        return costs.keys().copied().collect();
+    };
+    let mut by_task: BTreeMap<TaskRef, Vec<(u64, u16)>> = BTreeMap::new();
+    for &(task, config) in costs.keys() {
+        let of_task = by_task.entry(task).or_default();
+        of_task.push((rank(task, config, thresholds.seed), config));
+    }
+    let mut order = Vec::new();
+    for (task, mut configs) in by_task {
+        configs.sort_unstable();
+        let configs = configs.into_iter().enumerate();
+        order.extend(configs.map(|(round, (rank, config))| (round, rank, (task, config))));
+    }
+    order.sort_unstable();
+    let mut left = budget;
+    let affordable = order.into_iter().map_while(|(_, _, configuration)| {
+        left = left.checked_sub(costs[&configuration])?;
+        Some(configuration)
+    });
+    affordable.collect()
+}
+
+/// The place of a configuration in the random order of its task.
+fn rank(task: TaskRef, config: u16, seed: u64) -> u64 {
+    let name = RolloutId::perturbed(task, Condition::Combination, Level::L1, config);
+    let name = name.expect("a combination at L1 is perturbed");
+    let mut rng = ChaCha12Rng::seed_from_u64(seed);
+    rng.set_stream(u64::from(rollout_seed(&name)));
+    rng.next_u64()
+}

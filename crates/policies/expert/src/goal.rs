@@ -1,0 +1,408 @@
+//! Plans skills from goal predicates, in an order in which they do not undo one another.
+//! The skills carry themselves out.
+
+use std::collections::VecDeque;
+
+use libero_ctrl::Predicate;
+
+use crate::geometry::Vec3;
+use crate::motion::{Command, Fingers, HandPose, Motion, OPEN_M};
+use crate::place::{Place, Relation};
+use crate::routine::{self, Deed, Routine};
+use crate::transfer::Transfer;
+use crate::world::{World, drawer_joint};
+
+/// A skill at work.
+#[derive(Clone, Debug)]
+pub(crate) enum Skill {
+    Transfer(Transfer),
+    Routine(Routine),
+    /// Opens the fingers around whatever is between them, and backs out from a handle.
+    LetGo,
+}
+
+impl Skill {
+    /// The command for this step; none once the skill is over.
+    ///
+    /// # Errors
+    /// Names an entity or joint that the scene lacks.
+    pub(crate) fn step(
+        &mut self,
+        world: &World,
+        motion: &Motion,
+    ) -> Result<Option<Command>, String> {
+        match self {
+            Self::Transfer(transfer) => transfer.step(world, motion),
+            Self::Routine(routine) => routine.step(world, motion),
+            Self::LetGo => Ok(let_go(world)),
+        }
+    }
+
+    /// Returns true if the skill goes on with the object between the fingers.
+    fn goes_on(&self, world: &World) -> bool {
+        let object = match self {
+            Self::Transfer(transfer) => transfer.object(),
+            Self::Routine(routine) => match routine.deed() {
+                Deed::PullDrawer { .. } => {
+                    return world.handle_at_grip(CLEAR_OF_HANDLE_M).is_some();
+                }
+                Deed::Drag { object, .. } => object,
+                _ => return false,
+            },
+            Self::LetGo => return false,
+        };
+        let mut at_grip = world.objects_at_grip(BETWEEN_M);
+        at_grip.any(|between| between.name == object)
+    }
+}
+
+/// Distance by which the hand backs out from a handle before it goes elsewhere, m.
+const CLEAR_OF_HANDLE_M: f64 = 0.06;
+/// An object whose box is nearer than this to the grip point may be between the fingers, m.
+const BETWEEN_M: f64 = 0.005;
+
+fn let_go(world: &World) -> Option<Command> {
+    let handle = world.handle_at_grip(CLEAR_OF_HANDLE_M);
+    let is_open = world.opening > OPEN_M;
+    let is_around = world.objects_at_grip(BETWEEN_M).next().is_some();
+    let way_out = match (is_open, handle) {
+        (true, Some(out)) => out * CLEAR_OF_HANDLE_M,
+        (true, None) => return None,
+        (false, None) if !is_around => return None,
+        (false, _) => Vec3::default(),
+    };
+    Some(Command {
+        hand: HandPose {
+            pos: world.grip + way_out,
+            quat: world.grip_quat,
+        },
+        fingers: Fingers::Open,
+        pace: 1.0,
+    })
+}
+
+/// The skills that are left, after something else has driven the robot: as [`plan`], but with
+/// what is in the hand first, which must not be dropped for something else, and each at the
+/// point that the world shows. Of `earlier`, the plan before, it takes the grasps.
+///
+/// # Errors
+/// As [`plan`].
+pub(crate) fn resume(
+    world: &World,
+    motion: &Motion,
+    earlier: &VecDeque<Skill>,
+) -> Result<Vec<Skill>, String> {
+    let mut skills = plan(world)?;
+    let mut held = None;
+    for (at, skill) in skills.iter().enumerate() {
+        if let Skill::Transfer(transfer) = skill
+            && transfer.holds(world, motion)?
+        {
+            held = Some(at);
+            break;
+        }
+    }
+    if let Some(at) = held {
+        // Nothing goes into a drawer that is shut.
+        let is_pull = |skill: &Skill| match skill {
+            Skill::Routine(routine) => matches!(routine.deed(), Deed::PullDrawer { .. }),
+            _ => false,
+        };
+        let first = skills.iter().rposition(is_pull).map_or(0, |pull| pull + 1);
+        if first < at {
+            skills[first..=at].rotate_right(1);
+        }
+    }
+    let known = |object: &str| {
+        earlier.iter().find_map(|skill| match skill {
+            Skill::Transfer(transfer) if transfer.object() == object => Some(transfer),
+            _ => None,
+        })
+    };
+    match skills.first_mut() {
+        Some(Skill::Transfer(transfer)) => {
+            let earlier = known(transfer.object());
+            transfer.resume(earlier, world, motion)?;
+        }
+        Some(Skill::Routine(routine)) => routine.resume(world, motion)?,
+        Some(Skill::LetGo) | None => {}
+    }
+    let goes_on = skills.first().is_some_and(|skill| skill.goes_on(world));
+    if !goes_on && let_go(world).is_some() {
+        skills.insert(0, Skill::LetGo);
+    }
+    Ok(skills)
+}
+
+/// The skills that make `world`'s goal true, first to last: what opens comes
+/// before what is put in, and what closes comes after. What is seen to be done
+/// already is left out.
+///
+/// # Errors
+/// Names a predicate that the expert has no skill for, or an argument that the
+/// scene lacks.
+pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, String> {
+    let (mut before, mut between, mut after) = (Vec::new(), Vec::new(), Vec::new());
+    for predicate in &world.goal {
+        let arguments: Vec<&str> = predicate.arguments.iter().map(String::as_str).collect();
+        match (predicate.name.as_str(), arguments.as_slice()) {
+            ("open", [region]) => before.extend(open(world, region, routine::DRAWER_OPEN_M)?),
+            ("turnon", [stove]) => before.extend(turn_on(world, stove)?),
+            ("close", [what]) => after.extend(close(world, what)?),
+            ("on", [object, on]) => between.extend(put_on(world, predicate, object, on)?),
+            ("in", [object, region]) => {
+                let place = Place {
+                    relation: Relation::In,
+                    target: (*region).to_owned(),
+                    slot: 0.0,
+                };
+                let put = transfer(world, object, place)?;
+                if put.is_some() {
+                    before.extend(open(world, region, routine::DRAWER_AJAR_M)?);
+                }
+                between.extend(put);
+            }
+            _ => return Err(no_skill(predicate)),
+        }
+    }
+    before.append(&mut between);
+    before.append(&mut after);
+    Ok(before)
+}
+
+fn no_skill(predicate: &Predicate) -> String {
+    format!(
+        "the expert has no skill for the goal '{} {}'; run this task with another policy",
+        predicate.name,
+        predicate.arguments.join(" ")
+    )
+}
+
+/// Opens the drawer of `region` as far as `to`, m, if it is in a drawer and
+/// that is not open.
+fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, String> {
+    let joint = drawer_joint(region);
+    let Some(position) = joint.and_then(|joint| world.joint(&joint).ok()) else {
+        return Ok(None);
+    };
+    let pull = Deed::PullDrawer {
+        region: region.to_owned(),
+        to,
+    };
+    let open = position < to.max(routine::OPEN_M);
+    Ok((!open).then(|| Skill::Routine(Routine::new(pull))))
+}
+
+fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, String> {
+    let on = routine::knob_is_on(routine::only_joint(world, stove)?);
+    let turn = Deed::TurnKnob {
+        stove: stove.to_owned(),
+    };
+    Ok((!on).then(|| Skill::Routine(Routine::new(turn))))
+}
+
+/// Closes a drawer by its region, or a door by its fixture.
+fn close(world: &World, what: &str) -> Result<Option<Skill>, String> {
+    let drawer = drawer_joint(what).and_then(|joint| world.joint(&joint).ok());
+    let (deed, closed) = match drawer {
+        Some(position) => (
+            Deed::PushDrawer {
+                region: what.to_owned(),
+            },
+            routine::drawer_is_closed(position),
+        ),
+        None => {
+            let position = routine::only_joint(world, what)?;
+            (
+                Deed::PushDoor {
+                    microwave: what.to_owned(),
+                },
+                routine::door_is_closed(position),
+            )
+        }
+    };
+    Ok((!closed).then(|| Skill::Routine(Routine::new(deed))))
+}
+
+fn put_on(
+    world: &World,
+    predicate: &Predicate,
+    object: &str,
+    on: &str,
+) -> Result<Option<Skill>, String> {
+    let slot = slot(&world.goal, predicate);
+    let mut place = Place {
+        relation: Relation::On,
+        target: on.to_owned(),
+        slot,
+    };
+    if let Some(other) = sharer(&world.goal, predicate) {
+        place.slot = free_slot(world, &place, object, other)?;
+    }
+    if routine::must_be_dragged(world.entity(object)?) && world.entity(on)?.is_region() {
+        let deed = Deed::Drag {
+            object: object.to_owned(),
+            region: on.to_owned(),
+        };
+        let there = place.holds(world, world.entity(object)?)?;
+        return Ok((!there).then(|| Skill::Routine(Routine::new(deed))));
+    }
+    transfer(world, object, place)
+}
+
+/// Side of the target if two objects share it: -1 for the first, 1 for the second;
+/// otherwise 0.
+fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
+    let same = |other: &&Predicate| {
+        other.name == predicate.name && other.arguments.last() == predicate.arguments.last()
+    };
+    let sharing: Vec<&Predicate> = goal.iter().filter(same).collect();
+    match sharing.as_slice() {
+        [first, _] if *first == predicate => -1.0,
+        [_, _] => 1.0,
+        _ => 0.0,
+    }
+}
+
+/// The object that is to go onto the same target.
+fn sharer<'a>(goal: &'a [Predicate], predicate: &Predicate) -> Option<&'a str> {
+    let shares = |other: &&Predicate| {
+        *other != predicate
+            && other.name == predicate.name
+            && other.arguments.last() == predicate.arguments.last()
+    };
+    goal.iter()
+        .find(shares)?
+        .arguments
+        .first()
+        .map(String::as_str)
+}
+
+/// The place's own side, or the other one where `other` is there already and nearer to it.
+fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<f64, String> {
+    let (object, other) = (world.entity(object)?, world.entity(other)?);
+    if !place.holds(world, other)? {
+        return Ok(place.slot);
+    }
+    let room = |slot: f64| -> Result<f64, String> {
+        let side = Place {
+            slot,
+            ..place.clone()
+        };
+        let rest = side.spot(world, object)?.rest;
+        Ok((rest - other.pos).horizontal_norm())
+    };
+    let opposite = -place.slot;
+    Ok(match room(opposite)? > room(place.slot)? {
+        true => opposite,
+        false => place.slot,
+    })
+}
+
+fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, String> {
+    let there = place.holds(world, world.entity(object)?)?;
+    let transfer = Transfer::new(object.to_owned(), place);
+    Ok((!there).then_some(Skill::Transfer(transfer)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kinematic_scene::KinematicScene;
+
+    const MUG: [f64; 3] = [0.03, 0.03, 0.05];
+    const DRAWER: &str = "cabinet_1_top_region";
+
+    fn mug_into_drawer_and_close_it(position: f64) -> KinematicScene {
+        KinematicScene::new("close", &[DRAWER])
+            .goal("in", &["mug_1", DRAWER])
+            .object("mug_1", [0.0, 0.0, 0.05], MUG)
+            .fixture("cabinet_1", [0.0, 0.3, 0.1], [0.1, 0.1, 0.1])
+            .region(DRAWER, "cabinet_1", [0.0, 0.3, 0.15], [0.1, 0.08, 0.03])
+            .joint("cabinet_1_top_level", position)
+    }
+
+    /// Checks that the plan's skills show these words, one each.
+    fn check(scene: &KinematicScene, expected: &[&str]) {
+        let skills = plan(&scene.world()).expect("a plan");
+        let shown: Vec<String> = skills.iter().map(|skill| format!("{skill:?}")).collect();
+        assert_eq!(shown.len(), expected.len(), "{shown:#?}");
+        for (skill, word) in shown.iter().zip(expected) {
+            assert!(skill.contains(word), "{skill} does not show {word}");
+        }
+    }
+
+    #[test]
+    fn an_open_drawer_is_filled_before_it_is_closed() {
+        check(
+            &mug_into_drawer_and_close_it(-0.15),
+            &["Transfer", "PushDrawer"],
+        );
+    }
+
+    #[test]
+    fn a_shut_drawer_is_opened_before_it_is_filled() {
+        check(
+            &mug_into_drawer_and_close_it(0.005),
+            &["PullDrawer", "Transfer"],
+        );
+    }
+
+    #[test]
+    fn what_is_done_already_is_left_out() {
+        let scene = KinematicScene::new("in", &["mug_1", "basket_1_contain_region"])
+            .goal("turnon", &["stove_1"])
+            .object("mug_1", [0.0, 0.0, 0.05], MUG)
+            .region(
+                "basket_1_contain_region",
+                "basket_1",
+                [0.0, 0.0, 0.07],
+                [0.06, 0.06, 0.07],
+            )
+            .fixture("stove_1", [0.0, 0.4, 0.05], [0.1, 0.1, 0.05])
+            .joint("stove_1_button", 1.2);
+        check(&scene, &[]);
+    }
+
+    #[test]
+    fn two_objects_on_one_target_go_to_its_two_sides() {
+        let scene = KinematicScene::new("on", &["mug_1", "stove_1_cook_region"])
+            .goal("on", &["mug_2", "stove_1_cook_region"])
+            .object("mug_1", [0.0, 0.0, 0.05], MUG)
+            .object("mug_2", [0.1, 0.0, 0.05], MUG)
+            .region(
+                "stove_1_cook_region",
+                "stove_1",
+                [0.3, 0.0, 0.0],
+                [0.07, 0.07, 0.002],
+            );
+        check(&scene, &["slot: -1.0", "slot: 1.0"]);
+    }
+
+    #[test]
+    fn a_flat_plate_is_dragged_to_its_region() {
+        let scene = KinematicScene::new("on", &["plate_1", "table_front_region"])
+            .object("plate_1", [0.0, 0.0, 0.0095], [0.069, 0.069, 0.0095])
+            .region(
+                "table_front_region",
+                "",
+                [0.3, 0.0, 0.0],
+                [0.04, 0.04, 0.007],
+            );
+        check(&scene, &["Drag"]);
+    }
+
+    #[test]
+    fn a_goal_without_a_skill_is_refused_by_name() {
+        let scene = KinematicScene::new("turnoff", &["stove_1"]);
+        let refusal = plan(&scene.world()).unwrap_err();
+        assert!(refusal.contains("turnoff stove_1"), "{refusal}");
+    }
+
+    #[test]
+    fn a_goal_about_something_that_is_not_there_is_refused_by_name() {
+        let scene = KinematicScene::new("on", &["ghost_1", "plate_1"]);
+        let refusal = plan(&scene.world()).unwrap_err();
+        assert!(refusal.contains("ghost_1"), "{refusal}");
+    }
+}

@@ -1,0 +1,245 @@
+//! A scripted manipulator for LIBERO's tasks, deterministic, that looks at no
+//! camera and is given the simulator's own state instead. It exercises the whole
+//! service with rollouts that mostly succeed, and teaches policies that see; it is
+//! no baseline for them. Skills live in the rooms below; this file only runs them
+//! one after the other.
+
+mod geometry;
+mod goal;
+mod grasp;
+#[cfg(test)]
+mod kinematic_scene;
+mod motion;
+mod place;
+mod routine;
+mod transfer;
+mod world;
+
+use std::collections::VecDeque;
+use std::f64::consts::FRAC_PI_2;
+
+use libero_ctrl::Privileged;
+
+use geometry::Vec3;
+use goal::Skill;
+use motion::{Command, Fingers, HandPose, Motion};
+use world::World;
+
+pub use motion::Action;
+
+/// Steps after which a hand that stays where it is, this far from where it should be, m and rad,
+/// counts as stuck; steps of its way back, half of them up; and how far up it aims, m.
+const PATIENCE_STEPS: u32 = 20;
+const FAR_M: f64 = 0.012;
+const FAR_RAD: f64 = 0.25;
+const BACKING_STEPS: u32 = 32;
+const STEP_M: f64 = 0.05;
+
+/// The scripted manipulator in one rollout. A clone goes on as the original would.
+#[derive(Clone, Debug, Default)]
+pub struct Expert {
+    /// Remaining skills; `None` before the first observation.
+    plan: Option<VecDeque<Skill>>,
+    motion: Motion,
+    /// Position of the shoulder, from the first observation, when the hand is at rest.
+    shoulder: Option<Vec3>,
+    /// Consecutive steps of its own for which the hand has been far from its target.
+    far_steps: u32,
+    /// Steps left of the way back from where the hand was stuck.
+    backing_steps: u32,
+    /// True if something else has driven the robot since the last action.
+    is_interrupted: bool,
+}
+
+impl Expert {
+    /// The action for the state at hand. To be asked at every control step, in order,
+    /// also where something else drives the robot ([`Self::interrupt`]): it remembers what it
+    /// has done and how the hand moves.
+    ///
+    /// # Errors
+    /// In words, where the state is of no scene that it can read.
+    pub fn act(&mut self, state: &Privileged) -> Result<Action, String> {
+        let mut world = World::read(state)?;
+        world.shoulder = *self.shoulder.get_or_insert(world.shoulder);
+        self.motion.observe(&world);
+        if self.is_interrupted {
+            (self.far_steps, self.backing_steps) = (0, 0);
+        }
+        let command = self.command(&world)?;
+        let command = self.unstuck(&world, command);
+        Ok(motion::servo(&world, &self.motion, &command))
+    }
+
+    /// Says that the robot has done something else than the last action. The next action then
+    /// follows from what is seen: what is left to do, what is in the hand, and how far the
+    /// hand is with it. Without this, steps that something else took would count as the
+    /// expert's own, and it would take a hand that hesitates for one that touches something.
+    pub fn interrupt(&mut self) {
+        self.is_interrupted = true;
+    }
+
+    /// `command`, unless it has got the hand nowhere: it may be hooked into something, or the
+    /// arm be at the limit of a joint, which no box shows. Then it goes up, and back to where it
+    /// rests, for a while.
+    fn unstuck(&mut self, world: &World, command: Command) -> Command {
+        let travels = command.pace >= 1.0;
+        let is_far = !command.hand.is_near(world, FAR_M, FAR_RAD);
+        self.far_steps = if travels && is_far {
+            self.far_steps + 1
+        } else {
+            0
+        };
+        if self.far_steps >= PATIENCE_STEPS && self.motion.is_stuck() {
+            (self.far_steps, self.backing_steps) = (0, BACKING_STEPS);
+        }
+        if self.backing_steps == 0 {
+            return command;
+        }
+        self.backing_steps -= 1;
+        let up = world.grip + Vec3::UP * STEP_M;
+        let pos = match self.backing_steps >= BACKING_STEPS / 2 {
+            true => up,
+            false => world.rest().at_height(world.rest().z.max(world.grip.z)),
+        };
+        Command {
+            hand: HandPose {
+                pos,
+                quat: motion::pointing_down(FRAC_PI_2),
+            },
+            ..command
+        }
+    }
+
+    /// The next skill's command; a plan that has run out is made anew, since
+    /// an episode that goes on has not reached its goal.
+    fn command(&mut self, world: &World) -> Result<Command, String> {
+        let is_interrupted = std::mem::take(&mut self.is_interrupted);
+        let mut plan = match self.plan.take() {
+            Some(plan) if is_interrupted => goal::resume(world, &self.motion, &plan)?.into(),
+            Some(plan) => plan,
+            None => goal::plan(world)?.into(),
+        };
+        let mut wanted = None;
+        while let (None, Some(skill)) = (wanted, plan.front_mut()) {
+            wanted = skill.step(world, &self.motion)?;
+            if wanted.is_none() {
+                plan.pop_front();
+            }
+        }
+        self.plan = (!plan.is_empty()).then_some(plan);
+        let here = HandPose {
+            pos: world.grip,
+            quat: world.grip_quat,
+        };
+        Ok(wanted.unwrap_or(Command {
+            hand: here,
+            fingers: Fingers::Open,
+            pace: 1.0,
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::kinematic_scene::KinematicScene;
+    use super::*;
+
+    fn scene() -> KinematicScene {
+        KinematicScene::new("on", &["bowl_1", "plate_1"])
+            .object("bowl_1", [-0.1, -0.1, 0.025], [0.054, 0.054, 0.025])
+            .object("plate_1", [0.05, 0.2, 0.01], [0.069, 0.069, 0.01])
+    }
+
+    /// Every action of an episode of `steps` steps.
+    fn episode(steps: u32) -> Vec<Action> {
+        let (mut scene, mut expert) = (scene(), Expert::default());
+        let mut actions = Vec::new();
+        for _ in 0..steps {
+            let action = expert.act(&scene.state).expect("an action");
+            scene.apply(action);
+            actions.push(action);
+        }
+        actions
+    }
+
+    #[test]
+    fn an_episode_is_the_same_twice_and_every_action_is_in_range() {
+        let actions = episode(250);
+        assert_eq!(actions, episode(250));
+        assert_eq!(actions.len(), 250);
+        assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
+    }
+
+    /// Returns true if the bowl comes to its plate within this many steps, where `meddle`
+    /// changes every action that is not the expert's own, by the step's number.
+    fn ends(steps: u32, meddle: impl Fn(u32, Action) -> Option<Action>) -> bool {
+        let (mut scene, mut expert) = (scene(), Expert::default());
+        (0..steps).any(|step| {
+            let action = expert.act(&scene.state).expect("an action");
+            let other = meddle(step, action);
+            if other.is_some() {
+                expert.interrupt();
+            }
+            scene.apply(other.unwrap_or(action));
+            let world = scene.world();
+            goal::plan(&world).expect("a plan").is_empty() && world.opening > motion::OPEN_M
+        })
+    }
+
+    #[test]
+    fn what_it_does_follows_from_what_it_sees_alone() {
+        // Told at every step that it was not its own, it keeps no phase.
+        assert!(ends(250, |_, action| Some(action)));
+    }
+
+    #[test]
+    fn a_hand_that_something_else_held_back_moved_or_emptied_ends_all_the_same() {
+        let still = |gripper| move |_: Action| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, gripper];
+        let aside = |_: Action| [0.6, -0.6, 0.3, 0.0, 0.0, 0.0, 1.0];
+        let meddlers: [&dyn Fn(Action) -> Action; 3] = [&still(-1.0), &still(1.0), &aside];
+        for (number, meddler) in meddlers.iter().enumerate() {
+            for first in (10..120).step_by(10) {
+                let meddled = first..first + 12;
+                let ended = ends(300, |step, action| {
+                    meddled.contains(&step).then(|| meddler(action))
+                });
+                assert!(ended, "meddler {number} from step {first} on");
+            }
+        }
+    }
+
+    #[test]
+    fn a_hand_that_holds_the_object_is_not_told_to_open_above_another_grasp() {
+        let (mut scene, mut expert) = (scene(), Expert::default());
+        for _ in 0..200 {
+            if scene.state.entities[0].pos[2] > 0.05 {
+                break;
+            }
+            let action = expert.act(&scene.state).expect("an action");
+            scene.apply(action);
+        }
+        assert!(scene.state.entities[0].pos[2] > 0.05, "it lifts the bowl");
+        // Another one's grasp: this expert has seen none of it.
+        let mut newcomer = Expert::default();
+        for _ in 0..4 {
+            newcomer.interrupt();
+            let action = newcomer.act(&scene.state).expect("an action");
+            scene.apply([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+            if action[6] > 0.0 {
+                return;
+            }
+        }
+        panic!("it opens");
+    }
+
+    #[test]
+    fn a_number_as_in_no_scene_is_refused_by_name() {
+        for number in [1e256, -101.0, f64::NAN, f64::INFINITY] {
+            let mut state = scene().state;
+            state.grip_pos[1] = number;
+            let refusal = Expert::default().act(&state).unwrap_err();
+            let expected = format!("grip_pos of 'gripper' holds {number}");
+            assert!(refusal.contains(&expected), "{refusal}");
+        }
+    }
+}

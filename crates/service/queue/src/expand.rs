@@ -1,0 +1,232 @@
+//! From a campaign's specification to the rows of the job table: which jobs,
+//! under which digest. What the manifest rows contain, and their paired-unit
+//! order, is the protocol's business.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::seeds::policy_seed;
+use libero_ctrl::{
+    CampaignSpec, JsonError, ManifestRow, Record, RolloutId, Rollouts, SpecError, Stop, Wanted,
+};
+use paired::{Unit, drawn_order};
+use serde_json::{Map, Value};
+use sha2::{Digest, Sha256};
+
+use crate::ids::{CampaignName, NameError};
+
+/// A campaign ready to be stored.
+#[derive(Clone, Debug)]
+pub struct NewCampaign {
+    /// Its name.
+    pub name: CampaignName,
+    /// Its specification, JSON.
+    pub spec: String,
+    /// SHA-256 of the specification, hex.
+    pub spec_digest: String,
+    /// Its policy's name at the endpoint.
+    pub policy: String,
+    /// Its policy's endpoint.
+    pub policy_endpoint: String,
+    /// "matched" or "reference".
+    pub realisation: String,
+    /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
+    pub record: &'static str,
+    /// Requirements on its workers.
+    pub wanted: Wanted,
+    /// Source of its jobs, if they follow from another campaign's outcomes.
+    pub derived: Option<Rollouts>,
+    /// Its configurations, if it may end early; its jobs are then in the order that
+    /// is drawn of them.
+    pub stops_among: Option<usize>,
+    /// Its jobs, in paired-unit order; none yet where they follow from outcomes.
+    pub jobs: Vec<NewJob>,
+    /// Control steps of all its rollouts, if none reaches its goal.
+    pub step_budget: u64,
+    /// Its priority, one of [`PRIORITIES`](crate::rules::campaign::PRIORITIES); 0
+    /// unless it is set.
+    pub priority: i32,
+}
+
+/// A job ready to be stored.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NewJob {
+    /// Id of the rollout.
+    pub rollout_id: String,
+    /// Number of the replicate of the rollout.
+    pub replicate: u32,
+    /// "libero_goal/3".
+    pub task: String,
+    /// Id of the initial state.
+    pub init_id: u16,
+    /// Place in paired-unit order.
+    pub unit_order: i64,
+    /// The manifest row, JSON.
+    pub manifest_row: String,
+    /// Seed for the policy.
+    pub policy_seed: u64,
+}
+
+impl NewJob {
+    /// Whether it is of the placebo level.
+    pub fn is_placebo(&self) -> bool {
+        self.rollout_id
+            .parse::<RolloutId>()
+            .is_ok_and(|id| id.is_placebo())
+    }
+
+    /// The job of a row, at a place in paired-unit order.
+    ///
+    /// # Errors
+    /// If the row cannot be written as JSON.
+    pub(crate) fn new(
+        row: &ManifestRow,
+        replicate: u32,
+        unit_order: i64,
+    ) -> Result<Self, JsonError> {
+        Ok(Self {
+            rollout_id: row.id.to_string(),
+            replicate,
+            task: row.id.task().to_string(),
+            init_id: row.init_id,
+            unit_order,
+            manifest_row: serde_json::to_string(row).map_err(JsonError::from)?,
+            policy_seed: policy_seed(&row.id, replicate),
+        })
+    }
+}
+
+/// A specification of which no campaign can be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ExpandError {
+    /// Its content.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// Its name, which also names a folder.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// It cannot be written as JSON.
+    #[error("write a campaign's manifest rows as JSON")]
+    Json(#[from] JsonError),
+}
+
+impl NewCampaign {
+    /// Reads a specification and expands it.
+    ///
+    /// # Errors
+    /// Names what is wrong with it and what would be right.
+    pub fn from_json(spec: &str) -> Result<NewCampaign, ExpandError> {
+        NewCampaign::from_spec(&CampaignSpec::from_json(spec)?)
+    }
+
+    /// Expands a specification: its rows in paired-unit order, once per
+    /// replicate. A replicate starts when the one before it is through.
+    ///
+    /// # Errors
+    /// Names what is wrong with it and what would be right.
+    pub fn from_spec(spec: &CampaignSpec) -> Result<NewCampaign, ExpandError> {
+        let name = CampaignName::parse(&spec.name)?;
+        let mut rows = spec.expand()?;
+        let stops_among = spec.stop.as_ref().map(|stop| draw(&mut rows, stop));
+        let budgets = rows.iter().map(|row| u64::from(row.max_steps));
+        let step_budget = budgets.sum::<u64>() * u64::from(spec.replicates);
+        let mut jobs = Vec::with_capacity(rows.len() * spec.replicates as usize);
+        for replicate in 0..spec.replicates {
+            for row in &rows {
+                jobs.push(NewJob::new(row, replicate, jobs.len() as i64)?);
+            }
+        }
+        let text = serde_json::to_string(spec).map_err(JsonError::from)?;
+        Ok(NewCampaign {
+            name,
+            spec_digest: digest(&text),
+            spec: text,
+            policy: spec.policy.name.clone(),
+            policy_endpoint: spec.policy.endpoint.clone(),
+            realisation: spec.realisation.to_string(),
+            wanted: spec.wanted.clone(),
+            derived: match &spec.rollouts {
+                Rollouts::Design(_) | Rollouts::Manifest(_) => None,
+                derived => Some(derived.clone()),
+            },
+            stops_among,
+            record: match spec.record {
+                Record::None => "none",
+                Record::Failures => "failures",
+                Record::Transitions => "transitions",
+                Record::All => "all",
+            },
+            jobs,
+            step_budget,
+            priority: 0,
+        })
+    }
+
+    /// The tasks that its jobs belong to.
+    pub fn tasks(&self) -> BTreeSet<&str> {
+        self.jobs.iter().map(|job| job.task.as_str()).collect()
+    }
+}
+
+/// Brings rows into the drawn order of their configurations, each with its nominal
+/// rollout; other nominal rollouts come last. Returns how many configurations there
+/// are.
+fn draw(rows: &mut [ManifestRow], stop: &Stop) -> usize {
+    let unit = |row: &ManifestRow| -> Option<Unit> { Some((row.id.task(), row.id.config()?)) };
+    let order = drawn_order(stop, rows.iter().filter_map(unit));
+    let places: BTreeMap<Unit, usize> = order.units().copied().zip(0..).collect();
+    let mut of_states = BTreeMap::new();
+    for row in rows.iter() {
+        if let Some(unit) = unit(row) {
+            let first = of_states.entry((row.id.task(), row.init_id));
+            let first = first.or_insert(usize::MAX);
+            *first = places[&unit].min(*first);
+        }
+    }
+    rows.sort_by_key(|row| match unit(row) {
+        Some(unit) => (places[&unit], true),
+        None => {
+            let paired = of_states.get(&(row.id.task(), row.init_id));
+            (paired.copied().unwrap_or(usize::MAX), false)
+        }
+    });
+    places.len()
+}
+
+/// A stored specification after a change, and its digest.
+///
+/// # Errors
+/// If the changed specification is invalid.
+pub(crate) fn altered(
+    spec: &str,
+    change: impl FnOnce(&mut CampaignSpec),
+) -> Result<(String, String), ExpandError> {
+    let mut spec = CampaignSpec::from_json(spec)?;
+    change(&mut spec);
+    spec.check()?;
+    let text = serde_json::to_string(&spec).map_err(JsonError::from)?;
+    let digest = digest(&text);
+    Ok((text, digest))
+}
+
+/// The names of the fields in which two specifications differ, for people.
+pub fn differing_fields(one: &str, other: &str) -> String {
+    let fields = |text: &str| match serde_json::from_str(text) {
+        Ok(Value::Object(fields)) => fields,
+        _ => Map::new(),
+    };
+    let (one, other) = (fields(one), fields(other));
+    let names: BTreeSet<&String> = one.keys().chain(other.keys()).collect();
+    let differing: Vec<String> = names
+        .into_iter()
+        .filter(|name| one.get(*name) != other.get(*name))
+        .map(|name| format!("`{name}`"))
+        .collect();
+    differing.join(", ")
+}
+
+fn digest(text: &str) -> String {
+    Sha256::digest(text.as_bytes())
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
+}

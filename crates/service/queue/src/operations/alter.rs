@@ -1,0 +1,138 @@
+//! Altering a campaign that is there: its priority, its policy, its name. All
+//! that is asked for is done, or nothing.
+
+use super::campaigns::going_on;
+use super::context::Context;
+use super::error::QueueError;
+use crate::expand::altered;
+use crate::ids::CampaignName;
+use crate::queue::Queue;
+use crate::read::Counts;
+use crate::store::campaigns::Campaign;
+use crate::store::failpoint::Step;
+use crate::store::{campaigns, derivations, policies};
+
+/// A change of a campaign; fields that are `None` stay as they are.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Alteration {
+    /// One of [`PRIORITIES`](crate::rules::campaign::PRIORITIES).
+    pub priority: Option<i32>,
+    /// URL at which its policy is from now on. What is leased is taken back
+    /// without a charge.
+    pub endpoint: Option<String>,
+    /// The policy's name at its endpoint; only while there is no result.
+    pub policy: Option<String>,
+    /// The campaign's new name.
+    pub name: Option<CampaignName>,
+}
+
+impl Queue {
+    /// Alters a campaign. Returns how many leases were taken back: their workers
+    /// learn of it with their next heartbeat.
+    ///
+    /// A renamed campaign is found under its new name only; its files stay where
+    /// they are. The specification changes with name and policy, so that it can
+    /// be created again as it is now, and not as it was.
+    ///
+    /// # Errors
+    /// When there is no such campaign, it is over, another one has the name,
+    /// it has results of another policy, the endpoint is no URL, or the database
+    /// fails.
+    pub async fn alter_campaign(
+        &self,
+        name: &CampaignName,
+        to: &Alteration,
+    ) -> Result<u64, QueueError> {
+        let _alone = self.campaigns.lock().await;
+        let shared = &*self.shared;
+        let mut context = Context::begin(shared, vec![Step::ChangeCampaign]).await?;
+        let campaign = context.campaign_named(name).await?;
+        let mut taken_back = 0;
+        if let Some(priority) = to.priority {
+            campaigns::set_priority(&mut context.tx, campaign.id, priority).await?;
+        }
+        let endpoint = to.endpoint.as_ref().unwrap_or(&campaign.endpoint);
+        let policy = to.policy.as_ref().unwrap_or(&campaign.policy);
+        if (endpoint, policy) != (&campaign.endpoint, &campaign.policy) {
+            taken_back = context.change_policy(&campaign, endpoint, policy).await?;
+        }
+        if let Some(new_name) = to.name.as_ref().filter(|new| *new != name) {
+            context.rename(&campaign, new_name).await?;
+        }
+        context.cache.forget_campaigns();
+        context.commit().await?;
+        tracing::info!(campaign = %name, "altered: {to:?}");
+        shared.work.notify_waiters();
+        Ok(taken_back)
+    }
+}
+
+impl Context<'_> {
+    async fn change_policy(
+        &mut self,
+        campaign: &Campaign,
+        endpoint: &str,
+        policy: &str,
+    ) -> Result<u64, QueueError> {
+        going_on(campaign)?;
+        let results = Counts::of(&mut self.tx, campaign.id).await?.committed;
+        if policy != campaign.policy && results > 0 {
+            return Err(QueueError::PolicyMeasured {
+                campaign: campaign.name.clone(),
+                policy: campaign.policy.clone(),
+                results,
+            });
+        }
+        // Before the policy changes: how these attempts end says something of the
+        // old one only, which one of them may be trying.
+        let why = "the campaign's policy is at another endpoint now";
+        let taken_back = self.take_back(campaign.id, why).await?;
+        let (spec, digest) = self
+            .altered_spec(campaign, |spec| {
+                endpoint.clone_into(&mut spec.policy.endpoint);
+                policy.clone_into(&mut spec.policy.name);
+            })
+            .await?;
+        let found = policies::find_or_insert(&mut self.tx, endpoint, policy, self.now).await?;
+        campaigns::set_policy(&mut self.tx, campaign.id, found).await?;
+        campaigns::set_spec(&mut self.tx, campaign.id, &spec, &digest).await?;
+        policies::remove_unused(&mut self.tx, campaign.policy_id).await?;
+        Ok(taken_back)
+    }
+
+    async fn rename(&mut self, campaign: &Campaign, name: &CampaignName) -> Result<(), QueueError> {
+        if campaigns::by_name(&mut self.tx, name).await?.is_some() {
+            return Err(QueueError::NameTaken {
+                campaign: campaign.name.clone(),
+                taken: name.clone(),
+            });
+        }
+        let (spec, digest) = self
+            .altered_spec(campaign, |spec| {
+                name.as_str().clone_into(&mut spec.name);
+            })
+            .await?;
+        campaigns::set_spec(&mut self.tx, campaign.id, &spec, &digest).await?;
+        campaigns::rename(&mut self.tx, campaign, name).await?;
+        for derived in derivations::of(&mut self.tx, campaign.id).await? {
+            let derived = self.campaign_named(&derived).await?;
+            let (spec, digest) = self
+                .altered_spec(&derived, |spec| spec.rollouts.set_source(name.as_str()))
+                .await?;
+            campaigns::set_spec(&mut self.tx, derived.id, &spec, &digest).await?;
+        }
+        Ok(())
+    }
+
+    async fn altered_spec(
+        &mut self,
+        campaign: &Campaign,
+        change: impl FnOnce(&mut libero_ctrl::CampaignSpec),
+    ) -> Result<(String, String), QueueError> {
+        let spec = campaigns::spec(&mut self.tx, campaign.id).await?;
+        altered(&spec, change).map_err(|error| QueueError::Unspecified {
+            campaign: campaign.name.clone(),
+            problem: error.to_string(),
+        })
+    }
+}

@@ -1,0 +1,198 @@
+//! Videos kept beside outcomes, below the data folder: written under a temporary
+//! name, then renamed, so that a file that is there is whole.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use rollout_types::AttemptId;
+use tempfile::TempPath;
+use tokio::fs::File;
+use tokio::io::AsyncWriteExt;
+
+use super::context::Context;
+use super::shared::Shared;
+use crate::queue::Queue;
+use crate::store::StoreError;
+use crate::store::artifacts::{self, ArtifactOwner};
+use crate::store::failpoint::Step;
+
+/// Largest video, bytes. A 520-step rollout filmed by two 512² cameras takes
+/// about 8 MiB.
+pub const MAX_ARTIFACT_BYTES: u64 = 64 << 20;
+/// The folder of artifacts in the data folder.
+pub const ARTIFACTS_FOLDER: &str = "artifacts";
+/// Prefix of folders and files that hold a campaign on its way in or out.
+pub const MOVING_PREFIX: &str = "moving-";
+/// Suffix of a file's name while it is being received.
+pub(super) const PARTIAL_SUFFIX: &str = ".partial";
+
+/// A video that is not kept.
+#[derive(Debug, thiserror::Error)]
+pub enum ArtifactError {
+    /// Too large.
+    #[error("store the video of attempt {attempt}: it is larger than {MAX_ARTIFACT_BYTES} bytes")]
+    TooLarge {
+        /// The attempt that was filmed.
+        attempt: AttemptId,
+    },
+    /// There is no outcome for it to stand beside.
+    #[error("store the video of attempt {attempt}: no committed outcome is of this attempt")]
+    NoOutcome {
+        /// The attempt that was filmed.
+        attempt: AttemptId,
+    },
+    /// The file cannot be written.
+    #[error("write {}: is there room on the disk, and may this user write there?", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Error of the system.
+        source: io::Error,
+    },
+    /// The database failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// A video on its way in. Dropping it removes what was received.
+pub struct Upload<'a> {
+    shared: &'a Shared,
+    attempt: AttemptId,
+    /// Final path of the video, below the data folder.
+    path: String,
+    partial: TempPath,
+    file: File,
+    size_bytes: u64,
+}
+
+impl Queue {
+    /// Begins to receive the video of an attempt whose outcome is committed.
+    ///
+    /// # Errors
+    /// When there is no such outcome, or the file cannot be made.
+    pub async fn upload(&self, attempt: AttemptId) -> Result<Upload<'_>, ArtifactError> {
+        let shared = &*self.shared;
+        let mut view = shared.store.read().await?;
+        let owner = artifacts::owner(&mut view, attempt).await?;
+        drop(view);
+        let path = relative_path(&owner.ok_or(ArtifactError::NoOutcome { attempt })?, attempt);
+        let target = shared.store.folder().join(&path);
+        let folder = target.parent().unwrap_or(Path::new("."));
+        tokio::fs::create_dir_all(folder)
+            .await
+            .map_err(at(folder))?;
+        // Each upload has a file of its own, also of one attempt.
+        let partial = tempfile::Builder::new()
+            .suffix(PARTIAL_SUFFIX)
+            .tempfile_in(folder);
+        let (file, partial) = partial.map_err(at(folder))?.into_parts();
+        Ok(Upload {
+            shared,
+            attempt,
+            path,
+            partial,
+            file: File::from_std(file),
+            size_bytes: 0,
+        })
+    }
+}
+
+impl Upload<'_> {
+    /// Receives a piece.
+    ///
+    /// # Errors
+    /// When the file grows too large or cannot be written.
+    pub async fn write(&mut self, data: &[u8]) -> Result<(), ArtifactError> {
+        self.size_bytes += data.len() as u64;
+        if self.size_bytes > MAX_ARTIFACT_BYTES {
+            let attempt = self.attempt;
+            return Err(ArtifactError::TooLarge { attempt });
+        }
+        let written = self.file.write_all(data).await;
+        written.map_err(at(&self.partial))
+    }
+
+    /// Puts the whole file in its place. Returns its path below the data
+    /// folder.
+    ///
+    /// # Errors
+    /// When the outcome is gone meanwhile, or the disk fails.
+    pub async fn finish(mut self) -> Result<String, ArtifactError> {
+        // Writes go on in the background: only a flush reports a failure of the
+        // last one.
+        self.file.flush().await.map_err(at(&self.partial))?;
+        self.file.sync_all().await.map_err(at(&self.partial))?;
+        let attempt = self.attempt;
+        let mut context = Context::begin(self.shared, vec![Step::Artifact]).await?;
+        let owner = artifacts::owner(&mut context.tx, attempt).await?;
+        let owner = owner.ok_or(ArtifactError::NoOutcome { attempt })?;
+        let now = context.now;
+        artifacts::record(&mut context.tx, attempt, &self.path, self.size_bytes, now).await?;
+        let _alone = self.shared.files.lock().await;
+        let target = self.shared.store.folder().join(&self.path);
+        let renamed = self.partial.persist(&target);
+        renamed.map_err(|failed| at(&target)(failed.error))?;
+        context.commit().await?;
+        self.shared.films.filmed(owner.campaign, owner.job);
+        Ok(self.path)
+    }
+}
+
+/// Returns the path of a campaign's folder, below the data folder.
+pub(crate) fn campaign_folder(folder: &str) -> String {
+    format!("{ARTIFACTS_FOLDER}/{folder}")
+}
+
+/// Removes what uploads of an earlier run, and campaigns on their way in or out, left
+/// half-way.
+///
+/// # Errors
+/// When a folder cannot be read or a file cannot be removed.
+pub fn remove_partial_files(data: &Path) -> io::Result<()> {
+    for left in std::fs::read_dir(data)? {
+        let left = left?;
+        if left
+            .file_name()
+            .to_string_lossy()
+            .starts_with(MOVING_PREFIX)
+        {
+            match left.file_type()?.is_dir() {
+                true => std::fs::remove_dir_all(left.path())?,
+                false => std::fs::remove_file(left.path())?,
+            }
+        }
+    }
+    let campaigns = data.join(ARTIFACTS_FOLDER);
+    if !campaigns.exists() {
+        return Ok(());
+    }
+    for campaign in std::fs::read_dir(campaigns)? {
+        let campaign = campaign?;
+        if !campaign.file_type()?.is_dir() {
+            continue;
+        }
+        for file in std::fs::read_dir(campaign.path())? {
+            let file = file?;
+            if file.file_name().to_string_lossy().ends_with(PARTIAL_SUFFIX) {
+                std::fs::remove_file(file.path())?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// `artifacts/FOLDER/spatial_t0_camera_L2_c00.r0.ATTEMPT.mp4`. Rollout ids hold
+/// letters, digits, underscores and slashes only, campaigns' folders no slash.
+fn relative_path(owner: &ArtifactOwner, attempt: AttemptId) -> String {
+    format!(
+        "{}/{}.r{}.{attempt}.mp4",
+        campaign_folder(&owner.folder),
+        owner.rollout_id.replace('/', "_"),
+        owner.replicate,
+    )
+}
+
+fn at(path: &Path) -> impl FnOnce(io::Error) -> ArtifactError {
+    let path = path.to_owned();
+    move |source| ArtifactError::Write { path, source }
+}

@@ -1,0 +1,258 @@
+//! Creating, pausing, resuming, cancelling and deleting campaigns.
+
+use libero_ctrl::{CampaignSpec, Realisation, Rollouts};
+
+use super::context::Context;
+use super::error::{QueueError, unknown_campaign};
+use super::passages::{self as moves, PIECE, remove as remove_hidden};
+use super::shared::Shared;
+use super::{artifacts, removals};
+use crate::expand::{NewCampaign, differing_fields};
+use crate::ids::{CampaignId, CampaignName};
+use crate::queue::Queue;
+use crate::read::Counts;
+use crate::rules::campaign::{CampaignState, Change, EndedIsFinal};
+use crate::rules::lease::{FailureReason, JobState};
+use crate::store::campaigns::Campaign;
+use crate::store::failpoint::Step;
+use crate::store::removals as pending;
+use crate::store::{
+    Doing, StoreError, campaigns, derivations, jobs, passages, policies, stops, undecodable,
+};
+
+/// Result of creating a campaign.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Created {
+    /// Jobs added: all of them, or none if the campaign was there.
+    pub jobs_added: u64,
+    /// Jobs that it has.
+    pub jobs_total: u64,
+    /// Its priority: one that was there keeps its own.
+    pub priority: i32,
+}
+
+impl Queue {
+    /// Stores a campaign and its jobs. The same specification twice adds
+    /// nothing.
+    ///
+    /// # Errors
+    /// When another specification has the name, it follows from a campaign that is not
+    /// there, measures another policy or cannot be gone on with so, or the database fails.
+    pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
+        let _alone = self.campaigns.lock().await;
+        let shared = &*self.shared;
+        let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
+        let jobs = new.jobs.len() as u64;
+        if let Some(existing) = campaigns::by_name(&mut context.tx, &new.name).await? {
+            if existing.spec_digest != new.spec_digest {
+                let spec = campaigns::spec(&mut context.tx, existing.id).await?;
+                return Err(QueueError::CampaignDiffers {
+                    campaign: new.name.clone(),
+                    differs: differing_fields(&spec, &new.spec),
+                });
+            }
+            return Ok(Created {
+                jobs_added: 0,
+                jobs_total: jobs,
+                priority: existing.priority,
+            });
+        }
+        let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
+        if new.jobs.len() > PIECE {
+            // It follows from no other campaign: such a one has no jobs yet.
+            drop(context);
+            moves::insert(shared, new, &folder).await?;
+            return Ok(created(shared, new));
+        }
+        let source = context.source_of(new).await?;
+        let id = campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
+        if let Some(source) = source {
+            derivations::insert(&mut context.tx, id, source).await?;
+            context.settles = true;
+        }
+        if let Some(configurations) = new.stops_among {
+            stops::insert(&mut context.tx, id, configurations).await?;
+        }
+        context.commit().await?;
+        Ok(created(shared, new))
+    }
+
+    /// Pauses, resumes or cancels a campaign. Resuming also lets its policy be tried at
+    /// once, if that waits for the end of a back-off. Cancelling takes its leases back
+    /// without a charge; their workers learn of it with their next heartbeat.
+    ///
+    /// # Errors
+    /// When there is no such campaign, it is cancelled or stopped already, or the
+    /// database fails.
+    pub async fn change_campaign(
+        &self,
+        name: &CampaignName,
+        change: Change,
+    ) -> Result<CampaignState, QueueError> {
+        let shared = &*self.shared;
+        let mut context = Context::begin(shared, vec![Step::ChangeCampaign]).await?;
+        let campaign = context.campaign_named(name).await?;
+        let after = campaign.state.after(change, context.now);
+        let after = after.map_err(|EndedIsFinal| ended(&campaign))?;
+        let health = match change {
+            Change::Resume => campaign.health.due_at_once(context.now),
+            Change::Pause | Change::Cancel => campaign.health.clone(),
+        };
+        if after == campaign.state && health == campaign.health {
+            return Ok(after);
+        }
+        policies::set_health(&mut context.tx, campaign.policy_id, &health).await?;
+        campaigns::set_state(&mut context.tx, campaign.id, after).await?;
+        if let CampaignState::Cancelled { .. } = after {
+            let why = "the campaign was cancelled";
+            context.take_back(campaign.id, why).await?;
+        }
+        context.commit().await?;
+        tracing::info!(campaign = %name, "the campaign is {}", after.name());
+        shared.work.notify_waiters();
+        Ok(after)
+    }
+
+    /// Deletes a campaign with its jobs, results and files. Returns how many
+    /// there were.
+    ///
+    /// # Errors
+    /// When there is no such campaign, some of its rollouts are leased, another
+    /// campaign follows from it, or the database fails. Files that cannot be removed now
+    /// are removed at the next start; those that are kept elsewhere, by
+    /// [`finish_removals`](Self::finish_removals).
+    pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
+        let _alone = self.campaigns.lock().await;
+        let shared = &*self.shared;
+        let mut context = Context::begin(shared, vec![Step::DeleteCampaign]).await?;
+        let campaign = context.campaign_named(name).await?;
+        let counts = Counts::of(&mut context.tx, campaign.id).await?;
+        if counts.leased > 0 {
+            return Err(QueueError::CampaignInUse {
+                campaign: name.clone(),
+                leased: counts.leased,
+            });
+        }
+        let derived = derivations::of(&mut context.tx, campaign.id).await?;
+        if let Some(derived) = derived.first() {
+            return Err(QueueError::GoneOnWith {
+                campaign: name.clone(),
+                derived: derived.clone(),
+            });
+        }
+        let folder = artifacts::campaign_folder(&campaign.folder);
+        let is_large = counts.total() > PIECE as u64;
+        if is_large {
+            passages::leave(&mut context.tx, campaign.id).await?;
+        } else {
+            campaigns::delete(&mut context.tx, campaign.id).await?;
+            policies::remove_unused(&mut context.tx, campaign.policy_id).await?;
+        }
+        context.cache.forget();
+        pending::note(&mut context.tx, &folder).await?;
+        context.commit().await?;
+        if is_large {
+            remove_hidden(shared, campaign.id, campaign.policy_id).await?;
+        }
+        tracing::warn!(campaign = %name, jobs = counts.total(), results = counts.committed,
+        "the campaign was deleted");
+        removals::remove_here(shared, &folder).await?;
+        Ok(counts)
+    }
+}
+
+/// Tells of a campaign that has come with its jobs.
+fn created(shared: &Shared, new: &NewCampaign) -> Created {
+    let jobs = new.jobs.len() as u64;
+    tracing::info!(campaign = %new.name, jobs, "campaign created");
+    shared.work.notify_waiters();
+    Created {
+        jobs_added: jobs,
+        jobs_total: jobs,
+        priority: new.priority,
+    }
+}
+
+/// Why a campaign that is cancelled or stopped is not changed.
+fn ended(campaign: &Campaign) -> QueueError {
+    let name = campaign.name.clone();
+    match campaign.state {
+        CampaignState::Stopped { .. } => QueueError::Stopped { campaign: name },
+        _ => QueueError::Cancelled { campaign: name },
+    }
+}
+
+/// Refuses to change a campaign that is cancelled or stopped.
+pub(super) fn going_on(campaign: &Campaign) -> Result<(), QueueError> {
+    match campaign.state.is_over() {
+        true => Err(ended(campaign)),
+        false => Ok(()),
+    }
+}
+
+impl Context<'_> {
+    /// The campaign that a new one follows from, if it does.
+    async fn source_of(&mut self, new: &NewCampaign) -> Result<Option<CampaignId>, QueueError> {
+        let Some(derived) = &new.derived else {
+            return Ok(None);
+        };
+        let name = derived.source().unwrap_or_default();
+        let name = CampaignName::parse(name).map_err(|error| QueueError::Unspecified {
+            campaign: new.name.clone(),
+            problem: error.to_string(),
+        })?;
+        let source = self.campaign_named(&name).await?;
+        if source.mode()? != Realisation::Matched {
+            return Err(QueueError::Unmatched {
+                campaign: source.name,
+            });
+        }
+        if (&source.policy, &source.endpoint) != (&new.policy, &new.policy_endpoint) {
+            return Err(QueueError::OtherPolicy {
+                campaign: source.name,
+                policy: source.policy,
+                endpoint: source.endpoint,
+            });
+        }
+        if let Rollouts::Thresholds(thresholds) = derived {
+            let spec = campaigns::spec(&mut self.tx, source.id).await?;
+            let spec = CampaignSpec::from_json(&spec).map_err(undecodable);
+            let spec = spec.doing("read what the campaign follows from")?;
+            let possible = thresholds.can_be_of(&spec.rollouts);
+            possible.map_err(|problem| QueueError::NoThresholds {
+                campaign: source.name,
+                problem,
+            })?;
+        }
+        Ok(Some(source.id))
+    }
+
+    pub(super) async fn campaign_named(
+        &mut self,
+        name: &CampaignName,
+    ) -> Result<Campaign, QueueError> {
+        match campaigns::by_name(&mut self.tx, name).await? {
+            Some(campaign) => Ok(campaign),
+            None => Err(unknown_campaign(&mut self.tx, name).await?),
+        }
+    }
+
+    /// Takes a campaign's leases back without a charge, also those of workers that were cut
+    /// off and may come back; their workers learn of it with their next heartbeat. Returns how many there were.
+    pub(super) async fn take_back(
+        &mut self,
+        campaign: CampaignId,
+        why: &str,
+    ) -> Result<u64, StoreError> {
+        let leased = jobs::leased(&mut self.tx, campaign).await?;
+        for row in &leased {
+            if let JobState::Leased(lease) = &row.job.state {
+                let failure = (FailureReason::Cancelled, why);
+                self.end_attempt((&row.job, lease), campaign, failure)
+                    .await?;
+            }
+        }
+        jobs::forget_cut_off(&mut self.tx, campaign).await?;
+        Ok(leased.len() as u64)
+    }
+}

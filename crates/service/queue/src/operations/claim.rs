@@ -1,0 +1,363 @@
+//! Granting leases. All claims that arrive together are served by the same
+//! statements: those that are repeated get the lease that they got before, the
+//! others what they can have now.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use rollout_types::{AttemptId, Pin};
+
+use super::choose::Wanting;
+use super::context::Context;
+use super::error::QueueError;
+use crate::ids::{AttemptNumber, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
+use crate::rules::choice::{WaitingCampaign, choose_campaign};
+use crate::rules::outage::{Allowance, PolicyState};
+use crate::store::campaigns::Campaign;
+use crate::store::claims::{self, Grant, LeasedJob, Term};
+use crate::store::workers::Standing;
+use crate::store::{StoreError, policies, workers};
+
+pub use super::choose::ClaimRequest;
+
+/// Longest wait of a claim.
+pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
+
+/// Answer to a claim.
+#[derive(Clone, Debug, Default)]
+pub struct Claimed {
+    /// A job, and the lease on it.
+    pub job: Option<Assigned>,
+    /// Without a lease: why, if jobs wait that this worker cannot have.
+    pub idle_reason: String,
+}
+
+/// A job with the lease on it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Assigned {
+    /// The attempt that was granted.
+    pub attempt: AttemptId,
+    /// Its job.
+    pub job: JobId,
+    /// Number of the attempt within the job, from 1.
+    pub number: AttemptNumber,
+    /// Its campaign.
+    pub campaign: CampaignName,
+    /// Number of the replicate.
+    pub replicate: u32,
+    /// One manifest row, JSON.
+    pub manifest_row: String,
+    /// Seed for the policy.
+    pub policy_seed: u64,
+    /// The policy's name at its endpoint.
+    pub policy: String,
+    /// The policy's endpoint.
+    pub policy_endpoint: String,
+    /// "matched" or "reference".
+    pub realisation: String,
+    /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
+    pub record: String,
+}
+
+impl Context<'_> {
+    /// Answers claims of workers that ask at the same time. `is_new` says of each whether it has
+    /// just come, and not only been woken: only then does it show that its worker is alive.
+    pub(super) async fn claim(
+        &mut self,
+        requests: &[(&ClaimRequest, bool)],
+    ) -> Result<Vec<Result<Claimed, QueueError>>, StoreError> {
+        if requests.is_empty() {
+            return Ok(Vec::new());
+        }
+        let standings = self.standings(requests).await?;
+        let repeated = self.repeated(requests).await?;
+        let mut answers = Vec::with_capacity(requests.len());
+        let mut wanting: Vec<(Pin, Vec<Wanting<'_>>)> = Vec::new();
+        for (place, (request, _)) in requests.iter().enumerate() {
+            let standing = match may_claim(&standings, &request.worker) {
+                Ok(standing) => standing,
+                Err(refusal) => {
+                    answers.push(Err(refusal));
+                    continue;
+                }
+            };
+            let mut claimed = Claimed::default();
+            let before = repeated.get(request.claim.as_str());
+            if let Some(job) = before.filter(|job| job.lease_owner == request.worker) {
+                let campaign = self.campaign(job.campaign_id).await?;
+                claimed.job = Some(assigned(&campaign, job.clone()));
+            } else if let Some(reason) = self.shared.held() {
+                claimed.idle_reason = reason;
+            } else {
+                let asks = Wanting {
+                    place,
+                    request,
+                    machine: &standing.machine,
+                    exhausted: BTreeSet::new(),
+                };
+                match wanting.iter_mut().find(|(pin, _)| *pin == standing.pin) {
+                    Some((_, others)) => others.push(asks),
+                    None => wanting.push((standing.pin.clone(), vec![asks])),
+                }
+            }
+            answers.push(Ok(claimed));
+        }
+        for (pin, mut wanting) in wanting {
+            for (place, assigned) in self.lease_to(&pin, &mut wanting).await? {
+                answers[place] = Ok(Claimed {
+                    job: Some(assigned),
+                    idle_reason: String::new(),
+                });
+            }
+            if wanting.is_empty() {
+                continue;
+            }
+            let idle_reason = self.idle_reason(&pin).await?;
+            for left in wanting {
+                answers[left.place] = Ok(Claimed {
+                    job: None,
+                    idle_reason: idle_reason.clone(),
+                });
+            }
+        }
+        Ok(answers)
+    }
+
+    /// The standings of the workers that ask; notes that they are alive.
+    async fn standings(
+        &mut self,
+        requests: &[(&ClaimRequest, bool)],
+    ) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
+        let asking: Vec<_> = requests.iter().map(|(it, _)| &it.worker).collect();
+        let standings = workers::standings(&mut self.tx, &asking).await?;
+        let new = requests.iter().filter(|(_, is_new)| *is_new);
+        let new: Vec<_> = new.map(|(it, _)| &it.worker).collect();
+        if !new.is_empty() {
+            workers::seen(&mut self.tx, &new, self.now).await?;
+        }
+        Ok(standings)
+    }
+
+    /// The leases that some of these claims got before.
+    async fn repeated(
+        &mut self,
+        requests: &[(&ClaimRequest, bool)],
+    ) -> Result<BTreeMap<String, LeasedJob>, StoreError> {
+        let claims: Vec<&str> = requests.iter().map(|(it, _)| it.claim.as_str()).collect();
+        let leases = claims::repeated(&mut self.tx, &claims).await?;
+        let by_claim = leases.into_iter().map(|job| (job.claim_id.clone(), job));
+        Ok(by_claim.collect())
+    }
+
+    /// Leases to workers that run on `pin`, in the order of `choose_campaign`.
+    /// Claims that are met are taken out of `wanting`.
+    async fn lease_to(
+        &mut self,
+        pin: &Pin,
+        wanting: &mut Vec<Wanting<'_>>,
+    ) -> Result<Vec<(usize, Assigned)>, StoreError> {
+        let mut assigned = Vec::new();
+        // Campaigns that have nothing more for those that are left.
+        let mut done: BTreeSet<CampaignId> = BTreeSet::new();
+        let mut leased: Option<BTreeMap<CampaignId, u32>> = None;
+        while !wanting.is_empty() {
+            // Looked at again after every campaign: a lease may be the probe that
+            // the policy's other campaigns wait for.
+            let waiting = self.cache.waiting(&mut self.tx).await?;
+            let now = self.now;
+            let suits = |it: &&Campaign| {
+                it.state.may_lease()
+                    && it.takes(pin)
+                    && !done.contains(&it.id)
+                    && it.health.allowance(now) != Allowance::Nothing
+            };
+            let suitable: Vec<&Campaign> = waiting.iter().filter(suits).collect();
+            if suitable.len() > 1 && leased.is_none() {
+                leased = Some(claims::leases(&mut self.tx).await?);
+            }
+            let of = |it: &&Campaign| WaitingCampaign {
+                id: it.id,
+                priority: it.priority,
+                leased: leased.iter().filter_map(|all| all.get(&it.id)).sum(),
+                last_turn: self.cache.last_turn(it.id),
+            };
+            let seen: Vec<WaitingCampaign> = suitable.iter().map(of).collect();
+            let Some((chosen, share)) = choose_campaign(&seen, wanting.len()) else {
+                break;
+            };
+            let Some(campaign) = suitable.into_iter().find(|it| it.id == chosen) else {
+                break;
+            };
+            let room = match campaign.health.allowance(now) {
+                Allowance::Unlimited => share,
+                Allowance::Probe => 1,
+                Allowance::Nothing => 0,
+            };
+            let granted = self.lease_from(campaign, wanting, room).await?;
+            if granted.len() < room {
+                done.insert(chosen);
+            }
+            if !granted.is_empty() {
+                self.cache.had_turn(chosen);
+            }
+            if let Some(leased) = &mut leased {
+                let more = u32::try_from(granted.len()).unwrap_or(u32::MAX);
+                *leased.entry(chosen).or_default() += more;
+            }
+            assigned.extend(granted);
+        }
+        assigned.extend(self.lease_alone_to(pin, wanting).await?);
+        Ok(assigned)
+    }
+
+    /// Leases jobs that have lost their policy again and again, each alone with its policy.
+    /// Claims that are met are taken out of `wanting`.
+    async fn lease_alone_to(
+        &mut self,
+        pin: &Pin,
+        wanting: &mut Vec<Wanting<'_>>,
+    ) -> Result<Vec<(usize, Assigned)>, StoreError> {
+        let mut assigned = Vec::new();
+        if wanting.is_empty() {
+            return Ok(assigned);
+        }
+        let lone = claims::with_lone_jobs(&mut self.tx).await?;
+        if lone.is_empty() {
+            return Ok(assigned);
+        }
+        let waiting = self.cache.waiting(&mut self.tx).await?;
+        let mut tried: BTreeSet<PolicyId> = BTreeSet::new();
+        for campaign in waiting.iter().filter(|it| lone.contains(&it.id)) {
+            let may_lease = !wanting.is_empty()
+                && campaign.state.may_lease()
+                && campaign.takes(pin)
+                && campaign.health.allowance(self.now) != Allowance::Nothing
+                && !tried.contains(&campaign.policy_id);
+            if !may_lease || !policies::is_idle(&mut self.tx, campaign.policy_id).await? {
+                continue;
+            }
+            let chosen = self.choose_lone(campaign, wanting).await?;
+            if let Some((place, grant, why)) = chosen {
+                tried.insert(campaign.policy_id);
+                tracing::info!("policy `{}`: {why}", campaign.policy);
+                let probing = campaign.health.with_lone_probe(grant.attempt, why);
+                policies::set_health(&mut self.tx, campaign.policy_id, &probing).await?;
+                self.cache.forget_campaigns();
+                assigned.extend(self.hand_out(campaign, vec![(place, grant)]).await?);
+            }
+        }
+        Ok(assigned)
+    }
+
+    /// Leases up to `room` jobs of one campaign.
+    async fn lease_from(
+        &mut self,
+        campaign: &Campaign,
+        wanting: &mut Vec<Wanting<'_>>,
+        room: usize,
+    ) -> Result<Vec<(usize, Assigned)>, StoreError> {
+        let grants = match campaign.is_drawn {
+            true => self.choose_in_order(campaign, wanting, room).await?,
+            false => self.choose(campaign, wanting, room).await?,
+        };
+        let Some((_, first)) = grants.first() else {
+            return Ok(Vec::new());
+        };
+        if campaign.health.state != PolicyState::Available {
+            let probing = campaign.health.with_probe(first.attempt);
+            policies::set_health(&mut self.tx, campaign.policy_id, &probing).await?;
+            self.cache.forget_campaigns();
+        }
+        self.hand_out(campaign, grants).await
+    }
+
+    /// Leases the chosen jobs.
+    async fn hand_out(
+        &mut self,
+        campaign: &Campaign,
+        grants: Vec<(usize, Grant)>,
+    ) -> Result<Vec<(usize, Assigned)>, StoreError> {
+        let timing = self.shared.timing;
+        let per_step = timing.ceiling_per_step.as_millis();
+        let term = Term {
+            granted: self.now,
+            expires: self.now.plus(timing.lease),
+            ceiling_per_step_ms: i64::try_from(per_step).unwrap_or(i64::MAX),
+        };
+        let (places, grants): (Vec<usize>, Vec<Grant>) = grants.into_iter().unzip();
+        let leased = claims::grant(&mut self.tx, &grants, term).await?;
+        let mut leased: BTreeMap<JobId, LeasedJob> =
+            leased.into_iter().map(|job| (job.id, job)).collect();
+        let handed_out = places
+            .into_iter()
+            .zip(&grants)
+            .filter_map(|(place, grant)| {
+                let job = leased.remove(&JobId(grant.job))?;
+                Some((place, assigned(campaign, job)))
+            });
+        Ok(handed_out.collect())
+    }
+
+    /// Why jobs wait that a worker on `pin` does not get; empty if none do.
+    pub(super) async fn idle_reason(&mut self, pin: &Pin) -> Result<String, StoreError> {
+        let mut reasons = Vec::new();
+        for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
+            let name = &campaign.name;
+            if !campaign.takes(pin) {
+                let demand = campaign.demand();
+                reasons.push(format!(
+                    "campaign `{name}` {demand} and this worker runs on {pin}"
+                ));
+            } else if !campaign.state.may_lease() {
+                reasons.push(format!("campaign `{name}` is paused"));
+            } else if let (
+                PolicyState::Paused { reason, .. } | PolicyState::Probing { reason, .. },
+                true,
+            ) = (
+                &campaign.health.state,
+                campaign.health.allowance(self.now) == Allowance::Nothing,
+            ) {
+                let policy = &campaign.policy;
+                reasons.push(format!(
+                    "policy `{policy}` of campaign `{name}` is paused: {reason}"
+                ));
+            }
+        }
+        Ok(reasons.join("; "))
+    }
+}
+
+/// The standing of a worker that may lease.
+fn may_claim<'a>(
+    standings: &'a BTreeMap<WorkerId, Standing>,
+    worker: &WorkerId,
+) -> Result<&'a Standing, QueueError> {
+    let standing = standings
+        .get(worker)
+        .ok_or_else(|| QueueError::UnknownWorker {
+            worker: worker.clone(),
+        })?;
+    match &standing.stopped_reason {
+        Some(reason) => Err(QueueError::WorkerStopped {
+            worker: worker.clone(),
+            reason: reason.clone(),
+        }),
+        None => Ok(standing),
+    }
+}
+
+fn assigned(campaign: &Campaign, job: LeasedJob) -> Assigned {
+    Assigned {
+        attempt: job.attempt_id.0,
+        job: job.id,
+        number: job.attempt,
+        campaign: campaign.name.clone(),
+        replicate: job.replicate,
+        manifest_row: job.manifest_row,
+        policy_seed: job.policy_seed.cast_unsigned(),
+        policy: campaign.policy.clone(),
+        policy_endpoint: campaign.endpoint.clone(),
+        realisation: campaign.realisation.clone(),
+        record: campaign.record.clone(),
+    }
+}

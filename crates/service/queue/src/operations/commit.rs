@@ -1,0 +1,273 @@
+//! How an attempt ends that brought a result. All results that arrive together
+//! are judged one after the other, and those that are accepted are stored by the
+//! same statements.
+
+use rollout_types::{AttemptId, Digests, Motion, Provenance, Realised, RolloutResult};
+
+use super::context::Context;
+use super::error::QueueError;
+use crate::rules::lease::{CommitJudgement, FailureReason, Job, JobState, OutcomeKey, Party};
+use crate::rules::pairing::{self, Demand, Sibling};
+use crate::store::jobs::NamedAttempt;
+use crate::store::results::NewResult;
+use crate::store::{StoreError, campaigns, jobs, results, workers};
+
+/// A result as a worker reports it.
+#[derive(Clone, Debug)]
+pub struct CommitReport {
+    /// The attempt.
+    pub attempt: AttemptId,
+    /// Result of the rollout.
+    pub result: RolloutResult,
+    /// Origin of the result: machine, assets, policy and program.
+    pub provenance: Provenance,
+    /// Digests of the scene, the initial state and the first frames, for comparison.
+    pub digests: Digests,
+    /// The perturbation as it was realised.
+    pub realised: Realised,
+    /// Motion of the robot.
+    pub motion: Motion,
+}
+
+/// Verdict on a reported result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CommitVerdict {
+    /// Stored.
+    Accepted,
+    /// Stored before with this outcome.
+    Duplicate,
+    /// The attempt does not hold the lease any more: refused and counted.
+    Stale,
+    /// Stored before with another outcome: kept apart.
+    Divergent,
+    /// Disagrees with its configuration's siblings, and is charged, or with what
+    /// its campaign is pinned to meanwhile: refused.
+    Unpaired,
+}
+
+/// The answer to a reported result.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CommitReply {
+    /// Verdict on the result.
+    pub verdict: CommitVerdict,
+    /// Explanation in words; empty if the result was accepted.
+    pub detail: String,
+}
+
+impl Context<'_> {
+    /// Stores results that were reported at the same time, and answers each.
+    pub(super) async fn store_results(
+        &mut self,
+        reports: &[&CommitReport],
+    ) -> Result<Vec<Result<CommitReply, QueueError>>, StoreError> {
+        if reports.is_empty() {
+            return Ok(Vec::new());
+        }
+        let attempts: Vec<AttemptId> = reports.iter().map(|it| it.attempt).collect();
+        let mut named = jobs::named(&mut self.tx, &attempts).await?;
+        let mut accepted = Vec::new();
+        let mut replies = Vec::with_capacity(reports.len());
+        for report in reports {
+            let Some(attempt) = named.get_mut(&report.attempt) else {
+                let attempt = report.attempt;
+                replies.push(Err(QueueError::UnknownAttempt { attempt }));
+                continue;
+            };
+            if let Some(lease) = self.resume(attempt).await? {
+                attempt.job.state = JobState::Leased(lease);
+            }
+            let reply = self.judge(attempt, report, &mut accepted).await?;
+            // Of two reports of one attempt, the second finds the first one's
+            // result.
+            if reply.verdict == CommitVerdict::Accepted {
+                attempt.stored = Some(key(&report.result));
+                attempt.job.state = JobState::Committed;
+            }
+            replies.push(Ok(reply));
+        }
+        if !accepted.is_empty() {
+            results::insert(&mut self.tx, &accepted, self.now).await?;
+            let attempts: Vec<_> = accepted.iter().map(|new| new.attempt).collect();
+            jobs::mark_committed(&mut self.tx, &attempts).await?;
+            let reporters: Vec<_> = accepted.iter().map(|new| &new.worker).collect();
+            workers::succeeded(&mut self.tx, &reporters, self.now).await?;
+            self.settles = true;
+        }
+        Ok(replies)
+    }
+
+    /// Judges one result; if it is to be stored, it joins `accepted`.
+    async fn judge<'r>(
+        &mut self,
+        attempt: &NamedAttempt,
+        report: &'r CommitReport,
+        accepted: &mut Vec<NewResult<'r>>,
+    ) -> Result<CommitReply, StoreError> {
+        let reported = key(&report.result);
+        let job = &attempt.job;
+        Ok(
+            match job.judge_commit(attempt.id.0, reported, attempt.stored) {
+                CommitJudgement::Accept => return self.accept(attempt, report, accepted).await,
+                CommitJudgement::Duplicate => CommitReply {
+                    verdict: CommitVerdict::Duplicate,
+                    detail: "this outcome is stored already".to_owned(),
+                },
+                CommitJudgement::Divergent => {
+                    let (origin, _) = self.cache.origin(&mut self.tx, &report.provenance).await?;
+                    let by = (attempt.number, &attempt.worker);
+                    let result = &report.result;
+                    results::insert_divergence(&mut self.tx, job.id, by, result, origin, self.now)
+                        .await?;
+                    divergent(attempt, reported)
+                }
+                CommitJudgement::Stale => {
+                    jobs::count_stale_report(&mut self.tx, job.id).await?;
+                    stale(attempt)
+                }
+            },
+        )
+    }
+
+    /// The attempt holds the lease: its result is stored, unless it disagrees
+    /// with its siblings.
+    async fn accept<'r>(
+        &mut self,
+        attempt: &NamedAttempt,
+        report: &'r CommitReport,
+        accepted: &mut Vec<NewResult<'r>>,
+    ) -> Result<CommitReply, StoreError> {
+        let campaign = self.campaign(attempt.of.campaign).await?;
+        let from = &report.provenance.pin;
+        if !campaign.takes(from) {
+            let (name, demand) = (&campaign.name, campaign.demand());
+            let detail = format!("campaign `{name}` {demand} and this result is of {from}");
+            // It was leased in good faith if another result pinned the campaign
+            // since then.
+            let lease = attempt.job.lease_of(attempt.id.0);
+            let reason = match lease.is_some_and(|it| campaign.pinned_ms >= Some(it.granted)) {
+                true => FailureReason::Unsuited,
+                false => FailureReason::Unpaired,
+            };
+            return self.refuse(attempt, reason, detail).await;
+        }
+        let suite = attempt.row.id.task().suite();
+        let measured = self
+            .cache
+            .measured(&mut self.tx, campaign.id, suite)
+            .await?;
+        if let Some(difference) = measured.and_then(|it| report.provenance.other_policy(&it)) {
+            let name = &campaign.name;
+            let detail = format!(
+                "another policy answers than the one that campaign `{name}` has measured in \
+                 {suite}: its {difference}; serve that one again, or create another campaign"
+            );
+            let reason = FailureReason::PolicyUnavailable;
+            return self.refuse(attempt, reason, detail).await;
+        }
+        let demand = Demand {
+            realisation: campaign.mode()?,
+            row: &attempt.row,
+        };
+        let (number, origin) = self.cache.origin(&mut self.tx, &report.provenance).await?;
+        let result = Sibling {
+            rollout: attempt.row.id,
+            worker: attempt.worker.clone(),
+            digests: report.digests.clone(),
+            realised: report.realised.clone(),
+            origin,
+        };
+        let siblings = self.cache.siblings(&mut self.tx, &attempt.of).await?;
+        if let Some(detail) = pairing::difference(&demand, siblings, &result) {
+            return self.refuse(attempt, FailureReason::Unpaired, detail).await;
+        }
+        if !campaign.is_pinned() {
+            campaigns::pin(&mut self.tx, campaign.id, from, self.now).await?;
+            self.cache.forget_campaigns();
+        }
+        // From now on others are compared with it.
+        self.cache.add_measured(campaign.id, suite, &result.origin);
+        self.cache.add_sibling(&attempt.of, result);
+        let after = campaign.health.after_commit(attempt.id.0, self.now);
+        self.set_health(&campaign, &after).await?;
+        accepted.push(NewResult {
+            attempt: attempt.id.0,
+            job: attempt.job.id,
+            number: attempt.number,
+            worker: attempt.worker.clone(),
+            campaign: attempt.of.campaign,
+            result: &report.result,
+            origin: number,
+            digests: &report.digests,
+            realised: &report.realised,
+            motion: &report.motion,
+        });
+        Ok(CommitReply {
+            verdict: CommitVerdict::Accepted,
+            detail: String::new(),
+        })
+    }
+
+    /// Ends an attempt whose result cannot stand beside the campaign's others.
+    async fn refuse(
+        &mut self,
+        attempt: &NamedAttempt,
+        reason: FailureReason,
+        detail: String,
+    ) -> Result<CommitReply, StoreError> {
+        if let Some(lease) = attempt.job.lease_of(attempt.id.0) {
+            let failure = (reason, detail.as_str());
+            self.end_attempt((&attempt.job, lease), attempt.of.campaign, failure)
+                .await?;
+            if reason.blames() == Some(Party::Machine) {
+                self.strike(&lease.owner, &detail).await?;
+            }
+        }
+        Ok(CommitReply {
+            verdict: CommitVerdict::Unpaired,
+            detail,
+        })
+    }
+}
+
+fn key(result: &RolloutResult) -> OutcomeKey {
+    OutcomeKey {
+        success: result.success,
+        steps: result.steps,
+    }
+}
+
+fn divergent(attempt: &NamedAttempt, outcome: OutcomeKey) -> CommitReply {
+    let say = |outcome: OutcomeKey| {
+        let word = if outcome.success {
+            "success"
+        } else {
+            "failure"
+        };
+        format!("{word} after {} steps", outcome.steps)
+    };
+    CommitReply {
+        verdict: CommitVerdict::Divergent,
+        detail: format!(
+            "job {} is committed with {} and was reported again with {}: both are kept",
+            attempt.job.id,
+            attempt.stored.map_or_else(String::new, say),
+            say(outcome)
+        ),
+    }
+}
+
+fn stale(attempt: &NamedAttempt) -> CommitReply {
+    let Job {
+        id,
+        attempt: newest,
+        ..
+    } = attempt.job;
+    CommitReply {
+        verdict: CommitVerdict::Stale,
+        detail: format!(
+            "attempt {} of job {id} by worker `{}` does not hold the lease (the newest attempt \
+             is {newest})",
+            attempt.number, attempt.worker
+        ),
+    }
+}

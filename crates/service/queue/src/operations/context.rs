@@ -1,0 +1,255 @@
+//! The writing transaction, with what an operation needs in it: what has been
+//! read before, the present instant, and the few steps that several operations
+//! share.
+
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::Duration;
+
+use rollout_types::Waits;
+use tokio::sync::MutexGuard;
+
+use super::cache::Cache;
+use super::shared::Shared;
+use crate::clock::UnixMillis;
+use crate::ids::{CampaignId, WorkerId};
+use crate::rules::lease::{
+    AfterFailure, FailureReason, Job, Lease, MAX_WORKER_FAILURES_IN_A_ROW, Suspicion, strike,
+};
+use crate::rules::outage::{Allowance, PolicyHealth, PolicyState};
+use crate::store::campaigns::Campaign;
+use crate::store::failpoint::Step;
+use crate::store::jobs::NamedAttempt;
+use crate::store::{StoreError, Tx, jobs, policies, workers};
+
+/// For how long at most a job that could not reach its policy lets others try first, after the
+/// policy's pause. A worker may ask for work only a few seconds after it.
+const GIVES_WAY: Duration = Duration::from_secs(10);
+
+/// The writing transaction. Dropping it undoes it.
+pub(crate) struct Context<'a> {
+    pub(super) shared: &'a Shared,
+    pub(super) tx: Tx<'a>,
+    pub(super) cache: MutexGuard<'a, Cache>,
+    pub(super) now: UnixMillis,
+    /// Whether it settles a job: campaigns that follow from others may go on then, and
+    /// a campaign may end early.
+    pub(super) settles: bool,
+}
+
+/// An error as it reads after the name of its policy: one that begins with "policy `bad` at
+/// ADDRESS" begins with "it".
+fn after_the_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
+    let named = error.strip_prefix(&format!("policy `{policy}` at "));
+    match named.and_then(|rest| rest.split_once(' ')) {
+        Some((_, rest)) => format!("it {rest}").into(),
+        None => error.into(),
+    }
+}
+
+/// End of an attempt without a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Ended {
+    /// Next step of the attempt's job.
+    pub(super) then: AfterFailure,
+    /// Until its policy may be tried again.
+    pub(super) policy_wait: Duration,
+}
+
+impl<'a> Context<'a> {
+    /// Begins the transaction, for these steps; waits for the one before it.
+    pub(super) async fn begin(
+        shared: &'a Shared,
+        steps: Vec<Step>,
+    ) -> Result<Context<'a>, StoreError> {
+        Ok(Context::within(shared, shared.store.write(steps).await?).await)
+    }
+
+    /// Goes on in a transaction that has begun.
+    pub(super) async fn within(shared: &'a Shared, tx: Tx<'a>) -> Context<'a> {
+        let mut cache = shared.cache.lock().await;
+        cache.begin();
+        Context {
+            tx,
+            cache,
+            now: shared.now(),
+            settles: false,
+            shared,
+        }
+    }
+
+    /// Ends the transaction: what it wrote is on the disk.
+    pub(super) async fn commit(mut self) -> Result<(), StoreError> {
+        let _settling = self.settles.then(|| self.shared.settled.begin());
+        self.tx.commit().await?;
+        self.cache.committed();
+        Ok(())
+    }
+
+    pub(super) async fn campaign(&mut self, id: CampaignId) -> Result<Arc<Campaign>, StoreError> {
+        self.cache.campaign(&mut self.tx, id).await
+    }
+
+    /// Machines with a worker alive that could run the campaign's jobs.
+    pub(super) async fn able_machines(&mut self, campaign: &Campaign) -> Result<u32, StoreError> {
+        let since = self.now.minus(self.shared.timing.worker_alive);
+        let live = self.cache.live(&mut self.tx, since).await?;
+        let able = live.iter().filter(|worker| campaign.takes(&worker.pin));
+        let machines: BTreeSet<&str> = able.map(|worker| worker.machine.as_str()).collect();
+        Ok(u32::try_from(machines.len()).unwrap_or(u32::MAX))
+    }
+
+    /// Grants the lease again of an attempt that was cut off with its worker, which has come
+    /// back, if that is possible. Returns the lease.
+    pub(super) async fn resume(
+        &mut self,
+        attempt: &NamedAttempt,
+    ) -> Result<Option<Lease>, StoreError> {
+        let cut_off = attempt.cut_off.as_ref();
+        let Some(lease) = cut_off.and_then(|it| attempt.job.resumes(it, self.now)) else {
+            return Ok(None);
+        };
+        if self.campaign(attempt.of.campaign).await?.state.is_over() {
+            return Ok(None);
+        }
+        let expires = self.now.plus(self.shared.timing.lease);
+        jobs::resume(&mut self.tx, attempt.job.id, lease, expires).await?;
+        tracing::info!(attempt = %attempt.id.0, "worker `{}` is back with it", lease.owner);
+        Ok(Some(Lease {
+            expires: expires.min(lease.ceiling),
+            ..lease.clone()
+        }))
+    }
+
+    /// Ends a held attempt without a result: requeues its job or quarantines it,
+    /// and updates its policy's health.
+    pub(super) async fn end_attempt(
+        &mut self,
+        (job, lease): (&Job, &Lease),
+        campaign: CampaignId,
+        (reason, error): (FailureReason, &str),
+    ) -> Result<Ended, StoreError> {
+        let campaign = self.campaign(campaign).await?;
+        let history = jobs::history(&mut self.tx, job.id, &lease.owner).await?;
+        let suspicion = Suspicion {
+            failed_on_machines: history.failed_on_machines,
+            silent_on_machines: history.silent_on_machines,
+            able_machines: self.able_machines(&campaign).await?,
+            silences: history.silences,
+        };
+        let now = self.now;
+        let before = &campaign.health;
+        let id = lease.attempt;
+        let is_outage = matches!(
+            reason,
+            FailureReason::PolicyUnavailable | FailureReason::PolicyLost
+        );
+        let why = after_the_name(&campaign.policy, error);
+        let after = self.shared.decide(|rng| match reason {
+            _ if is_outage => before.after_outage(id, lease.granted, &why, now, rng),
+            FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, &why, now, rng),
+            _ => before.after_other_failure(id, now),
+        });
+        let mut then = self
+            .shared
+            .decide(|rng| job.after_failure(reason, suspicion, now, rng));
+        if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) =
+            (is_outage && before.is_probe(id), &after.state, &mut then)
+        {
+            // Another job is to try the policy next, if one waits.
+            let wait = resume.since(now).clamp(Waits::USUAL.first, GIVES_WAY);
+            *not_before = (*not_before).max(resume.plus(wait));
+        }
+        let reason = reason.before(then);
+        let error = &reason.explained(error, job.losses + 1, suspicion.silences);
+        jobs::fail(&mut self.tx, job, lease, reason, error, then, now).await?;
+        if then == AfterFailure::Quarantine {
+            self.settles = true;
+            tracing::error!(job = %job.id, "quarantined after its last attempt: {error}");
+        } else if !reason.is_charged() {
+            // It may be leased again at once.
+            self.shared.work.notify_waiters();
+        }
+        self.set_health(&campaign, &after).await?;
+        let policy_wait = match after.state {
+            PolicyState::Paused { resume, .. } if is_outage => resume.since(now),
+            _ => Duration::ZERO,
+        };
+        Ok(Ended { then, policy_wait })
+    }
+
+    /// Counts one more failure of a worker's machine. Returns why the worker must
+    /// stop, if it must.
+    pub(super) async fn strike(
+        &mut self,
+        worker: &WorkerId,
+        last_error: &str,
+    ) -> Result<Option<String>, StoreError> {
+        let standings = workers::standings(&mut self.tx, &[worker]).await?;
+        let strike = strike(standings.get(worker).map_or(0, |it| it.charged_in_a_row));
+        let stop = strike.stop.then(|| {
+            format!(
+                "its machine has failed {} times in a row (the limit is \
+                 {MAX_WORKER_FAILURES_IN_A_ROW}), the last time with: {last_error}; look at the \
+                 machine, then start the worker again",
+                strike.in_a_row
+            )
+        });
+        workers::set_strike(&mut self.tx, worker, strike, stop.as_deref()).await?;
+        if let Some(reason) = &stop {
+            tracing::error!(%worker, "this worker leases no more: {reason}");
+        }
+        Ok(stop)
+    }
+
+    /// Stores the health of a campaign's policy if it changed, and wakes waiting
+    /// claims if its jobs may be leased now. A woken claim waits for
+    /// this transaction's end: there is one writer.
+    pub(super) async fn set_health(
+        &mut self,
+        campaign: &Campaign,
+        after: &PolicyHealth,
+    ) -> Result<(), StoreError> {
+        let before = &campaign.health;
+        if after == before {
+            return Ok(());
+        }
+        if let (PolicyState::Available, PolicyState::Paused { reason, .. }) =
+            (&before.state, &after.state)
+        {
+            tracing::warn!(
+                "policy `{}` is paused, its jobs wait: {reason}",
+                campaign.policy
+            );
+        }
+        if after.allowance(self.now) != Allowance::Nothing {
+            self.shared.work.notify_waiters();
+        }
+        self.cache.forget_campaigns();
+        policies::set_health(&mut self.tx, campaign.policy_id, after).await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Finding F14: "policy `bad` is paused: policy `bad` at … refused …".
+    #[test]
+    fn a_reason_that_follows_the_policys_name_does_not_say_it_again() {
+        for (error, expected) in [
+            (
+                "policy `bad` at http://h:1 refused query 0: no",
+                "it refused query 0: no",
+            ),
+            (
+                "policy `badly` at http://h:1 refused",
+                "policy `badly` at http://h:1 refused",
+            ),
+            ("connection refused", "connection refused"),
+        ] {
+            assert_eq!(after_the_name("bad", error), expected);
+        }
+    }
+}

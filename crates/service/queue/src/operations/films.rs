@@ -1,0 +1,125 @@
+//! Choice of the rollouts that are filmed after the fact: those of configurations whose outcome
+//! simultaneous perturbation changed, in campaigns that record transitions; in those that explain
+//! others, the rollouts that show the explanation. Their actions were kept, so that filming them
+//! needs no policy.
+
+use std::collections::BTreeSet;
+use std::time::Instant;
+
+use libero_ctrl::Rollouts;
+use paired::{Outcome, Record, Records, Transition};
+use rollout_types::Pin;
+use sqlx::SqliteConnection;
+
+use super::derive::{aside, records, specification};
+use super::error::QueueError;
+use crate::ids::{CampaignId, JobId};
+use crate::queue::Queue;
+use crate::rules::explanation;
+use crate::store::films::{self, FilmableRow};
+use crate::store::{Doing, StoreError, campaigns, undecodable};
+
+pub use crate::store::films::Film;
+
+impl Queue {
+    /// A rollout that is to be filmed with this asset pack and simulator, and
+    /// how many there are; none if nothing is left.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn next_film(&self, pin: &Pin) -> Result<Option<(Film, u64)>, QueueError> {
+        let films = &self.shared.films;
+        let looking = films.looking.lock().await;
+        films.look_begins();
+        let mut view = self.shared.store.read().await?;
+        let campaigns = films::filmed_campaigns(&mut view, pin).await?;
+        for of in films.outdated(&campaigns, Instant::now()) {
+            let began = Instant::now();
+            let rows = films::filmable(&mut view, of.campaign).await?;
+            let wanting = match of.source {
+                Some(source) => {
+                    wanting_of_explanation(&mut view, [source, of.campaign], rows).await?
+                }
+                None => aside(move || wanting_films(&rows)).await?,
+            };
+            films.found(of, wanting, began, began.elapsed());
+        }
+        drop(looking);
+        let Some((job, left)) = films.take(&campaigns, self.now()) else {
+            return Ok(None);
+        };
+        let film = films::film(&mut view, job).await?;
+        Ok(Some((film, left)))
+    }
+}
+
+/// The rollouts that show what a campaign has found that explains another, and that
+/// have no video yet; none of one that measures thresholds.
+async fn wanting_of_explanation(
+    view: &mut SqliteConnection,
+    [source, own]: [CampaignId; 2],
+    rows: Vec<FilmableRow>,
+) -> Result<Vec<JobId>, StoreError> {
+    let spec = campaigns::spec(view, own).await?;
+    let Rollouts::Explanation(explanation) = specification(&spec)?.rollouts else {
+        return Ok(Vec::new());
+    };
+    let source = records(view, source).await?;
+    let own = records(view, own).await?;
+    let wanting = aside(move || {
+        let telling = explanation::telling(&source, &own, &explanation);
+        let telling: BTreeSet<(String, u32)> = telling
+            .into_iter()
+            .map(|(id, replicate)| (id.to_string(), replicate))
+            .collect();
+        let is_telling =
+            |row: &FilmableRow| telling.contains(&(row.rollout_id.clone(), row.replicate));
+        let wanting = rows.iter().filter(|row| row.is_wanting && is_telling(row));
+        wanting.map(|row| row.job_id).collect()
+    });
+    Ok(wanting.await)
+}
+
+/// The rollouts of changed configurations that have no video yet.
+fn wanting_films(rows: &[FilmableRow]) -> Result<Vec<JobId>, StoreError> {
+    let records = rows.iter().map(|row| {
+        Ok(Record {
+            id: row.rollout_id.parse().map_err(undecodable)?,
+            replicate: row.replicate,
+            init_id: row.init_id,
+            outcome: match row.success {
+                Some(true) => Outcome::Success,
+                Some(false) => Outcome::Failure,
+                None => Outcome::Missing,
+            },
+        })
+    });
+    let records = records.collect::<Result<Vec<_>, sqlx::Error>>();
+    let records = records.doing("look for rollouts to film")?;
+    // A rollout and replicate is one job: the schema says so.
+    let matched = Records::new(&records).map_err(undecodable);
+    let matched = matched.doing("look for rollouts to film")?;
+    // A unit's perturbed rollouts share level and configuration, and with its
+    // nominal one the initial state.
+    let mut perturbed = BTreeSet::new();
+    let mut nominal = BTreeSet::new();
+    for unit in matched.configurations() {
+        let transition = unit.transition();
+        if let Some(Transition::Emergent | Transition::Compensated) = transition {
+            perturbed.insert((unit.replicate, unit.task, unit.level, unit.config));
+            nominal.insert((unit.replicate, unit.task, unit.init_id));
+        }
+    }
+    let is_of_changed = |record: &Record| match record.id.config() {
+        Some(config) => {
+            let (task, level) = (record.id.task(), record.id.level());
+            perturbed.contains(&(record.replicate, task, level, config))
+        }
+        None => nominal.contains(&(record.replicate, record.id.task(), record.init_id)),
+    };
+    let wanting = rows
+        .iter()
+        .zip(&records)
+        .filter(|(row, record)| row.is_wanting && is_of_changed(record));
+    Ok(wanting.map(|(row, _)| row.job_id).collect())
+}

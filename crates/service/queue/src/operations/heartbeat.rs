@@ -1,0 +1,106 @@
+//! Renewing leases. All heartbeats that arrive together are served by the same
+//! statements.
+
+use std::collections::BTreeSet;
+
+use rollout_types::AttemptId;
+
+use super::context::Context;
+use super::error::QueueError;
+use crate::ids::WorkerId;
+use crate::store::jobs::{self, Progress};
+use crate::store::policies::{self, Probe};
+use crate::store::{StoreError, workers};
+
+/// A worker's heartbeat.
+#[derive(Clone, Debug)]
+pub(crate) struct Heartbeat {
+    pub(crate) worker: WorkerId,
+    /// Its attempts, and how many control steps each has done.
+    pub(crate) progress: Vec<(AttemptId, u32)>,
+}
+
+impl Context<'_> {
+    /// Renews and acknowledges leases, and stores progress. Answers to each the
+    /// attempts whose leases it no longer holds.
+    pub(super) async fn heartbeat(
+        &mut self,
+        heartbeats: &[&Heartbeat],
+    ) -> Result<Vec<Result<Vec<AttemptId>, QueueError>>, StoreError> {
+        if heartbeats.is_empty() {
+            return Ok(Vec::new());
+        }
+        let workers: Vec<_> = heartbeats.iter().map(|it| &it.worker).collect();
+        let standings = workers::standings(&mut self.tx, &workers).await?;
+        workers::beat(&mut self.tx, &workers, self.now).await?;
+        let progress = heartbeats.iter().flat_map(|it| {
+            it.progress.iter().map(|(attempt, control_steps)| Progress {
+                worker: &it.worker.0,
+                attempt: *attempt,
+                control_steps: *control_steps,
+            })
+        });
+        let progress: Vec<Progress<'_>> = progress.collect();
+        let expires = self.now.plus(self.shared.timing.lease);
+        let mut held = jobs::renew(&mut self.tx, &progress, expires).await?;
+        if self.resume_those_cut_off(&progress, &held).await? {
+            held = jobs::renew(&mut self.tx, &progress, expires).await?;
+        }
+        self.hear_probes(&progress, &held).await?;
+        let answer = |it: &&Heartbeat| {
+            if !standings.contains_key(&it.worker) {
+                return Err(QueueError::UnknownWorker {
+                    worker: it.worker.clone(),
+                });
+            }
+            let attempts = it.progress.iter().map(|(attempt, _)| *attempt);
+            Ok(attempts.filter(|attempt| !held.contains(attempt)).collect())
+        };
+        Ok(heartbeats.iter().map(answer).collect())
+    }
+
+    /// Grants the leases again that were cut off with a worker which names them now.
+    /// Answers whether there were any.
+    async fn resume_those_cut_off(
+        &mut self,
+        progress: &[Progress<'_>],
+        held: &BTreeSet<AttemptId>,
+    ) -> Result<bool, StoreError> {
+        let lost = progress.iter().filter(|it| !held.contains(&it.attempt));
+        let lost: Vec<(AttemptId, &str)> = lost.map(|it| (it.attempt, it.worker)).collect();
+        if lost.is_empty() {
+            return Ok(false);
+        }
+        let ids: Vec<AttemptId> = lost.iter().map(|(attempt, _)| *attempt).collect();
+        let named = jobs::named(&mut self.tx, &ids).await?;
+        let mut has_resumed = false;
+        for (attempt, worker) in lost {
+            let named = named.get(&attempt).filter(|it| it.worker.0 == worker);
+            if let Some(named) = named {
+                has_resumed |= self.resume(named).await?.is_some();
+            }
+        }
+        Ok(has_resumed)
+    }
+
+    /// A probe that is past the settling steps has been answered by its policy.
+    async fn hear_probes(
+        &mut self,
+        progress: &[Progress<'_>],
+        held: &BTreeSet<AttemptId>,
+    ) -> Result<(), StoreError> {
+        for probe in policies::probes(&mut self.tx).await? {
+            let is_answered = |it: &Progress<'_>| is_answer(it, &probe);
+            if held.contains(&probe.attempt) && progress.iter().any(is_answered) {
+                let campaign = self.campaign(probe.campaign).await?;
+                let after = campaign.health.after_answer(probe.attempt.0, self.now);
+                self.set_health(&campaign, &after).await?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn is_answer(progress: &Progress<'_>, probe: &Probe) -> bool {
+    progress.attempt == probe.attempt.0 && progress.control_steps > probe.settle_steps
+}

@@ -1,0 +1,330 @@
+//! Two halves of one campaign, run by two coordinators, become one.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use libero_ctrl::{CampaignSpec, Suite};
+
+use super::error::QueueError;
+use super::portable::{Portable, PortableError, copy_of, source_of};
+use crate::expand::differing_fields;
+use crate::ids::{CampaignName, JobName};
+use crate::rules::lease::OutcomeKey;
+use crate::rules::merge::{self, Contradiction, Kept, Standing};
+use crate::rules::pairing::{self, Demand, Sibling};
+use crate::store::halves::{self, Rollout, Schema, Stored};
+use crate::store::{DATABASE_FILE, Doing, StoreError, portable, undecodable};
+
+/// Contradictions that are described; the rest are counted.
+const MAX_EXAMPLES: usize = 20;
+
+/// Rollouts of a merged campaign.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Merged {
+    /// With an outcome of the first half only.
+    pub first: u64,
+    /// With an outcome of the second half only.
+    pub second: u64,
+    /// With the same outcome in both.
+    pub both: u64,
+    /// In quarantine.
+    pub quarantined: u64,
+    /// To be run.
+    pub open: u64,
+}
+
+/// Two campaigns that are not halves of one.
+#[derive(Debug, thiserror::Error)]
+pub enum MergeError {
+    /// They follow from other campaigns' outcomes.
+    #[error(
+        "merge `{campaign}`: its rollouts follow from the outcomes of another campaign; merge that one, and explain or measure it once more"
+    )]
+    Derived {
+        /// The campaign.
+        campaign: CampaignName,
+    },
+    /// Their specifications differ.
+    #[error(
+        "merge `{first}` and `{second}`: their specifications differ in {differs}; only halves of one design can be merged"
+    )]
+    Specification {
+        /// The first campaign.
+        first: CampaignName,
+        /// The second campaign.
+        second: CampaignName,
+        /// The fields.
+        differs: String,
+    },
+    /// A rollout is another one in each.
+    #[error(
+        "merge them: rollout `{rollout}` is another one in each; only halves of one design, expanded by one version of the program, can be merged"
+    )]
+    Rollout {
+        /// The rollout and its replicate.
+        rollout: JobName,
+    },
+    /// They are of two asset packs, simulators or renderers.
+    #[error("merge them: the first is pinned to {first} and the second to {second}")]
+    Pin {
+        /// Pin of the first half.
+        first: String,
+        /// Pin of the second half.
+        second: String,
+    },
+    /// They measured two policies.
+    #[error("merge them: in {suite} they are of two policies, whose {difference}")]
+    Policy {
+        /// The suite in which they differ.
+        suite: Suite,
+        /// The first difference.
+        difference: String,
+    },
+    /// Rollouts came out differently, or were not the same.
+    #[error(
+        "merge them: {count} of their rollouts contradict each other\n{examples}\ncompare where these came from, and merge only halves that were run alike"
+    )]
+    Contradictions {
+        /// How many.
+        count: usize,
+        /// The first of them, one a line, with both outcomes and where they came from.
+        examples: String,
+    },
+    /// A specification does not read back.
+    #[error(transparent)]
+    Queue(#[from] QueueError),
+    /// The merged campaign cannot be written.
+    #[error(transparent)]
+    Portable(#[from] PortableError),
+}
+
+impl From<StoreError> for MergeError {
+    fn from(error: StoreError) -> MergeError {
+        MergeError::Portable(error.into())
+    }
+}
+
+/// Merges two halves of one campaign into an empty folder, which becomes a data folder of
+/// its own. Films are not copied. The campaign takes the first one's name, policy's
+/// endpoint, priority and state, unless it gets another name.
+///
+/// # Errors
+/// When they are not halves of one campaign or contradict each other, and when a
+/// database fails.
+pub async fn merge(
+    first: &Portable,
+    second: &Portable,
+    into: &Path,
+    name: Option<&CampaignName>,
+) -> Result<(Portable, Merged), MergeError> {
+    of_one_design(first, second)?;
+    let database = first.folder().join(DATABASE_FILE);
+    let called = first.called(name)?;
+    let whole = copy_of(&database, &first.campaign, &called, into).await?;
+    let mut beside = whole
+        .store
+        .beside(&second.folder().join(DATABASE_FILE))
+        .await?;
+    let mut tx = beside.write(Vec::new()).await?;
+    let both = (whole.campaign.id, second.campaign.id);
+    if let Some((rollout_id, replicate)) = halves::other_rollout(&mut tx, both).await? {
+        let rollout = JobName {
+            rollout_id,
+            replicate,
+        };
+        return Err(MergeError::Rollout { rollout });
+    }
+    let known_first = halves::known(&mut tx, Schema::Main, both.0).await?;
+    let known_second = halves::known(&mut tx, Schema::Source, both.1).await?;
+    let stored_first = halves::results(&mut tx, Schema::Main, both.0).await?;
+    let stored_second = halves::results(&mut tx, Schema::Source, both.1).await?;
+    of_one_policy(&stored_first, &stored_second)?;
+    let kept = match merge::merge(&known_first, &known_second) {
+        Ok(kept) => kept,
+        Err(found) => return Err(contradict(&found, &stored_first, &stored_second)),
+    };
+    stand_beside(whole.campaign.mode()?, &stored_first, &stored_second)?;
+    let of_second = kept.iter().filter(|(_, kept)| **kept == Kept::Second);
+    let of_second: Vec<Rollout> = of_second.map(|(of, _)| of.clone()).collect();
+    portable::replace(&mut tx, both, &of_second).await?;
+    halves::take_pin(&mut tx, both).await?;
+    portable::forget_when(&mut tx).await?;
+    tx.commit().await?;
+    drop(beside);
+    whole.store.compact().await?;
+    let mut merged = Merged::default();
+    for (of, one) in &known_first {
+        let other = known_second.get(of).copied().unwrap_or_default();
+        let is_committed = |standing| matches!(standing, Standing::Committed(_));
+        let is_quarantined = [one.standing, other.standing].contains(&Standing::Quarantined);
+        match (is_committed(one.standing), is_committed(other.standing)) {
+            (true, true) => merged.both += 1,
+            (true, false) => merged.first += 1,
+            (false, true) => merged.second += 1,
+            (false, false) if is_quarantined => merged.quarantined += 1,
+            (false, false) => merged.open += 1,
+        }
+    }
+    let whole = Portable::of(whole.store).await?;
+    Ok((whole, merged))
+}
+
+/// Name and endpoint may differ: each half had its own coordinator.
+fn of_one_design(first: &Portable, second: &Portable) -> Result<(), MergeError> {
+    for half in [first, second] {
+        if source_of(&half.spec)?.is_some() {
+            return Err(MergeError::Derived {
+                campaign: half.campaign.name.clone(),
+            });
+        }
+    }
+    let alike = |half: &Portable| -> Result<String, StoreError> {
+        let spec = CampaignSpec::from_json(&half.spec).map_err(undecodable);
+        let mut spec = spec.doing("read a campaign's specification")?;
+        spec.name.clear();
+        spec.policy.endpoint.clear();
+        let text = serde_json::to_string(&spec).map_err(undecodable);
+        text.doing("write a campaign's specification")
+    };
+    let differs = differing_fields(&alike(first)?, &alike(second)?);
+    if !differs.is_empty() {
+        return Err(MergeError::Specification {
+            first: first.campaign.name.clone(),
+            second: second.campaign.name.clone(),
+            differs,
+        });
+    }
+    if let (Some(one), Some(other)) = (&first.campaign.pin, &second.campaign.pin)
+        && one != other
+    {
+        return Err(MergeError::Pin {
+            first: one.to_string(),
+            second: other.to_string(),
+        });
+    }
+    Ok(())
+}
+
+fn of_one_policy(first: &[Stored], second: &[Stored]) -> Result<(), MergeError> {
+    let mut measured = BTreeMap::new();
+    let says = |stored: &&Stored| !stored.origin().policy_settings.is_empty();
+    for stored in first.iter().filter(says) {
+        let suite = stored.manifest_row.id.task().suite();
+        measured.entry(suite).or_insert(stored.origin());
+    }
+    for stored in second.iter().filter(says) {
+        let suite = stored.manifest_row.id.task().suite();
+        let before = measured.get(&suite);
+        if let Some(difference) = before.and_then(|it| stored.origin().other_policy(it)) {
+            return Err(MergeError::Policy { suite, difference });
+        }
+    }
+    Ok(())
+}
+
+/// Every result of the second half may stand beside those of the first.
+fn stand_beside(
+    realisation: libero_ctrl::Realisation,
+    first: &[Stored],
+    second: &[Stored],
+) -> Result<(), MergeError> {
+    let mut states: BTreeMap<(&str, i64), Vec<Sibling>> = BTreeMap::new();
+    for stored in first {
+        let siblings = states.entry((&stored.task, stored.init_id)).or_default();
+        let sibling = sibling(stored);
+        if !siblings.iter().any(|it| it.stands_for(&sibling)) {
+            siblings.push(sibling);
+        }
+    }
+    let mut differing = Vec::new();
+    for stored in second {
+        let Some(siblings) = states.get(&(stored.task.as_str(), stored.init_id)) else {
+            continue;
+        };
+        let demand = Demand {
+            realisation,
+            row: &stored.manifest_row,
+        };
+        if let Some(difference) = pairing::difference(&demand, siblings, &sibling(stored)) {
+            let name = name(stored);
+            differing.push(format!("`{name}` of the second half: its {difference}"));
+        }
+    }
+    match differing.is_empty() {
+        true => Ok(()),
+        false => Err(listed(&differing)),
+    }
+}
+
+fn sibling(stored: &Stored) -> Sibling {
+    Sibling {
+        rollout: stored.manifest_row.id,
+        worker: stored.worker_id.clone(),
+        digests: stored.digests.clone(),
+        realised: stored.realised.clone(),
+        origin: stored.origin().clone(),
+    }
+}
+
+fn contradict(found: &[Contradiction<Rollout>], first: &[Stored], second: &[Stored]) -> MergeError {
+    let whence = |half: &[Stored], of: &Rollout, outcome: OutcomeKey| {
+        let stored = half
+            .iter()
+            .find(|it| (&it.rollout_id, it.replicate) == (&of.0, of.1));
+        let word = match outcome.success {
+            true => "success",
+            false => "failure",
+        };
+        let origin = stored.map_or_else(String::new, |stored| {
+            let origin = stored.origin();
+            format!(
+                " (worker `{}` {} on {}, policy {} {}, fingerprint {})",
+                stored.worker_id,
+                origin.program_version,
+                origin.host,
+                origin.policy_name,
+                short(&origin.policy_checkpoint_digest),
+                short(&origin.fingerprint),
+            )
+        });
+        format!("{word} after {} steps{origin}", outcome.steps)
+    };
+    let texts = found.iter().map(|it| {
+        let name = JobName {
+            rollout_id: it.of.0.clone(),
+            replicate: it.of.1,
+        };
+        format!(
+            "`{name}`: {} in the first, {} in the second",
+            whence(first, &it.of, it.first),
+            whence(second, &it.of, it.second)
+        )
+    });
+    listed(&texts.collect::<Vec<_>>())
+}
+
+fn listed(texts: &[String]) -> MergeError {
+    let mut examples = texts[..texts.len().min(MAX_EXAMPLES)].join("\n");
+    if texts.len() > MAX_EXAMPLES {
+        examples.push_str("\n…");
+    }
+    MergeError::Contradictions {
+        count: texts.len(),
+        examples,
+    }
+}
+
+fn name(stored: &Stored) -> JobName {
+    JobName {
+        rollout_id: stored.rollout_id.clone(),
+        replicate: stored.replicate,
+    }
+}
+
+/// As many digits of a digest as tell two apart.
+fn short(digest: &str) -> &str {
+    match crate::ids::shortened(digest, 12) {
+        "" => "unknown",
+        short => short,
+    }
+}

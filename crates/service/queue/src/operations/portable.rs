@@ -1,0 +1,537 @@
+//! A campaign that is taken from one coordinator to another: a data folder of its own
+//! on the way, with a database of this schema that holds nothing else.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use libero_ctrl::CampaignSpec;
+use sha2::{Digest, Sha256};
+
+use super::artifacts::campaign_folder;
+use super::context::Context;
+use super::error::QueueError;
+use super::passages::{self as moves, PIECE};
+use super::removals;
+use super::settled::Settled;
+use crate::expand::altered;
+use crate::ids::{CampaignId, CampaignName};
+use crate::invariants::{self, SCHEMA_INVARIANT, Violation};
+use crate::queue::Queue;
+use crate::read::{Counts, View};
+use crate::store::campaigns::{self, Campaign};
+use crate::store::failpoint::Step;
+use crate::store::portable::{self, Called};
+use crate::store::{
+    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, foreign_schema, instants,
+    passages, removals as pending, undecodable,
+};
+use crate::timing::Timing;
+
+/// A campaign in a data folder of its own.
+#[derive(Debug)]
+pub struct Portable {
+    pub(super) store: Store,
+    /// The campaign.
+    pub campaign: Campaign,
+    /// Its specification, JSON.
+    pub spec: String,
+}
+
+/// A film of a campaign that is taken elsewhere.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FilmFile {
+    /// Its path below the data folder.
+    pub path: String,
+    /// Its size, bytes.
+    pub size_bytes: u64,
+}
+
+/// Outcomes of the campaign that another one follows from.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct SourceOutcomes {
+    /// The name of the campaign.
+    pub campaign: String,
+    /// SHA-256 of its outcomes, hex.
+    pub outcomes: String,
+}
+
+/// A data folder that holds no campaign that could be taken elsewhere.
+#[derive(Debug, thiserror::Error)]
+pub enum PortableError {
+    /// It cannot be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// Its database fails.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// It holds none, or several.
+    #[error("find the campaign in it: it holds {count} campaigns, not one")]
+    NotOne {
+        /// How many.
+        count: usize,
+    },
+    /// The specification is another than its digest says.
+    #[error("use the specification of campaign `{campaign}`: its digest is of another one")]
+    SpecDigest {
+        /// The campaign.
+        campaign: CampaignName,
+    },
+    /// An invariant of the database is violated.
+    #[error("find it in order: {invariant} does not hold ({example})")]
+    Violated {
+        /// The invariant.
+        invariant: &'static str,
+        /// The first violation, in words.
+        example: String,
+    },
+}
+
+impl Portable {
+    /// Opens the data folder of one campaign and verifies it: its schema, every invariant, and
+    /// the specification's digest. A database of an older schema is upgraded.
+    ///
+    /// The database may come from anybody. A view in the place of a table, or a trigger, runs
+    /// with the first statement that touches it; so the schema is compared before any other
+    /// statement.
+    ///
+    /// # Errors
+    /// See [`PortableError`].
+    pub async fn open(folder: &Path) -> Result<Portable, PortableError> {
+        let foreign = foreign_schema(&folder.join(DATABASE_FILE)).await;
+        if let Some(example) = foreign.doing("compare the schema")? {
+            let invariant = SCHEMA_INVARIANT;
+            return Err(PortableError::Violated { invariant, example });
+        }
+        let store = Store::open(folder).await?;
+        let mut reader = store.reader().await?;
+        let violations = invariants::violations(&mut reader).await;
+        let violations = violations.doing("verify what always holds")?;
+        drop(reader);
+        if let Some(Violation {
+            invariant,
+            examples,
+            ..
+        }) = violations.into_iter().next()
+        {
+            let example = examples.into_iter().next().unwrap_or_default();
+            return Err(PortableError::Violated { invariant, example });
+        }
+        Portable::of(store).await
+    }
+
+    pub(super) async fn of(store: Store) -> Result<Portable, PortableError> {
+        let mut view = store.read().await?;
+        let all = campaigns::all(&mut view).await?;
+        let [campaign] = all.as_slice() else {
+            return Err(PortableError::NotOne { count: all.len() });
+        };
+        let campaign = campaign.clone();
+        let spec = campaigns::spec(&mut view, campaign.id).await?;
+        drop(view);
+        if hex(&Sha256::digest(spec.as_bytes())) != campaign.spec_digest {
+            return Err(PortableError::SpecDigest {
+                campaign: campaign.name,
+            });
+        }
+        Ok(Portable {
+            store,
+            campaign,
+            spec,
+        })
+    }
+
+    /// The data folder.
+    pub fn folder(&self) -> &Path {
+        self.store.folder()
+    }
+
+    /// Begins a view of the database, to read from.
+    ///
+    /// # Errors
+    /// If the database fails.
+    pub async fn view(&self) -> Result<View, StoreError> {
+        let (now, nobody) = (self.campaign.created_ms, BTreeMap::new());
+        let nothing = Arc::new(Settled::new());
+        View::begin(&self.store, now, Timing::default(), nothing, None, nobody).await
+    }
+
+    /// Its films, by path.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn films(&self) -> Result<Vec<FilmFile>, StoreError> {
+        let mut view = self.store.read().await?;
+        let films: Vec<(String, i64)> =
+            sqlx::query_as("SELECT path, size_bytes FROM artifact ORDER BY path")
+                .fetch_all(&mut *view)
+                .await
+                .doing("list a campaign's films")?;
+        let film = |(path, size): (String, i64)| FilmFile {
+            path,
+            size_bytes: size.unsigned_abs(),
+        };
+        Ok(films.into_iter().map(film).collect())
+    }
+
+    /// Takes films out that are not there any more.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn leave_out(&self, missing: &[String]) -> Result<(), StoreError> {
+        let mut tx = self.store.write(Vec::new()).await?;
+        portable::forget_artifacts(&mut tx, missing).await?;
+        tx.commit().await
+    }
+
+    /// Closes the database, so that it is one file.
+    ///
+    /// # Errors
+    /// If the database cannot be written.
+    pub async fn close(self) -> Result<(), StoreError> {
+        self.store.close().await
+    }
+}
+
+impl Queue {
+    /// Copies a campaign, as it is now, into an empty folder, which becomes a data folder
+    /// of its own. Leases end there without a charge: their jobs wait again. Films are not
+    /// copied; the folder that they are in, below this coordinator's data folder, is
+    /// returned.
+    ///
+    /// # Errors
+    /// When there is no such campaign, or a database fails.
+    pub async fn copy_campaign(
+        &self,
+        name: &CampaignName,
+        into: &Path,
+    ) -> Result<(Portable, String), CopyError> {
+        let mut view = self.view().await.map_err(QueueError::from)?;
+        let campaign = view.campaign(name).await?;
+        let spec = view.spec(&campaign).await.map_err(QueueError::from)?;
+        drop(view);
+        let called = Called {
+            name: campaign.name.clone(),
+            spec,
+            spec_digest: campaign.spec_digest.clone(),
+            folder: campaign.name.as_str().to_owned(),
+        };
+        let database = self.store().folder().join(DATABASE_FILE);
+        let copy = copy_of(&database, &campaign, &called, into).await?;
+        Ok((copy, campaign_folder(&campaign.folder)))
+    }
+
+    /// Returns the outcomes that a campaign follows from, if it follows from another one.
+    ///
+    /// # Errors
+    /// If the database fails.
+    pub async fn source_outcomes(&self, spec: &str) -> Result<Option<SourceOutcomes>, QueueError> {
+        let Some(source) = source_of(spec)? else {
+            return Ok(None);
+        };
+        let mut view = self.view().await?;
+        let campaign = view.campaign(&source).await?;
+        drop(view);
+        let mut view = self.store().read().await?;
+        let outcomes = outcomes_digest(&mut view, &campaign).await?;
+        Ok(Some(SourceOutcomes {
+            campaign: source.as_str().to_owned(),
+            outcomes,
+        }))
+    }
+
+    /// Adds the campaign of a data folder, whose films are moved out of it. It goes on
+    /// where it was. Returns its name and its jobs.
+    ///
+    /// # Errors
+    /// When a campaign of the name is here, the one that it follows from is not here or
+    /// has other outcomes, or the database or the disk fails; nothing has changed then.
+    pub async fn adopt(
+        &self,
+        from: &Portable,
+        source: Option<&SourceOutcomes>,
+        name: Option<&CampaignName>,
+    ) -> Result<(CampaignName, Counts), AdoptError> {
+        let _alone = self.campaigns.lock().await;
+        let shared = &*self.shared;
+        let mut called = from.called(name)?;
+        let films = from.films().await?;
+        let mut context = Context::begin(shared, vec![]).await?;
+        if campaigns::by_name(&mut context.tx, &called.name)
+            .await?
+            .is_some()
+        {
+            return Err(AdoptError::Exists {
+                campaign: called.name,
+            });
+        }
+        let follows = context.followed(&called, source).await?;
+        called.folder = campaigns::free_folder(&mut context.tx, &called.name).await?;
+        let folder = campaign_folder(&called.folder);
+        // Until the campaign is here, its files are to be removed with the next start.
+        pending::note(&mut context.tx, &folder).await?;
+        context.commit().await?;
+        let moved = move_films(from.folder(), &films, &shared.store.folder().join(&folder)).await;
+        let adopted = match moved {
+            Ok(()) => self.copy_in(from, &called, follows).await,
+            Err(error) => Err(error),
+        };
+        if adopted.is_err() {
+            removals::remove_here(shared, &folder).await?;
+        }
+        let counts = adopted?;
+        let jobs = counts.total();
+        tracing::info!(campaign = %called.name, jobs, results = counts.committed,
+            "campaign added from an archive");
+        shared.work.notify_waiters();
+        Ok((called.name, counts))
+    }
+
+    /// Copies a campaign piece by piece, so that workers are served in between; nobody sees it
+    /// until it is whole.
+    async fn copy_in(
+        &self,
+        from: &Portable,
+        called: &Called,
+        follows: Option<CampaignId>,
+    ) -> Result<Counts, AdoptError> {
+        let shared = &*self.shared;
+        let old = from.campaign.id;
+        let database = from.folder().join(DATABASE_FILE);
+        let mut beside = shared.store.beside(&database).await?;
+        let tx = beside.write(vec![Step::ImportCampaign]).await?;
+        let mut context = Context::within(shared, tx).await;
+        let now = context.now;
+        let id = portable::copy_without_jobs(&mut context.tx, old, called, now).await?;
+        passages::arrive(&mut context.tx, id).await?;
+        let policy = context.campaign(id).await?.policy_id;
+        context.cache.forget_campaigns();
+        context.commit().await?;
+        beside.detach().await?;
+        let copied = self.fill(from, (id, old), called, follows).await;
+        if copied.is_err()
+            && let Err(error) = moves::remove(shared, id, policy).await
+        {
+            tracing::warn!("failed to {}; the next start does", error.with_cause());
+        }
+        copied
+    }
+
+    async fn fill(
+        &self,
+        from: &Portable,
+        both: (CampaignId, CampaignId),
+        called: &Called,
+        follows: Option<CampaignId>,
+    ) -> Result<Counts, AdoptError> {
+        let (shared, id) = (&*self.shared, both.0);
+        let database = &from.folder().join(DATABASE_FILE);
+        let mut view = from.store.read().await?;
+        let jobs = portable::jobs(&mut view, both.1).await?;
+        drop(view);
+        for piece in jobs.chunks(PIECE) {
+            let mut beside = shared.store.beside(database).await?;
+            let tx = beside.write(vec![Step::ImportCampaign]).await?;
+            let mut context = Context::within(shared, tx).await;
+            portable::copy_piece(&mut context.tx, both, &called.folder, piece).await?;
+            context.commit().await?;
+            beside.detach().await?;
+        }
+        let mut beside = shared.store.beside(database).await?;
+        let tx = beside.write(vec![Step::ImportCampaign]).await?;
+        let mut context = Context::within(shared, tx).await;
+        let now = context.now;
+        campaigns::take_name(&mut context.tx, &called.name).await?;
+        passages::arrived(&mut context.tx, id, (&called.name, &called.folder), now).await?;
+        portable::copy_rest(&mut context.tx, both).await?;
+        // The other coordinator's clock may be ahead of this one.
+        let latest = now.plus(rollout_types::Waits::USUAL.longest);
+        instants::set_back(&mut context.tx, now, latest).await?;
+        if let Some(source) = follows {
+            derivations::insert(&mut context.tx, id, source).await?;
+        }
+        context.settles = true;
+        context.cache.forget_campaigns();
+        pending::done(&mut context.tx, &campaign_folder(&called.folder)).await?;
+        let counts = Counts::of(&mut context.tx, id).await?;
+        context.commit().await?;
+        beside.detach().await?;
+        Ok(counts)
+    }
+}
+
+/// Why a campaign cannot be taken out.
+#[derive(Debug, thiserror::Error)]
+pub enum CopyError {
+    /// It is not here, or the database fails.
+    #[error(transparent)]
+    Queue(#[from] QueueError),
+    /// It cannot be copied.
+    #[error(transparent)]
+    Portable(#[from] PortableError),
+}
+
+/// Why a campaign cannot be added.
+#[derive(Debug, thiserror::Error)]
+pub enum AdoptError {
+    /// One of its name is here.
+    #[error(
+        "add campaign `{campaign}`: this coordinator has a campaign of that name; give this one another with --as NAME"
+    )]
+    Exists {
+        /// The name.
+        campaign: CampaignName,
+    },
+    /// The campaign that it follows from is not here.
+    #[error(
+        "add campaign `{campaign}`: it follows from `{source_campaign}`, which is not here; import that one first"
+    )]
+    NoSource {
+        /// The campaign.
+        campaign: CampaignName,
+        /// The campaign that it follows from.
+        source_campaign: CampaignName,
+    },
+    /// The campaign that it follows from has other outcomes here.
+    #[error(
+        "add campaign `{campaign}`: it follows from outcomes of `{source_campaign}` that are others here; archive and import both as they are now"
+    )]
+    OtherSource {
+        /// The campaign.
+        campaign: CampaignName,
+        /// The campaign that it follows from.
+        source_campaign: CampaignName,
+    },
+    /// A film cannot be moved.
+    #[error("move film {}: is there room on the disk, and may this user write there?", path.display())]
+    Film {
+        /// Path of the film.
+        path: PathBuf,
+        /// Error of the system.
+        source: std::io::Error,
+    },
+    /// Anything else.
+    #[error(transparent)]
+    Queue(#[from] QueueError),
+}
+
+impl From<StoreError> for AdoptError {
+    fn from(error: StoreError) -> AdoptError {
+        AdoptError::Queue(error.into())
+    }
+}
+
+impl Portable {
+    /// Returns the copy's name, with its specification and digest under that name.
+    pub(super) fn called(&self, name: Option<&CampaignName>) -> Result<Called, QueueError> {
+        let name = name.unwrap_or(&self.campaign.name);
+        let (spec, spec_digest) = match *name == self.campaign.name {
+            true => (self.spec.clone(), self.campaign.spec_digest.clone()),
+            false => altered(&self.spec, |spec| name.as_str().clone_into(&mut spec.name)).map_err(
+                |error| QueueError::Unspecified {
+                    campaign: name.clone(),
+                    problem: error.to_string(),
+                },
+            )?,
+        };
+        Ok(Called {
+            folder: name.as_str().to_owned(),
+            name: name.clone(),
+            spec,
+            spec_digest,
+        })
+    }
+}
+
+impl Context<'_> {
+    /// The campaign here that one follows from, whose outcomes must be the same.
+    async fn followed(
+        &mut self,
+        called: &Called,
+        expected: Option<&SourceOutcomes>,
+    ) -> Result<Option<CampaignId>, AdoptError> {
+        let Some(name) = source_of(&called.spec)? else {
+            return Ok(None);
+        };
+        let campaign = called.name.clone();
+        let Some(source) = campaigns::by_name(&mut self.tx, &name).await? else {
+            return Err(AdoptError::NoSource {
+                campaign,
+                source_campaign: name,
+            });
+        };
+        let here = outcomes_digest(&mut self.tx, &source).await?;
+        if expected.is_none_or(|expected| expected.outcomes != here) {
+            return Err(AdoptError::OtherSource {
+                campaign,
+                source_campaign: name,
+            });
+        }
+        Ok(Some(source.id))
+    }
+}
+
+/// Copies a campaign of a database into a new one, in an empty folder.
+pub(super) async fn copy_of(
+    database: &Path,
+    campaign: &Campaign,
+    called: &Called,
+    into: &Path,
+) -> Result<Portable, PortableError> {
+    let store = Store::open(into).await?;
+    let mut beside = store.beside(database).await?;
+    let mut tx = beside.write(Vec::new()).await?;
+    portable::copy(&mut tx, campaign.id, called, campaign.created_ms).await?;
+    portable::forget_when(&mut tx).await?;
+    tx.commit().await?;
+    drop(beside);
+    store.compact().await?;
+    Portable::of(store).await
+}
+
+/// The name of the campaign that one follows from.
+pub(super) fn source_of(spec: &str) -> Result<Option<CampaignName>, QueueError> {
+    let spec = CampaignSpec::from_json(spec).map_err(undecodable);
+    let spec = spec.doing("read a campaign's specification")?;
+    let name = spec.rollouts.source().map(CampaignName::parse).transpose();
+    let name = name.map_err(undecodable);
+    Ok(name.doing("read what a campaign follows from")?)
+}
+
+async fn outcomes_digest(
+    tx: &mut sqlx::SqliteConnection,
+    campaign: &Campaign,
+) -> Result<String, StoreError> {
+    let mut digest = Sha256::new();
+    for row in derivations::outcomes(tx, campaign.id).await? {
+        let outcome = match (row.success, row.is_quarantined) {
+            (Some(true), _) => "success",
+            (Some(false), _) => "failure",
+            (None, true) => "quarantined",
+            (None, false) => "open",
+        };
+        digest.update(format!("{} {} {outcome}\n", row.rollout_id, row.replicate));
+    }
+    Ok(hex(&digest.finalize()))
+}
+
+async fn move_films(from: &Path, films: &[FilmFile], to: &Path) -> Result<(), AdoptError> {
+    let failed = |path: &Path| {
+        let path = path.to_owned();
+        move |source| AdoptError::Film { path, source }
+    };
+    if !films.is_empty() {
+        tokio::fs::create_dir_all(to).await.map_err(failed(to))?;
+    }
+    for film in films {
+        let path = from.join(&film.path);
+        let name = path.file_name().unwrap_or_default();
+        let moved = tokio::fs::rename(&path, to.join(name)).await;
+        moved.map_err(failed(&path))?;
+    }
+    Ok(())
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}

@@ -1,0 +1,87 @@
+//! State that every operation of a queue shares.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::Rng;
+use rollout_types::AttemptId;
+use tokio::sync::{Notify, watch};
+
+use super::cache::Cache;
+use super::in_flight::Films;
+use super::settled::Settled;
+use crate::clock::{Clock, UnixMillis};
+use crate::elsewhere::Elsewhere;
+use crate::store::Store;
+use crate::timing::Timing;
+
+/// State that every operation of a queue shares.
+pub(crate) struct Shared {
+    pub(crate) store: Store,
+    pub(crate) clock: Arc<dyn Clock>,
+    rng: Mutex<ChaCha8Rng>,
+    pub(crate) timing: Timing,
+    /// Rows that need not be read again. Locked within the writing transaction only.
+    pub(super) cache: tokio::sync::Mutex<Cache>,
+    /// Held while a film comes into the data folder, or is taken out of it.
+    pub(crate) files: tokio::sync::Mutex<()>,
+    /// The rollouts that are to be filmed.
+    pub(super) films: Films,
+    /// Storage of films beyond the data folder, if there is any.
+    pub(crate) elsewhere: Option<Arc<dyn Elsewhere>>,
+    /// Rung when jobs may have become leasable.
+    pub(crate) work: Notify,
+    /// Rung when jobs are settled: something may follow from their outcomes then, or a
+    /// campaign's rule may be met.
+    pub(crate) settled: Arc<Settled>,
+    pub(crate) draining: watch::Sender<bool>,
+    /// Why nothing is leased at the moment; none while jobs are leased.
+    pub(crate) hold: watch::Sender<Option<String>>,
+}
+
+impl Shared {
+    pub(crate) fn new(
+        store: Store,
+        clock: Arc<dyn Clock>,
+        rng: ChaCha8Rng,
+        timing: Timing,
+        elsewhere: Option<Arc<dyn Elsewhere>>,
+    ) -> Shared {
+        Shared {
+            store,
+            clock,
+            rng: Mutex::new(rng),
+            timing,
+            cache: tokio::sync::Mutex::default(),
+            files: tokio::sync::Mutex::default(),
+            films: Films::default(),
+            elsewhere,
+            work: Notify::new(),
+            settled: Arc::new(Settled::new()),
+            draining: watch::Sender::new(false),
+            hold: watch::Sender::new(None),
+        }
+    }
+
+    /// The present instant.
+    pub(crate) fn now(&self) -> UnixMillis {
+        self.clock.now()
+    }
+
+    /// Why nothing is leased at the moment; none while jobs are leased.
+    pub(crate) fn held(&self) -> Option<String> {
+        self.hold.borrow().clone()
+    }
+
+    /// Runs a decision with this queue's generator.
+    pub(crate) fn decide<T>(&self, decision: impl FnOnce(&mut ChaCha8Rng) -> T) -> T {
+        decision(&mut self.rng.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The id of an attempt that is about to be granted.
+    pub(crate) fn new_attempt(&self) -> AttemptId {
+        let mut bits = [0; 16];
+        self.decide(|rng| rng.fill_bytes(&mut bits));
+        AttemptId::from_random(bits)
+    }
+}

@@ -1,0 +1,179 @@
+//! Campaigns that may end early: as outcomes come, it is looked whether the rule is
+//! met.
+//!
+//! Whether it is, and after how many configurations, is a pure function of the
+//! outcomes. So it is looked at again whenever something was settled and at every
+//! start, and a look that was cut off is made up for.
+//!
+//! Leases of a campaign are taken back when it stops. Their results could not change an interval:
+//! those rest on the configurations up to the look at which the rule was met, and in these nothing
+//! is in flight.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use libero_ctrl::{RolloutId, TaskRef};
+use paired::{CampaignLook, Records};
+use sqlx::SqliteConnection;
+
+use super::context::Context;
+use super::derive::{aside, pause_after, records};
+use super::shared::Shared;
+use crate::ids::CampaignId;
+use crate::store::failpoint::Step;
+use crate::store::stops::{self, Stoppable};
+use crate::store::{Doing, StoreError, undecodable};
+
+/// After a look that failed; the disk may be full.
+const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
+
+/// In which configuration each campaign is, as of the last look: the first that is not
+/// complete. While it is the same, nothing new counts.
+type Fronts = BTreeMap<CampaignId, Front>;
+
+/// A configuration, or its nominal rollout: the task, whether it is the former, and its
+/// number or that of the initial state.
+type Front = (TaskRef, bool, u16);
+
+/// Stops campaigns whose rule is met, as outcomes come.
+pub(crate) async fn run(shared: Arc<Shared>) {
+    let mut settled = shared.settled.subscribe();
+    let mut fronts = Fronts::new();
+    loop {
+        settled.mark_unchanged();
+        let began = Instant::now();
+        if let Err(error) = look(&shared, &mut fronts).await {
+            tracing::error!("failed to {}", error.with_cause());
+            fronts.clear();
+            tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
+            continue;
+        }
+        tokio::time::sleep(pause_after(began.elapsed())).await;
+        // The sender is kept by the same queue.
+        let _ = settled.changed().await;
+    }
+}
+
+async fn look(shared: &Shared, fronts: &mut Fronts) -> Result<(), StoreError> {
+    let mut view = shared.store.read().await?;
+    let mut met = Vec::new();
+    let stoppable = stops::stoppable(&mut view).await?;
+    fronts.retain(|id, _| stoppable.iter().any(|it| it.campaign == *id));
+    for campaign in stoppable {
+        let first = stops::first_unsettled(&mut view, campaign.campaign).await?;
+        // One that is through has nothing to save.
+        let Some(first) = first else { continue };
+        let order = first.unit_order;
+        let first: RolloutId = first
+            .rollout_id
+            .parse()
+            .map_err(undecodable)
+            .doing("read which rollout comes first")?;
+        let front = (first.task(), first.config().is_some(), first.number());
+        if fronts.insert(campaign.campaign, front) == Some(front) {
+            continue;
+        }
+        if let Some(look) = when_met(&mut view, &campaign).await? {
+            met.push((campaign.campaign, order, look));
+        }
+    }
+    drop(view);
+    for (campaign, order, look) in met {
+        if !stop(shared, campaign, order, &look).await? {
+            fronts.remove(&campaign);
+        }
+    }
+    Ok(())
+}
+
+/// Stops a campaign whose rule `look` found met, unless the campaign was cancelled since or one
+/// of the rollouts before `order`, which the look rests on, was taken out of quarantine. Returns
+/// false if it goes on.
+///
+/// The rule is not evaluated again: of 150,000 outcomes that takes most of a minute, in which a
+/// transaction would keep every claim and result waiting.
+async fn stop(
+    shared: &Shared,
+    campaign: CampaignId,
+    order: i64,
+    look: &CampaignLook,
+) -> Result<bool, StoreError> {
+    let mut context = Context::begin(shared, vec![Step::Stop]).await?;
+    let stoppable = stops::stoppable(&mut context.tx).await?;
+    let first = stops::first_unsettled(&mut context.tx, campaign).await?;
+    let holds = stoppable.iter().any(|it| it.campaign == campaign)
+        && first.is_none_or(|first| first.unit_order >= order);
+    if !holds {
+        return Ok(false);
+    }
+    let name = context.campaign(campaign).await?.name.clone();
+    stops::stop(&mut context.tx, campaign, look.used.len(), context.now).await?;
+    let why = "the campaign has stopped early: its rule is met";
+    context.take_back(campaign, why).await?;
+    context.cache.forget_campaigns();
+    // A campaign that follows from this one may go on.
+    context.settles = true;
+    context.commit().await?;
+    let (used, of) = (look.used.len(), look.units);
+    tracing::info!(campaign = %name, "stopped early after {used} of {of} configurations");
+    shared.work.notify_waiters();
+    Ok(true)
+}
+
+/// The look at which a campaign's rule is first met, if it is.
+async fn when_met(
+    tx: &mut SqliteConnection,
+    campaign: &Stoppable,
+) -> Result<Option<CampaignLook>, StoreError> {
+    let stop = campaign.stop.clone();
+    let records = records(tx, campaign.campaign).await?;
+    let found = aside(move || {
+        Records::new(&records).map(|records| CampaignLook::when_met(&records, &stop))
+    });
+    let found = found.await.map_err(undecodable);
+    found.doing("read the outcomes that a rule is about")
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::super::passages::tests::start;
+    use super::*;
+    use crate::expand::NewCampaign;
+
+    /// The soak found that a rule which was evaluated inside the transaction held up every claim
+    /// for 40 s, so that the transaction has to notice by itself that a look is out of date.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_look_is_out_of_date_once_a_rollout_before_its_front_waits_again() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let queue = start(folder.path()).await;
+        let spec = json!({
+            "name": "early",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "tasks": ["libero_object/0"], "axes": ["camera", "sensor"], "levels": ["L2"],
+            "configs": [0, 1, 2, 3], "stop": {"rule": "width(S_sim) < 0.1", "seed": 7},
+        });
+        let new = NewCampaign::from_json(&spec.to_string()).expect("a campaign");
+        queue.create_campaign(&new).await.expect("created");
+        let mut view = queue.shared.store.read().await.expect("a view");
+        let stoppable = stops::stoppable(&mut view).await.expect("a list");
+        let campaign = stoppable[0].campaign;
+        let first = stops::first_unsettled(&mut view, campaign).await;
+        let first = first.expect("read").expect("every rollout waits");
+        drop(view);
+        let look = CampaignLook {
+            used: vec![("libero_object/0".parse().expect("a task"), 0)],
+            units: 4,
+            levels: BTreeMap::new(),
+        };
+        let shared = &queue.shared;
+        let later = stop(shared, campaign, first.unit_order + 1, &look).await;
+        assert!(!later.expect("looked at"), "a rollout before it waits");
+        let now = stop(shared, campaign, first.unit_order, &look).await;
+        assert!(now.expect("stopped"));
+        let again = stop(shared, campaign, first.unit_order, &look).await;
+        assert!(!again.expect("looked at"), "it has stopped already");
+    }
+}

@@ -1,0 +1,223 @@
+//! Group commit: what workers ask for is gathered while one transaction runs and
+//! goes into the next together, so that many answers wait for one `fsync`.
+//!
+//! An operation that fails does not fail the others: the transaction is undone
+//! and each of its operations is tried in one of its own. A transaction that cannot
+//! even begin fails all of them at once.
+
+use std::sync::Arc;
+
+use rollout_types::AttemptId;
+use tokio::sync::{mpsc, oneshot};
+
+use super::claim::{ClaimRequest, Claimed};
+use super::commit::{CommitReply, CommitReport};
+use super::context::Context;
+use super::error::QueueError;
+use super::heartbeat::Heartbeat;
+use super::release::{Release, ReleaseReply};
+use super::shared::Shared;
+use crate::store::StoreError;
+use crate::store::failpoint::Step;
+
+/// Most operations of one transaction.
+const MAX_BATCH: usize = 256;
+/// Operations that wait for the next transactions; while there are so many,
+/// callers wait to hand in theirs.
+pub(crate) const MAX_WAITING: usize = 4_096;
+
+/// An operation that a worker asks for.
+pub(crate) enum Operation {
+    /// Leases a job. The flag says whether the claim has just come, and not only
+    /// been woken while it waited.
+    Claim(Pending<(ClaimRequest, bool), Claimed>),
+    /// Renews leases.
+    Heartbeat(Pending<Heartbeat, Vec<AttemptId>>),
+    /// Stores a result.
+    Commit(Pending<Box<CommitReport>, CommitReply>),
+    /// Ends an attempt without one.
+    Release(Pending<Release, ReleaseReply>),
+}
+
+/// A request, and its answer, which is given when the transaction is on the disk.
+pub(crate) struct Pending<Q, A> {
+    request: Q,
+    answer: Option<Result<A, QueueError>>,
+    reply: oneshot::Sender<Result<A, QueueError>>,
+}
+
+/// Executes operations until all senders are gone.
+pub(crate) async fn run(shared: Arc<Shared>, mut asked: mpsc::Receiver<Operation>) {
+    let mut batch = Vec::with_capacity(MAX_BATCH);
+    while asked.recv_many(&mut batch, MAX_BATCH).await > 0 {
+        write(&shared, &mut batch).await;
+        for operation in batch.drain(..) {
+            operation.reply();
+        }
+    }
+}
+
+async fn write(shared: &Shared, batch: &mut [Operation]) {
+    let fail_all = |batch: &mut [Operation], error: &StoreError| {
+        for operation in batch {
+            operation.fail(error.clone());
+        }
+    };
+    let context = match Context::begin(shared, steps(batch)).await {
+        Ok(context) => context,
+        Err(error) => return fail_all(batch, &error),
+    };
+    match transact(context, batch).await {
+        Ok(()) => {}
+        Err(error) if batch.len() == 1 => fail_all(batch, &error),
+        Err(_) => {
+            for alone in batch.chunks_mut(1) {
+                Box::pin(write(shared, alone)).await;
+            }
+        }
+    }
+}
+
+/// Executes operations in one transaction: each has its answer then, or nothing
+/// at all happened. A worker waits for each answer before it asks for the next
+/// thing, so their order is free: what makes jobs leasable goes first.
+async fn transact(
+    mut context: Context<'_>,
+    operations: &mut [Operation],
+) -> Result<(), StoreError> {
+    let (mut claims, mut heartbeats, mut commits) = (Vec::new(), Vec::new(), Vec::new());
+    for operation in operations {
+        match operation {
+            // A lease for a worker that has gone would only expire.
+            Operation::Claim(pending) if pending.reply.is_closed() => {}
+            Operation::Claim(pending) => claims.push(pending),
+            Operation::Heartbeat(pending) => heartbeats.push(pending),
+            Operation::Commit(pending) => commits.push(pending),
+            Operation::Release(pending) => {
+                pending.answer = Some(context.release(&pending.request).await?);
+            }
+        }
+    }
+    let reports: Vec<_> = commits.iter().map(|it| &*it.request).collect();
+    answer(context.store_results(&reports).await?, commits);
+    let beats: Vec<_> = heartbeats.iter().map(|it| &it.request).collect();
+    answer(context.heartbeat(&beats).await?, heartbeats);
+    let requests: Vec<_> = claims
+        .iter()
+        .map(|it| (&it.request.0, it.request.1))
+        .collect();
+    answer(context.claim(&requests).await?, claims);
+    context.commit().await
+}
+
+fn answer<Q, A>(answers: Vec<Result<A, QueueError>>, pending: Vec<&mut Pending<Q, A>>) {
+    for (pending, answer) in pending.into_iter().zip(answers) {
+        pending.answer = Some(answer);
+    }
+}
+
+fn steps(operations: &[Operation]) -> Vec<Step> {
+    let mut steps: Vec<Step> = operations.iter().map(Operation::step).collect();
+    steps.sort_unstable();
+    steps.dedup();
+    steps
+}
+
+impl Operation {
+    fn step(&self) -> Step {
+        match self {
+            Operation::Claim(_) => Step::Claim,
+            Operation::Heartbeat(_) => Step::Heartbeat,
+            Operation::Commit(_) => Step::Commit,
+            Operation::Release(_) => Step::Release,
+        }
+    }
+
+    fn fail(&mut self, error: StoreError) {
+        match self {
+            Operation::Claim(pending) => pending.answer = Some(Err(error.into())),
+            Operation::Heartbeat(pending) => pending.answer = Some(Err(error.into())),
+            Operation::Commit(pending) => pending.answer = Some(Err(error.into())),
+            Operation::Release(pending) => pending.answer = Some(Err(error.into())),
+        }
+    }
+
+    fn reply(self) {
+        match self {
+            Operation::Claim(pending) => pending.reply(),
+            Operation::Heartbeat(pending) => pending.reply(),
+            Operation::Commit(pending) => pending.reply(),
+            Operation::Release(pending) => pending.reply(),
+        }
+    }
+}
+
+impl<Q, A> Pending<Q, A> {
+    /// A request, and where its answer will come.
+    pub(crate) fn new(request: Q) -> (Pending<Q, A>, oneshot::Receiver<Result<A, QueueError>>) {
+        let (reply, answer) = oneshot::channel();
+        let pending = Pending {
+            request,
+            answer: None,
+            reply,
+        };
+        (pending, answer)
+    }
+
+    fn reply(self) {
+        if let Some(answer) = self.answer {
+            // The caller may have gone.
+            let _ = self.reply.send(answer);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::{Duration, Instant};
+
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::SeedableRng;
+    use sqlx::{ConnectOptions, Connection, sqlite::SqliteConnectOptions};
+
+    use super::*;
+    use crate::clock::SystemClock;
+    use crate::ids::WorkerId;
+    use crate::queue::Queue;
+    use crate::store::{DATABASE_FILE, Store};
+    use crate::timing::Timing;
+
+    /// Defect 12: a transaction that could not begin was tried again for each of
+    /// its operations: up to 256 waits for the lock in a row.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_transaction_that_cannot_begin_fails_all_of_its_operations_at_once() {
+        const OPERATIONS: u32 = 40;
+        const BUSY: Duration = Duration::from_millis(400);
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let store = Store::open(folder.path()).await.expect("a store");
+        store.wait_for_locks(BUSY).await;
+        let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
+        let queue = Queue::start(store, clock, rng, Timing::default()).await;
+        let queue = queue.expect("a queue");
+        let options = SqliteConnectOptions::new().filename(folder.path().join(DATABASE_FILE));
+        let mut other = options.connect().await.expect("a connection");
+        let lock = other.begin_with("BEGIN IMMEDIATE").await.expect("the lock");
+
+        let began = Instant::now();
+        let worker = WorkerId("a".to_owned());
+        let beats = (0..OPERATIONS).map(|_| queue.heartbeat(&worker, &[]));
+        for refused in futures_util::future::join_all(beats).await {
+            let error = refused.expect_err("another has the lock");
+            assert!(matches!(error, QueueError::Store(_)), "{error:?}");
+        }
+        // One wait for the first, and one for those that came meanwhile.
+        assert!(began.elapsed() < BUSY * OPERATIONS / 4);
+        lock.rollback().await.expect("lets go");
+        // It is answered again: no worker of this name ever registered.
+        let answer = queue.heartbeat(&worker, &[]).await;
+        assert!(
+            matches!(answer, Err(QueueError::UnknownWorker { .. })),
+            "{answer:?}"
+        );
+    }
+}

@@ -1,0 +1,280 @@
+//! Status of campaigns.
+
+use std::time::Duration;
+
+use rollout_types::{Fingerprints, Pin};
+use sqlx::SqliteConnection;
+
+use super::View;
+use crate::clock::UnixMillis;
+use crate::ids::{CampaignId, CampaignName};
+use crate::operations::error::{QueueError, unknown_campaign};
+use crate::rules::campaign::CampaignState;
+use crate::rules::outage::PolicyState;
+use crate::store::campaigns::{self, Campaign};
+use crate::store::derivations::{self, Source};
+use crate::store::stops::{self, EarlyStop};
+use crate::store::{Doing, StoreError, workers};
+
+/// A campaign's rate is taken over so long, or, if that is less, since its first
+/// rollout began or since it was resumed.
+pub const RATE_WINDOW: Duration = Duration::from_secs(300);
+
+/// Counts of a campaign's jobs, by state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Wait.
+    pub queued: u64,
+    /// Are being run.
+    pub leased: u64,
+    /// Have a result.
+    pub committed: u64,
+    /// Are in quarantine.
+    pub quarantined: u64,
+    /// Committed jobs that reached their goal.
+    pub succeeded: u64,
+}
+
+/// Status of a campaign.
+#[derive(Clone, Debug)]
+pub struct CampaignStatus {
+    /// The campaign.
+    pub campaign: Campaign,
+    /// Its jobs by state.
+    pub counts: Counts,
+    /// Why its policy's jobs wait, if they do.
+    pub policy_pause_reason: Option<String>,
+    /// How long it takes until a rollout tries its paused policy again.
+    pub policy_retry: Option<Duration>,
+    /// Committed rollouts per second over [`RATE_WINDOW`].
+    pub rate_per_sec: Option<f64>,
+    /// Seconds that the rest takes at that rate.
+    pub eta_secs: Option<f64>,
+    /// Workers alive that suit its assets, simulator and renderer.
+    pub live_workers: u32,
+    /// Why nothing is running although jobs wait; empty otherwise.
+    pub waiting_reason: String,
+    /// How its results mix fingerprints, if they have more than one.
+    pub fingerprints: Option<Fingerprints>,
+    /// How it may end early, or did.
+    pub stop: Option<EarlyStop>,
+    /// The campaign from whose outcomes its rollouts follow, if they do.
+    pub source: Option<Source>,
+    /// Whether further rollouts may follow by themselves.
+    pub may_grow: bool,
+}
+
+impl Counts {
+    /// All jobs.
+    pub fn total(&self) -> u64 {
+        self.queued + self.leased + self.committed + self.quarantined
+    }
+
+    /// A campaign's, as its tally has them: one row, however large the campaign is.
+    pub(crate) async fn of(
+        tx: &mut SqliteConnection,
+        campaign: CampaignId,
+    ) -> Result<Counts, StoreError> {
+        let counts: (i64, i64, i64, i64, i64) = sqlx::query_as(
+            "SELECT queued, leased, committed, quarantined, succeeded FROM tally
+             WHERE campaign_id = ?",
+        )
+        .bind(campaign)
+        .fetch_one(tx)
+        .await
+        .doing("count a campaign's jobs")?;
+        Ok(Counts {
+            queued: counts.0.unsigned_abs(),
+            leased: counts.1.unsigned_abs(),
+            committed: counts.2.unsigned_abs(),
+            quarantined: counts.3.unsigned_abs(),
+            succeeded: counts.4.unsigned_abs(),
+        })
+    }
+}
+
+impl View {
+    /// A campaign by its name.
+    ///
+    /// # Errors
+    /// When there is no such campaign or the database fails.
+    pub async fn campaign(&mut self, name: &CampaignName) -> Result<Campaign, QueueError> {
+        match campaigns::by_name(self.tx(), name).await? {
+            Some(campaign) => Ok(campaign),
+            None => Err(unknown_campaign(self.tx(), name).await?),
+        }
+    }
+
+    /// A campaign's specification, JSON.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn spec(&mut self, campaign: &Campaign) -> Result<String, StoreError> {
+        campaigns::spec(self.tx(), campaign.id).await
+    }
+
+    /// How a campaign may end early, or did; none of one that runs to its end.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn early_stop(
+        &mut self,
+        campaign: &Campaign,
+    ) -> Result<Option<EarlyStop>, StoreError> {
+        stops::of(self.tx(), campaign.id).await
+    }
+
+    /// Returns the status of all campaigns, oldest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn statuses(&mut self) -> Result<Vec<CampaignStatus>, StoreError> {
+        let live = self.live_pins().await?;
+        let mut list = Vec::new();
+        for campaign in campaigns::all(self.tx()).await? {
+            list.push(self.status_among(campaign, &live).await?);
+        }
+        Ok(list)
+    }
+
+    /// Returns the status of one campaign.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn status(&mut self, campaign: Campaign) -> Result<CampaignStatus, StoreError> {
+        let live = self.live_pins().await?;
+        self.status_among(campaign, &live).await
+    }
+
+    /// Returns the pins of the workers that are alive.
+    async fn live_pins(&mut self) -> Result<Vec<Pin>, StoreError> {
+        let since = self.now.minus(self.timing.worker_alive);
+        let live = workers::live(self.tx(), since).await?;
+        Ok(live.into_iter().map(|worker| worker.pin).collect())
+    }
+
+    async fn status_among(
+        &mut self,
+        campaign: Campaign,
+        live: &[Pin],
+    ) -> Result<CampaignStatus, StoreError> {
+        let now = self.now;
+        let counts = Counts::of(self.tx(), campaign.id).await?;
+        let rate_per_sec = match campaign.state {
+            CampaignState::Running { since: resumed } => {
+                rate(self.tx(), campaign.id, resumed, now).await?
+            }
+            CampaignState::Paused { .. }
+            | CampaignState::Cancelled { .. }
+            | CampaignState::Stopped { .. } => None,
+        };
+        let left = (counts.queued + counts.leased) as f64;
+        let policy_pause_reason = match &campaign.health.state {
+            PolicyState::Available => None,
+            PolicyState::Paused { reason, .. } | PolicyState::Probing { reason, .. } => {
+                Some(reason.clone())
+            }
+        };
+        let policy_retry = match &campaign.health.state {
+            PolicyState::Paused { resume, .. } => Some(resume.since(now)),
+            PolicyState::Available | PolicyState::Probing { .. } => None,
+        };
+        let able = live.iter().filter(|live| campaign.takes(live));
+        let live_workers = u32::try_from(able.count()).unwrap_or(u32::MAX);
+        let source = derivations::awaited(self.tx(), campaign.id).await?;
+        let may_grow = match &source {
+            _ if campaign.state.is_over() => false,
+            None => false,
+            Some(source) if source.awaited > 0 => !source.is_cancelled,
+            Some(_) => !self.settled.is_all(self.looked_at),
+        };
+        let is_waiting = counts.queued > 0 && counts.leased == 0 && campaign.state.may_lease();
+        let waiting_reason = match (is_waiting, &self.held, &policy_pause_reason) {
+            (false, ..) if counts.queued + counts.leased == 0 => {
+                let source = source.as_ref().filter(|_| !campaign.state.is_over());
+                source.map_or_else(String::new, awaited_reason)
+            }
+            (false, ..) => String::new(),
+            (true, Some(reason), _) => reason.clone(),
+            (true, None, Some(reason)) => {
+                format!("policy `{}` is paused: {reason}", campaign.policy)
+            }
+            (true, None, None) if live_workers > 0 => String::new(),
+            (true, None, None) => no_worker_reason(&campaign.demand(), live.first()),
+        };
+        let fingerprints = self.fingerprints(campaign.id).await?;
+        let stop = stops::of(self.tx(), campaign.id).await?;
+        Ok(CampaignStatus {
+            campaign,
+            counts,
+            policy_pause_reason,
+            policy_retry,
+            rate_per_sec,
+            eta_secs: rate_per_sec.map(|rate| left / rate),
+            live_workers,
+            waiting_reason,
+            fingerprints,
+            stop,
+            source,
+            may_grow,
+        })
+    }
+}
+
+/// Rollouts per second of late; none before one came about. What a campaign had
+/// under way when it was paused says nothing of its pace after it is resumed:
+/// counted are rollouts that began since.
+async fn rate(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    resumed: UnixMillis,
+    now: UnixMillis,
+) -> Result<Option<f64>, StoreError> {
+    let window = resumed.max(now.minus(RATE_WINDOW));
+    let (committed, first_began): (i64, Option<i64>) = sqlx::query_as(
+        "SELECT count(*), min(committed_ms - CAST(wall_secs * 1000 AS INTEGER)) FROM result
+         WHERE campaign_id = ?1 AND committed_ms >= ?2
+             AND committed_ms - CAST(wall_secs * 1000 AS INTEGER) >= ?3",
+    )
+    .bind(campaign)
+    .bind(window)
+    .bind(resumed)
+    .fetch_one(tx)
+    .await
+    .doing("count recent results")?;
+    let Some(first_began) = first_began else {
+        return Ok(None);
+    };
+    let span = now.since(window.max(UnixMillis(first_began))).as_secs_f64();
+    Ok((span > 0.0).then(|| committed as f64 / span))
+}
+
+/// Describes what a campaign that follows from another waits for; empty if for nothing.
+fn awaited_reason(source: &Source) -> String {
+    let Source {
+        name,
+        awaited,
+        is_cancelled,
+    } = source;
+    let rollouts = match awaited {
+        0 => return String::new(),
+        1 => "1 rollout".to_owned(),
+        n => format!("{n} rollouts"),
+    };
+    match is_cancelled {
+        false => format!("it goes on once campaign `{name}` is finished, {rollouts} from now"),
+        true => format!(
+            "nothing follows from campaign `{name}`, which was cancelled with {rollouts} to go"
+        ),
+    }
+}
+
+fn no_worker_reason(demand: &str, live: Option<&Pin>) -> String {
+    match (demand, live) {
+        ("", _) => "no worker is here; start one with `worker --connect`".to_owned(),
+        (_, None) => format!("no worker is here, and the campaign {demand}"),
+        (_, Some(other)) => {
+            format!("no worker suits: the campaign {demand}; one that is here runs on {other}")
+        }
+    }
+}

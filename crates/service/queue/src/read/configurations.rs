@@ -1,0 +1,232 @@
+//! The rollouts of a configuration, side by side.
+
+use rollout_types::{AttemptId, Digests, GoalProgress, Motion, Provenance, Realised};
+use sqlx::types::Text;
+
+use super::View;
+use crate::clock::UnixMillis;
+use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
+use crate::store::provenance::provenance;
+use crate::store::results::digests;
+use crate::store::{Doing, StoreError, json};
+
+/// One rollout of a configuration, as far as its job goes.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub struct RolloutLine {
+    /// The job.
+    pub id: JobId,
+    /// Id of the rollout.
+    pub rollout_id: String,
+    /// "queued", "leased", "committed" or "quarantined".
+    pub state: String,
+    /// Leases granted so far.
+    pub attempt: AttemptNumber,
+    /// Failures that count against it.
+    pub charged_attempts: u32,
+    /// One manifest row, JSON.
+    pub manifest_row: String,
+    /// Seed for the policy.
+    pub policy_seed: i64,
+    /// The worker that holds its lease, while it is leased.
+    pub lease_owner: Option<WorkerId>,
+    /// The policy's control steps that its worker last reported, while it is
+    /// leased; 0 while the scene settles.
+    pub control_steps: Option<u32>,
+    /// Reports that were refused because their lease was gone.
+    pub stale_reports: u32,
+}
+
+/// Result of a rollout, with its course and its origin.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub struct ResultLine {
+    /// The job.
+    pub job_id: JobId,
+    /// The attempt.
+    #[sqlx(rename = "attempt_id")]
+    pub attempt: Text<AttemptId>,
+    /// Number of the attempt within its job.
+    #[sqlx(rename = "attempt")]
+    pub number: AttemptNumber,
+    /// Worker that ran the attempt.
+    pub worker_id: WorkerId,
+    /// Instant of the commit.
+    pub committed_ms: UnixMillis,
+    /// Whether the goal was reached.
+    pub success: bool,
+    /// The policy's control steps.
+    pub steps: u32,
+    /// Duration of the rollout.
+    pub wall_secs: f64,
+    /// Residual of the inverse kinematics, mm.
+    pub ik_residual_mm: Option<f64>,
+    /// Actions clipped into [-1, 1].
+    pub clipped_actions: u32,
+    /// Times that the policy was asked.
+    pub policy_queries: u32,
+    /// Predicates of the goal, where its worker says.
+    pub goal_predicates: Option<u32>,
+    /// Predicates of the goal that held at the end.
+    pub goal_at_end: Option<u32>,
+    /// Most predicates of the goal that held together.
+    pub goal_at_most: Option<u32>,
+    /// Reports of another outcome.
+    pub divergences: u32,
+    /// Digests of the scene, the initial state and the first frames, for comparison.
+    #[sqlx(json)]
+    pub digests: Digests,
+    /// The perturbation as it was realised.
+    #[sqlx(json)]
+    pub realised: Realised,
+    /// Its video below the data folder, and how large that is, bytes.
+    pub video: Option<String>,
+    /// Size of its video, bytes.
+    pub video_bytes: Option<i64>,
+    /// Origin of the result: machine, assets, policy and program.
+    #[sqlx(json)]
+    pub provenance: Provenance,
+}
+
+impl ResultLine {
+    /// How much of the goal held, where its worker says.
+    pub fn goal(&self) -> Option<GoalProgress> {
+        Some(GoalProgress {
+            predicates: self.goal_predicates?,
+            at_end: self.goal_at_end?,
+            at_most: self.goal_at_most?,
+        })
+    }
+}
+
+impl View {
+    /// Those of the named rollouts that the campaign has, in one replicate.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn rollouts(
+        &mut self,
+        campaign: CampaignId,
+        ids: &[String],
+        replicate: u32,
+    ) -> Result<Vec<RolloutLine>, StoreError> {
+        sqlx::query_as(concat!(
+            "SELECT id, rollout_id, state, attempt, charged_attempts, manifest_row, policy_seed,
+                 lease_owner, ",
+            policy_steps!(),
+            ", stale_reports
+             FROM job WHERE campaign_id = ? AND replicate = ?
+                 AND rollout_id IN (SELECT value FROM json_each(?))",
+        ))
+        .bind(campaign)
+        .bind(replicate)
+        .bind(json(ids))
+        .fetch_all(self.tx())
+        .await
+        .doing("read a configuration's rollouts")
+    }
+
+    /// The replicates in which a campaign has a rollout.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn replicates(
+        &mut self,
+        campaign: CampaignId,
+        rollout_id: &str,
+    ) -> Result<Vec<u32>, StoreError> {
+        sqlx::query_scalar(
+            "SELECT replicate FROM job WHERE campaign_id = ? AND rollout_id = ? ORDER BY replicate",
+        )
+        .bind(campaign)
+        .bind(rollout_id)
+        .fetch_all(self.tx())
+        .await
+        .doing("read a rollout's replicates")
+    }
+
+    /// A campaign's rollout ids that begin like this and go on with something,
+    /// in replicate 0.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn beginning(
+        &mut self,
+        campaign: CampaignId,
+        prefix: &str,
+    ) -> Result<Vec<String>, StoreError> {
+        sqlx::query_scalar(
+            "SELECT rollout_id FROM job WHERE campaign_id = ?1 AND rollout_id > ?2
+                 AND rollout_id < ?2 || '~' AND replicate = 0",
+        )
+        .bind(campaign)
+        .bind(prefix)
+        .fetch_all(self.tx())
+        .await
+        .doing("read a configuration's neighbours")
+    }
+
+    /// The committed results of some jobs.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn results(&mut self, jobs: &[JobId]) -> Result<Vec<ResultLine>, StoreError> {
+        sqlx::query_as(concat!(
+            "SELECT r.job_id, r.attempt_id, r.attempt, r.worker_id, r.committed_ms, r.success,
+                 r.steps, r.wall_secs, r.ik_residual_mm, r.clipped_actions, r.policy_queries,
+                 r.goal_predicates, r.goal_at_end, r.goal_at_most,
+                 (SELECT count(*) FROM divergence d WHERE d.job_id = r.job_id) AS divergences,
+                 r.realised, a.path AS video, a.size_bytes AS video_bytes, ",
+            digests!(),
+            ", ",
+            provenance!(),
+            " FROM result r JOIN provenance v ON v.id = r.provenance_id
+             LEFT JOIN artifact a ON a.attempt_id = r.attempt_id AND a.kind = 'video'
+             WHERE r.job_id IN (SELECT value FROM json_each(?))"
+        ))
+        .bind(json(jobs))
+        .fetch_all(self.tx())
+        .await
+        .doing("read a configuration's results")
+    }
+
+    /// Returns the motion of the robots of some committed jobs.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn paths(&mut self, jobs: &[JobId]) -> Result<Vec<(JobId, Motion)>, StoreError> {
+        let rows: Vec<(JobId, Vec<u8>)> = sqlx::query_as(
+            "SELECT job_id, path FROM motion WHERE job_id IN (SELECT value FROM json_each(?))",
+        )
+        .bind(json(jobs))
+        .fetch_all(self.tx())
+        .await
+        .doing("read how a configuration's robots moved")?;
+        let motion = |(job, path)| {
+            let actions = Vec::new();
+            (job, Motion { path, actions })
+        };
+        Ok(rows.into_iter().map(motion).collect())
+    }
+
+    /// Returns the path of a rollout's video, below the data folder.
+    ///
+    /// # Errors
+    /// If the database fails.
+    pub async fn video(
+        &mut self,
+        campaign: CampaignId,
+        rollout_id: &str,
+        replicate: u32,
+    ) -> Result<Option<String>, StoreError> {
+        sqlx::query_scalar(
+            "SELECT a.path FROM job j JOIN result r ON r.job_id = j.id
+             JOIN artifact a ON a.attempt_id = r.attempt_id AND a.kind = 'video'
+             WHERE j.campaign_id = ? AND j.rollout_id = ? AND j.replicate = ?",
+        )
+        .bind(campaign)
+        .bind(rollout_id)
+        .bind(replicate)
+        .fetch_optional(self.tx())
+        .await
+        .doing("look up a video")
+    }
+}

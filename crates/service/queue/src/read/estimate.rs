@@ -1,0 +1,393 @@
+//! How long rollouts would take, from what was measured, and what bounds them: pure.
+
+use std::collections::BTreeMap;
+
+use rollout_types::Pin;
+
+use super::speed::{Machine, Rate, Spent, rate};
+
+/// How long rollouts would take.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Forecast {
+    /// The workers alive that run alike, as a campaign requires; of several kinds
+    /// those that are done first.
+    pub workers: u32,
+    /// Their slots.
+    pub slots: u32,
+    /// Cores that these share; none where a worker does not say.
+    pub cores: Option<u32>,
+    /// Seconds that they take together; none where nothing was measured.
+    pub secs: Option<f64>,
+    /// Results that this rests on.
+    pub results: u64,
+    /// Whether they are of the policy that was asked for; else they are of others.
+    pub is_of_policy: bool,
+    /// Suites without a result: taken to be as fast as the others.
+    pub unmeasured_suites: Vec<String>,
+    /// Time of a rollout and the bottleneck; none where no result says where its time went.
+    pub speed: Option<Speed>,
+}
+
+/// Time that a rollout takes, and the bottleneck of the forecast.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Speed {
+    /// Results that say where their time went.
+    pub results: u64,
+    /// Mean time of one rollout, by part.
+    pub spent: Spent,
+    /// Rate on the workers of the forecast; none where a worker does not say how many cores it
+    /// has.
+    pub rate: Option<Rate>,
+    /// Time of the rollouts with as many slots as help, seconds.
+    pub enough_slots_secs: Option<f64>,
+}
+
+/// Rollouts to be forecast.
+#[derive(Clone, Debug, Default)]
+pub struct Planned<'a> {
+    /// The policy's name.
+    pub policy: &'a str,
+    /// Numbers of rollouts, by suite.
+    pub rollouts: BTreeMap<String, u64>,
+    /// Queries per second that the policy's server answers at most, if that is known.
+    pub policy_rate: Option<f64>,
+}
+
+/// Recent results of one policy in one suite, drawn by one renderer.
+#[derive(Clone, Debug, Default, PartialEq, sqlx_macros::FromRow)]
+pub(super) struct Measured {
+    pub(super) policy: String,
+    pub(super) renderer: String,
+    pub(super) suite: String,
+    /// Whether every slot had a core for itself.
+    pub(super) is_roomy: bool,
+    pub(super) results: i64,
+    /// Mean duration of a rollout, seconds.
+    pub(super) secs: f64,
+    /// Results that say where their time went, and their means.
+    pub(super) known: i64,
+    pub(super) physics_secs: f64,
+    pub(super) drawing_secs: f64,
+    pub(super) policy_secs: f64,
+    pub(super) waiting_secs: f64,
+    pub(super) queries: f64,
+}
+
+/// A worker that is alive.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub(super) struct Live {
+    #[sqlx(json)]
+    pub(super) pin: Pin,
+    pub(super) slots: u32,
+    pub(super) cores: Option<u32>,
+}
+
+pub(super) fn forecast(workers: &[Live], measured: &[Measured], planned: &Planned<'_>) -> Forecast {
+    let mut kinds: Vec<(&Pin, Vec<&Live>)> = Vec::new();
+    for worker in workers {
+        match kinds.iter_mut().find(|(pin, _)| **pin == worker.pin) {
+            Some((_, alike)) => alike.push(worker),
+            None => kinds.push((&worker.pin, vec![worker])),
+        }
+    }
+    let of_kinds = kinds.iter().map(|(pin, alike)| {
+        let drawn = measured.iter().filter(|it| it.renderer == pin.renderer);
+        of_kind(alike, &drawn.collect::<Vec<_>>(), planned)
+    });
+    let least = |a: &Forecast, b: &Forecast| {
+        let secs = |it: &Forecast| it.secs.unwrap_or(f64::INFINITY);
+        secs(a).total_cmp(&secs(b)).then(b.slots.cmp(&a.slots))
+    };
+    of_kinds.min_by(least).unwrap_or_default()
+}
+
+/// The forecast on workers that run alike, from what was drawn as they draw.
+fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forecast {
+    let slots = all_of(alike.iter().map(|it| it.slots));
+    let machine = |it: &&Live| {
+        it.cores.map(|cores| Machine {
+            slots: it.slots,
+            cores,
+        })
+    };
+    let machines: Option<Vec<Machine>> = alike.iter().map(machine).collect();
+    let is_of_policy = drawn.iter().any(|it| it.policy == planned.policy);
+    let used = drawn.iter().copied();
+    let used = used.filter(|it| !is_of_policy || it.policy == planned.policy);
+    let used: Vec<&Measured> = used.collect();
+    let forecast = Forecast {
+        workers: u32::try_from(alike.len()).unwrap_or(u32::MAX),
+        slots,
+        cores: machines
+            .as_ref()
+            .map(|all| all_of(all.iter().map(|it| it.cores))),
+        ..Forecast::default()
+    };
+    let duration: Figure = (|it| it.secs, |it| it.results);
+    let Some(any) = mean(&used, duration) else {
+        return forecast;
+    };
+    let mut unmeasured_suites = Vec::new();
+    let (mut work, mut longest) = (0.0, 0.0_f64);
+    for (suite, count) in &planned.rollouts {
+        let secs = mean(&of_suite(&used, suite), duration).unwrap_or_else(|| {
+            unmeasured_suites.push(suite.clone());
+            any
+        });
+        work += *count as f64 * secs;
+        longest = longest.max(secs);
+    }
+    let rollouts = total(&planned.rollouts);
+    // A rollout takes its time, however many slots there are.
+    let at = |per_sec: f64| (rollouts as f64 / per_sec).max(longest);
+    let speed = spent(&used, &planned.rollouts).map(|(results, spent)| {
+        let rate = rate(
+            machines.as_deref().unwrap_or(&[]),
+            &spent,
+            planned.policy_rate,
+        );
+        Speed {
+            results,
+            spent,
+            rate,
+            enough_slots_secs: rate.map(|rate| at(rate.most_per_sec)),
+        }
+    });
+    let rate = speed.as_ref().and_then(|speed| speed.rate);
+    let alone = || (work / f64::from(slots.max(1))).max(longest);
+    Forecast {
+        secs: Some(rate.map_or_else(alone, |rate| at(rate.per_sec))),
+        results: used.iter().map(|it| it.results.unsigned_abs()).sum(),
+        is_of_policy,
+        unmeasured_suites,
+        speed,
+        ..forecast
+    }
+}
+
+/// Sums figures that workers report; it saturates, since a worker may report any number.
+fn all_of(numbers: impl Iterator<Item = u32>) -> u32 {
+    numbers.fold(0, u32::saturating_add)
+}
+
+fn total(rollouts: &BTreeMap<String, u64>) -> u64 {
+    rollouts.values().copied().fold(0, u64::saturating_add)
+}
+
+/// A figure of some results, and of how many it is the mean.
+type Figure = (fn(&Measured) -> f64, fn(&Measured) -> i64);
+
+fn of_suite<'a>(measured: &[&'a Measured], suite: &str) -> Vec<&'a Measured> {
+    let in_suite = measured.iter().filter(|it| it.suite == suite);
+    in_suite.copied().collect()
+}
+
+/// Returns the mean time of one of the rollouts, and the number of results that it rests on; a
+/// suite without one is taken to be as the others. None where no result says it.
+fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, Spent)> {
+    let results: i64 = used.iter().map(|it| it.known).sum();
+    let total = total(rollouts);
+    // Of nothing that is left, all suites alike.
+    let weight = |suite: &str| match total {
+        0 => 0.0,
+        _ => rollouts.get(suite).copied().unwrap_or_default() as f64 / total as f64,
+    };
+    let figure = |of: &[&Measured], value: fn(&Measured) -> f64| {
+        let all = mean(of, (value, |it| it.known))?;
+        let suites = rollouts.keys().map(|suite| {
+            let secs = mean(&of_suite(of, suite), (value, |it| it.known));
+            weight(suite) * secs.unwrap_or(all)
+        });
+        Some(match total {
+            0 => all,
+            _ => suites.sum(),
+        })
+    };
+    let roomy = used.iter().copied().filter(|it| it.is_roomy);
+    let roomy: Vec<&Measured> = roomy.collect();
+    let spent = Spent {
+        physics_secs: figure(used, |it| it.physics_secs)?,
+        drawing_secs: figure(used, |it| it.drawing_secs)?,
+        policy_secs: figure(used, |it| it.policy_secs)?,
+        waiting_secs: figure(used, |it| it.waiting_secs)?,
+        // On shared cores, slots wait for one another.
+        taken_secs: figure(&roomy, |it| it.waiting_secs).unwrap_or(0.0),
+        queries: figure(used, |it| it.queries)?,
+    };
+    Some((results.unsigned_abs(), spent))
+}
+
+/// The mean of a figure over some results; none without a result.
+fn mean(measured: &[&Measured], (value, count): Figure) -> Option<f64> {
+    let (mut sum, mut results) = (0.0, 0.0);
+    for it in measured {
+        sum += value(it) * count(it) as f64;
+        results += count(it) as f64;
+    }
+    (results > 0.0).then(|| sum / results)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::speed::Bottleneck;
+    use super::*;
+
+    fn pin(renderer: &str) -> Pin {
+        Pin {
+            renderer: renderer.to_owned(),
+            ..Pin::default()
+        }
+    }
+
+    fn measured(policy: &str, renderer: &str, suite: &str, results: i64, secs: f64) -> Measured {
+        Measured {
+            policy: policy.to_owned(),
+            renderer: renderer.to_owned(),
+            suite: suite.to_owned(),
+            results,
+            secs,
+            ..Measured::default()
+        }
+    }
+
+    fn of(workers: &[(&str, u32)], measured: &[Measured], rollouts: &[(&str, u64)]) -> Forecast {
+        of_cores(None, workers, measured, rollouts)
+    }
+
+    fn of_cores(
+        cores: Option<u32>,
+        workers: &[(&str, u32)],
+        measured: &[Measured],
+        rollouts: &[(&str, u64)],
+    ) -> Forecast {
+        let live = |(renderer, slots): &(&str, u32)| Live {
+            pin: pin(renderer),
+            slots: *slots,
+            cores,
+        };
+        let workers: Vec<Live> = workers.iter().map(live).collect();
+        let rollouts = rollouts
+            .iter()
+            .map(|(suite, count)| ((*suite).to_owned(), *count));
+        let planned = Planned {
+            policy: "ours",
+            rollouts: rollouts.collect(),
+            policy_rate: None,
+        };
+        forecast(&workers, measured, &planned)
+    }
+
+    /// Ten seconds: four on a core, five of the policy, one of waiting.
+    fn known(suite: &str, is_roomy: bool) -> Measured {
+        Measured {
+            known: 10,
+            is_roomy,
+            physics_secs: 3.0,
+            drawing_secs: 1.0,
+            policy_secs: 5.0,
+            waiting_secs: 1.0,
+            queries: 25.0,
+            ..measured("ours", "software", suite, 10, 10.0)
+        }
+    }
+
+    #[test]
+    fn suites_take_what_they_took_on_all_slots_that_run_alike() {
+        let took = [
+            measured("ours", "software", "goal", 10, 20.0),
+            measured("ours", "software", "object", 30, 8.0),
+            measured("other", "software", "goal", 50, 1.0),
+        ];
+        let workers = [("software", 2), ("software", 2), ("gl", 1)];
+        let forecast = of(&workers, &took, &[("goal", 100), ("object", 50)]);
+        assert_eq!((forecast.workers, forecast.slots), (2, 4));
+        assert_eq!(forecast.secs, Some((100.0 * 20.0 + 50.0 * 8.0) / 4.0));
+        assert_eq!((forecast.results, forecast.is_of_policy), (40, true));
+        assert_eq!(forecast.unmeasured_suites, [""; 0]);
+    }
+
+    #[test]
+    fn what_was_not_measured_is_said() {
+        let took = [measured("other", "software", "object", 5, 6.0)];
+        let forecast = of(&[("software", 3)], &took, &[("goal", 30), ("object", 30)]);
+        assert_eq!((forecast.secs, forecast.is_of_policy), (Some(120.0), false));
+        assert_eq!(forecast.unmeasured_suites, ["goal"]);
+
+        let forecast = of(&[("gl", 3)], &took, &[("goal", 30)]);
+        assert_eq!((forecast.secs, forecast.workers), (None, 1));
+        assert_eq!(of(&[], &took, &[("goal", 30)]), Forecast::default());
+    }
+
+    #[test]
+    fn a_rollout_takes_its_time_on_however_many_slots() {
+        let took = [measured("ours", "software", "goal", 1, 40.0)];
+        let forecast = of(&[("software", 64)], &took, &[("goal", 2)]);
+        assert_eq!(forecast.secs, Some(40.0));
+    }
+
+    #[test]
+    fn where_the_time_went_says_what_bounds_the_rollouts() {
+        let took = [known("goal", true)];
+        let workers = [("software", 4)];
+        let forecast = of_cores(Some(4), &workers, &took, &[("goal", 100)]);
+        assert_eq!(forecast.cores, Some(4));
+        let speed = forecast.speed.expect("known");
+        assert_eq!((speed.results, speed.spent.queries), (10, 25.0));
+        let rate = speed.rate.expect("cores are known");
+        assert_eq!(rate.bottleneck, Bottleneck::Slots);
+        assert_eq!(forecast.secs, Some(250.0));
+        // A rollout keeps a core from others for five of its ten seconds.
+        assert_eq!(
+            (rate.enough_slots, speed.enough_slots_secs),
+            (8, Some(125.0))
+        );
+    }
+
+    #[test]
+    fn slots_that_shared_cores_waited_for_one_another() {
+        let took = [known("goal", false)];
+        let forecast = of_cores(Some(4), &[("software", 9)], &took, &[("goal", 100)]);
+        let speed = forecast.speed.expect("known");
+        assert_eq!(
+            (speed.spent.waiting_secs, speed.spent.taken_secs),
+            (1.0, 0.0)
+        );
+        let rate = speed.rate.expect("cores are known");
+        assert_eq!((rate.bottleneck, rate.enough_slots), (Bottleneck::Cores, 9));
+        assert_eq!(forecast.secs, Some(100.0));
+    }
+
+    #[test]
+    fn a_suite_weighs_as_much_as_there_is_of_it() {
+        let slow = Measured {
+            physics_secs: 9.0,
+            ..known("long", true)
+        };
+        let took = [known("goal", true), slow];
+        let rollouts = [("goal", 30), ("long", 10), ("object", 0)];
+        let forecast = of_cores(Some(1), &[("software", 1)], &took, &rollouts);
+        let speed = forecast.speed.expect("known");
+        assert_eq!((speed.results, speed.spent.physics_secs), (20, 4.5));
+        let nothing = of_cores(Some(1), &[("software", 1)], &took, &[]);
+        assert_eq!(nothing.speed.expect("known").spent.physics_secs, 6.0);
+    }
+
+    #[test]
+    fn numbers_of_any_size_are_forecast() {
+        let took = [known("goal", true), known("long", true)];
+        let workers = [("software", u32::MAX), ("software", u32::MAX)];
+        let rollouts = [("goal", u64::MAX), ("long", u64::MAX)];
+        let forecast = of_cores(Some(u32::MAX), &workers, &took, &rollouts);
+        assert_eq!((forecast.slots, forecast.cores), (u32::MAX, Some(u32::MAX)));
+        assert!(forecast.secs.is_some_and(f64::is_finite));
+    }
+
+    #[test]
+    fn workers_that_say_no_cores_are_forecast_by_their_slots() {
+        let took = [known("goal", true)];
+        let forecast = of(&[("software", 4)], &took, &[("goal", 100)]);
+        let speed = forecast.speed.expect("known");
+        assert_eq!((speed.rate, speed.enough_slots_secs), (None, None));
+        assert_eq!((forecast.secs, forecast.cores), (Some(250.0), None));
+    }
+}

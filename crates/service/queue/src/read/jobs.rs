@@ -1,0 +1,216 @@
+//! Jobs, with their attempts.
+
+use libero_ctrl::{Condition, Level};
+
+use super::View;
+use super::configurations::ResultLine;
+use crate::clock::UnixMillis;
+use crate::ids::{AttemptNumber, JobId, JobName, WorkerId};
+use crate::operations::error::QueueError;
+use crate::store::campaigns::Campaign;
+use crate::store::{Doing, StoreError, json};
+
+/// Most jobs that one look at a campaign shows.
+pub const MAX_JOBS_LISTED: u32 = 1_000;
+/// Failures that are shown at a time, newest first.
+const MAX_FAILURES_SHOWN: u32 = 100;
+
+/// Selection of jobs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct JobFilter<'a> {
+    /// "queued", "leased", "committed" or "quarantined"; all without it.
+    pub state: Option<&'a str>,
+    /// Committed ones that reached their goal, or that did not; all without it.
+    pub success: Option<bool>,
+    /// Those of a task, "libero_object/0", or of a suite, "libero_object".
+    pub task: Option<&'a str>,
+    /// Those of a condition.
+    pub condition: Option<Condition>,
+    /// Those of a level.
+    pub level: Option<Level>,
+    /// Those after this one.
+    pub after: JobId,
+    /// At most so many; bounded by [`MAX_JOBS_LISTED`].
+    pub limit: u32,
+}
+
+/// A job as people see it.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub struct JobLine {
+    /// The job.
+    pub id: JobId,
+    /// Id of the rollout.
+    pub rollout_id: String,
+    /// Number of the replicate of the rollout.
+    pub replicate: u32,
+    /// "queued", "leased", "committed" or "quarantined".
+    pub state: String,
+    /// Leases granted so far.
+    pub attempt: AttemptNumber,
+    /// Failures that count against it.
+    pub charged_attempts: u32,
+    /// Earliest instant of its next lease, while it waits.
+    pub not_before_ms: Option<UnixMillis>,
+    /// The attempt that holds its lease, while it is leased.
+    pub attempt_id: Option<String>,
+    /// The worker that holds its lease, while it is leased.
+    pub lease_owner: Option<WorkerId>,
+    /// When its lease ends without a heartbeat.
+    pub lease_expires_ms: Option<UnixMillis>,
+    /// The policy's control steps that its worker last reported, while it is
+    /// leased; 0 while the scene settles.
+    pub control_steps: Option<u32>,
+    /// Error of its last failure.
+    pub last_error: Option<String>,
+    /// Whether it reached its goal, once it is committed.
+    pub success: Option<bool>,
+    /// The policy's control steps, once it is committed.
+    pub steps: Option<u32>,
+}
+
+/// An attempt that brought no result.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub struct FailureLine {
+    /// The job.
+    pub job_id: JobId,
+    /// Number of the attempt within its job.
+    pub attempt: AttemptNumber,
+    /// Worker that ran the attempt.
+    pub worker_id: WorkerId,
+    /// Instant at which the attempt ended.
+    pub failed_ms: UnixMillis,
+    /// Kind of the failure, as `FailureReason` names it.
+    pub reason: String,
+    /// Whether it counts against job and worker.
+    pub charged: bool,
+    /// In words.
+    pub error: String,
+}
+
+/// Everything about one job.
+#[derive(Clone, Debug)]
+pub struct JobDetails {
+    /// The job.
+    pub line: JobLine,
+    /// One manifest row, JSON.
+    pub manifest_row: String,
+    /// Reports that were refused because their lease was gone.
+    pub stale_reports: u32,
+    /// Attempts that brought no result, newest first.
+    pub failures: Vec<FailureLine>,
+    /// The committed result.
+    pub result: Option<ResultLine>,
+}
+
+/// The columns of [`JobLine`] and where they come from.
+macro_rules! job_lines {
+    () => {
+        concat!(
+            "SELECT j.id, j.rollout_id, j.replicate, j.state, j.attempt, j.charged_attempts,
+             j.not_before_ms, j.attempt_id, j.lease_owner, j.lease_expires_ms, ",
+            policy_steps!(),
+            ", j.last_error, r.success, r.steps
+         FROM job j LEFT JOIN result r ON r.job_id = j.id
+         WHERE j.campaign_id = ?1"
+        )
+    };
+}
+
+impl View {
+    /// Jobs of a campaign, in paired-unit order.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn jobs(
+        &mut self,
+        campaign: &Campaign,
+        filter: JobFilter<'_>,
+    ) -> Result<Vec<JobLine>, StoreError> {
+        sqlx::query_as(concat!(
+            job_lines!(),
+            " AND j.id > ?2 AND (?3 IS NULL OR j.state = ?3)
+             AND (?5 IS NULL OR r.success = ?5)
+             AND (?6 IS NULL OR j.task = ?6 OR substr(j.task, 1, length(?6) + 1) = ?6 || '/')
+             AND (?7 IS NULL OR instr(j.rollout_id, '/' || ?7 || '/') > 0)
+             AND (?8 IS NULL OR instr(j.rollout_id, '/' || ?8 || '/') > 0
+                 OR ?8 = 'L0' AND instr(j.rollout_id, '/clean/') > 0)
+             ORDER BY j.id LIMIT ?4"
+        ))
+        .bind(campaign.id)
+        .bind(filter.after)
+        .bind(filter.state)
+        .bind(filter.limit.clamp(1, MAX_JOBS_LISTED))
+        .bind(filter.success)
+        .bind(filter.task)
+        .bind(filter.condition.map(Condition::name))
+        // Nominal rollouts are of level L0 too, and their ids name none.
+        .bind(filter.level.as_ref().map(Level::to_string))
+        .fetch_all(self.tx())
+        .await
+        .doing("list jobs")
+    }
+
+    /// One job of a campaign.
+    ///
+    /// # Errors
+    /// When there is no such job or the database fails.
+    pub async fn job(&mut self, campaign: &Campaign, job: &JobName) -> Result<JobLine, QueueError> {
+        let line = sqlx::query_as(concat!(
+            job_lines!(),
+            " AND j.rollout_id = ?2 AND j.replicate = ?3"
+        ))
+        .bind(campaign.id)
+        .bind(&job.rollout_id)
+        .bind(job.replicate)
+        .fetch_optional(self.tx())
+        .await
+        .doing("look up a job")?;
+        line.ok_or_else(|| QueueError::UnknownRollout {
+            campaign: campaign.name.clone(),
+            job: job.clone(),
+        })
+    }
+
+    /// Everything about one job.
+    ///
+    /// # Errors
+    /// When there is no such job or the database fails.
+    pub async fn job_details(
+        &mut self,
+        campaign: &Campaign,
+        job: &JobName,
+    ) -> Result<JobDetails, QueueError> {
+        let line = self.job(campaign, job).await?;
+        let (manifest_row, stale_reports) =
+            sqlx::query_as("SELECT manifest_row, stale_reports FROM job WHERE id = ?")
+                .bind(line.id)
+                .fetch_one(self.tx())
+                .await
+                .doing("read a job")?;
+        let of = [line.id];
+        Ok(JobDetails {
+            manifest_row,
+            stale_reports,
+            failures: self.failures(&of).await?,
+            result: self.results(&of).await?.into_iter().next(),
+            line,
+        })
+    }
+
+    /// The newest attempts of some jobs that brought no result, newest first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn failures(&mut self, jobs: &[JobId]) -> Result<Vec<FailureLine>, StoreError> {
+        sqlx::query_as(
+            "SELECT job_id, attempt, worker_id, failed_ms, reason, charged, error
+             FROM failure WHERE job_id IN (SELECT value FROM json_each(?))
+             ORDER BY attempt DESC LIMIT ?",
+        )
+        .bind(json(jobs))
+        .bind(MAX_FAILURES_SHOWN)
+        .fetch_all(self.tx())
+        .await
+        .doing("read how attempts failed")
+    }
+}

@@ -1,0 +1,299 @@
+//! A campaign's results, as reports and exports read them.
+
+use rollout_types::{Fingerprints, Provenance};
+
+use sqlx::types::Json;
+
+use super::View;
+use crate::clock::UnixMillis;
+use crate::ids::CampaignId;
+use crate::store::provenance::provenance;
+use crate::store::{Doing, StoreError};
+
+/// State that a campaign's report depends on: while it is the same, so is the report.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
+pub struct Edition {
+    id: CampaignId,
+    // Row numbers may be given again after a deletion.
+    created_ms: UnixMillis,
+    committed: i64,
+    quarantined: i64,
+    divergent: i64,
+    // More are added to a campaign that follows from another.
+    jobs: i64,
+    // Results of a campaign that stopped early do not all count.
+    has_stopped: bool,
+}
+
+/// A committed rollout as exports read it.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub struct ExportedRow {
+    /// Id of the rollout.
+    pub rollout_id: String,
+    /// Number of the replicate of the rollout.
+    pub replicate: u32,
+    /// One manifest row, JSON.
+    pub manifest_row: String,
+    /// Whether the goal was reached.
+    pub success: bool,
+    /// The policy's control steps.
+    pub steps: u32,
+    /// Duration of the rollout.
+    pub wall_secs: f64,
+    /// Residual of the inverse kinematics, mm.
+    pub ik_residual_mm: Option<f64>,
+    /// Predicates of the goal, where its worker says.
+    pub goal_predicates: Option<u32>,
+    /// Predicates of the goal that held at the end.
+    pub goal_at_end: Option<u32>,
+    /// Most predicates of the goal that held together.
+    pub goal_at_most: Option<u32>,
+}
+
+/// A job as reports count it.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub struct RecordRow {
+    /// Id of the rollout.
+    pub rollout_id: String,
+    /// Number of the replicate of the rollout.
+    pub replicate: u32,
+    /// Its initial state.
+    pub init_id: u16,
+    /// Whether it is in quarantine.
+    pub is_quarantined: bool,
+    /// Whether the goal was reached, once it is committed.
+    pub success: Option<bool>,
+    /// The mode that it was realised in, once it is committed.
+    pub realisation: Option<String>,
+}
+
+/// Manifest row and scene of a rollout.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub struct SetupRow {
+    /// Id of the rollout.
+    pub rollout_id: String,
+    /// Its manifest row, JSON.
+    pub manifest_row: String,
+    /// SHA-256 of the composed scene, once it is committed.
+    pub scene_digest: Option<String>,
+    /// SHA-256 of the initial state's bytes, once it is committed.
+    pub init_state_digest: Option<String>,
+}
+
+impl Edition {
+    /// Whether the other is an earlier or a later one of the same campaign.
+    pub fn is_of_same_campaign(&self, other: &Edition) -> bool {
+        (self.id, self.created_ms) == (other.id, other.created_ms)
+    }
+}
+
+impl View {
+    /// Returns the state that a campaign's report depends on. Divergent rollouts are counted,
+    /// which are few; the other counts are the campaign's tally.
+    ///
+    /// # Errors
+    /// If the database fails.
+    pub async fn edition(&mut self, campaign: CampaignId) -> Result<Edition, StoreError> {
+        sqlx::query_as(
+            "SELECT id, created_ms, t.committed, t.quarantined,
+                 (SELECT count(DISTINCT d.job_id) FROM divergence d JOIN job j ON j.id = d.job_id
+                  WHERE j.campaign_id = ?1) AS divergent,
+                 jobs,
+                 EXISTS (SELECT 1 FROM stop WHERE campaign_id = ?1 AND stopped_ms IS NOT NULL)
+                     AS has_stopped
+             FROM campaign JOIN tally t ON t.campaign_id = id WHERE id = ?1",
+        )
+        .bind(campaign)
+        .fetch_one(self.tx())
+        .await
+        .doing("look whether a campaign's results changed")
+    }
+
+    /// Up to `limit` committed rollouts after one, by rollout id, then
+    /// replicate.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn exported(
+        &mut self,
+        campaign: CampaignId,
+        after: Option<(&str, u32)>,
+        limit: u32,
+    ) -> Result<Vec<ExportedRow>, StoreError> {
+        let (rollout_id, replicate) = after.map_or(("", -1), |(id, k)| (id, i64::from(k)));
+        sqlx::query_as(
+            "SELECT j.rollout_id, j.replicate, j.manifest_row, r.success, r.steps, r.wall_secs,
+                 r.ik_residual_mm, r.goal_predicates, r.goal_at_end, r.goal_at_most
+             FROM job j JOIN result r ON r.job_id = j.id
+             WHERE j.campaign_id = ? AND (j.rollout_id, j.replicate) > (?, ?)
+             ORDER BY j.rollout_id, j.replicate LIMIT ?",
+        )
+        .bind(campaign)
+        .bind(rollout_id)
+        .bind(replicate)
+        .bind(limit)
+        .fetch_all(self.tx())
+        .await
+        .doing("read results")
+    }
+
+    /// All jobs of a campaign with what is known of them, by rollout id, then
+    /// replicate.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn records(&mut self, campaign: CampaignId) -> Result<Vec<RecordRow>, StoreError> {
+        sqlx::query_as(
+            "SELECT j.rollout_id, j.replicate, j.init_id, j.state = 'quarantined' AS is_quarantined,
+                 r.success, v.realisation
+             FROM job j LEFT JOIN result r ON r.job_id = j.id
+             LEFT JOIN provenance v ON v.id = r.provenance_id
+             WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("read what is known of a campaign")
+    }
+
+    /// Returns the setups of a campaign's rollouts, of its first replicate: all replicates have
+    /// the same.
+    ///
+    /// # Errors
+    /// If the database fails.
+    pub async fn setups(&mut self, campaign: CampaignId) -> Result<Vec<SetupRow>, StoreError> {
+        sqlx::query_as(
+            "SELECT j.rollout_id, j.manifest_row, r.scene_digest, r.init_state_digest
+             FROM job j LEFT JOIN result r ON r.job_id = j.id
+             WHERE j.campaign_id = ? AND j.replicate = 0",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("read what a campaign's rollouts are")
+    }
+
+    /// The seeds that a policy is given, by rollout, then replicate.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn policy_seeds(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<Vec<(String, u64)>, StoreError> {
+        let rows: Vec<(String, i64)> = sqlx::query_as(
+            "SELECT rollout_id, policy_seed FROM job WHERE campaign_id = ?
+             ORDER BY rollout_id, replicate",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("read a campaign's seeds")?;
+        let seed = |(rollout, seed): (String, i64)| (rollout, seed.cast_unsigned());
+        Ok(rows.into_iter().map(seed).collect())
+    }
+
+    /// The distinct provenances of a campaign's results.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn provenances(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<Vec<Provenance>, StoreError> {
+        let rows: Vec<Json<Provenance>> = sqlx::query_scalar(concat!(
+            "SELECT ",
+            provenance!(),
+            " FROM provenance v
+             WHERE v.id IN (SELECT provenance_id FROM result WHERE campaign_id = ?) ORDER BY v.id"
+        ))
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("read where results came from")?;
+        Ok(rows.into_iter().map(|Json(row)| row).collect())
+    }
+
+    /// Actions beyond the range in a campaign's results: how many, of how many, and
+    /// in how many rollouts.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn beyond_range(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<(i64, i64, i64), StoreError> {
+        sqlx::query_as(
+            "SELECT coalesce(sum(clipped_actions), 0), coalesce(sum(steps), 0),
+                 coalesce(sum(clipped_actions > 0), 0)
+             FROM result WHERE campaign_id = ?",
+        )
+        .bind(campaign)
+        .fetch_one(self.tx())
+        .await
+        .doing("count a campaign's actions beyond the range")
+    }
+
+    /// Results of each fingerprint in a campaign, and the tasks and initial
+    /// states that have several; none while there is one. Walks the results'
+    /// index, and the committed jobs only if there is something to tell.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn fingerprints(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<Option<Fingerprints>, StoreError> {
+        let results: Vec<(String, i64)> = sqlx::query_as(
+            "SELECT v.fingerprint, sum(o.results) FROM origin_tally o
+             JOIN provenance v ON v.id = o.provenance_id
+             WHERE o.campaign_id = ? AND o.results > 0 AND v.fingerprint <> ''
+             GROUP BY v.fingerprint",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("count the results of each fingerprint")?;
+        if results.len() < 2 {
+            return Ok(None);
+        }
+        let mixed: Vec<String> = sqlx::query_scalar(
+            "SELECT format('%s from state %d', j.task, j.init_id) FROM job j
+             JOIN result r ON r.job_id = j.id
+             JOIN provenance v ON v.id = r.provenance_id
+             WHERE j.campaign_id = ? AND j.state = 'committed' AND v.fingerprint <> ''
+             GROUP BY j.task, j.init_id HAVING count(DISTINCT v.fingerprint) > 1
+             ORDER BY j.task, j.init_id",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("look for configurations of several fingerprints")?;
+        let results = results.into_iter();
+        Ok(Some(Fingerprints {
+            results: results
+                .map(|(of, count)| (of, count.unsigned_abs()))
+                .collect(),
+            mixed,
+        }))
+    }
+
+    /// Rollouts of a campaign that were reported again with another outcome.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn divergent(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<Vec<(String, u32)>, StoreError> {
+        sqlx::query_as(
+            "SELECT DISTINCT j.rollout_id, j.replicate
+             FROM divergence d JOIN job j ON j.id = d.job_id
+             WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",
+        )
+        .bind(campaign)
+        .fetch_all(self.tx())
+        .await
+        .doing("read divergent outcomes")
+    }
+}

@@ -1,0 +1,90 @@
+//! Next rollouts of a campaign that explains another. The subsets that explain a configuration are
+//! `lattice`'s business; here those that it asks for become rollouts.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+
+use lattice::{Sample, configurations, explain, plan};
+use libero_ctrl::{AxisSet, Condition, Explanation, RolloutId};
+use paired::Record;
+
+/// Rollouts that follow from what is known.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Wanted {
+    /// The simultaneous rollout of their configuration, in the campaign that is
+    /// explained.
+    pub(crate) simultaneous: RolloutId,
+    /// The axes to perturb.
+    pub(crate) axes: AxisSet,
+    /// The replicates to run: those that neither campaign has.
+    pub(crate) replicates: Range<u32>,
+}
+
+/// The rollouts that follow from the records of the explained campaign and the
+/// explaining one's `own`; none where everything is explained, or asked for.
+pub(crate) fn wanted(
+    explained: &[Record],
+    own: &[Record],
+    explanation: &Explanation,
+) -> Vec<Wanted> {
+    // Of a single axis there is nothing to explain.
+    let Ok(known) = configurations(explained, own, explanation) else {
+        return Vec::new();
+    };
+    let mut all = Vec::new();
+    for (&simultaneous, requests) in plan(&known, &Sample::of(explanation, explained)) {
+        for request in requests {
+            let asked = known[&simultaneous].tally(request.set).asked();
+            all.push(Wanted {
+                simultaneous,
+                axes: request.set,
+                replicates: asked..asked + request.rollouts,
+            });
+        }
+    }
+    all
+}
+
+/// The rollouts of `own` that show an explanation, and are worth a film: under the
+/// minimal subsets, and under the largest subsets of each that do not flip the
+/// outcome. Of each the first replicate that does what most of them do.
+pub(crate) fn telling(
+    explained: &[Record],
+    own: &[Record],
+    explanation: &Explanation,
+) -> BTreeSet<(RolloutId, u32)> {
+    let Ok(known) = configurations(explained, own, explanation) else {
+        return BTreeSet::new();
+    };
+    let mut verdicts = BTreeMap::new();
+    for (simultaneous, known) in &known {
+        let answers = explain(known).map_or_else(|_| Vec::new(), |found| found.answers);
+        let minimal = answers.iter().flat_map(|answer| &answer.minimal);
+        let sets = minimal.flat_map(|it| it.below.iter().copied().chain([it.set]));
+        for set in sets {
+            let (task, level) = (simultaneous.task(), simultaneous.level());
+            let condition = match set == known.full() {
+                true => Condition::Combination,
+                false => Condition::of(set),
+            };
+            let id = RolloutId::perturbed(task, condition, level, simultaneous.number());
+            if let (Ok(id), Some(success)) = (id, known.verdict(set).success()) {
+                verdicts.insert(id, success);
+            }
+        }
+    }
+    let mut telling = BTreeMap::new();
+    for &Record {
+        id,
+        replicate,
+        outcome,
+        ..
+    } in own
+    {
+        if outcome.success().is_some() && outcome.success() == verdicts.get(&id).copied() {
+            let least = telling.entry(id).or_insert(replicate);
+            *least = replicate.min(*least);
+        }
+    }
+    telling.into_iter().collect()
+}

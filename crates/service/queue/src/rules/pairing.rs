@@ -1,0 +1,355 @@
+//! Whether a result may stand beside its configuration's others. A matched
+//! comparison is worth nothing if the scene, the initial state, the perturbation
+//! or the first frame differ between rollouts that share them. That they share
+//! assets, simulator and renderer is the pin's business.
+
+use std::sync::Arc;
+
+use libero_ctrl::{Axis, ManifestRow, Realisation, RolloutId};
+use rollout_types::{Digests, Provenance, Realised};
+
+use crate::ids::WorkerId;
+
+/// The axes that the policy sees before its first action. The others act later,
+/// or in words.
+const SEEN_AT_FIRST: [Axis; 4] = [Axis::Camera, Axis::Lighting, Axis::Robot, Axis::Sensor];
+/// The axes whose realisation draws nothing: it follows from the parameters
+/// and the initial state alone, in either mode.
+const DRAWING_NOTHING: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
+
+/// Requirements of a campaign on one of its results.
+#[derive(Clone, Debug)]
+pub(crate) struct Demand<'a> {
+    /// The campaign's realisation mode.
+    pub(crate) realisation: Realisation,
+    /// The rollout that was to be run.
+    pub(crate) row: &'a ManifestRow,
+}
+
+/// A result, as far as others are compared with it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Sibling {
+    pub(crate) rollout: RolloutId,
+    pub(crate) worker: WorkerId,
+    pub(crate) digests: Digests,
+    pub(crate) realised: Realised,
+    pub(crate) origin: Arc<Provenance>,
+}
+
+impl Sibling {
+    /// Whether nothing more can be found by comparing with the other too.
+    pub(crate) fn stands_for(&self, other: &Sibling) -> bool {
+        self.rollout == other.rollout
+            && self.digests.first_frame.is_empty() == other.digests.first_frame.is_empty()
+            && sees_alike(&self.origin, &other.origin)
+    }
+}
+
+/// The first difference that keeps a result out, in words; none if it may
+/// stand. The siblings are committed rollouts of the same campaign, task and
+/// initial state.
+pub(crate) fn difference(
+    demand: &Demand<'_>,
+    siblings: &[Sibling],
+    result: &Sibling,
+) -> Option<String> {
+    from_the_campaign(demand, &result.origin)
+        .or_else(|| from_the_row(demand.row, &result.realised))
+        .or_else(|| from_the_scene(siblings, &result.digests))
+        .or_else(|| from_the_perturbation(demand, siblings, &result.realised))
+        .or_else(|| from_the_first_frame(siblings, result))
+}
+
+fn from_the_campaign(demand: &Demand<'_>, provenance: &Provenance) -> Option<String> {
+    let (here, there) = (&provenance.realisation, demand.realisation.name());
+    differs("realisation mode", here, there, "in the campaign")
+}
+
+/// A perturbation that was left out would agree with every sibling.
+fn from_the_row(row: &ManifestRow, realised: &Realised) -> Option<String> {
+    let names = |axes: &mut dyn Iterator<Item = Axis>| {
+        let names: Vec<&str> = axes.map(Axis::name).collect();
+        match names.as_slice() {
+            [] => "none".to_owned(),
+            names => names.join(", "),
+        }
+    };
+    let here = names(&mut realised.axes().map(|(axis, _)| axis));
+    let there = names(&mut row.perturbation.axes().into_iter());
+    let what = "set of perturbed axes";
+    differs(what, &here, &there, "in its manifest row")
+}
+
+/// One sibling speaks for the others: each was compared before it was stored.
+fn from_the_scene(siblings: &[Sibling], digests: &Digests) -> Option<String> {
+    let sibling = siblings.first()?;
+    let (there, whose) = (&sibling.digests, named(sibling));
+    differs("scene digest", &digests.scene, &there.scene, &whose).or_else(|| {
+        let (here, there) = (&digests.init_state, &there.init_state);
+        differs("initial-state digest", here, there, &whose)
+    })
+}
+
+fn from_the_perturbation(
+    demand: &Demand<'_>,
+    siblings: &[Sibling],
+    realised: &Realised,
+) -> Option<String> {
+    siblings.iter().find_map(|sibling| {
+        realised.axes().find_map(|(axis, here)| {
+            if !shares(axis, demand.realisation, &demand.row.id, &sibling.rollout) {
+                return None;
+            }
+            let difference = here.difference(sibling.realised.of(axis)?)?;
+            let whose = named(sibling);
+            Some(format!("realisation of axis {axis}: {difference} {whose}"))
+        })
+    })
+}
+
+/// Whether two rollouts of one initial state that both perturb an axis must
+/// have realised it identically.
+fn shares(axis: Axis, mode: Realisation, one: &RolloutId, other: &RolloutId) -> bool {
+    let of_one_configuration = one.level() == other.level() && one.config() == other.config();
+    match mode {
+        Realisation::Matched => of_one_configuration,
+        // Random values are drawn from the rollout's id.
+        Realisation::Reference if DRAWING_NOTHING.contains(&axis) => of_one_configuration,
+        Realisation::Reference => one == other,
+    }
+}
+
+/// Compares first frames. Of one scene and initial state, the axes that are seen at first decide
+/// what the policy sees first: replicates see the same, and so do the nominal rollout and those
+/// that perturb actions or words. Frames are compared bit by bit, so only those of the same bits
+/// in the simulator and the renderer are, and only if the realised values have the same bits.
+fn from_the_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<String> {
+    if result.digests.first_frame.is_empty() {
+        return None;
+    }
+    let looks_alike = |sibling: &&Sibling| {
+        let same_values = |axis: &Axis| sibling.realised.of(*axis) == result.realised.of(*axis);
+        !sibling.digests.first_frame.is_empty()
+            && sees_alike(&sibling.origin, &result.origin)
+            && SEEN_AT_FIRST.iter().all(same_values)
+    };
+    let sibling = siblings.iter().find(looks_alike)?;
+    let (here, there) = (&result.digests.first_frame, &sibling.digests.first_frame);
+    differs("first-frame digest", here, there, &named(sibling))
+}
+
+/// Whether the same scene gives the same frames to the same policy.
+fn sees_alike(one: &Provenance, other: &Provenance) -> bool {
+    one.pin.renderer == other.pin.renderer
+        && one.fingerprint == other.fingerprint
+        && one.policy_name == other.policy_name
+        && one.policy_checkpoint == other.policy_checkpoint
+        && one.policy_checkpoint_digest == other.policy_checkpoint_digest
+}
+
+fn named(sibling: &Sibling) -> String {
+    format!(
+        "in its sibling `{}` (worker `{}`)",
+        sibling.rollout, sibling.worker
+    )
+}
+
+fn differs(what: &str, here: &str, there: &str, whose: &str) -> Option<String> {
+    (here != there).then(|| format!("{what} is `{here}` here and `{there}` {whose}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use libero_ctrl::Design;
+
+    use rollout_types::Pin;
+
+    use super::*;
+
+    /// A digest of 64 times this digit.
+    fn hex(digit: char) -> String {
+        digit.to_string().repeat(64)
+    }
+
+    /// Some axes, each realised as one value.
+    fn axes(values: &[(Axis, f64)]) -> Realised {
+        let mut realised = Realised::default();
+        for (axis, value) in values {
+            realised.add(*axis, vec![0.5], vec![*value]);
+        }
+        realised
+    }
+
+    /// A row of the whole design.
+    fn row(id: &str) -> ManifestRow {
+        let rows = Design::v0_1().expand().expect("rows");
+        let id: RolloutId = id.parse().expect("an id");
+        let mut rows = rows.into_iter();
+        rows.find(|row| row.id == id).expect("one of the design")
+    }
+
+    fn origin(mode: Realisation) -> Arc<Provenance> {
+        Arc::new(Provenance {
+            pin: Pin {
+                renderer: "llvmpipe".to_owned(),
+                ..Pin::default()
+            },
+            fingerprint: hex('f'),
+            realisation: mode.to_string(),
+            policy_name: "p".to_owned(),
+            ..Provenance::default()
+        })
+    }
+
+    fn sibling(id: &str, values: &[(Axis, f64)], first_frame: &str) -> Sibling {
+        Sibling {
+            rollout: id.parse().expect("an id"),
+            worker: WorkerId("w".to_owned()),
+            digests: Digests {
+                scene: hex('1'),
+                init_state: hex('2'),
+                first_frame: first_frame.to_owned(),
+            },
+            realised: axes(values),
+            origin: origin(Realisation::Matched),
+        }
+    }
+
+    /// Returns why a result that realised these values, in this mode, is kept out.
+    fn kept_out(
+        (id, mode): (&str, Realisation),
+        values: &[(Axis, f64)],
+        first_frame: &str,
+        other: &Sibling,
+    ) -> Option<String> {
+        let row = row(id);
+        let demand = Demand {
+            realisation: mode,
+            row: &row,
+        };
+        let result = Sibling {
+            origin: origin(mode),
+            ..sibling(id, values, first_frame)
+        };
+        difference(&demand, std::slice::from_ref(other), &result)
+    }
+
+    fn check(difference: Option<String>, words: &[&str]) {
+        let difference = difference.expect("a difference");
+        for word in words {
+            assert!(difference.contains(word), "{difference} lacks {word}");
+        }
+    }
+
+    const COMBINATION: &str = "goal/t0/combination/L2/c01";
+    const FIVE: [(Axis, f64); 5] = [
+        (Axis::Camera, 1.0),
+        (Axis::Lighting, 2.0),
+        (Axis::Robot, 3.0),
+        (Axis::Sensor, 4.0),
+        (Axis::Actuation, 5.0),
+    ];
+
+    /// A combination whose sibling realised one of its axes differently.
+    fn against_a_single(mode: Realisation, axis: Axis) -> Option<String> {
+        let other = sibling(&format!("goal/t0/{axis}/L2/c01"), &[(axis, 0.0)], "");
+        kept_out((COMBINATION, mode), &FIVE, "", &other)
+    }
+
+    #[test]
+    fn matched_mode_realises_every_axis_alone_as_in_the_combination() {
+        for axis in Axis::METRIC {
+            let difference = against_a_single(Realisation::Matched, axis);
+            check(difference, &[&format!("realisation of axis {axis}"), "`w`"]);
+        }
+        let same = sibling("goal/t0/sensor/L2/c01", &[(Axis::Sensor, 4.0)], "");
+        let difference = kept_out((COMBINATION, Realisation::Matched), &FIVE, "", &same);
+        assert_eq!(difference, None);
+    }
+
+    #[test]
+    fn last_bits_of_another_processor_agree_and_another_perturbation_does_not() {
+        let matched = (COMBINATION, Realisation::Matched);
+        for (off_by, agrees) in [(1e-16, true), (1e-9, true), (1e-6, false)] {
+            let other = sibling("goal/t0/robot/L2/c01", &[(Axis::Robot, 3.0 + off_by)], "");
+            let difference = kept_out(matched, &FIVE, "", &other);
+            assert_eq!(difference.is_none(), agrees, "{off_by}: {difference:?}");
+        }
+    }
+
+    #[test]
+    fn reference_mode_draws_sensor_and_actuation_anew_in_every_rollout() {
+        for axis in DRAWING_NOTHING {
+            let difference = against_a_single(Realisation::Reference, axis);
+            check(difference, &[&format!("realisation of axis {axis}")]);
+        }
+        for axis in [Axis::Sensor, Axis::Actuation] {
+            assert_eq!(against_a_single(Realisation::Reference, axis), None);
+        }
+        // But not in a replicate of the very rollout.
+        let of_sensor = ("goal/t0/sensor/L2/c01", Realisation::Reference);
+        let replicate = sibling(of_sensor.0, &[(Axis::Sensor, 0.0)], "");
+        let difference = kept_out(of_sensor, &FIVE[3..4], "", &replicate);
+        check(difference, &["realisation of axis sensor", of_sensor.0]);
+    }
+
+    #[test]
+    fn other_levels_and_configurations_realise_what_they_like() {
+        for id in ["goal/t0/sensor/L1/c01", "goal/t0/sensor/L2/c02"] {
+            let other = sibling(id, &[(Axis::Sensor, 0.0)], "");
+            let difference = kept_out((COMBINATION, Realisation::Matched), &FIVE, "", &other);
+            assert_eq!(difference, None);
+        }
+    }
+
+    #[test]
+    fn an_axis_left_out_or_added_is_told_from_the_manifest_row() {
+        let other = sibling("goal/t0/clean/i06", &[], "");
+        let matched = |id| (id, Realisation::Matched);
+        check(
+            kept_out(matched(COMBINATION), &FIVE[..4], "", &other),
+            &["set of perturbed axes", "actuation` in its manifest row"],
+        );
+        check(
+            kept_out(matched("goal/t0/language/L2/c01"), &FIVE[..1], "", &other),
+            &["`camera` here and `none`"],
+        );
+    }
+
+    #[test]
+    fn replicates_and_conditions_that_show_the_same_scene_show_the_same_first_frame() {
+        let matched = |id| (id, Realisation::Matched);
+        let (clean, language) = ("goal/t0/clean/i06", "goal/t0/language/L3/c01");
+        let (actuation, actuated) = ("goal/t0/actuation/L2/c01", &FIVE[4..]);
+        let (seen, other) = (hex('f'), hex('0'));
+        let saw = |id, values: &[_], beside: &Sibling| kept_out(matched(id), values, &seen, beside);
+        for (id, values, beside) in [
+            (actuation, actuated, sibling(clean, &[], &other)),
+            (language, &[][..], sibling(clean, &[], &other)),
+            (language, &[][..], sibling(actuation, actuated, &other)),
+            (COMBINATION, &FIVE[..], sibling(COMBINATION, &FIVE, &other)),
+        ] {
+            check(saw(id, values, &beside), &["first-frame digest", "sibling"]);
+        }
+        assert_eq!(saw(language, &[], &sibling(clean, &[], &seen)), None);
+        // The combination shows its camera, and blind rollouts show nothing.
+        assert_eq!(saw(COMBINATION, &FIVE, &sibling(clean, &[], &other)), None);
+        assert_eq!(saw(language, &[], &sibling(clean, &[], "")), None);
+        let blind = kept_out(matched(language), &[], "", &sibling(clean, &[], &other));
+        assert_eq!(blind, None);
+    }
+
+    #[test]
+    fn another_renderer_policy_or_processor_may_show_other_frames() {
+        let language = ("goal/t0/language/L3/c01", Realisation::Matched);
+        let foreign = |change: fn(&mut Provenance)| {
+            let mut other = sibling("goal/t0/clean/i06", &[], &hex('0'));
+            change(Arc::make_mut(&mut other.origin));
+            kept_out(language, &[], &hex('f'), &other)
+        };
+        assert_eq!(foreign(|it| it.pin.renderer = "NVIDIA".to_owned()), None);
+        assert_eq!(foreign(|it| it.policy_checkpoint_digest = hex('9')), None);
+        assert_eq!(foreign(|it| it.fingerprint = hex('e')), None);
+        assert!(foreign(|_| ()).is_some());
+    }
+}

@@ -1,0 +1,623 @@
+//! The SQLite database: opening, locking, migrating and closing it, and the
+//! transactions that its submodules' statements run in. The submodules hold the
+//! statements of `operations` and conversions only; what is to be done is
+//! decided elsewhere.
+//!
+//! One coordinator owns a data folder: one connection writes, several read, in
+//! WAL mode with `synchronous=FULL`, so that a committed transaction survives a
+//! power cut.
+
+pub(crate) mod artifacts;
+pub(crate) mod backup;
+pub(crate) mod beside;
+pub(crate) mod campaigns;
+pub(crate) mod claims;
+pub(crate) mod derivations;
+pub(crate) mod failpoint;
+pub(crate) mod films;
+pub(crate) mod halves;
+pub(crate) mod instants;
+pub(crate) mod jobs;
+pub(crate) mod passages;
+pub(crate) mod policies;
+pub(crate) mod portable;
+pub(crate) mod provenance;
+pub(crate) mod removals;
+pub(crate) mod results;
+pub(crate) mod stops;
+pub(crate) mod workers;
+
+use std::fs::{DirBuilder, File, Permissions, TryLockError};
+use std::io;
+use std::ops::{Deref, DerefMut};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use sqlx::migrate::{MigrateError, Migrator};
+use sqlx::pool::PoolConnection;
+use sqlx::sqlite::{
+    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
+};
+use sqlx::{ConnectOptions, Connection, Sqlite, SqliteConnection, Transaction};
+
+use failpoint::{Failpoints, Side, Step};
+
+/// The database's file in the data folder.
+pub const DATABASE_FILE: &str = "coordinator.sqlite";
+/// The file whose lock says that a coordinator owns the data folder.
+const LOCK_FILE: &str = "coordinator.lock";
+/// Permissions of a data folder and of the database in it: outcomes, films and the addresses of
+/// policies are nobody else's business, and other users of the machine ask the coordinator.
+const PRIVATE_FOLDER_MODE: u32 = 0o700;
+const PRIVATE_MODE: u32 = 0o600;
+/// Connections that read beside the writer.
+const READERS: u32 = 4;
+/// How long a statement waits for a lock that another process holds (a backup
+/// or a curious shell).
+const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Longest wait of closing for readers.
+const READERS_GRACE: Duration = Duration::from_secs(2);
+
+static MIGRATIONS: Migrator = sqlx_macros::migrate!("../../../migrations");
+
+/// The open database of one data folder.
+#[derive(Debug)]
+pub struct Store {
+    folder: PathBuf,
+    writer: SqlitePool,
+    readers: SqlitePool,
+    /// The database's file as it was opened: device and inode.
+    file: (u64, u64),
+    failpoints: Failpoints,
+    /// Held until the store is closed; the kernel lets go of it whichever way the
+    /// process ends.
+    lock: File,
+}
+
+/// A data folder that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The folder or a file in it cannot be made.
+    #[error("open data folder {}: check that it exists and that this user may write to it", folder.display())]
+    Folder {
+        /// The folder.
+        folder: PathBuf,
+        /// Error of the system.
+        source: io::Error,
+    },
+    /// Another coordinator has it.
+    #[error("open data folder {}: another coordinator is using it; stop that one, or choose another folder with --data", folder.display())]
+    InUse {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// A newer program wrote it.
+    #[error(
+        "open database {}: its schema is version {found} and this program ({program}) knows versions up to {known}; run the newer program that wrote it, or choose another folder with --data",
+        path.display()
+    )]
+    NewerSchema {
+        /// The database.
+        path: PathBuf,
+        /// Its version.
+        found: i64,
+        /// The newest version that this program knows.
+        known: i64,
+        /// This program's version.
+        program: &'static str,
+    },
+    /// It is no database of this program, or its schema was altered.
+    #[error("bring database {} to schema version {known}: restore it from a backup, or choose another folder with --data", path.display())]
+    Migrate {
+        /// The database.
+        path: PathBuf,
+        /// The version aimed at.
+        known: i64,
+        /// Error of the migration.
+        source: MigrateError,
+    },
+    /// SQLite refuses to open it.
+    #[error("open database {}: is it a SQLite file on a local disk?", path.display())]
+    Database {
+        /// The database.
+        path: PathBuf,
+        /// Error of SQLite.
+        source: sqlx::Error,
+    },
+}
+
+/// A failure of the database.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum StoreError {
+    /// A statement failed.
+    #[error("{doing} in the database")]
+    Statement {
+        /// The purpose of the statement.
+        doing: &'static str,
+        /// SQLite's error.
+        #[source]
+        source: Arc<sqlx::Error>,
+    },
+    /// The database's file was removed or replaced. SQLite goes on with the open file,
+    /// whose contents vanish with this process.
+    #[error(
+        "write to the database: the data folder {} is gone, or another database is in its \
+         place; `coordinator backup --output FILE` saves what was committed while this \
+         coordinator runs, which nothing can be added to",
+        folder.display()
+    )]
+    Gone {
+        /// The data folder.
+        folder: PathBuf,
+    },
+}
+
+impl StoreError {
+    /// The error and its cause, for the log.
+    pub(crate) fn with_cause(&self) -> String {
+        match self {
+            Self::Statement { source, .. } => format!("{self}: {source}"),
+            Self::Gone { .. } => self.to_string(),
+        }
+    }
+}
+
+/// The writing transaction. There is one at a time; dropping it undoes it.
+#[derive(Debug)]
+pub(crate) struct Tx<'a> {
+    transaction: Transaction<'a, Sqlite>,
+    /// Steps that the transaction carries out.
+    steps: Vec<Step>,
+    failpoints: &'a Failpoints,
+}
+
+/// Says what a failed statement was for.
+pub(crate) trait Doing<T> {
+    fn doing(self, doing: &'static str) -> Result<T, StoreError>;
+}
+
+impl<T> Doing<T> for Result<T, sqlx::Error> {
+    fn doing(self, doing: &'static str) -> Result<T, StoreError> {
+        self.map_err(|source| StoreError::Statement {
+            doing,
+            source: Arc::new(source),
+        })
+    }
+}
+
+/// A stored value that does not read back.
+pub(crate) fn undecodable(
+    error: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+) -> sqlx::Error {
+    sqlx::Error::Decode(error.into())
+}
+
+/// The log's length at which a transaction moves it into the database itself,
+/// which everybody waits for: 64 MiB. [`Store::checkpoint`] is to come before.
+const LARGEST_LOG_PAGES: &str = "16384";
+/// The writer's share of the database in memory, KiB, as SQLite takes it.
+const WRITER_CACHE_KIB: &str = "-65536";
+/// Rows that one statement stores: a few numbers, so that a few statements stay
+/// prepared.
+const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
+
+/// Rows in pieces of such numbers.
+pub(crate) fn in_few_statements<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
+    std::iter::from_fn(move || {
+        let size = INSERTED_ROWS.into_iter().find(|size| *size <= rows.len())?;
+        let (piece, others) = rows.split_at(size);
+        rows = others;
+        Some(piece)
+    })
+}
+
+/// Many values for one statement: it reads them with `json_each`.
+pub(crate) fn json(values: impl serde::Serialize) -> String {
+    serde_json::to_string(&values).expect("numbers and text are JSON")
+}
+
+impl Store {
+    /// Opens the database of a data folder, creating and migrating it as
+    /// needed.
+    ///
+    /// # Errors
+    /// See [`OpenError`]. A database of a newer schema is left untouched.
+    pub async fn open(folder: &Path) -> Result<Store, OpenError> {
+        let in_folder = |source| OpenError::Folder {
+            folder: folder.to_owned(),
+            source,
+        };
+        let path = folder.join(DATABASE_FILE);
+        if path.exists() {
+            refuse_newer_schema(&path).await?;
+        }
+        let mut builder = DirBuilder::new();
+        builder.recursive(true).mode(PRIVATE_FOLDER_MODE);
+        builder.create(folder).map_err(in_folder)?;
+        let lock = lock_folder(folder)?;
+        make_private(&path).map_err(in_folder)?;
+        let options = SqliteConnectOptions::new()
+            .filename(&path)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            .synchronous(SqliteSynchronous::Full)
+            .foreign_keys(true)
+            .busy_timeout(BUSY_TIMEOUT);
+        let database = |source| OpenError::Database {
+            path: path.clone(),
+            source,
+        };
+        let writer = SqlitePoolOptions::new()
+            .max_connections(1)
+            // SQLite ends a transaction by itself when the disk is full; the
+            // connection would count it as open for ever.
+            .before_acquire(|connection, _| {
+                let usable = !connection.is_in_transaction();
+                Box::pin(async move { Ok(usable) })
+            })
+            .connect_with(
+                options
+                    .clone()
+                    .pragma("wal_autocheckpoint", LARGEST_LOG_PAGES)
+                    .pragma("cache_size", WRITER_CACHE_KIB),
+            )
+            .await
+            .map_err(database)?;
+        divide_third_migration(&writer).await.map_err(database)?;
+        MIGRATIONS
+            .run(&writer)
+            .await
+            .map_err(|source| OpenError::Migrate {
+                path: path.clone(),
+                known: newest_known_schema(),
+                source,
+            })?;
+        let readers = SqlitePoolOptions::new()
+            .max_connections(READERS)
+            .connect_with(options.create_if_missing(false))
+            .await
+            .map_err(database)?;
+        Ok(Store {
+            file: identity(&path).map_err(in_folder)?,
+            folder: folder.to_owned(),
+            writer,
+            readers,
+            failpoints: Failpoints::from_environment(),
+            lock,
+        })
+    }
+
+    /// Lets the writer wait so long for a lock, instead of [`BUSY_TIMEOUT`].
+    #[cfg(test)]
+    pub(crate) async fn wait_for_locks(&self, time: Duration) {
+        let pragma = format!("PRAGMA busy_timeout = {}", time.as_millis());
+        sqlx::raw_sql(sqlx::AssertSqlSafe(pragma))
+            .execute(&self.writer)
+            .await
+            .expect("a pragma");
+    }
+
+    /// The data folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Begins the writing transaction, for these steps; waits for the one before
+    /// it.
+    ///
+    /// # Errors
+    /// If the database's file is no longer in the data folder: what SQLite wrote to the
+    /// open file would be lost when this process ends.
+    pub(crate) async fn write(&self, steps: Vec<Step>) -> Result<Tx<'_>, StoreError> {
+        if !self.is_in_place() {
+            let folder = self.folder.clone();
+            return Err(StoreError::Gone { folder });
+        }
+        let transaction = self.writer.begin_with("BEGIN IMMEDIATE").await;
+        Ok(Tx {
+            transaction: transaction.doing("begin a transaction")?,
+            steps,
+            failpoints: &self.failpoints,
+        })
+    }
+
+    /// Returns true if the data folder still has the file that was opened.
+    pub(crate) fn is_in_place(&self) -> bool {
+        let there = identity(&self.folder.join(DATABASE_FILE));
+        there.is_ok_and(|there| there == self.file)
+    }
+
+    /// Begins to read: what is committed now, however long it is looked at.
+    pub(crate) async fn read(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
+        self.readers.begin().await.doing("begin reading")
+    }
+
+    /// A connection that sees what others commit.
+    pub(crate) async fn reader(&self) -> Result<PoolConnection<Sqlite>, StoreError> {
+        self.readers.acquire().await.doing("begin reading")
+    }
+
+    /// Moves what is committed from the write-ahead log into the database, as far
+    /// as no reader still needs it, while the writer goes on.
+    pub(crate) async fn checkpoint(&self) -> Result<(), StoreError> {
+        sqlx::query("PRAGMA wal_checkpoint(PASSIVE)")
+            .execute(&self.readers)
+            .await
+            .doing("checkpoint the write-ahead log")
+            .map(drop)
+    }
+
+    /// Writes the database anew, without the gaps that depend on how it came about: the
+    /// same rows are the same bytes then.
+    pub(crate) async fn compact(&self) -> Result<(), StoreError> {
+        sqlx::query("VACUUM")
+            .execute(&self.writer)
+            .await
+            .doing("compact the database")
+            .map(drop)
+    }
+
+    /// Moves everything from the write-ahead log into the database, closes it and
+    /// unlocks the data folder.
+    ///
+    /// # Errors
+    /// When the log cannot be moved; nothing is lost then, the next start reads
+    /// it.
+    pub async fn close(&self) -> Result<(), StoreError> {
+        // An open reader must not keep the coordinator from ending.
+        let _ = tokio::time::timeout(READERS_GRACE, self.readers.close()).await;
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)")
+            .execute(&self.writer)
+            .await
+            .doing("checkpoint the write-ahead log")?;
+        self.writer.close().await;
+        // Tasks that are being ended may still hold the store for a moment.
+        let unlocked = self.lock.unlock().map_err(sqlx::Error::Io);
+        unlocked.doing("unlock the data folder")
+    }
+}
+
+/// The third migration's checksum while it did what the third and the fourth do now.
+const UNDIVIDED_THIRD: [u8; 48] = *b"\
+    \xc7\x2e\xdb\x7d\x6a\xb2\x3f\x7f\xec\x0c\x96\x14\x07\xd9\xc3\xda\
+    \x30\x2b\xa4\x76\x20\xbd\x0b\x1f\xd5\x10\x42\x84\x08\x82\x47\x0f\
+    \xdc\x2a\x62\x6d\x4a\xf0\x1e\x92\xd7\xfb\xb7\xec\x1d\xf4\xa6\x71";
+
+/// Writes into a database of the program that had one migration for two that it has
+/// both.
+async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> {
+    let known = "SELECT count(*) FROM sqlite_schema WHERE name = '_sqlx_migrations'";
+    if sqlx::query_scalar::<_, i64>(known)
+        .fetch_one(writer)
+        .await?
+        == 0
+    {
+        return Ok(());
+    }
+    let [third, fourth] = [3, 4].map(|version| {
+        let mut migrations = MIGRATIONS.iter();
+        migrations
+            .find(|migration| migration.version == version)
+            .expect("a migration of this program")
+    });
+    sqlx::query(
+        "INSERT INTO _sqlx_migrations
+             (version, description, installed_on, success, checksum, execution_time)
+         SELECT ?, ?, installed_on, success, ?, 0 FROM _sqlx_migrations
+         WHERE version = 3 AND checksum = ?",
+    )
+    .bind(fourth.version)
+    .bind(fourth.description.as_ref())
+    .bind(fourth.checksum.as_ref())
+    .bind(UNDIVIDED_THIRD.as_slice())
+    .execute(writer)
+    .await?;
+    sqlx::query("UPDATE _sqlx_migrations SET checksum = ? WHERE version = 3 AND checksum = ?")
+        .bind(third.checksum.as_ref())
+        .bind(UNDIVIDED_THIRD.as_slice())
+        .execute(writer)
+        .await?;
+    Ok(())
+}
+
+/// The newest schema version that this program knows.
+pub fn newest_known_schema() -> i64 {
+    MIGRATIONS
+        .iter()
+        .map(|migration| migration.version)
+        .max()
+        .unwrap_or(0)
+}
+
+impl Tx<'_> {
+    /// Ends the transaction: what it wrote is on the disk.
+    pub(crate) async fn commit(self) -> Result<(), StoreError> {
+        for step in &self.steps {
+            self.failpoints.reach(Side::Before, *step);
+        }
+        let committed = self.transaction.commit().await;
+        committed.doing("commit a transaction")?;
+        for step in &self.steps {
+            self.failpoints.reach(Side::After, *step);
+        }
+        Ok(())
+    }
+}
+
+impl Deref for Tx<'_> {
+    type Target = SqliteConnection;
+
+    fn deref(&self) -> &SqliteConnection {
+        &self.transaction
+    }
+}
+
+impl DerefMut for Tx<'_> {
+    fn deref_mut(&mut self) -> &mut SqliteConnection {
+        &mut self.transaction
+    }
+}
+
+/// Device and inode of a file.
+fn identity(path: &Path) -> io::Result<(u64, u64)> {
+    let metadata = std::fs::metadata(path)?;
+    Ok((metadata.dev(), metadata.ino()))
+}
+
+fn lock_folder(folder: &Path) -> Result<File, OpenError> {
+    let in_folder = |source| OpenError::Folder {
+        folder: folder.to_owned(),
+        source,
+    };
+    let lock = File::options()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .mode(PRIVATE_MODE)
+        .open(folder.join(LOCK_FILE))
+        .map_err(in_folder)?;
+    match lock.try_lock() {
+        Ok(()) => Ok(lock),
+        Err(TryLockError::WouldBlock) => Err(OpenError::InUse {
+            folder: folder.to_owned(),
+        }),
+        Err(TryLockError::Error(source)) => Err(in_folder(source)),
+    }
+}
+
+/// Closes a database to other users, and makes its file if there is none: SQLite would make one
+/// that everybody may read. The files that SQLite makes beside it get its permissions.
+fn make_private(database: &Path) -> io::Result<()> {
+    if !database.exists() {
+        let mut new = File::options();
+        new.create_new(true).write(true).mode(PRIVATE_MODE);
+        new.open(database)?;
+    }
+    for suffix in ["", "-wal", "-shm"] {
+        let mut path = database.as_os_str().to_owned();
+        path.push(suffix);
+        let path = Path::new(&path);
+        let Ok(found) = path.metadata() else { continue };
+        let mode = found.mode() & 0o777;
+        if mode & !PRIVATE_MODE != 0 {
+            // A file that another user owns stays as it is.
+            let private = Permissions::from_mode(mode & PRIVATE_MODE);
+            let _ = std::fs::set_permissions(path, private);
+        }
+    }
+    Ok(())
+}
+
+/// Looks at an existing database without writing to it.
+async fn refuse_newer_schema(path: &Path) -> Result<(), OpenError> {
+    let database = |source| OpenError::Database {
+        path: path.to_owned(),
+        source,
+    };
+    let options = SqliteConnectOptions::new().filename(path).read_only(true);
+    let mut connection = SqliteConnection::connect_with(&options)
+        .await
+        .map_err(database)?;
+    let found = schema_version(&mut connection).await.map_err(database)?;
+    connection.close().await.map_err(database)?;
+    let known = newest_known_schema();
+    match found {
+        Some(found) if found > known => Err(OpenError::NewerSchema {
+            path: path.to_owned(),
+            found,
+            known,
+            program: concat!("coordinator ", env!("CARGO_PKG_VERSION")),
+        }),
+        _ => Ok(()),
+    }
+}
+
+pub(crate) async fn schema_version(
+    connection: &mut SqliteConnection,
+) -> Result<Option<i64>, sqlx::Error> {
+    let has_versions: bool = sqlx::query_scalar(
+        "SELECT EXISTS (SELECT 1 FROM sqlite_master WHERE name = '_sqlx_migrations')",
+    )
+    .fetch_one(&mut *connection)
+    .await?;
+    if !has_versions {
+        return Ok(None);
+    }
+    sqlx::query_scalar("SELECT max(version) FROM _sqlx_migrations")
+        .fetch_one(connection)
+        .await
+}
+
+/// Lays this program's schema beside that of the open database, as the
+/// temporary table `known_schema`.
+pub(crate) async fn know_schema(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    let mut fresh = SqliteConnection::connect("sqlite::memory:").await?;
+    MIGRATIONS
+        .run_direct(None, &mut fresh, false)
+        .await
+        .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
+    let known: Vec<(String, String, Option<String>)> =
+        sqlx::query_as("SELECT type, name, sql FROM sqlite_schema")
+            .fetch_all(&mut fresh)
+            .await?;
+    sqlx::query("CREATE TEMP TABLE known_schema (type TEXT, name TEXT, sql TEXT)")
+        .execute(&mut *connection)
+        .await?;
+    for (kind, name, sql) in known {
+        sqlx::query("INSERT INTO temp.known_schema VALUES (?, ?, ?)")
+            .bind(kind)
+            .bind(name)
+            .bind(sql)
+            .execute(&mut *connection)
+            .await?;
+    }
+    Ok(())
+}
+
+/// Compares the schema of a database from elsewhere with those that this program's versions have
+/// had. Returns what is foreign to all of them; `None` if it is one of theirs.
+///
+/// It reads nothing but the list of what there is, so that nothing of the database is executed.
+pub(crate) async fn foreign_schema(path: &Path) -> Result<Option<String>, sqlx::Error> {
+    let mut known = SqliteConnection::connect("sqlite::memory:").await?;
+    let options = SqliteConnectOptions::new().filename(path).read_only(true);
+    let mut found = options
+        .immutable(true)
+        .pragma("trusted_schema", "OFF")
+        .connect()
+        .await?;
+    let found_objects = objects(&mut found).await?;
+    found.close().await?;
+    let mut known_objects = Vec::new();
+    for version in 1..=newest_known_schema() {
+        MIGRATIONS
+            .run_direct(Some(version), &mut known, false)
+            .await
+            .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
+        known_objects = objects(&mut known).await?;
+        if known_objects == found_objects {
+            return Ok(None);
+        }
+    }
+    let foreign = found_objects.iter().find(|it| !known_objects.contains(it));
+    let missing = known_objects.iter().find(|it| !found_objects.contains(it));
+    Ok(Some(match (foreign, missing) {
+        (Some((kind, name, _)), _) => format!("{kind} {name} is foreign or was altered"),
+        (None, Some((kind, name, _))) => format!("{kind} {name} is missing"),
+        (None, None) => "it holds something twice".to_owned(),
+    }))
+}
+
+/// Everything in a database that has a name, with the statement that made it, in order. Indices
+/// that SQLite makes by itself and its own tables are part of it: a database that was edited by
+/// hand can hold anything under their names.
+async fn objects(
+    connection: &mut SqliteConnection,
+) -> Result<Vec<(String, String, Option<String>)>, sqlx::Error> {
+    sqlx::query_as("SELECT type, name, sql FROM sqlite_schema ORDER BY type, name")
+        .fetch_all(connection)
+        .await
+}

@@ -1,0 +1,439 @@
+//! Statements on `campaign`, `campaign_task` and `former_name`: creating,
+//! pinning, altering, deleting, and reading a campaign with its policy.
+
+use libero_ctrl::{Realisation, Wanted};
+use rollout_types::Pin;
+use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
+
+use super::policies::{self, health};
+use super::workers::pin;
+use super::{Doing, StoreError, json, undecodable};
+use crate::clock::UnixMillis;
+use crate::expand::{NewCampaign, NewJob};
+use crate::ids::{CampaignId, CampaignName, PolicyId};
+use crate::rules::campaign::CampaignState;
+use crate::rules::outage::PolicyHealth;
+
+/// Jobs inserted by one statement: SQLite binds at most 32,766 values.
+const JOBS_PER_INSERT: usize = 1_000;
+
+/// A campaign and the policy that it measures.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub struct Campaign {
+    /// Its number.
+    pub id: CampaignId,
+    /// Its name.
+    pub name: CampaignName,
+    /// SHA-256 of its specification, hex.
+    pub spec_digest: String,
+    /// Its policy's number.
+    pub policy_id: PolicyId,
+    /// Its policy's name at the endpoint.
+    pub policy: String,
+    /// Its policy's endpoint.
+    pub endpoint: String,
+    /// Its policy's health.
+    #[sqlx(json)]
+    pub health: PolicyHealth,
+    /// Source of its perturbations' random elements: "matched" or "reference".
+    pub realisation: String,
+    /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
+    pub record: String,
+    /// State that its operator set.
+    #[sqlx(json)]
+    pub state: CampaignState,
+    /// Whether its configurations run in a drawn order: it may end early.
+    pub is_drawn: bool,
+    /// Requirements on its workers.
+    #[sqlx(json)]
+    pub wanted: Wanted,
+    /// Jobs of a higher priority are leased first.
+    pub priority: i32,
+    /// Instant of its creation.
+    pub created_ms: UnixMillis,
+    /// The folder of its files, below the folder of all artifacts: its first
+    /// name, or one like it where another campaign has that folder.
+    pub(crate) folder: String,
+    /// When its first result came.
+    pub pinned_ms: Option<UnixMillis>,
+    /// Its pin since then; before, the pin of its source, if it follows from another campaign.
+    #[sqlx(json(nullable))]
+    pub pin: Option<Pin>,
+}
+
+impl Campaign {
+    /// Returns the source of its perturbations' random elements.
+    pub(crate) fn mode(&self) -> Result<Realisation, StoreError> {
+        let mode = self.realisation.parse().map_err(undecodable);
+        mode.doing("read a campaign's realisation mode")
+    }
+
+    /// Whether a result has decided everything that it is pinned to.
+    pub(crate) fn is_pinned(&self) -> bool {
+        let pin = self.pin.as_ref().filter(|_| self.pinned_ms.is_some());
+        pin.is_some_and(|pin| !pin.renderer.is_empty())
+    }
+
+    /// Whether it takes results of a worker that runs on `worker`.
+    pub(crate) fn takes(&self, worker: &Pin) -> bool {
+        worker.suits(&self.wanted) && self.pin.as_ref().is_none_or(|pin| pin.takes(worker))
+    }
+
+    /// Describes the workers that it requires, to be read after its name; empty if it takes any.
+    pub(crate) fn demand(&self) -> String {
+        match &self.pin {
+            Some(pin) => format!("is pinned to {pin}"),
+            None if self.wanted == Wanted::default() => String::new(),
+            None => format!("wants {}", self.wanted),
+        }
+    }
+}
+
+/// [`Campaign`]s, under a condition.
+macro_rules! campaigns_where {
+    ($condition:literal) => {
+        concat!(
+            "SELECT c.id, c.name, c.spec_digest, c.policy_id, p.name AS policy, p.endpoint,
+                 c.realisation, c.record, c.wanted, c.priority, c.created_ms,
+                 coalesce(c.folder, c.name) AS folder, c.pinned_ms,
+                 json_object('is', iif(s.stopped_ms IS NULL, c.state, 'stopped'),
+                     'since', coalesce(s.stopped_ms, c.state_since_ms)) AS state,
+                 s.campaign_id IS NOT NULL AS is_drawn,
+                 iif(k.asset_pack IS NULL, NULL, ",
+            pin!("k"),
+            ") AS pin, ",
+            health!(),
+            " FROM campaign c JOIN policy p ON p.id = c.policy_id
+             LEFT JOIN stop s ON s.campaign_id = c.id
+             LEFT JOIN derivation d ON d.campaign_id = c.id AND c.pinned_ms IS NULL
+             JOIN campaign k ON k.id = coalesce(d.source_id, c.id) WHERE ",
+            $condition,
+            " ORDER BY c.id"
+        )
+    };
+}
+
+/// A campaign by its name.
+pub(crate) async fn by_name(
+    tx: &mut SqliteConnection,
+    name: &CampaignName,
+) -> Result<Option<Campaign>, StoreError> {
+    sqlx::query_as(campaigns_where!("c.name = ?"))
+        .bind(name)
+        .fetch_optional(tx)
+        .await
+        .doing("look up a campaign")
+}
+
+/// A campaign by its number.
+pub(crate) async fn by_id(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+) -> Result<Campaign, StoreError> {
+    sqlx::query_as(campaigns_where!("c.id = ?"))
+        .bind(id)
+        .fetch_one(tx)
+        .await
+        .doing("look up a campaign")
+}
+
+/// All campaigns, oldest first.
+pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
+    sqlx::query_as(campaigns_where!(
+        "c.id NOT IN (SELECT campaign_id FROM passage)"
+    ))
+    .fetch_all(tx)
+    .await
+    .doing("list campaigns")
+}
+
+/// The campaigns of which jobs wait, oldest first; those that are cancelled or
+/// stopped are left out.
+pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
+    sqlx::query_as(campaigns_where!(
+        "c.state <> 'cancelled' AND s.stopped_ms IS NULL
+         AND c.id NOT IN (SELECT campaign_id FROM passage)
+         AND EXISTS (SELECT 1 FROM job j WHERE j.campaign_id = c.id AND j.state = 'queued')"
+    ))
+    .fetch_all(tx)
+    .await
+    .doing("list campaigns with waiting jobs")
+}
+
+/// A campaign's specification, JSON.
+pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<String, StoreError> {
+    sqlx::query_scalar("SELECT spec FROM campaign WHERE id = ?")
+        .bind(id)
+        .fetch_one(tx)
+        .await
+        .doing("read a campaign's specification")
+}
+
+/// A folder that no campaign has, for the files of a new one: its name, unless a
+/// renamed campaign has kept that one, or files of a deleted one are still to be removed from
+/// it. What follows the `~` is in no name.
+pub(crate) async fn free_folder(
+    tx: &mut SqliteConnection,
+    name: &CampaignName,
+) -> Result<String, StoreError> {
+    let mut folder = name.as_str().to_owned();
+    for number in 2_u64.. {
+        let taken = "SELECT EXISTS (SELECT 1 FROM campaign WHERE coalesce(folder, name) = ?1)
+             OR EXISTS (SELECT 1 FROM removal WHERE folder = 'artifacts/' || ?1)";
+        let taken: bool = sqlx::query_scalar(taken)
+            .bind(&folder)
+            .fetch_one(&mut *tx)
+            .await
+            .doing("look for a campaign's folder")?;
+        if !taken {
+            break;
+        }
+        folder = format!("{name}~{number}");
+    }
+    Ok(folder)
+}
+
+/// Stores a campaign and all its jobs; its files go into a folder of its own.
+pub(crate) async fn insert(
+    tx: &mut SqliteConnection,
+    campaign: &NewCampaign,
+    folder: &str,
+    now: UnixMillis,
+) -> Result<CampaignId, StoreError> {
+    take_name(tx, &campaign.name).await?;
+    let id = insert_without_jobs(tx, campaign, folder, now).await?;
+    insert_jobs(tx, id, &campaign.jobs).await?;
+    Ok(id)
+}
+
+/// Stores a campaign, which is said to have its jobs.
+pub(crate) async fn insert_without_jobs(
+    tx: &mut SqliteConnection,
+    campaign: &NewCampaign,
+    folder: &str,
+    now: UnixMillis,
+) -> Result<CampaignId, StoreError> {
+    let policy =
+        policies::find_or_insert(tx, &campaign.policy_endpoint, &campaign.policy, now).await?;
+    let id: CampaignId = sqlx::query_scalar(
+        "INSERT INTO campaign (name, spec, spec_digest, policy_id, realisation, record,
+             wanted, jobs, created_ms, state_since_ms, priority, folder)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10, nullif(?11, ?1)) RETURNING id",
+    )
+    .bind(&campaign.name)
+    .bind(&campaign.spec)
+    .bind(&campaign.spec_digest)
+    .bind(policy)
+    .bind(&campaign.realisation)
+    .bind(campaign.record)
+    .bind(json(&campaign.wanted))
+    .bind(campaign.jobs.len() as i64)
+    .bind(now)
+    .bind(campaign.priority)
+    .bind(folder)
+    .fetch_one(&mut *tx)
+    .await
+    .doing("store a campaign")?;
+    for task in campaign.tasks() {
+        sqlx::query("INSERT INTO campaign_task (campaign_id, task) VALUES (?, ?)")
+            .bind(id)
+            .bind(task)
+            .execute(&mut *tx)
+            .await
+            .doing("store a campaign's tasks")?;
+    }
+    Ok(id)
+}
+
+/// Stores a campaign's jobs.
+pub(crate) async fn insert_jobs(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    jobs: &[NewJob],
+) -> Result<(), StoreError> {
+    for jobs in jobs.chunks(JOBS_PER_INSERT) {
+        insert_some_jobs(&mut *tx, campaign, jobs).await?;
+    }
+    Ok(())
+}
+
+async fn insert_some_jobs(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    jobs: &[NewJob],
+) -> Result<(), StoreError> {
+    let mut insert: QueryBuilder<Sqlite> = QueryBuilder::new(
+        "INSERT INTO job (campaign_id, rollout_id, replicate, task, init_id, unit_order,
+             manifest_row, policy_seed) ",
+    );
+    insert.push_values(jobs, |mut row, job| {
+        row.push_bind(campaign)
+            .push_bind(&job.rollout_id)
+            .push_bind(job.replicate)
+            .push_bind(&job.task)
+            .push_bind(job.init_id)
+            .push_bind(job.unit_order)
+            .push_bind(&job.manifest_row)
+            .push_bind(job.policy_seed.cast_signed());
+    });
+    insert.build().execute(tx).await.doing("store jobs")?;
+    Ok(())
+}
+
+/// Pins a campaign to what its first result came from; what it is pinned to
+/// stays as it is.
+pub(crate) async fn pin(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    pin: &Pin,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE campaign SET pinned_ms = coalesce(pinned_ms, ?),
+             asset_pack = coalesce(asset_pack, ?),
+             asset_pack_digest = coalesce(asset_pack_digest, ?),
+             mujoco_version = coalesce(mujoco_version, ?), renderer = ?
+         WHERE id = ? AND renderer IS NULL",
+    )
+    .bind(now)
+    .bind(&pin.asset_pack)
+    .bind(&pin.asset_pack_digest)
+    .bind(&pin.mujoco_version)
+    .bind(&pin.renderer)
+    .bind(id)
+    .execute(tx)
+    .await
+    .doing("pin a campaign")
+    .map(drop)
+}
+
+/// Stores where a campaign stands with its operator.
+pub(crate) async fn set_state(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    state: CampaignState,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE campaign SET state = ?, state_since_ms = ? WHERE id = ?")
+        .bind(state.name())
+        .bind(state.since())
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("store a campaign's state")
+        .map(drop)
+}
+
+/// Stores a campaign's priority.
+pub(crate) async fn set_priority(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    priority: i32,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE campaign SET priority = ? WHERE id = ?")
+        .bind(priority)
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("store a campaign's priority")
+        .map(drop)
+}
+
+/// Stores a campaign's altered specification.
+pub(crate) async fn set_spec(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    spec: &str,
+    spec_digest: &str,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE campaign SET spec = ?, spec_digest = ? WHERE id = ?")
+        .bind(spec)
+        .bind(spec_digest)
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("store a campaign's specification")
+        .map(drop)
+}
+
+/// Stores which policy a campaign measures.
+pub(crate) async fn set_policy(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+    policy: PolicyId,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE campaign SET policy_id = ? WHERE id = ?")
+        .bind(policy)
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("store a campaign's policy")
+        .map(drop)
+}
+
+/// Renames a campaign. Its files stay where they are, and who asks for the former
+/// name can be told.
+pub(crate) async fn rename(
+    tx: &mut SqliteConnection,
+    campaign: &Campaign,
+    name: &CampaignName,
+) -> Result<(), StoreError> {
+    take_name(tx, name).await?;
+    sqlx::query("UPDATE campaign SET name = ?1, folder = nullif(?2, ?1) WHERE id = ?3")
+        .bind(name)
+        .bind(&campaign.folder)
+        .bind(campaign.id)
+        .execute(&mut *tx)
+        .await
+        .doing("rename a campaign")?;
+    sqlx::query("INSERT INTO former_name (name, campaign_id) VALUES (?, ?)")
+        .bind(&campaign.name)
+        .bind(campaign.id)
+        .execute(tx)
+        .await
+        .doing("keep a campaign's former name")
+        .map(drop)
+}
+
+/// Returns the present name of the campaign that last had a name, if it was renamed.
+pub(crate) async fn renamed(
+    tx: &mut SqliteConnection,
+    name: &CampaignName,
+) -> Result<Option<CampaignName>, StoreError> {
+    sqlx::query_scalar(
+        "SELECT c.name FROM former_name f JOIN campaign c ON c.id = f.campaign_id
+         WHERE f.name = ?",
+    )
+    .bind(name)
+    .fetch_optional(tx)
+    .await
+    .doing("look for a campaign's former name")
+}
+
+/// A name is a campaign's own from now on, and no other's former one.
+pub(crate) async fn take_name(
+    tx: &mut SqliteConnection,
+    name: &CampaignName,
+) -> Result<(), StoreError> {
+    sqlx::query("DELETE FROM former_name WHERE name = ?")
+        .bind(name)
+        .execute(tx)
+        .await
+        .doing("take a campaign's name")
+        .map(drop)
+}
+
+/// Removes a campaign with its jobs and their results.
+pub(crate) async fn delete(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
+    // Jobs first: each row of `campaign_task` would look for its own.
+    for statement in [
+        "DELETE FROM job WHERE campaign_id = ?",
+        "DELETE FROM campaign WHERE id = ?",
+    ] {
+        sqlx::query(statement)
+            .bind(id)
+            .execute(&mut *tx)
+            .await
+            .doing("delete a campaign")?;
+    }
+    Ok(())
+}

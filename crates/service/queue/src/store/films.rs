@@ -1,0 +1,107 @@
+//! Statements on `motion`: which rollouts are left to be filmed, and from what.
+
+use rollout_types::{AttemptId, Pin};
+use sqlx::SqliteConnection;
+use sqlx::types::Text;
+
+use super::{Doing, StoreError};
+use crate::ids::{CampaignId, CampaignName, JobId};
+
+/// A committed rollout that is to be filmed.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
+pub struct Film {
+    /// The attempt beside whose outcome the video is stored.
+    #[sqlx(rename = "attempt_id")]
+    pub attempt: Text<AttemptId>,
+    /// Its campaign.
+    pub campaign: CampaignName,
+    /// Number of the replicate.
+    pub replicate: u32,
+    /// One manifest row, JSON.
+    pub manifest_row: String,
+    /// "matched" or "reference".
+    pub realisation: String,
+    /// The actions of every control step, as [`rollout_types::Motion`] packs them.
+    pub actions: Vec<u8>,
+    /// Outcome that the film must reproduce.
+    pub success: bool,
+}
+
+/// A rollout of a campaign that records transitions.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub(crate) struct FilmableRow {
+    pub(crate) job_id: JobId,
+    pub(crate) rollout_id: String,
+    pub(crate) replicate: u32,
+    pub(crate) init_id: u16,
+    /// None while it is not committed.
+    pub(crate) success: Option<bool>,
+    /// Whether it has actions to be filmed from, and no video yet.
+    pub(crate) is_wanting: bool,
+}
+
+/// A campaign that records transitions. The rollouts of it that are to be filmed stay the
+/// same, but for those that are filmed, as long as these revisions do.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
+pub(crate) struct Filmed {
+    pub(crate) campaign: CampaignId,
+    pub(crate) revision: i64,
+    /// The campaign that it follows from.
+    pub(crate) source: Option<CampaignId>,
+    pub(crate) source_revision: Option<i64>,
+}
+
+/// Campaigns that record transitions with this asset pack and simulator, oldest first.
+pub(crate) async fn filmed_campaigns(
+    tx: &mut SqliteConnection,
+    pin: &Pin,
+) -> Result<Vec<Filmed>, StoreError> {
+    sqlx::query_as(
+        "SELECT c.id AS campaign, own.revision, d.source_id AS source,
+             its.revision AS source_revision
+         FROM campaign c JOIN tally own ON own.campaign_id = c.id
+         LEFT JOIN derivation d ON d.campaign_id = c.id
+         LEFT JOIN tally its ON its.campaign_id = d.source_id
+         WHERE c.id NOT IN (SELECT campaign_id FROM passage) AND c.record = 'transitions' AND c.asset_pack_digest = ? AND c.mujoco_version = ?
+         ORDER BY c.id",
+    )
+    .bind(&pin.asset_pack_digest)
+    .bind(&pin.mujoco_version)
+    .fetch_all(tx)
+    .await
+    .doing("look for campaigns that are filmed")
+}
+
+/// All rollouts of a campaign, as far as filming goes.
+pub(crate) async fn filmable(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<FilmableRow>, StoreError> {
+    sqlx::query_as(
+        "SELECT j.id AS job_id, j.rollout_id, j.replicate, j.init_id, r.success,
+             coalesce(length(m.actions), 0) > 0
+                 AND NOT EXISTS (SELECT 1 FROM artifact a
+                     WHERE a.attempt_id = r.attempt_id AND a.kind = 'video') AS is_wanting
+         FROM job j LEFT JOIN result r ON r.job_id = j.id LEFT JOIN motion m ON m.job_id = j.id
+         WHERE j.campaign_id = ? ORDER BY j.unit_order",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("look for rollouts to film")
+}
+
+/// A committed rollout with everything that filming it takes.
+pub(crate) async fn film(tx: &mut SqliteConnection, job: JobId) -> Result<Film, StoreError> {
+    sqlx::query_as(
+        "SELECT r.attempt_id, c.name AS campaign, j.replicate, j.manifest_row, c.realisation,
+             m.actions, r.success
+         FROM job j JOIN campaign c ON c.id = j.campaign_id
+         JOIN result r ON r.job_id = j.id JOIN motion m ON m.job_id = j.id
+         WHERE j.id = ?",
+    )
+    .bind(job)
+    .fetch_one(tx)
+    .await
+    .doing("read a rollout to film")
+}

@@ -1,0 +1,172 @@
+//! Statements that compare a campaign with its other half, attached as the schema
+//! `source`.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use libero_ctrl::ManifestRow;
+use rollout_types::{Digests, Provenance, Realised};
+use sqlx::types::Json;
+use sqlx::{AssertSqlSafe, SqliteConnection};
+
+use super::provenance::provenance;
+use super::results::digests;
+use super::{Doing, StoreError};
+use crate::ids::{CampaignId, WorkerId};
+use crate::rules::lease::OutcomeKey;
+use crate::rules::merge::{Known, Standing};
+
+/// The main database's schema, and that of the one beside it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Schema {
+    /// The first half.
+    Main,
+    /// The second half.
+    Source,
+}
+
+/// A rollout and replicate.
+pub(crate) type Rollout = (String, u32);
+
+/// A committed result, as far as others are compared with it.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub(crate) struct Stored {
+    pub(crate) rollout_id: String,
+    pub(crate) replicate: u32,
+    /// "libero_goal/3".
+    pub(crate) task: String,
+    pub(crate) init_id: i64,
+    #[sqlx(json)]
+    pub(crate) manifest_row: ManifestRow,
+    pub(crate) worker_id: WorkerId,
+    #[sqlx(json)]
+    pub(crate) digests: Digests,
+    #[sqlx(json)]
+    pub(crate) realised: Realised,
+    provenance: Json<Arc<Provenance>>,
+}
+
+impl Stored {
+    /// Returns the origin of the result.
+    pub(crate) fn origin(&self) -> &Arc<Provenance> {
+        &self.provenance.0
+    }
+}
+
+impl Schema {
+    fn name(self) -> &'static str {
+        match self {
+            Schema::Main => "main",
+            Schema::Source => "source",
+        }
+    }
+}
+
+/// Returns one half's knowledge of its rollouts.
+pub(crate) async fn known(
+    tx: &mut SqliteConnection,
+    schema: Schema,
+    campaign: CampaignId,
+) -> Result<BTreeMap<Rollout, Known>, StoreError> {
+    type Row = (
+        String,
+        u32,
+        String,
+        u32,
+        u32,
+        Option<bool>,
+        Option<u32>,
+        u32,
+        bool,
+    );
+    let of = schema.name();
+    let rows: Vec<Row> = sqlx::query_as(AssertSqlSafe(format!(
+        "SELECT j.rollout_id, j.replicate, j.state, j.charged_attempts, j.attempt, r.success,
+             r.steps, (SELECT count(*) FROM {of}.divergence d WHERE d.job_id = j.id),
+             EXISTS (SELECT 1 FROM {of}.artifact a WHERE a.attempt_id = r.attempt_id)
+         FROM {of}.job j LEFT JOIN {of}.result r ON r.job_id = j.id WHERE j.campaign_id = ?"
+    )))
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("read what is known of a campaign")?;
+    let known = rows.into_iter().map(|row| {
+        let (rollout, replicate, state, charged_attempts, attempts, success, steps, ..) = row;
+        let outcome = success.zip(steps);
+        let standing = match outcome.map(|(success, steps)| OutcomeKey { success, steps }) {
+            Some(outcome) => Standing::Committed(outcome),
+            None if state == "quarantined" => Standing::Quarantined,
+            None => Standing::Open,
+        };
+        let known = Known {
+            standing,
+            divergences: row.7,
+            is_filmed: row.8,
+            charged_attempts,
+            attempts,
+        };
+        ((rollout, replicate), known)
+    });
+    Ok(known.collect())
+}
+
+/// A rollout that only one of the halves has, or that is another one in each.
+pub(crate) async fn other_rollout(
+    tx: &mut SqliteConnection,
+    (main, source): (CampaignId, CampaignId),
+) -> Result<Option<Rollout>, StoreError> {
+    sqlx::query_as(
+        "SELECT coalesce(a.rollout_id, b.rollout_id), coalesce(a.replicate, b.replicate)
+         FROM (SELECT * FROM main.job WHERE campaign_id = ?1) a
+         FULL JOIN (SELECT * FROM source.job WHERE campaign_id = ?2) b
+             ON a.rollout_id = b.rollout_id AND a.replicate = b.replicate
+         WHERE a.manifest_row IS NOT b.manifest_row OR a.policy_seed IS NOT b.policy_seed
+             OR a.unit_order IS NOT b.unit_order LIMIT 1",
+    )
+    .bind(main)
+    .bind(source)
+    .fetch_optional(tx)
+    .await
+    .doing("compare the rollouts of two halves")
+}
+
+/// The results of a half, by rollout.
+pub(crate) async fn results(
+    tx: &mut SqliteConnection,
+    schema: Schema,
+    campaign: CampaignId,
+) -> Result<Vec<Stored>, StoreError> {
+    let of = schema.name();
+    sqlx::query_as(AssertSqlSafe(format!(
+        "SELECT j.rollout_id, j.replicate, j.task, j.init_id, j.manifest_row, r.worker_id, {},
+             r.realised, {}
+         FROM {of}.job j JOIN {of}.result r ON r.job_id = j.id
+         JOIN {of}.provenance v ON v.id = r.provenance_id
+         WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",
+        digests!(),
+        provenance!(),
+    )))
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("read the results of a half")
+}
+
+/// A campaign without results takes the other half's pin.
+pub(crate) async fn take_pin(
+    tx: &mut SqliteConnection,
+    (main, source): (CampaignId, CampaignId),
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE main.campaign SET (pinned_ms, asset_pack, asset_pack_digest, mujoco_version,
+             renderer) = (SELECT pinned_ms, asset_pack, asset_pack_digest, mujoco_version,
+             renderer FROM source.campaign WHERE id = ?2)
+         WHERE id = ?1 AND pinned_ms IS NULL",
+    )
+    .bind(main)
+    .bind(source)
+    .execute(tx)
+    .await
+    .doing("pin a campaign")
+    .map(drop)
+}

@@ -1,0 +1,89 @@
+//! Statements on `provenance`: where results came from, as far as many of them
+//! share it.
+
+use libero_ctrl::Suite;
+use rollout_types::Provenance;
+use sqlx::SqliteConnection;
+use sqlx::types::Json;
+
+use super::{Doing, StoreError};
+use crate::ids::CampaignId;
+
+/// Row number of an origin that is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx_macros::Type)]
+#[sqlx(transparent)]
+pub(crate) struct ProvenanceId(i64);
+
+/// A [`Provenance`] of table `v`, as JSON.
+macro_rules! provenance {
+    () => {
+        "json_object('host', v.host, 'renderer', v.renderer, 'fingerprint', v.fingerprint,
+             'mujoco_version', v.mujoco_version, 'asset_pack', v.asset_pack,
+             'asset_pack_digest', v.asset_pack_digest, 'realisation', v.realisation,
+             'policy_name', v.policy_name, 'policy_checkpoint', v.policy_checkpoint,
+             'policy_checkpoint_digest', v.policy_checkpoint_digest,
+             'policy_privileged', json(iif(v.policy_privileged, 'true', 'false')),
+             'policy_canonical_only', json(iif(v.policy_canonical_only, 'true', 'false')),
+             'policy_settings', json(v.policy_settings), 'batch_mode', v.batch_mode, 'program_version', v.program_version) AS provenance"
+    };
+}
+pub(crate) use provenance;
+
+/// An origin of a campaign's results of a suite that names its policy's settings.
+pub(crate) async fn of_suite(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    suite: Suite,
+) -> Result<Option<Provenance>, StoreError> {
+    let found: Option<Json<Provenance>> = sqlx::query_scalar(concat!(
+        "SELECT ",
+        provenance!(),
+        " FROM result r
+         JOIN provenance v ON v.id = r.provenance_id
+         JOIN job j ON j.id = r.job_id
+         WHERE r.campaign_id IN
+                 (SELECT ?1 UNION SELECT source_id FROM derivation WHERE campaign_id = ?1)
+             AND v.policy_settings <> '{}' AND j.task GLOB ?2 || '/*'
+         LIMIT 1",
+    ))
+    .bind(campaign)
+    .bind(suite.name())
+    .fetch_optional(tx)
+    .await
+    .doing("look for the policy that a suite was measured with")?;
+    Ok(found.map(|Json(origin)| origin))
+}
+
+/// The row number of an origin, which is stored if it is new.
+pub(crate) async fn find_or_insert(
+    tx: &mut SqliteConnection,
+    of: &Provenance,
+) -> Result<ProvenanceId, StoreError> {
+    // Updated to itself: only a row that was written is returned.
+    sqlx::query_scalar(
+        "INSERT INTO provenance (host, renderer, fingerprint, mujoco_version, asset_pack,
+             asset_pack_digest, realisation, policy_name, policy_checkpoint,
+             policy_checkpoint_digest, policy_privileged, policy_canonical_only, policy_settings,
+             batch_mode, program_version)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
+         ON CONFLICT DO UPDATE SET host = excluded.host RETURNING id",
+    )
+    .bind(&of.host)
+    .bind(&of.pin.renderer)
+    .bind(&of.fingerprint)
+    .bind(&of.pin.mujoco_version)
+    .bind(&of.pin.asset_pack)
+    .bind(&of.pin.asset_pack_digest)
+    .bind(&of.realisation)
+    .bind(&of.policy_name)
+    .bind(&of.policy_checkpoint)
+    .bind(&of.policy_checkpoint_digest)
+    .bind(of.policy_privileged)
+    .bind(of.policy_canonical_only)
+    .bind(Json(&of.policy_settings))
+    .bind(&of.batch_mode)
+    .bind(&of.program_version)
+    .fetch_one(tx)
+    .await
+    .doing("store where a result came from")
+}

@@ -1,0 +1,115 @@
+//! Statements on `stop`: campaigns that may end early, and those that did.
+
+use libero_ctrl::Stop;
+use sqlx::SqliteConnection;
+
+use super::{Doing, StoreError};
+use crate::clock::UnixMillis;
+use crate::ids::CampaignId;
+
+/// A campaign that may end early and has not.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub(crate) struct Stoppable {
+    pub(crate) campaign: CampaignId,
+    #[sqlx(json)]
+    pub(crate) stop: Stop,
+}
+
+/// The first rollout without an outcome, in the order in which a campaign's jobs are leased.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub(crate) struct FirstUnsettled {
+    pub(crate) rollout_id: String,
+    /// Place in that order.
+    pub(crate) unit_order: i64,
+}
+
+/// How a campaign may end early, or did.
+#[derive(Clone, Debug, PartialEq, sqlx_macros::FromRow)]
+pub struct EarlyStop {
+    /// The rule, and what its order is drawn from.
+    #[sqlx(json)]
+    pub stop: Stop,
+    /// Configurations of the campaign.
+    pub configurations: u32,
+    /// After so many of them it stopped; none while it has not.
+    pub used: Option<u32>,
+}
+
+/// Notes that a campaign may end early.
+pub(crate) async fn insert(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    configurations: usize,
+) -> Result<(), StoreError> {
+    sqlx::query("INSERT INTO stop (campaign_id, configurations) VALUES (?, ?)")
+        .bind(campaign)
+        .bind(i64::try_from(configurations).unwrap_or(i64::MAX))
+        .execute(tx)
+        .await
+        .doing("store that a campaign may end early")
+        .map(drop)
+}
+
+/// The campaigns that may still end early.
+pub(crate) async fn stoppable(tx: &mut SqliteConnection) -> Result<Vec<Stoppable>, StoreError> {
+    sqlx::query_as(
+        "SELECT s.campaign_id AS campaign, c.spec -> '$.stop' AS stop FROM stop s
+         JOIN campaign c ON c.id = s.campaign_id
+         WHERE s.stopped_ms IS NULL AND c.state <> 'cancelled' ORDER BY s.campaign_id",
+    )
+    .fetch_all(tx)
+    .await
+    .doing("list campaigns that may end early")
+}
+
+/// The first rollout without an outcome in the order in which a campaign's jobs are
+/// leased; none if it is through. Two index seeks per task.
+pub(crate) async fn first_unsettled(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Option<FirstUnsettled>, StoreError> {
+    sqlx::query_as(
+        "SELECT j.rollout_id, j.unit_order FROM campaign_task t JOIN job j ON j.id IN (
+             (SELECT q.id FROM job q WHERE q.campaign_id = t.campaign_id AND q.task = t.task
+                  AND q.state = 'queued' ORDER BY q.unit_order LIMIT 1),
+             (SELECT l.id FROM job l WHERE l.campaign_id = t.campaign_id AND l.task = t.task
+                  AND l.state = 'leased' ORDER BY l.unit_order LIMIT 1))
+         WHERE t.campaign_id = ? ORDER BY j.unit_order LIMIT 1",
+    )
+    .bind(campaign)
+    .fetch_optional(tx)
+    .await
+    .doing("look for the first rollout without an outcome")
+}
+
+/// Stops a campaign after so many of its configurations.
+pub(crate) async fn stop(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+    used: usize,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query("UPDATE stop SET used = ?, stopped_ms = ? WHERE campaign_id = ?")
+        .bind(i64::try_from(used).unwrap_or(i64::MAX))
+        .bind(now)
+        .bind(campaign)
+        .execute(tx)
+        .await
+        .doing("stop a campaign")
+        .map(drop)
+}
+
+/// How a campaign may end early, or did; none of one that runs to its end.
+pub(crate) async fn of(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Option<EarlyStop>, StoreError> {
+    sqlx::query_as(
+        "SELECT c.spec -> '$.stop' AS stop, s.configurations, s.used
+         FROM stop s JOIN campaign c ON c.id = s.campaign_id WHERE s.campaign_id = ?",
+    )
+    .bind(campaign)
+    .fetch_optional(tx)
+    .await
+    .doing("read how a campaign may end early")
+}

@@ -1,0 +1,267 @@
+//! Statements on `worker`: which are alive, with which assets and simulator.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use rollout_types::Pin;
+use sqlx::SqliteConnection;
+use sqlx::types::Json;
+
+use super::{Doing, StoreError, json};
+use crate::clock::UnixMillis;
+use crate::ids::WorkerId;
+use crate::rules::lease::Strike;
+
+/// A worker as it announced itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WorkerInfo {
+    /// Its id.
+    pub id: WorkerId,
+    /// The name of the machine it runs on.
+    pub host: String,
+    /// Id of that machine, if it says so: the same for every worker there, now and after a
+    /// restart.
+    pub machine: Option<String>,
+    /// Rollouts that it runs side by side.
+    pub slots: u32,
+    /// Cores that they share, if it says so.
+    pub cores: Option<u32>,
+    /// Asset pack, simulator and renderer that it runs on.
+    pub pin: Pin,
+    /// Version of its program.
+    pub program_version: String,
+}
+
+/// A worker's standing with the coordinator.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
+pub(crate) struct Standing {
+    pub(crate) id: WorkerId,
+    /// The machine it runs on: its own id if it does not say.
+    pub(crate) machine: String,
+    /// Asset pack, simulator and renderer that it runs on.
+    #[sqlx(json)]
+    pub(crate) pin: Pin,
+    /// Instant of its last call.
+    pub(crate) last_seen_ms: UnixMillis,
+    /// Charged failures in a row.
+    pub(crate) charged_in_a_row: u32,
+    /// Why it may lease no more, if so.
+    pub(crate) stopped_reason: Option<String>,
+}
+
+/// The [`Pin`] of a worker or a campaign, as JSON.
+macro_rules! pin {
+    ($of:literal) => {
+        concat!(
+            "json_object('asset_pack', ",
+            $of,
+            ".asset_pack, 'asset_pack_digest', ",
+            $of,
+            ".asset_pack_digest, 'mujoco_version', ",
+            $of,
+            ".mujoco_version, 'renderer', coalesce(",
+            $of,
+            ".renderer, ''))"
+        )
+    };
+}
+pub(crate) use pin;
+
+/// Ids for `json_each`. A worker that asks with several slots is one worker.
+fn each_once(ids: &[&WorkerId]) -> String {
+    json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>())
+}
+
+/// The failures in a row of the worker that was last started on a machine, other than
+/// this one.
+pub(crate) async fn last_on_machine(
+    tx: &mut SqliteConnection,
+    machine: &str,
+    but: &WorkerId,
+) -> Result<u32, StoreError> {
+    let last = sqlx::query_scalar(
+        "SELECT charged_in_a_row FROM worker WHERE machine = ? AND id <> ?
+         ORDER BY registered_ms DESC, rowid DESC LIMIT 1",
+    )
+    .bind(machine)
+    .bind(but)
+    .fetch_optional(tx)
+    .await
+    .doing("look up the last worker of a machine")?;
+    Ok(last.unwrap_or(0))
+}
+
+/// Stores a worker that announces itself, with the failures in a row that it begins
+/// with.
+pub(crate) async fn upsert(
+    tx: &mut SqliteConnection,
+    worker: &WorkerInfo,
+    in_a_row: u32,
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT INTO worker (id, host, slots, asset_pack, asset_pack_digest, mujoco_version,
+             renderer, program_version, registered_ms, last_seen_ms, cores, machine,
+             charged_in_a_row)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10, ?11, ?12)
+         ON CONFLICT (id) DO UPDATE SET host = ?2, slots = ?3, asset_pack = ?4,
+             asset_pack_digest = ?5, mujoco_version = ?6, renderer = ?7,
+             program_version = ?8, registered_ms = ?9, last_seen_ms = ?9, cores = ?10,
+             machine = ?11, charged_in_a_row = ?12, stopped_reason = NULL, signed_off_ms = NULL",
+    )
+    .bind(&worker.id)
+    .bind(&worker.host)
+    .bind(worker.slots)
+    .bind(&worker.pin.asset_pack)
+    .bind(&worker.pin.asset_pack_digest)
+    .bind(&worker.pin.mujoco_version)
+    .bind(&worker.pin.renderer)
+    .bind(&worker.program_version)
+    .bind(now)
+    .bind(worker.cores)
+    .bind(&worker.machine)
+    .bind(in_a_row)
+    .execute(tx)
+    .await
+    .doing("register a worker")
+    .map(drop)
+}
+
+/// The standing of those workers that ever announced themselves.
+pub(crate) async fn standings(
+    tx: &mut SqliteConnection,
+    ids: &[&WorkerId],
+) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
+    let standings: Vec<Standing> = sqlx::query_as(concat!(
+        "SELECT id, coalesce(machine, id) AS machine, last_seen_ms, charged_in_a_row,
+             stopped_reason, ",
+        pin!("worker"),
+        " AS pin FROM worker WHERE id IN (SELECT value FROM json_each(?))",
+    ))
+    .bind(each_once(ids))
+    .fetch_all(tx)
+    .await
+    .doing("look up workers")?;
+    let by_id = |standing: Standing| (standing.id.clone(), standing);
+    Ok(standings.into_iter().map(by_id).collect())
+}
+
+/// Notes that workers called.
+pub(crate) async fn seen(
+    tx: &mut SqliteConnection,
+    ids: &[&WorkerId],
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE worker SET last_seen_ms = ?1
+         WHERE id IN (SELECT value FROM json_each(?2)) AND last_seen_ms < ?1",
+    )
+    .bind(now)
+    .bind(each_once(ids))
+    .execute(tx)
+    .await
+    .doing("note that workers were heard of")
+    .map(drop)
+}
+
+/// Notes that workers sent heartbeats.
+pub(crate) async fn beat(
+    tx: &mut SqliteConnection,
+    ids: &[&WorkerId],
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE worker SET last_seen_ms = max(last_seen_ms, ?1), heartbeat_ms = ?1
+         WHERE id IN (SELECT value FROM json_each(?2))",
+    )
+    .bind(now)
+    .bind(each_once(ids))
+    .execute(tx)
+    .await
+    .doing("note that workers sent heartbeats")
+    .map(drop)
+}
+
+/// Stores a worker's run of failures, and why it must stop if it must.
+pub(crate) async fn set_strike(
+    tx: &mut SqliteConnection,
+    id: &WorkerId,
+    strike: Strike,
+    stopped_reason: Option<&str>,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE worker SET charged_in_a_row = ?, stopped_reason = coalesce(stopped_reason, ?)
+         WHERE id = ?",
+    )
+    .bind(strike.in_a_row)
+    .bind(stopped_reason)
+    .bind(id)
+    .execute(tx)
+    .await
+    .doing("count a worker's failure")
+    .map(drop)
+}
+
+/// Workers reported rollouts that were committed: they are there, and their
+/// runs of failures are over.
+pub(crate) async fn succeeded(
+    tx: &mut SqliteConnection,
+    ids: &[&WorkerId],
+    now: UnixMillis,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "UPDATE worker SET charged_in_a_row = 0, last_seen_ms = max(last_seen_ms, ?1)
+         WHERE id IN (SELECT value FROM json_each(?2))
+             AND (charged_in_a_row > 0 OR last_seen_ms < ?1)",
+    )
+    .bind(now)
+    .bind(each_once(ids))
+    .execute(tx)
+    .await
+    .doing("clear workers' failures")
+    .map(drop)
+}
+
+/// Notes that a worker ended in good order; says whether it is known.
+pub(crate) async fn sign_off(
+    tx: &mut SqliteConnection,
+    id: &WorkerId,
+    now: UnixMillis,
+) -> Result<bool, StoreError> {
+    let noted = sqlx::query("UPDATE worker SET signed_off_ms = ? WHERE id = ?")
+        .bind(now)
+        .bind(id)
+        .execute(tx)
+        .await
+        .doing("note that a worker ended")?;
+    Ok(noted.rows_affected() > 0)
+}
+
+/// A worker that is there and may lease.
+#[derive(Clone, Debug)]
+pub(crate) struct Live {
+    /// Asset pack, simulator and renderer that it runs on.
+    pub(crate) pin: Pin,
+    /// Its machine: its own id if it does not say.
+    pub(crate) machine: String,
+}
+
+/// Workers that have called since `since`, have not said good-bye and may lease.
+pub(crate) async fn live(
+    tx: &mut SqliteConnection,
+    since: UnixMillis,
+) -> Result<Vec<Live>, StoreError> {
+    let live: Vec<(Json<Pin>, String)> = sqlx::query_as(concat!(
+        "SELECT ",
+        pin!("worker"),
+        ", coalesce(machine, id) FROM worker WHERE last_seen_ms >= ? AND stopped_reason IS NULL
+             AND signed_off_ms IS NULL",
+    ))
+    .bind(since)
+    .fetch_all(tx)
+    .await
+    .doing("count live workers")?;
+    let live = live.into_iter();
+    Ok(live
+        .map(|(Json(pin), machine)| Live { pin, machine })
+        .collect())
+}

@@ -1,0 +1,212 @@
+//! Provenance of a result.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+
+use libero_ctrl::{RendererKind, Wanted};
+use serde::{Deserialize, Serialize};
+
+/// Prefix of the version names of this project's renderer.
+pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
+
+/// Name of the setting in which a policy says on which asset pack it was taught.
+pub const TAUGHT_ON: &str = "taught on";
+
+/// Asset pack, simulator and renderer of a worker. A campaign is pinned to one
+/// combination: results of two asset packs, simulators or renderers are two benchmarks,
+/// never pooled.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Pin {
+    /// Name of the asset pack.
+    pub asset_pack: String,
+    /// SHA-256 of the asset pack, hex.
+    pub asset_pack_digest: String,
+    /// Version of the simulator.
+    pub mujoco_version: String,
+    /// The renderer's own name. Empty in a campaign that database schema 1
+    /// pinned, until the next lease decides it.
+    #[serde(alias = "gl_renderer")]
+    pub renderer: String,
+}
+
+/// Provenance of a result, as far as many results share it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Provenance {
+    /// The machine's name.
+    pub host: String,
+    /// The worker's asset pack, simulator and renderer.
+    #[serde(flatten)]
+    pub pin: Pin,
+    /// SHA-256 of a fixed motion and its frames, hex: equal fingerprints mean
+    /// equal bits. Empty in results of database schema 1.
+    #[serde(default)]
+    pub fingerprint: String,
+    /// "matched" or "reference".
+    pub realisation: String,
+    /// The policy's own name.
+    pub policy_name: String,
+    /// Checkpoint of the policy, as the publisher writes it.
+    pub policy_checkpoint: String,
+    /// Digest of its weights, as the policy gives it.
+    pub policy_checkpoint_digest: String,
+    /// True if it saw the simulator's own state.
+    pub policy_privileged: bool,
+    /// True if it got the canonical instruction under every condition.
+    #[serde(default)]
+    pub policy_canonical_only: bool,
+    /// Settings that its server resolved and its actions depend on, by name: chunk and
+    /// executed actions, image slots, statistics, revision. Empty in results of database
+    /// schema 3 and before.
+    #[serde(default)]
+    pub policy_settings: BTreeMap<String, String>,
+    /// Batch mode in which a gateway asked it.
+    pub batch_mode: String,
+    /// Version of the worker's program.
+    pub program_version: String,
+}
+
+/// Digests that two rollouts of one initial state must share, SHA-256 in hex.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Digests {
+    /// Digest of the composed MJCF.
+    pub scene: String,
+    /// Digest of the initial state's bytes, before any perturbation.
+    pub init_state: String,
+    /// Digest of the first frames that the policy saw; empty if it looks at none.
+    pub first_frame: String,
+}
+
+/// Mix of fingerprints among the results of a campaign.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fingerprints {
+    /// Results of each fingerprint.
+    pub results: BTreeMap<String, u64>,
+    /// Tasks and initial states whose results have several.
+    pub mixed: Vec<String>,
+}
+
+impl Pin {
+    /// Returns true if a campaign that is pinned to this takes results of a worker that
+    /// runs on the other.
+    pub fn takes(&self, worker: &Pin) -> bool {
+        self.asset_pack_digest == worker.asset_pack_digest
+            && self.mujoco_version == worker.mujoco_version
+            && (self.renderer.is_empty() || self.renderer == worker.renderer)
+    }
+
+    /// Returns true if a worker that runs on this meets a campaign's requirements.
+    pub fn suits(&self, wanted: &Wanted) -> bool {
+        let has_pack = |name: &String| {
+            self.asset_pack == *name || self.asset_pack_digest.starts_with(name.as_str())
+        };
+        let is_software = self.renderer.starts_with(SOFTWARE_RENDERER);
+        let draws = |kind| (kind == RendererKind::Software) == is_software;
+        wanted.assets.as_ref().is_none_or(has_pack) && wanted.renderer.is_none_or(draws)
+    }
+}
+
+impl Provenance {
+    /// Returns the policy's settings in words: `execute 8, horizon 50`; empty where
+    /// there are none.
+    pub fn policy_settings_in_words(&self) -> String {
+        let settings = self.policy_settings.iter();
+        let settings: Vec<String> = settings
+            .map(|(name, value)| format!("{name} {value}"))
+            .collect();
+        settings.join(", ")
+    }
+
+    /// Returns the asset pack that the policy says it was taught on, where that is
+    /// another than the one that it was measured on.
+    pub fn taught_elsewhere(&self) -> Option<&str> {
+        let taught_on = self.policy_settings.get(TAUGHT_ON)?.as_str();
+        let Pin {
+            asset_pack,
+            asset_pack_digest,
+            ..
+        } = &self.pin;
+        (taught_on != asset_pack && taught_on != asset_pack_digest).then_some(taught_on)
+    }
+
+    /// Returns a difference between the policies of two results in words; none where
+    /// they are one. The results are of one campaign and suite. What a policy was taught
+    /// on decides no action: a server that begins to say it is the same policy.
+    pub fn other_policy(&self, pinned: &Provenance) -> Option<String> {
+        let differs = |what: &str, here: &str, there: &str| {
+            (here != there).then(|| format!("{what} is `{here}` now and was `{there}`"))
+        };
+        let digests = [self, pinned].map(|it| it.policy_checkpoint_digest.as_str());
+        let settings = &pinned.policy_settings;
+        differs("name", &self.policy_name, &pinned.policy_name)
+            .or_else(|| {
+                let names = (&self.policy_checkpoint, &pinned.policy_checkpoint);
+                differs("checkpoint", names.0, names.1)
+            })
+            .or_else(|| differs("digest of the weights", digests[0], digests[1]))
+            .or_else(|| {
+                // Every commit comes here, and almost all agree.
+                if &self.policy_settings == settings {
+                    return None;
+                }
+                let mut names: BTreeSet<&String> =
+                    settings.keys().chain(self.policy_settings.keys()).collect();
+                names.retain(|name| *name != TAUGHT_ON);
+                names.into_iter().find_map(|name| {
+                    let [here, there] = [&self.policy_settings, settings]
+                        .map(|of| of.get(name).map_or("not given", String::as_str));
+                    differs(name, here, there)
+                })
+            })
+    }
+}
+
+impl fmt::Display for Pin {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let digest = self.asset_pack_digest.get(..12);
+        let digest = digest.unwrap_or(&self.asset_pack_digest);
+        let (pack, version) = (&self.asset_pack, &self.mujoco_version);
+        write!(f, "asset pack `{pack}` ({digest}) with MuJoCo {version}")?;
+        if !self.renderer.is_empty() {
+            write!(f, " and renderer `{}`", self.renderer)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn measured_on(pack: &str, taught_on: Option<&str>) -> Provenance {
+        let taught_on = taught_on.map(|it| (TAUGHT_ON.to_owned(), it.to_owned()));
+        Provenance {
+            pin: Pin {
+                asset_pack: pack.to_owned(),
+                asset_pack_digest: "d1".to_owned(),
+                ..Pin::default()
+            },
+            policy_settings: taught_on.into_iter().collect(),
+            ..Provenance::default()
+        }
+    }
+
+    #[test]
+    fn a_policy_that_was_taught_on_other_assets_is_known_if_it_says_so() {
+        let elsewhere = |pack, taught_on| {
+            let provenance = measured_on(pack, taught_on);
+            provenance.taught_elsewhere().map(str::to_owned)
+        };
+        assert_eq!(elsewhere("libero", None), None);
+        assert_eq!(elsewhere("libero", Some("libero")), None);
+        assert_eq!(elsewhere("libero", Some("d1")), None);
+        let primitives = Some("primitives");
+        assert_eq!(elsewhere("libero", primitives).as_deref(), primitives);
+    }
+
+    #[test]
+    fn a_server_that_begins_to_say_what_it_was_taught_on_is_the_same_policy() {
+        let [silent, telling] = [None, Some("libero")].map(|it| measured_on("libero", it));
+        assert_eq!(telling.other_policy(&silent), None);
+        assert_eq!(silent.other_policy(&telling), None);
+    }
+}

@@ -1,0 +1,118 @@
+//! A package index: which address a wheel has there (PEP 503 and PEP 691).
+
+use serde::Deserialize;
+
+use crate::error::AssetsError;
+use crate::http::{Address, Client, RequestError};
+use crate::table::Wheel;
+
+/// The Python package index.
+pub const INDEX: &str = "https://pypi.org/simple";
+/// Variables that name an index, as this project, pip and uv know them.
+const VARIABLES: [&str; 4] = [
+    "ROLLOUT_INDEX_URL",
+    "PIP_INDEX_URL",
+    "UV_DEFAULT_INDEX",
+    "UV_INDEX_URL",
+];
+/// Preferred first; mirrors often have pages for browsers only.
+const ACCEPT: &str = "application/vnd.pypi.simple.v1+json, \
+                      application/vnd.pypi.simple.v1+html;q=0.2, text/html;q=0.1";
+
+/// The index that the environment names, else [`INDEX`].
+pub fn index_of_environment() -> String {
+    let set = VARIABLES.iter().filter_map(|name| std::env::var(name).ok());
+    let named = set.map(|value| value.trim().to_owned());
+    let found = named.into_iter().find(|value| !value.is_empty());
+    let url = found.unwrap_or_else(|| INDEX.to_owned());
+    // uv lets an index have a name: NAME=URL.
+    match url.split_once('=') {
+        Some((name, url)) if !name.contains("://") => url.to_owned(),
+        _ => url,
+    }
+}
+
+/// The answer of an index about one project.
+#[derive(Deserialize)]
+struct Project {
+    files: Vec<ProjectFile>,
+}
+
+#[derive(Deserialize)]
+struct ProjectFile {
+    filename: String,
+    url: String,
+}
+
+/// Finds the address of a wheel.
+pub(crate) fn find_wheel(
+    client: &Client,
+    index: &Address,
+    wheel: &Wheel,
+) -> Result<Address, RequestError> {
+    let page = index.below(&format!("{}/", wheel.project));
+    let lacking = |problem: String| {
+        RequestError::Final(AssetsError::NotInIndex {
+            index: index.as_str().to_owned(),
+            project: wheel.project.to_owned(),
+            problem,
+        })
+    };
+    let (text, kind) = match client.text(&page, ACCEPT) {
+        Err(RequestError::Final(AssetsError::Refused { status, .. })) => {
+            return Err(lacking(format!("it answers {status}")));
+        }
+        other => other?,
+    };
+    let files: Vec<(String, String)> = if kind.contains("json") {
+        let read: Project = serde_json::from_str(&text).map_err(|error| {
+            RequestError::Final(AssetsError::Answer {
+                url: page.as_str().to_owned(),
+                problem: libero_ctrl::JsonError::from(error).to_string(),
+            })
+        })?;
+        let files = read.files.into_iter();
+        files.map(|file| (file.filename, file.url)).collect()
+    } else {
+        links(&text)
+    };
+    let mut files = files.into_iter();
+    let found = files.find(|(name, _)| name == wheel.file);
+    let address = found.and_then(|(_, url)| page.refer(&url));
+    address.ok_or_else(|| lacking(format!("it has no file {}", wheel.file)))
+}
+
+/// The links of a page for browsers: last part of the path, and the address.
+fn links(page: &str) -> Vec<(String, String)> {
+    let mut links = Vec::new();
+    for part in page.split("href=").skip(1) {
+        let Some(quote) = part.chars().next().filter(|c| matches!(c, '"' | '\'')) else {
+            continue;
+        };
+        let Some(target) = part[1..].split(quote).next() else {
+            continue;
+        };
+        let target = target.replace("&amp;", "&");
+        let path = target.split(['#', '?']).next().unwrap_or_default();
+        let name = path.rsplit('/').next().unwrap_or_default().to_owned();
+        links.push((name, target));
+    }
+    links
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_for_browsers_has_links() {
+        let page = "<a href=\"../../packages/a-1.whl#sha256=12\" data-x='1'>a</a>\
+                    <a class=b href='https://h/b-1.whl?x=1&amp;y=2'>b</a><a href=>none</a>";
+        let expected = [
+            ("a-1.whl", "../../packages/a-1.whl#sha256=12"),
+            ("b-1.whl", "https://h/b-1.whl?x=1&y=2"),
+        ];
+        let expected = expected.map(|(name, url)| (name.to_owned(), url.to_owned()));
+        assert_eq!(links(page), expected);
+    }
+}

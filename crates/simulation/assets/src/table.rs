@@ -1,0 +1,202 @@
+//! The table of LIBERO's assets: every file's size and SHA-256, its place in the
+//! wheels of the package index, and the files that each model names. The table is
+//! data of the program (`assets/libero`), so that nothing that is fetched has to
+//! be trusted.
+
+use std::collections::HashMap;
+use std::sync::OnceLock;
+
+/// A file of the table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FileFacts {
+    /// Path in the pack's folder, with `/`.
+    pub path: &'static str,
+    /// Size in bytes.
+    pub bytes: u64,
+    /// SHA-256, hex.
+    pub sha256: &'static str,
+    /// Index of its wheel.
+    pub(crate) wheel: usize,
+    /// Position of its deflated bytes in the wheel.
+    pub(crate) offset: u64,
+    /// Number of its deflated bytes.
+    pub(crate) stored: u64,
+}
+
+/// A wheel of the package index.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Wheel {
+    pub(crate) project: &'static str,
+    pub(crate) version: &'static str,
+    pub(crate) file: &'static str,
+    pub(crate) bytes: u64,
+    pub(crate) sha256: &'static str,
+}
+
+/// The content of an asset pack, known in advance.
+#[derive(Debug)]
+pub struct Table {
+    pub(crate) wheels: Vec<Wheel>,
+    files: Vec<FileFacts>,
+    by_path: HashMap<&'static str, usize>,
+    references: HashMap<&'static str, Vec<&'static str>>,
+    digest: &'static str,
+}
+
+/// The parts of a table as text: tab-separated values under a heading.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Text {
+    /// project, version, file, bytes, sha256
+    pub(crate) wheels: &'static str,
+    /// path, bytes, sha256, wheel (from 1), offset, stored
+    pub(crate) files: &'static str,
+    /// model, file
+    pub(crate) models: &'static str,
+    pub(crate) digest: &'static str,
+}
+
+const LIBERO: Text = Text {
+    wheels: include_str!("../../../../assets/libero/wheels.tsv"),
+    files: include_str!("../../../../assets/libero/files.tsv"),
+    models: include_str!("../../../../assets/libero/models.tsv"),
+    digest: include_str!("../../../../assets/libero/digest.txt"),
+};
+
+impl FileFacts {
+    /// Bytes that the file takes on its way from the package index.
+    pub fn transfer_bytes(&self) -> u64 {
+        self.stored
+    }
+}
+
+impl Table {
+    /// LIBERO's 585 files.
+    pub fn libero() -> &'static Self {
+        static TABLE: OnceLock<Table> = OnceLock::new();
+        TABLE.get_or_init(|| Self::parse(LIBERO).expect("the committed table is well-formed"))
+    }
+
+    /// Parses a table; none if it is malformed.
+    pub(crate) fn parse(text: Text) -> Option<Self> {
+        let mut wheels = Vec::new();
+        for row in rows(text.wheels) {
+            let [project, version, file, bytes, sha256] = row?;
+            wheels.push(Wheel {
+                project,
+                version,
+                file,
+                bytes: bytes.parse().ok()?,
+                sha256,
+            });
+        }
+        let mut files = Vec::new();
+        for row in rows(text.files) {
+            let [path, bytes, sha256, wheel, offset, stored] = row?;
+            files.push(FileFacts {
+                path,
+                bytes: bytes.parse().ok()?,
+                sha256,
+                wheel: wheel.parse::<usize>().ok()?.checked_sub(1)?,
+                offset: offset.parse().ok()?,
+                stored: stored.parse().ok()?,
+            });
+        }
+        let mut references: HashMap<_, Vec<_>> = HashMap::new();
+        for row in rows(text.models) {
+            let [model, file] = row?;
+            references.entry(model).or_default().push(file);
+        }
+        let by_path = files.iter().enumerate();
+        let by_path = by_path.map(|(index, file)| (file.path, index)).collect();
+        let is_sound = files.iter().all(|file| file.wheel < wheels.len());
+        is_sound.then_some(Self {
+            wheels,
+            files,
+            by_path,
+            references,
+            digest: text.digest.trim_end(),
+        })
+    }
+
+    /// All files, sorted by path.
+    pub fn files(&self) -> &[FileFacts] {
+        &self.files
+    }
+
+    /// The file at a path in the pack.
+    pub fn get(&self, path: &str) -> Option<&FileFacts> {
+        Some(&self.files[*self.by_path.get(path)?])
+    }
+
+    /// The files that a model names, itself not included.
+    pub fn references(&self, model: &str) -> &[&'static str] {
+        self.references.get(model).map_or(&[], Vec::as_slice)
+    }
+
+    /// The pack's digest: SHA-256 over the names and contents of all files, hex.
+    /// A pack of some of the files has the same, because it is a part of the same
+    /// content.
+    pub fn digest(&self) -> &str {
+        self.digest
+    }
+
+    /// The file names of the wheels.
+    pub fn wheel_files(&self) -> impl Iterator<Item = &str> {
+        self.wheels.iter().map(|wheel| wheel.file)
+    }
+}
+
+/// The rows below the heading; none for a row with another number of columns.
+fn rows<const N: usize>(text: &'static str) -> impl Iterator<Item = Option<[&'static str; N]>> {
+    let lines = text.lines().skip(1);
+    lines.map(|line| line.split('\t').collect::<Vec<_>>().try_into().ok())
+}
+
+#[cfg(test)]
+mod tests {
+    use sha2::{Digest, Sha256};
+
+    use super::*;
+    use crate::verify::hex;
+
+    /// The digest of the pack is that of the files' contents, so no edit of the
+    /// table may go without one of the digest: `assets/libero/table.py` writes both.
+    #[test]
+    fn the_committed_table_is_the_one_that_was_proved_from_the_wheels() {
+        let mut hash = Sha256::new();
+        for part in [LIBERO.wheels, LIBERO.files, LIBERO.models, LIBERO.digest] {
+            hash.update(part);
+        }
+        assert_eq!(
+            hex(&hash.finalize()),
+            "642c9c05df66699488304ea680ec2a23e7f49656b88598a3f8c32ce0100ffe39"
+        );
+    }
+
+    #[test]
+    fn libero_has_585_files_of_422_mb() {
+        let table = Table::libero();
+        assert_eq!((table.files().len(), table.wheels.len()), (585, 5));
+        let bytes: u64 = table.files().iter().map(|file| file.bytes).sum();
+        assert_eq!(bytes / 1_000_000, 422);
+        for file in table.files() {
+            assert_eq!(table.get(file.path), Some(file));
+            let wheel = table.wheels[file.wheel];
+            assert!(file.offset + file.stored < wheel.bytes, "{}", file.path);
+            for part in table.references(file.path) {
+                assert!(table.get(part).is_some(), "{part}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_malformed_table_is_refused() {
+        let files = "path\tbytes\tsha256\twheel\toffset\tstored\na\t1\tx\t6\t0\t1\n";
+        assert!(
+            Table::parse(Text { files, ..LIBERO }).is_none(),
+            "there is no sixth wheel"
+        );
+        let files = "path\tbytes\na\t1\n";
+        assert!(Table::parse(Text { files, ..LIBERO }).is_none());
+    }
+}

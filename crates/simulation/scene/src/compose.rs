@@ -1,0 +1,362 @@
+//! Composition of one MJCF model from a BDDL problem and an asset pack: arena, robot,
+//! objects, fixtures and region sites, in the original's element order and with its
+//! names.
+
+use std::path::PathBuf;
+
+use libero_ctrl::Predicate;
+use sha2::{Digest, Sha256};
+
+use crate::arena::{Arena, arena, known_problems};
+use crate::bddl::Problem;
+use crate::catalog::{category, category_count};
+use crate::element::{Element, numbers};
+use crate::error::SceneError;
+use crate::instance::{Instance, InstanceKind, RegionSite};
+use crate::object::{ObjectPart, load_object};
+use crate::pack::AssetPack;
+use crate::part::{Part, recolor_collision_geoms};
+use crate::placement::{FixturePose, Samplers};
+use crate::robot;
+use crate::sources::{AssetRoot, Sources, locate_files};
+
+/// Simulation step of robosuite's macros, s.
+const TIMESTEP_SECS: f64 = 0.002;
+/// Colour of the arena's collision geoms in robosuite.
+const ARENA_COLLISION_RGBA: &str = "0.5 0.5 0 1";
+/// Half height of a zone's site, m (`TargetZone`).
+const ZONE_HALF_HEIGHT: f64 = 0.007;
+
+/// A composed scene.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    mjcf: String,
+    /// Objects in BDDL order, then fixtures.
+    pub instances: Vec<Instance>,
+    /// The regions that have a site, in BDDL order.
+    pub regions: Vec<RegionSite>,
+    /// Predicates that must hold for success.
+    pub goal: Vec<Predicate>,
+    /// Poses of the fixtures in campaigns, to be written over the model's.
+    pub fixture_poses: Vec<FixturePose>,
+    /// Samplers of a reset without an initial state.
+    pub samplers: Samplers,
+}
+
+impl Scene {
+    /// The model as MJCF with this machine's file names, ready to be compiled.
+    pub fn mjcf(&self, pack: &AssetPack, sources: &Sources) -> String {
+        locate_files(&self.mjcf, [&pack.root(), &sources.robosuite()])
+    }
+
+    /// The model as MJCF with folders' names that are the same on every machine.
+    pub fn portable_mjcf(&self) -> &str {
+        &self.mjcf
+    }
+
+    /// Holds the meshes and textures that the MJCF names against LIBERO's table, if the
+    /// pack goes by LIBERO's name. To be called before they are compiled.
+    ///
+    /// # Errors
+    /// If a file is not LIBERO's.
+    pub fn verify_files(&self, pack: &AssetPack) -> Result<(), SceneError> {
+        let root = pack.root();
+        let mut files = self.files_below(&root);
+        files.try_for_each(|file| root.verify(file, "file of the scene"))
+    }
+
+    /// The robot's meshes and textures that the MJCF names.
+    pub fn robot_files(&self, sources: &Sources) -> Vec<PathBuf> {
+        let root = sources.robosuite();
+        self.files_below(&root)
+            .map(|file| root.path(file))
+            .collect()
+    }
+
+    fn files_below<'a>(&'a self, root: &'a AssetRoot) -> impl Iterator<Item = &'a str> {
+        let named = self.mjcf.split("file=\"").skip(1);
+        let named = named.filter_map(|behind| Some(behind.split_once('"')?.0));
+        named.filter_map(|file| root.inside(file))
+    }
+
+    /// SHA-256 of the composed MJCF and the fixtures' poses, hex. The same on
+    /// every machine; the pack's own digest covers the files it names.
+    pub fn digest(&self) -> String {
+        let mut hash = Sha256::new();
+        hash.update(self.mjcf.as_bytes());
+        for pose in &self.fixture_poses {
+            hash.update(pose.root_body.as_bytes());
+            for value in pose.pos.iter().chain(&pose.quat) {
+                hash.update(value.to_le_bytes());
+            }
+        }
+        crate::pack::hex(&hash.finalize())
+    }
+
+    /// The instance of this name.
+    pub fn instance(&self, name: &str) -> Option<&Instance> {
+        self.instances.iter().find(|instance| instance.name == name)
+    }
+
+    /// The region of this name.
+    pub fn region(&self, name: &str) -> Option<&RegionSite> {
+        self.regions.iter().find(|region| region.name == name)
+    }
+}
+
+/// Composes a problem with a pack; `env_seed` places the fixtures of campaigns.
+pub fn compose(
+    problem: &Problem,
+    pack: &AssetPack,
+    sources: &Sources,
+    env_seed: u32,
+) -> Result<Scene, SceneError> {
+    let arena = arena(&problem.name).ok_or_else(|| SceneError::UnknownProblem {
+        problem: problem.name.clone(),
+        known: known_problems(),
+    })?;
+    let robot = robot::load(&sources.robosuite(), arena.robot)?;
+    let mut workspace = load_arena(arena, pack)?;
+    let parts = load_instances(problem, arena, pack)?;
+    let regions = find_regions(problem, arena, &parts, &mut workspace)?;
+
+    let inconsistent = SceneError::Inconsistent;
+    let mut model = Part::load(&sources.robosuite(), "base.xml", "base model")?;
+    model
+        .root
+        .child_mut("option")
+        .set("timestep", TIMESTEP_SECS.to_string());
+    model.merge(&workspace, None).map_err(inconsistent)?;
+    model.merge(&robot, None).map_err(inconsistent)?;
+    for part in &parts {
+        model.merge_assets(&part.part);
+        model.worldbody_mut().children.push(part.body.clone());
+    }
+    let samplers = Samplers::new(problem, arena, &parts, &regions)?;
+    let scene = Scene {
+        mjcf: model.root.write(),
+        fixture_poses: samplers.campaign_fixtures(env_seed)?,
+        samplers,
+        instances: parts.into_iter().map(|part| part.instance).collect(),
+        regions,
+        goal: problem.goal.clone(),
+    };
+    check_goal(&scene)?;
+    Ok(scene)
+}
+
+fn load_instances(
+    problem: &Problem,
+    arena: &Arena,
+    pack: &AssetPack,
+) -> Result<Vec<ObjectPart>, SceneError> {
+    let objects = problem.objects.iter().map(|d| (d, InstanceKind::Object));
+    let fixtures = problem
+        .fixtures
+        .iter()
+        .filter(|declaration| declaration.category != arena.workspace_category)
+        .map(|d| (d, InstanceKind::Fixture));
+    let mut parts: Vec<ObjectPart> = Vec::new();
+    for (declaration, kind) in objects.chain(fixtures) {
+        let name = &declaration.name;
+        if parts.iter().any(|part| part.instance.name == *name) {
+            return Err(SceneError::Inconsistent(format!(
+                "two instances are called `{name}`"
+            )));
+        }
+        let category =
+            category(&declaration.category).ok_or_else(|| SceneError::UnknownCategory {
+                category: declaration.category.clone(),
+                instance: name.clone(),
+                known: category_count(),
+            })?;
+        parts.push(load_object(pack, name, category, kind)?);
+    }
+    Ok(parts)
+}
+
+fn load_arena(arena: &Arena, pack: &AssetPack) -> Result<Part, SceneError> {
+    let root = pack.root();
+    let mut part = Part::load(&root, arena.file, "arena model")?;
+    recolor_collision_geoms(part.worldbody_mut(), ARENA_COLLISION_RGBA, Some("floor"));
+    let missing = |what: String| SceneError::Malformed {
+        what: "arena model".to_owned(),
+        path: root.path(arena.file),
+        problem: format!("no {what}"),
+    };
+    for (texture, file) in [
+        ("texplane", arena.floor_texture),
+        ("tex-wall", arena.wall_texture),
+    ] {
+        let texture = part
+            .root
+            .child_mut("asset")
+            .children
+            .iter_mut()
+            .find(|asset| asset.tag == "texture" && asset.name() == Some(texture))
+            .ok_or_else(|| missing(format!("texture `{texture}`")))?;
+        let old = texture.get("file").unwrap_or_default();
+        let folder = old.rsplit_once('/').map_or("", |(folder, _)| folder);
+        let file = format!("{folder}/{file}");
+        texture.set("file", file);
+    }
+    part.check_files(&root, "arena model")?;
+    if let Some(table) = arena.table {
+        size_table(&mut part, arena, table.full_size, table.friction).map_err(missing)?;
+    }
+    for camera in arena.cameras {
+        let world = part.worldbody_mut();
+        let element = match world.find_mut("camera", camera.name) {
+            Some(element) => element,
+            None => {
+                world
+                    .children
+                    .push(Element::new("camera").with("name", camera.name));
+                world.children.last_mut().expect("just pushed")
+            }
+        };
+        element.set("pos", numbers(&camera.pos));
+        element.set("quat", numbers(&camera.quat));
+    }
+    Ok(part)
+}
+
+/// Brings the table's top and legs to size; the error names what is missing.
+fn size_table(
+    part: &mut Part,
+    arena: &Arena,
+    full_size: [f64; 3],
+    friction: [f64; 3],
+) -> Result<(), String> {
+    /// Legs stand this far inside the table's edge, m.
+    const LEG_INSET: [[f64; 2]; 4] = [[0.1, 0.1], [-0.1, 0.1], [-0.1, -0.1], [0.1, -0.1]];
+    const LEG_RADIUS: f64 = 0.025;
+    let half = full_size.map(|extent| extent / 2.0);
+    let offset = arena.workspace_offset;
+    let world = part.worldbody_mut();
+    let find = |world: &mut Element, tag: &str, name: &str, values: &[(&str, String)]| {
+        let element = world
+            .find_mut(tag, name)
+            .ok_or_else(|| format!("{tag} `{name}`"))?;
+        for (attribute, value) in values {
+            element.set(attribute, value.clone());
+        }
+        Ok::<(), String>(())
+    };
+    find(world, "geom", "floor", &[("pos", numbers(&[0.0; 3]))])?;
+    let centre = numbers(&[offset[0], offset[1], -half[2] + offset[2]]);
+    find(world, "body", "table", &[("pos", centre)])?;
+    let size = ("size", numbers(&half));
+    let friction = ("friction", numbers(&friction));
+    find(world, "geom", "table_collision", &[size.clone(), friction])?;
+    find(world, "geom", "table_visual", &[size])?;
+    find(
+        world,
+        "site",
+        "table_top",
+        &[("pos", numbers(&[0.0, 0.0, half[2]]))],
+    )?;
+    let half_length = (offset[2] - half[2]) / 2.0;
+    for (index, inset) in LEG_INSET.iter().enumerate() {
+        let mut pos = [0.0, 0.0, -half_length];
+        for axis in 0..2 {
+            if half[axis] > (inset[axis] * 2.0).abs() {
+                pos[axis] = inset[axis].signum() * half[axis] - inset[axis];
+            }
+        }
+        let name = format!("table_leg{}_visual", index + 1);
+        let size = numbers(&[LEG_RADIUS, half_length]);
+        find(
+            world,
+            "geom",
+            &name,
+            &[("pos", numbers(&pos)), ("size", size)],
+        )?;
+    }
+    Ok(())
+}
+
+/// Adds the zones' sites to the workspace and finds the other regions' sites
+/// in the objects and fixtures.
+fn find_regions(
+    problem: &Problem,
+    arena: &Arena,
+    parts: &[ObjectPart],
+    workspace: &mut Part,
+) -> Result<Vec<RegionSite>, SceneError> {
+    let mut sites: Vec<RegionSite> = Vec::new();
+    for region in &problem.regions {
+        // Of two regions with one name the last wins, at the first one's place.
+        let region = problem.region(&region.name).expect("its own name");
+        if sites.iter().any(|site| site.name == region.name) {
+            continue;
+        }
+        if !region.name.contains(arena.zone_marker) {
+            sites.extend(
+                parts
+                    .iter()
+                    .filter_map(|part| part.region_site(&region.name))
+                    .next_back(),
+            );
+            continue;
+        }
+        let Some(rectangle) = region.ranges.first() else {
+            return Err(SceneError::Inconsistent(format!(
+                "region `{}` lies on the workspace and has no `(:ranges …)`",
+                region.name
+            )));
+        };
+        let centre = |[a, b]: [f64; 2]| (b + a) / 2.0;
+        let half = |[a, b]: [f64; 2]| (b - a) / 2.0;
+        let half_size = [half(rectangle.x), half(rectangle.y), ZONE_HALF_HEIGHT];
+        if half_size.iter().any(|half| *half < 0.0) {
+            return Err(SceneError::Inconsistent(format!(
+                "the first rectangle of region `{}` has its corners in the wrong order",
+                region.name
+            )));
+        }
+        let offset = arena.zone_offset;
+        let pos = [
+            centre(rectangle.x) + offset[0],
+            centre(rectangle.y) + offset[1],
+            offset[2],
+        ];
+        let body = workspace
+            .worldbody_mut()
+            .find_mut("body", arena.zone_body)
+            .ok_or_else(|| {
+                SceneError::Inconsistent(format!("the arena has no body `{}`", arena.zone_body))
+            })?;
+        body.children.push(
+            Element::new("site")
+                .with("name", &*region.name)
+                .with("pos", numbers(&pos))
+                .with("quat", "1 0 0 0")
+                .with("rgba", numbers(&region.rgba))
+                .with("size", numbers(&half_size))
+                .with("type", "box"),
+        );
+        sites.push(RegionSite {
+            name: region.name.clone(),
+            half_size,
+            parent: None,
+            joints: Vec::new(),
+        });
+    }
+    Ok(sites)
+}
+
+/// Every argument of the goal must be an instance or a region with a site.
+fn check_goal(scene: &Scene) -> Result<(), SceneError> {
+    for predicate in &scene.goal {
+        for argument in &predicate.arguments {
+            if scene.instance(argument).is_none() && scene.region(argument).is_none() {
+                return Err(SceneError::Inconsistent(format!(
+                    "the goal {predicate} speaks of `{argument}`, which is neither an instance \
+                     nor a region with a site in the asset pack's models"
+                )));
+            }
+        }
+    }
+    Ok(())
+}

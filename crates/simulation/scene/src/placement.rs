@@ -1,0 +1,276 @@
+//! Placement of everything at a reset, as by LIBERO's samplers: joints that start open,
+//! closed, on or off, then fixtures and objects. NumPy's legacy generator is followed
+//! draw by draw, rejections included, in the original's order and with its arithmetic,
+//! also where that surprises: orientations are written in another order than they are
+//! read ([`crate::rotation`]), and an object on a site is placed at the sum of the
+//! carrier's new position and the site's position in the world *before* the carrier was
+//! moved.
+
+mod plan;
+
+use libero_ctrl::numpy::LegacyRng;
+
+use crate::error::SceneError;
+use crate::object::Footprint;
+use crate::rotation::{Rotation, single_precision_matrix};
+
+/// A fixture's pose in the world.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FixturePose {
+    /// The fixture's outermost body.
+    pub root_body: String,
+    /// m.
+    pub pos: [f64; 3],
+    /// w x y z.
+    pub quat: [f64; 4],
+}
+
+/// Attempts at one object before the original draws everything again.
+const MAX_ATTEMPTS: usize = 5000;
+/// Number of draws of the whole placement after which a scene counts as too crowded. The
+/// original's wrapper goes on for ever; one or two draws are enough for a scene with
+/// reasonable room.
+pub const MAX_DRAWS: usize = 1000;
+/// Arm joints, for each of which a reset draws one normal number, even though
+/// LIBERO scales that noise by zero.
+const ARM_JOINTS: usize = 7;
+/// The list of joint samplers has been filled twice by the time of the first
+/// seeded reset: once in construction, once in the reset itself.
+const CAMPAIGN_JOINT_ROUNDS: usize = 2;
+
+/// All that a reset of a task samples, in the order in which it draws.
+#[derive(Debug, Clone)]
+pub struct Samplers {
+    joints: Vec<JointSampler>,
+    poses: Vec<PoseSampler>,
+    sites: Vec<String>,
+}
+
+/// Draws one position for the joints of something that starts open, closed, on
+/// or off.
+#[derive(Debug, Clone)]
+pub struct JointSampler {
+    /// The joints, all of which get the position.
+    pub joints: Vec<String>,
+    /// m or rad.
+    range: [f64; 2],
+}
+
+/// Draws a pose for an object or a fixture.
+#[derive(Debug, Clone)]
+pub struct PoseSampler {
+    instance: String,
+    /// Region or object, for messages.
+    place: String,
+    base: Base,
+    /// Rectangles around the base, m, by their bounds in x and y.
+    ranges: Vec<[[f64; 2]; 2]>,
+    /// Height of the underside over the base, m.
+    z_offset: f64,
+    footprint: Footprint,
+    /// True if it must be clear of everything placed before it.
+    avoids_others: bool,
+    rotation: Rotation,
+    /// Object or fixture to move.
+    pub target: PoseTarget,
+}
+
+/// Target of a sampled pose.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum PoseTarget {
+    /// The free joint of an object.
+    FreeJoint(String),
+    /// The body of a fixture, by its pose in the model.
+    Body(String),
+}
+
+/// Origin of a sampled position. Other instances are named by their index among the pose
+/// samplers, and come earlier.
+#[derive(Debug, Clone)]
+enum Base {
+    /// A point in the world, m.
+    Point([f64; 3]),
+    /// Another object's top.
+    Top(usize),
+    /// A site of another object or of a fixture, over its top or from its origin.
+    Site {
+        of: usize,
+        over_top: bool,
+        site: usize,
+    },
+}
+
+/// A sampled pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// World frame, m.
+    pub pos: [f64; 3],
+    /// w x y z as MuJoCo reads it; of length one to single precision only.
+    pub quat: [f64; 4],
+}
+
+impl Samplers {
+    /// The joint samplers of one round. The original appends all of them to its
+    /// list once more whenever it loads its model: at construction, and at every
+    /// hard reset.
+    pub fn joints(&self) -> &[JointSampler] {
+        &self.joints
+    }
+
+    /// The pose samplers.
+    pub fn poses(&self) -> &[PoseSampler] {
+        &self.poses
+    }
+
+    /// The sites whose positions [`sample_poses`](Self::sample_poses) asks for.
+    pub fn sites(&self) -> &[String] {
+        &self.sites
+    }
+
+    /// The normal numbers that the original draws first, for noise on the arm's
+    /// joints that LIBERO scales by zero.
+    pub fn skip_arm_noise(rng: &mut LegacyRng) {
+        for _ in 0..ARM_JOINTS {
+            rng.randn();
+        }
+    }
+
+    /// Draws all poses, in the order of [`poses`](Self::poses).
+    /// `site_positions` are those of [`sites`](Self::sites), world frame, m,
+    /// when the joints have been set and nothing has been placed.
+    ///
+    /// # Errors
+    /// [`SceneError::NoRoom`] if there is no room for one of them.
+    pub fn sample_poses(
+        &self,
+        rng: &mut LegacyRng,
+        site_positions: &[[f64; 3]],
+    ) -> Result<Vec<Pose>, SceneError> {
+        let mut poses: Vec<Pose> = Vec::with_capacity(self.poses.len());
+        for sampler in &self.poses {
+            let (origin, site) = match sampler.base {
+                Base::Point(origin) => (origin, [0.0; 3]),
+                Base::Top(of) => (self.top(of, &poses), [0.0; 3]),
+                Base::Site { of, over_top, site } => {
+                    let origin = if over_top {
+                        self.top(of, &poses)
+                    } else {
+                        poses[of].pos
+                    };
+                    (origin, turned(poses[of].quat, site_positions[site]))
+                }
+            };
+            poses.push(sampler.sample(rng, origin, site, &poses, &self.poses)?);
+        }
+        Ok(poses)
+    }
+
+    /// Follows one seeded reset to the fixtures' poses, which are not part of
+    /// the released initial states.
+    pub(crate) fn campaign_fixtures(&self, env_seed: u32) -> Result<Vec<FixturePose>, SceneError> {
+        let mut rng = LegacyRng::seed(env_seed);
+        let mut rounds = CAMPAIGN_JOINT_ROUNDS;
+        for _ in 1..MAX_DRAWS {
+            if let Ok(fixtures) = self.draw_fixtures(&mut rng, rounds) {
+                return Ok(fixtures);
+            }
+            // The next attempt loads the model again.
+            rounds += 1;
+        }
+        self.draw_fixtures(&mut rng, rounds)
+    }
+
+    fn draw_fixtures(
+        &self,
+        rng: &mut LegacyRng,
+        joint_rounds: usize,
+    ) -> Result<Vec<FixturePose>, SceneError> {
+        Self::skip_arm_noise(rng);
+        for sampler in std::iter::repeat_n(&self.joints, joint_rounds).flatten() {
+            sampler.sample(rng);
+        }
+        // Things that stand on other things are sampled after all fixtures.
+        let mut poses = Vec::new();
+        let mut fixtures = Vec::new();
+        for sampler in &self.poses {
+            let Base::Point(origin) = sampler.base else {
+                break;
+            };
+            let pose = sampler.sample(rng, origin, [0.0; 3], &poses, &self.poses)?;
+            poses.push(pose);
+            if let PoseTarget::Body(root_body) = &sampler.target {
+                fixtures.push(FixturePose {
+                    root_body: root_body.clone(),
+                    pos: pose.pos,
+                    quat: pose.quat,
+                });
+            }
+        }
+        Ok(fixtures)
+    }
+
+    fn top(&self, of: usize, poses: &[Pose]) -> [f64; 3] {
+        let [x, y, z] = poses[of].pos;
+        [x, y, z + self.poses[of].footprint.top]
+    }
+}
+
+impl JointSampler {
+    /// Draws a position, m or rad.
+    pub fn sample(&self, rng: &mut LegacyRng) -> f64 {
+        rng.uniform(self.range[0], self.range[1])
+    }
+}
+
+impl PoseSampler {
+    /// Draws a pose around `origin` + `site` that is clear of the first of `all`,
+    /// which are at `placed`.
+    fn sample(
+        &self,
+        rng: &mut LegacyRng,
+        origin: [f64; 3],
+        site: [f64; 3],
+        placed: &[Pose],
+        all: &[Self],
+    ) -> Result<Pose, SceneError> {
+        let attempts = if self.ranges.is_empty() {
+            0
+        } else {
+            MAX_ATTEMPTS
+        };
+        for _ in 0..attempts {
+            let range = &self.ranges[rng.randint(self.ranges.len() as u32) as usize];
+            // With a large radius the bounds cross; the original draws all the same.
+            let [x, y] = range.map(|[low, high]| rng.uniform(low, high));
+            let pos = [
+                x + origin[0] + site[0],
+                y + origin[1] + site[1],
+                self.z_offset + origin[2] + site[2] - self.footprint.bottom,
+            ];
+            let mut others = placed.iter().zip(all);
+            if !self.avoids_others
+                || others.all(|(pose, other)| self.is_clear(pos, pose.pos, other.footprint))
+            {
+                let quat = self.rotation.sample(rng);
+                return Ok(Pose { pos, quat });
+            }
+        }
+        Err(SceneError::NoRoom {
+            object: self.instance.clone(),
+            region: self.place.clone(),
+            attempts,
+        })
+    }
+
+    fn is_clear(&self, pos: [f64; 3], other_pos: [f64; 3], other: Footprint) -> bool {
+        let distance = (pos[0] - other_pos[0]).hypot(pos[1] - other_pos[1]);
+        let beside = distance > other.radius + self.footprint.radius;
+        let above = pos[2] - other_pos[2] > other.top - self.footprint.bottom;
+        beside || above
+    }
+}
+
+/// A vector turned by a quaternion w x y z.
+fn turned(quat: [f64; 4], [x, y, z]: [f64; 3]) -> [f64; 3] {
+    single_precision_matrix(quat).map(|row| row[0] * x + row[1] * y + row[2] * z)
+}

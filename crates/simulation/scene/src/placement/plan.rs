@@ -1,0 +1,274 @@
+//! Plan of the samplers of a problem's `:init`, in the original's order: joints as they
+//! are named, then the things on the workspace, on sites, in sites, on objects.
+
+use libero_ctrl::Predicate;
+
+use super::{Base, JointSampler, PoseSampler, PoseTarget, Samplers};
+use crate::arena::Arena;
+use crate::bddl::{Problem, Rectangle, Region};
+use crate::catalog::Articulation;
+use crate::error::SceneError;
+use crate::instance::{InstanceKind, RegionSite};
+use crate::object::ObjectPart;
+use crate::rotation::Rotation;
+
+/// Height of an object's underside over the workspace or another object, m.
+const OBJECT_Z_OFFSET: f64 = 0.01;
+
+/// Inputs of the plan, and the samplers planned so far.
+struct Plan<'a> {
+    problem: &'a Problem,
+    arena: &'a Arena,
+    parts: &'a [ObjectPart],
+    regions: &'a [RegionSite],
+    samplers: Samplers,
+}
+
+/// Place to which a statement assigns its object.
+enum Place<'a> {
+    Workspace(&'a Region),
+    OnSite(&'a Region),
+    InSite(&'a Region),
+    OnObject(&'a str),
+}
+
+impl Samplers {
+    /// The samplers of a problem.
+    ///
+    /// # Errors
+    /// [`SceneError::Inconsistent`] where the original fails, too: the initial
+    /// state places something twice, or on what has no place, or opens what
+    /// cannot be opened.
+    pub(crate) fn new(
+        problem: &Problem,
+        arena: &Arena,
+        parts: &[ObjectPart],
+        regions: &[RegionSite],
+    ) -> Result<Self, SceneError> {
+        let mut plan = Plan {
+            problem,
+            arena,
+            parts,
+            regions,
+            samplers: Self {
+                joints: Vec::new(),
+                poses: Vec::new(),
+                sites: Vec::new(),
+            },
+        };
+        for predicate in &problem.init {
+            plan.add_joints(predicate)?;
+        }
+        let placed: Vec<(&Predicate, Place<'_>)> = problem
+            .init
+            .iter()
+            .filter_map(|predicate| Some((predicate, plan.place(predicate)?)))
+            .collect();
+        let stages: [fn(&Place<'_>) -> bool; 4] = [
+            |place| matches!(place, Place::Workspace(_)),
+            |place| matches!(place, Place::OnSite(_)),
+            |place| matches!(place, Place::InSite(_)),
+            |place| matches!(place, Place::OnObject(_)),
+        ];
+        for stage in stages {
+            for (predicate, place) in placed.iter().filter(|(_, place)| stage(place)) {
+                plan.add_pose(predicate, place)?;
+            }
+        }
+        Ok(plan.samplers)
+    }
+}
+
+impl<'a> Plan<'a> {
+    fn part(&self, name: &str) -> Option<&'a ObjectPart> {
+        self.parts.iter().find(|part| part.instance.name == name)
+    }
+
+    fn is(&self, name: &str, kind: InstanceKind) -> bool {
+        self.part(name)
+            .is_some_and(|part| part.instance.kind == kind)
+    }
+
+    /// Place that a statement of `:init` gives its first argument. `None` for statements
+    /// that place nothing, which the original passes over.
+    fn place(&self, predicate: &'a Predicate) -> Option<Place<'a>> {
+        let [_, place] = predicate.arguments.as_slice() else {
+            return None;
+        };
+        let region = self.problem.region(place);
+        match predicate.name.as_str() {
+            "on" if self.is(place, InstanceKind::Object) => Some(Place::OnObject(place)),
+            "on" => region.map(|region| match self.part(&region.target) {
+                Some(_) => Place::OnSite(region),
+                None => Place::Workspace(region),
+            }),
+            "in" => region.map(Place::InSite),
+            _ => None,
+        }
+    }
+
+    fn add_joints(&mut self, predicate: &Predicate) -> Result<(), SceneError> {
+        let statement = predicate.name.as_str();
+        let ("open" | "close" | "turnon" | "turnoff", Some(name)) =
+            (statement, predicate.arguments.first())
+        else {
+            return Ok(());
+        };
+        let site = self.regions.iter().find(|region| region.name == *name);
+        let (part, joints) = match (self.part(name), site) {
+            (Some(part), _) => (Some(part), &part.instance.joints),
+            (None, Some(site)) => {
+                let parent = site.parent.as_deref().unwrap_or_default();
+                (self.part(parent), &site.joints)
+            }
+            // The original passes over what it does not know.
+            (None, None) => return Ok(()),
+        };
+        let articulation = part.map_or(Articulation::None, |part| {
+            part.instance.category.articulation
+        });
+        let range = match (statement, articulation) {
+            ("open", Articulation::OpenClose { open_range, .. }) => open_range,
+            ("close", Articulation::OpenClose { close_range, .. }) => close_range,
+            ("turnon", Articulation::OnOff { on_range, .. }) => on_range,
+            ("turnoff", Articulation::OnOff { off_range, .. }) => off_range,
+            _ => {
+                return Err(inconsistent(
+                    predicate,
+                    &format!("`{name}` has nothing that could {statement}"),
+                ));
+            }
+        };
+        if self.is(name, InstanceKind::Object) {
+            let problem = format!("`{name}` moves freely; declare it under `:fixtures`");
+            return Err(inconsistent(predicate, &problem));
+        }
+        self.samplers.joints.push(JointSampler {
+            joints: joints.clone(),
+            range,
+        });
+        Ok(())
+    }
+
+    fn add_pose(&mut self, predicate: &Predicate, place: &Place<'_>) -> Result<(), SceneError> {
+        let name = &predicate.arguments[0];
+        let part = self.part(name).ok_or_else(|| {
+            inconsistent(
+                predicate,
+                &format!("`{name}` is not declared under `:objects` or `:fixtures`"),
+            )
+        })?;
+        if self.index(name).is_some() {
+            let problem = format!("`{name}` has a place already");
+            return Err(inconsistent(predicate, &problem));
+        }
+        let instance = &part.instance;
+        let fixture = instance.kind == InstanceKind::Fixture;
+        if fixture && !matches!(place, Place::Workspace(_)) {
+            let problem = format!("`{name}` is a fixture, and those stand on the workspace only");
+            return Err(inconsistent(predicate, &problem));
+        }
+        let arena = self.arena;
+        let radius = part.footprint.radius;
+        let (base, ranges, z_offset) = match place {
+            Place::Workspace(region) => {
+                let whole = !fixture && arena.whole_object_in_region;
+                let inset = if whole { radius } else { 0.0 };
+                (
+                    Base::Point(arena.workspace_offset),
+                    region.ranges.iter().map(|r| bounds(r, inset)).collect(),
+                    if fixture {
+                        arena.fixture_z_offset
+                    } else {
+                        OBJECT_Z_OFFSET
+                    },
+                )
+            }
+            Place::OnSite(region) => {
+                let (base, [x, y, _]) = self.site(predicate, region, true)?;
+                let middle = Rectangle {
+                    x: [-x / 2.0, x / 2.0],
+                    y: [-y / 2.0, y / 2.0],
+                };
+                (base, vec![bounds(&middle, radius)], 0.0)
+            }
+            Place::InSite(region) => {
+                let (base, _) = self.site(predicate, region, false)?;
+                (base, vec![[[0.0; 2]; 2]], 0.0)
+            }
+            Place::OnObject(other) => (
+                Base::Top(self.placed(predicate, other)?),
+                vec![[[0.0; 2]; 2]],
+                OBJECT_Z_OFFSET,
+            ),
+        };
+        let rotation = match place {
+            Place::Workspace(region) if fixture => Rotation::Yaw(region.yaw),
+            _ => instance.category.rotation,
+        };
+        let target = match instance.joints.last() {
+            Some(joint) if !fixture => PoseTarget::FreeJoint(joint.clone()),
+            _ => PoseTarget::Body(instance.root_body.clone()),
+        };
+        self.samplers.poses.push(PoseSampler {
+            instance: name.clone(),
+            place: predicate.arguments[1].clone(),
+            base,
+            ranges,
+            z_offset,
+            footprint: part.footprint,
+            avoids_others: !fixture && !matches!(place, Place::OnObject(_)),
+            rotation,
+            target,
+        });
+        Ok(())
+    }
+
+    /// A base at a region's site, and the site's half extents, m.
+    fn site(
+        &mut self,
+        predicate: &Predicate,
+        region: &Region,
+        over_top: bool,
+    ) -> Result<(Base, [f64; 3]), SceneError> {
+        let of = self.placed(predicate, &region.target)?;
+        let found = self.regions.iter().find(|site| site.name == region.name);
+        let found = found.ok_or_else(|| {
+            let problem = format!(
+                "the model of `{}` has no site `{}`; is the asset pack complete?",
+                region.target, region.name
+            );
+            inconsistent(predicate, &problem)
+        })?;
+        let sites = &mut self.samplers.sites;
+        let known = sites.iter().position(|site| *site == region.name);
+        let site = known.unwrap_or_else(|| {
+            sites.push(region.name.clone());
+            sites.len() - 1
+        });
+        Ok((Base::Site { of, over_top, site }, found.half_size))
+    }
+
+    fn index(&self, name: &str) -> Option<usize> {
+        let poses = &self.samplers.poses;
+        poses.iter().position(|sampler| sampler.instance == name)
+    }
+
+    fn placed(&self, predicate: &Predicate, name: &str) -> Result<usize, SceneError> {
+        self.index(name).ok_or_else(|| {
+            inconsistent(
+                predicate,
+                &format!("`{name}` has no place itself; say first what it stands on"),
+            )
+        })
+    }
+}
+
+/// A rectangle's bounds, moved inwards.
+fn bounds(rectangle: &Rectangle, inset: f64) -> [[f64; 2]; 2] {
+    [rectangle.x, rectangle.y].map(|[low, high]| [low + inset, high - inset])
+}
+
+fn inconsistent(predicate: &Predicate, problem: &str) -> SceneError {
+    SceneError::Inconsistent(format!("`:init` says {predicate}, but {problem}"))
+}

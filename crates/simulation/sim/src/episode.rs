@@ -1,0 +1,438 @@
+//! One rollout as the protocol orders it: the perturbed scene at its initial
+//! state, then observations and actions, each through its perturbation.
+
+use libero_ctrl::streams::Randomness;
+use libero_ctrl::{Axis, ManifestRow, Realisation, RobotShift};
+use nalgebra::Matrix3;
+use rollout_types::Realised;
+
+use crate::controller::{ARM_JOINTS, ActionFrame, GRIP_SITE};
+use crate::error::SimError;
+use crate::mujoco::{Data, ObjectKind};
+use crate::observation::{Frame, Observation, ObservationRequest};
+use crate::perturb::{
+    ActuationStage, ArmState, FrameSource, IkSolution, Jacobian, JointRange, Light, Lighting,
+    SensorStage, shift_camera, shift_lighting, solve_shifted_pose,
+};
+use crate::ready_scene::{PERTURBED_CAMERA, ReadyScene};
+use crate::render::LazyDrawer;
+use crate::{Environment, perturb};
+
+/// The action that does nothing and keeps the gripper open.
+pub const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
+/// The action with every number in [-1, 1].
+pub fn clip(action: &[f64; 7]) -> [f64; 7] {
+    action.map(|number| number.clamp(-1.0, 1.0))
+}
+
+/// Displacement of the hand by [`Episode::nudge`], m: a thousandth of a pixel of its
+/// cameras.
+pub const NUDGE_M: f64 = 1e-6;
+/// Damping of the least squares of a nudge, in squares of the Jacobian's lengths, m².
+const NUDGE_DAMPING: f64 = 1e-9;
+
+/// The camera on the hand.
+const WRIST_CAMERA: &str = "robot0_eye_in_hand";
+
+/// Digests that identify a rollout's circumstances; each is hexadecimal SHA-256.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Digests {
+    /// Digest of the composed scene, fixtures placed.
+    pub scene: String,
+    /// Digest of the released initial state, before any robot perturbation.
+    pub init_state: String,
+}
+
+/// A configuration, as it acts on one rollout: what has become of the scene, and what
+/// becomes of each action and frame. Campaigns and the Python environments both step
+/// through [`Conditions::step`], so that a perturbed rollout has the same bits in both.
+#[derive(Clone)]
+pub struct Conditions {
+    realisation: Realisation,
+    realised: Realised,
+    ik: Option<IkSolution>,
+    sensor: Option<SensorStage>,
+    actuation: Option<ActuationStage>,
+    settle_steps: u32,
+    policy_steps: u32,
+}
+
+/// A rollout in hand.
+pub struct Episode<'a> {
+    environment: &'a mut Environment,
+    drawer: &'a mut LazyDrawer,
+    digests: Digests,
+    conditions: Conditions,
+}
+
+impl Conditions {
+    /// Loads a row's initial state into an environment of its scene, and perturbs it.
+    ///
+    /// # Errors
+    /// If the task has no such initial state.
+    pub fn begin(
+        ready: &ReadyScene,
+        environment: &mut Environment,
+        row: &ManifestRow,
+        realisation: Realisation,
+    ) -> Result<Self, SimError> {
+        let state = ready.state(row.init_id)?.to_vec();
+        Self::begin_at(state, ready, environment, row, realisation)
+    }
+
+    /// The same at any state of the scene, time, qpos and qvel: the row's own is not
+    /// looked at.
+    ///
+    /// # Errors
+    /// If the scene lacks what is perturbed.
+    pub fn begin_at(
+        mut state: Vec<f64>,
+        ready: &ReadyScene,
+        environment: &mut Environment,
+        row: &ManifestRow,
+        realisation: Realisation,
+    ) -> Result<Self, SimError> {
+        let perturbation = &row.perturbation;
+        let mut realised = Realised::default();
+        let mut realise = |axis, elements| {
+            realised.add(axis, perturbation.values(axis), elements);
+        };
+        let ik = perturbation
+            .robot
+            .map(|shift| displaced_arm(environment, &state, &shift));
+        if let Some(ik) = &ik {
+            // After the time come the positions, and the arm's come first.
+            state[1..=ARM_JOINTS].copy_from_slice(ik.joints.as_slice());
+            realise(Axis::Robot, ik.joints.as_slice().to_vec());
+        }
+        environment.load(&state);
+        if let Some(shift) = &perturbation.camera {
+            let moved = apply_camera(ready, environment, shift)?;
+            realise(Axis::Camera, moved.to_vec());
+        }
+        if let Some(shift) = &perturbation.lighting {
+            realise(Axis::Lighting, apply_lighting(ready, environment, shift));
+        }
+        let randomness = |axis| Randomness::of(&row.id, axis, realisation);
+        let sensor = perturbation.sensor.map(|corruption| {
+            let stage = SensorStage::new(&corruption, &randomness(Axis::Sensor));
+            realise(Axis::Sensor, stage.realised());
+            stage
+        });
+        let actuation = perturbation.actuation.map(|distortion| {
+            let rms = row.id.task().suite().demo_action_rms();
+            let stage = ActuationStage::new(&distortion, rms, &randomness(Axis::Actuation));
+            realise(Axis::Actuation, stage.realised());
+            stage
+        });
+        Ok(Self {
+            realisation,
+            realised,
+            ik,
+            sensor,
+            actuation,
+            settle_steps: row.settle_steps,
+            policy_steps: 0,
+        })
+    }
+
+    /// Lets the scene come to rest: the released states float their objects.
+    ///
+    /// # Errors
+    /// As [`Environment::step`].
+    pub fn settle(&self, environment: &mut Environment) -> Result<(), SimError> {
+        for _ in 0..self.settle_steps {
+            environment.step(&NO_OP)?;
+        }
+        Ok(())
+    }
+
+    /// The robot's command for a policy's displacement, before the actuation axis
+    /// distorts it: clipped into -1..1, unless the realisation is the released code's,
+    /// which distorts the answer as it is and clips afterwards. Without an actuation axis
+    /// both lead to the same step, because the controller clips. The command of a command
+    /// is itself, so that recorded commands can be simulated again.
+    pub fn command(&self, sent: &[f64; 7]) -> [f64; 7] {
+        match self.realisation {
+            Realisation::Matched => clip(sent),
+            Realisation::Reference => *sent,
+        }
+    }
+
+    /// One control step with the policy's action, through the actuation axis. True if the
+    /// goal holds after it.
+    ///
+    /// # Errors
+    /// [`SimError::DistortedPose`] if the action is a pose and actuation is perturbed;
+    /// nothing has moved then. Otherwise as [`Environment::step`].
+    pub fn step(
+        &mut self,
+        environment: &mut Environment,
+        sent: &[f64; 7],
+        frame: ActionFrame,
+    ) -> Result<bool, SimError> {
+        let action = match frame {
+            ActionFrame::Absolute if self.actuation.is_some() => {
+                return Err(SimError::DistortedPose);
+            }
+            ActionFrame::Absolute => *sent,
+            ActionFrame::Relative => {
+                let command = self.command(sent);
+                match &mut self.actuation {
+                    Some(stage) => stage.apply(&command),
+                    None => command,
+                }
+            }
+        };
+        self.policy_steps += 1;
+        environment.step_in(&action, frame)
+    }
+
+    /// Corrupts a frame as its camera's sensor does; that of a camera which policies
+    /// do not have stays as it is. Of a camera and a size the pixels depend on the
+    /// control step alone.
+    pub fn see(&mut self, frame: &mut Frame) {
+        if let (Some(stage), Ok(source)) = (&mut self.sensor, frame_source(&frame.camera)) {
+            stage.apply(&mut perturb::Frame {
+                source,
+                step: self.policy_steps,
+                width: frame.width as usize,
+                height: frame.height as usize,
+                rgb: &mut frame.rgb,
+            });
+        }
+    }
+}
+
+impl<'a> Episode<'a> {
+    /// Loads the initial state into the scene at hand and perturbs it.
+    pub(crate) fn begin(
+        ready: &ReadyScene,
+        environment: &'a mut Environment,
+        drawer: &'a mut LazyDrawer,
+        row: &ManifestRow,
+        realisation: Realisation,
+    ) -> Result<Self, SimError> {
+        let conditions = Conditions::begin(ready, environment, row, realisation)?;
+        let init_id = usize::from(row.init_id);
+        let digests = Digests {
+            scene: ready.digest.clone(),
+            init_state: ready.states.digest(init_id).expect("it was loaded"),
+        };
+        Ok(Self {
+            environment,
+            drawer,
+            digests,
+            conditions,
+        })
+    }
+
+    /// Digests of the rollout's circumstances.
+    pub fn digests(&self) -> &Digests {
+        &self.digests
+    }
+
+    /// The perturbed axes, with what became of their values.
+    pub fn realised(&self) -> &Realised {
+        &self.conditions.realised
+    }
+
+    /// Solution of the search for the perturbed posture, if the robot axis is perturbed.
+    pub fn ik(&self) -> Option<&IkSolution> {
+        self.conditions.ik.as_ref()
+    }
+
+    /// Lets the scene come to rest: the released states float their objects.
+    pub fn settle(&mut self) -> Result<(), SimError> {
+        self.conditions.settle(self.environment)
+    }
+
+    /// The robot's command for a policy's action: see [`Conditions::command`].
+    pub fn command(&self, sent: &[f64; 7]) -> [f64; 7] {
+        self.conditions.command(sent)
+    }
+
+    /// One control step with a policy's action, or with the command that came of it. True
+    /// if the goal holds after it.
+    ///
+    /// # Errors
+    /// As [`Environment::step`].
+    pub fn step(&mut self, sent: &[f64; 7]) -> Result<bool, SimError> {
+        let conditions = &mut self.conditions;
+        conditions.step(self.environment, sent, ActionFrame::Relative)
+    }
+
+    /// Lifts the perturbations: from now on the policy sees the nominal scene, and its
+    /// actions reach the robot as they are. What they have led to stays, a displaced
+    /// arm included.
+    pub fn lift(&mut self) {
+        self.environment.restore_appearance();
+        self.conditions.sensor = None;
+        self.conditions.actuation = None;
+    }
+
+    /// Moves the point between the fingertips up by [`NUDGE_M`], by the joints' least change
+    /// that does. Nothing else changes, and the policy's view only with the next step. A
+    /// rollout that ends otherwise because of it is chaotic there.
+    pub fn nudge(&mut self) {
+        let site = self.environment.model().id(ObjectKind::Site, GRIP_SITE);
+        let site = site.expect("the controller has it");
+        let (model, data) = self.environment.model_and_data();
+        let jacobian = arm_state(model, data, site).jacobian;
+        let jacobian = jacobian.fixed_rows::<3>(0).into_owned();
+        // Enough to be invertible in every posture, and nothing beside its squares.
+        let damped = jacobian * jacobian.transpose() + Matrix3::identity() * NUDGE_DAMPING;
+        let inverse = damped.try_inverse().expect("positive definite");
+        let change = jacobian.transpose() * inverse * nalgebra::Vector3::new(0.0, 0.0, NUDGE_M);
+        for (angle, change) in data.qpos_mut(model).iter_mut().zip(change.iter()) {
+            *angle += change;
+        }
+    }
+
+    /// Returns the policy's current observation, every perturbation included. Draws only
+    /// the requested frames. The pixels of a camera at a size depend on the control step
+    /// alone, however often and at whatever sizes the scene was drawn before.
+    pub fn observe(&mut self, request: &ObservationRequest) -> Result<Observation, SimError> {
+        let mut frames = Vec::with_capacity(request.cameras.len());
+        for camera in &request.cameras {
+            frame_source(&camera.name)?;
+            let drawer = self.drawer.open()?;
+            let (width, height) = (camera.width, camera.height);
+            let mut frame = self.environment.draw(drawer, &camera.name, width, height)?;
+            self.conditions.see(&mut frame);
+            frames.push(frame);
+        }
+        let privileged = if request.privileged {
+            Some(self.environment.privileged()?)
+        } else {
+            None
+        };
+        Ok(Observation {
+            frames,
+            robot: self.environment.robot_state(),
+            privileged,
+        })
+    }
+
+    /// The scene's environment, to be looked at.
+    pub fn environment(&mut self) -> &mut Environment {
+        self.environment
+    }
+}
+
+fn frame_source(camera: &str) -> Result<FrameSource, SimError> {
+    match camera {
+        PERTURBED_CAMERA => Ok(FrameSource::Agentview),
+        WRIST_CAMERA => Ok(FrameSource::Wrist),
+        other => Err(SimError::Camera(other.to_owned())),
+    }
+}
+
+/// Moves the camera; returns what became of it.
+fn apply_camera(
+    ready: &ReadyScene,
+    environment: &mut Environment,
+    shift: &libero_ctrl::CameraShift,
+) -> Result<[f64; 7], SimError> {
+    let pose = shift_camera(&ready.camera, ready.look_at, shift);
+    let model = environment.model_mut();
+    let camera = model.id(ObjectKind::Camera, PERTURBED_CAMERA)?;
+    model.cam_pos_mut()[camera * 3..][..3].copy_from_slice(&pose.position);
+    model.cam_quat_mut()[camera * 4..][..4].copy_from_slice(&pose.quat_wxyz);
+    let ([x, y, z], [qw, qx, qy, qz]) = (pose.position, pose.quat_wxyz);
+    Ok([x, y, z, qw, qx, qy, qz])
+}
+
+/// Changes the lights; returns what became of them.
+fn apply_lighting(
+    ready: &ReadyScene,
+    environment: &mut Environment,
+    shift: &libero_ctrl::LightingShift,
+) -> Vec<f64> {
+    let look_at = ready.look_at;
+    let model = environment.model_mut();
+    let wide = |values: &[f32], light: usize| -> [f64; 3] {
+        std::array::from_fn(|channel| f64::from(values[light * 3 + channel]))
+    };
+    let triple = |values: &[f64], light: usize| -> [f64; 3] {
+        std::array::from_fn(|axis| values[light * 3 + axis])
+    };
+    let lights = (0..model.count(ObjectKind::Light)).map(|light| Light {
+        position: triple(model.light_pos(), light),
+        direction: triple(model.light_dir(), light),
+        diffuse: wide(model.light_diffuse(), light),
+        specular: wide(model.light_specular(), light),
+    });
+    let nominal = Lighting {
+        lights: lights.collect(),
+        headlight_ambient: model.headlight_ambient().map(f64::from),
+    };
+    let shifted = shift_lighting(&nominal, look_at, shift);
+    let mut realised = shifted.headlight_ambient.to_vec();
+    model.set_headlight_ambient(shifted.headlight_ambient.map(|channel| channel as f32));
+    for (index, light) in shifted.lights.iter().enumerate() {
+        let at = index * 3;
+        model.light_pos_mut()[at..][..3].copy_from_slice(&light.position);
+        model.light_dir_mut()[at..][..3].copy_from_slice(&light.direction);
+        let narrow = |colour: [f64; 3]| colour.map(|channel| channel as f32);
+        model.light_diffuse_mut()[at..][..3].copy_from_slice(&narrow(light.diffuse));
+        model.light_specular_mut()[at..][..3].copy_from_slice(&narrow(light.specular));
+        for part in [
+            light.position,
+            light.direction,
+            light.diffuse,
+            light.specular,
+        ] {
+            realised.extend(part);
+        }
+    }
+    realised
+}
+
+/// Finds the arm's joints for a displaced end-effector, starting from a state.
+fn displaced_arm(environment: &mut Environment, state: &[f64], shift: &RobotShift) -> IkSolution {
+    environment.load(state);
+    let nominal = perturb::JointVector::from_column_slice(&state[1..=ARM_JOINTS]);
+    let range = environment.model().jnt_range();
+    let ranges: [JointRange; ARM_JOINTS] =
+        std::array::from_fn(|joint| [range[joint * 2], range[joint * 2 + 1]]);
+    let site = environment
+        .model()
+        .id(ObjectKind::Site, GRIP_SITE)
+        .expect("the controller has it");
+    let kinematics = |joints: &perturb::JointVector| {
+        let (model, data) = environment.model_and_data();
+        data.qpos_mut(model)[..ARM_JOINTS].copy_from_slice(joints.as_slice());
+        data.kinematics(model);
+        data.com_pos(model);
+        arm_state(model, data, site)
+    };
+    solve_shifted_pose(kinematics, &nominal, &ranges, shift)
+}
+
+fn arm_state(model: &crate::mujoco::Model, data: &Data, site: usize) -> ArmState {
+    let nv = model.nv();
+    let (mut pos, mut rot) = (vec![0.0; 3 * nv], vec![0.0; 3 * nv]);
+    data.site_jacobian(model, site, &mut pos, &mut rot);
+    ArmState {
+        position: nalgebra::Vector3::from_column_slice(&data.site_xpos(model)[site * 3..][..3]),
+        rotation: Matrix3::from_row_slice(&data.site_xmat(model)[site * 9..][..9]),
+        jacobian: Jacobian::from_fn(|row, joint| {
+            let rows = if row < 3 { &pos } else { &rot };
+            rows[(row % 3) * nv + joint]
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_numbers_outside_the_range_are_clipped() {
+        let inside = [1.0, -1.0, 0.5, 0.0, 0.0, 0.0, -1.0];
+        assert_eq!(clip(&inside), inside);
+        let outside = [1.5, -1.0, 0.5, 0.0, 0.0, 0.0, -3.0];
+        assert_eq!(clip(&outside), inside);
+    }
+}

@@ -1,0 +1,98 @@
+//! Observations of a policy, and requests for them.
+
+use libero_ctrl::Privileged;
+
+/// Requested contents of an observation.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ObservationRequest {
+    /// Frames to draw, in this order.
+    pub cameras: Vec<CameraRequest>,
+    /// True to add the simulator's own state.
+    pub privileged: bool,
+}
+
+/// A frame that is wanted.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CameraRequest {
+    /// `agentview` or `robot0_eye_in_hand`, or any other camera of the scene.
+    pub name: String,
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+}
+
+/// Observation of a policy, as the original's `env.step` returns it: frames and
+/// end-effector poses lag 4 ms behind the control step's end, joint readings 2 ms.
+#[derive(Debug, Clone)]
+pub struct Observation {
+    /// Frames in the order of the request, corrupted where the sensor is perturbed.
+    pub frames: Vec<Frame>,
+    /// The robot's readings.
+    pub robot: RobotState,
+    /// Only if asked for.
+    pub privileged: Option<Privileged>,
+}
+
+/// A frame.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Frame {
+    /// The camera's name.
+    pub camera: String,
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// Red, green, blue, 8 bits each, row by row; row 0 is the picture's bottom.
+    pub rgb: Vec<u8>,
+}
+
+/// The robot's readings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RobotState {
+    /// Site between the fingertips, world frame, m.
+    pub eef_pos: [f64; 3],
+    /// Hand body, world frame, x y z w.
+    pub eef_quat_xyzw: [f64; 4],
+    /// The same as axis times angle, rad.
+    pub eef_axis_angle: [f64; 3],
+    /// The same as a matrix, row by row.
+    pub eef_rotation: [f64; 9],
+    /// Arm joints, rad.
+    pub joint_pos: [f64; 7],
+    /// Arm joints, rad/s.
+    pub joint_vel: [f64; 7],
+    /// Finger joints, m.
+    pub gripper_pos: [f64; 2],
+    /// Finger joints, m/s.
+    pub gripper_vel: [f64; 2],
+}
+
+/// Axis times angle of a unit quaternion x y z w, rad: twice the arc cosine of
+/// w, without flipping to the nearer of the two antipodes (robosuite's
+/// `quat2axisangle`; policies were trained on it).
+pub fn axis_angle_of(quat_xyzw: [f64; 4]) -> [f64; 3] {
+    let [x, y, z, w] = quat_xyzw;
+    let w = w.clamp(-1.0, 1.0);
+    let sin = (1.0 - w * w).sqrt();
+    if sin == 0.0 {
+        return [0.0; 3];
+    }
+    let factor = 2.0 * w.acos() / sin;
+    [x * factor, y * factor, z * factor]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::axis_angle_of;
+
+    #[test]
+    fn antipodes_are_not_flipped() {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let near = axis_angle_of([half, 0.0, 0.0, half]);
+        assert!((near[0] - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+        let far = axis_angle_of([half, 0.0, 0.0, -half]);
+        assert!((far[0] - 1.5 * std::f64::consts::PI).abs() < 1e-12);
+        assert_eq!(axis_angle_of([0.0, 0.0, 0.0, 1.0]), [0.0; 3]);
+    }
+}

@@ -1,0 +1,205 @@
+//! The robot axis: an initial pose of the arm whose end-effector is displaced.
+//! Damped least squares over whatever computes the arm's kinematics; MuJoCo is
+//! not known here.
+
+use libero_ctrl::RobotShift;
+use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
+
+/// Joints of the arm.
+pub const JOINTS: usize = 7;
+/// Damping λ of the least squares.
+const DAMPING: f64 = 0.08;
+/// Iterations before the best found so far is taken.
+const MAX_ITERATIONS: u32 = 200;
+/// Close enough: position, m.
+const POSITION_TOLERANCE_M: f64 = 2e-4;
+/// Close enough: orientation, rad.
+const ROTATION_TOLERANCE_RAD: f64 = 2e-3;
+/// A joint this close to a limit counts as clamped, rad.
+const CLAMPED_RAD: f64 = 1e-6;
+
+/// Joint angles, rad.
+pub type JointVector = SVector<f64, JOINTS>;
+/// World-frame velocity of the end-effector per joint velocity: translation
+/// rows, then rotation rows.
+pub type Jacobian = SMatrix<f64, 6, JOINTS>;
+/// Lower and upper limit of a joint, rad.
+pub type JointRange = [f64; 2];
+
+/// The end-effector at one posture of the arm, world frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmState {
+    /// Position of the site between the fingertips, m.
+    pub position: Vector3<f64>,
+    /// Orientation, `world_from_site`.
+    pub rotation: Matrix3<f64>,
+    /// Jacobian of both.
+    pub jacobian: Jacobian,
+}
+
+/// Result of the search for a posture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IkSolution {
+    /// The arm's posture.
+    pub joints: JointVector,
+    /// Distance of the end-effector from its target, mm.
+    pub residual_mm: f64,
+    /// Angle between its orientation and the target's, degrees.
+    pub residual_deg: f64,
+    /// Joints at their limits.
+    pub clamped_joints: u32,
+    /// Steps taken.
+    pub iterations: u32,
+}
+
+/// Finds the posture whose end-effector pose is that of `nominal` displaced by
+/// `shift`: translated in the world, and turned about it (rotation vector, on
+/// the left).
+///
+/// `kinematics` gives the end-effector at a posture. The solution may miss the
+/// target where the joints' ranges end; the residual says by how much.
+pub fn solve_shifted_pose(
+    mut kinematics: impl FnMut(&JointVector) -> ArmState,
+    nominal: &JointVector,
+    ranges: &[JointRange; JOINTS],
+    shift: &RobotShift,
+) -> IkSolution {
+    let target = Target::new(&kinematics(nominal), shift);
+    let mut joints = *nominal;
+    let mut state = kinematics(&joints);
+    let mut iterations = 0;
+    while iterations < MAX_ITERATIONS {
+        let error = target.error(&state);
+        let position_met = error.fixed_rows::<3>(0).norm() < POSITION_TOLERANCE_M;
+        if position_met && error.fixed_rows::<3>(3).norm() < ROTATION_TOLERANCE_RAD {
+            break;
+        }
+        let step = joints + damped_step(&state.jacobian, &error);
+        joints = JointVector::from_fn(|i, _| step[i].clamp(ranges[i][0], ranges[i][1]));
+        state = kinematics(&joints);
+        iterations += 1;
+    }
+    let error = target.error(&state);
+    let at_limit = |&(q, range): &(&f64, &JointRange)| {
+        range.iter().any(|limit| (q - limit).abs() < CLAMPED_RAD)
+    };
+    IkSolution {
+        joints,
+        residual_mm: error.fixed_rows::<3>(0).norm() * 1e3,
+        residual_deg: error.fixed_rows::<3>(3).norm().to_degrees(),
+        clamped_joints: joints.iter().zip(ranges).filter(at_limit).count() as u32,
+        iterations,
+    }
+}
+
+struct Target {
+    position: Vector3<f64>,
+    rotation: Matrix3<f64>,
+}
+
+impl Target {
+    fn new(nominal: &ArmState, shift: &RobotShift) -> Self {
+        let [dx, dy, dz, rx, ry, rz] = shift.values();
+        let turn = Vector3::new(rx, ry, rz).map(f64::to_radians);
+        Self {
+            position: nominal.position + Vector3::new(dx, dy, dz),
+            rotation: Rotation3::from_scaled_axis(turn).matrix() * nominal.rotation,
+        }
+    }
+
+    /// Position error, m, then orientation error as a rotation vector, rad.
+    fn error(&self, state: &ArmState) -> Vector6<f64> {
+        let position = self.position - state.position;
+        let rotation = rotation_vector(&(self.rotation * state.rotation.transpose()));
+        Vector6::new(
+            position.x, position.y, position.z, rotation.x, rotation.y, rotation.z,
+        )
+    }
+}
+
+/// Jᵀ (J Jᵀ + λ² I)⁻¹ e. The bracket is positive definite for any J.
+fn damped_step(jacobian: &Jacobian, error: &Vector6<f64>) -> JointVector {
+    let damped = jacobian * jacobian.transpose() + Matrix6::identity() * (DAMPING * DAMPING);
+    let solved = damped
+        .cholesky()
+        .expect("a Gram matrix plus a positive diagonal is positive definite")
+        .solve(error);
+    jacobian.transpose() * solved
+}
+
+fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
+    // Goes through a quaternion: the arc cosine of the trace loses half the digits of a
+    // small angle.
+    let rotation = Rotation3::from_matrix_unchecked(*rotation);
+    UnitQuaternion::from_rotation_matrix(&rotation).scaled_axis()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WIDE: [JointRange; JOINTS] = [[-3.0, 3.0]; JOINTS];
+
+    /// A chain of links of 0.2 m about alternating axes.
+    fn chain(q: &JointVector) -> ArmState {
+        let mut position = Vector3::zeros();
+        let mut rotation = Matrix3::identity();
+        let mut pivots = Vec::new();
+        for i in 0..JOINTS {
+            let local = if i % 2 == 0 {
+                Vector3::z_axis()
+            } else {
+                Vector3::y_axis()
+            };
+            pivots.push((position, rotation * local.into_inner()));
+            rotation *= Rotation3::from_axis_angle(&local, q[i]).matrix();
+            position += rotation * Vector3::new(0.05, 0.0, 0.2);
+        }
+        let columns: Vec<Vector6<f64>> = pivots
+            .iter()
+            .map(|(pivot, axis)| {
+                let linear = axis.cross(&(position - pivot));
+                Vector6::new(linear.x, linear.y, linear.z, axis.x, axis.y, axis.z)
+            })
+            .collect();
+        ArmState {
+            position,
+            rotation,
+            jacobian: Jacobian::from_columns(&columns),
+        }
+    }
+
+    fn nominal() -> JointVector {
+        JointVector::from([0.1, 0.4, -0.2, 0.9, 0.3, -0.6, 0.2])
+    }
+
+    #[test]
+    fn a_reachable_pose_is_met_within_tolerance() {
+        let shift = RobotShift::from([0.03, -0.02, 0.02, 5.0, -3.0, 8.0]);
+        let solution = solve_shifted_pose(chain, &nominal(), &WIDE, &shift);
+        assert!(solution.residual_mm < 0.2, "{solution:?}");
+        assert!(solution.residual_deg.to_radians() < 2e-3, "{solution:?}");
+        assert_eq!(solution.clamped_joints, 0);
+    }
+
+    #[test]
+    fn no_displacement_leaves_the_arm_where_it_is() {
+        let shift = RobotShift::default();
+        let solution = solve_shifted_pose(chain, &nominal(), &WIDE, &shift);
+        assert_eq!(solution.joints, nominal());
+        assert_eq!(solution.iterations, 0);
+    }
+
+    #[test]
+    fn joints_stop_at_their_limits_and_the_residual_says_so() {
+        let mut ranges = WIDE;
+        for (range, q) in ranges.iter_mut().zip(nominal().iter()) {
+            *range = [q - 0.01, q + 0.01];
+        }
+        let shift = RobotShift::from([0.2, 0.0, 0.2, 0.0, 0.0, 0.0]);
+        let solution = solve_shifted_pose(chain, &nominal(), &ranges, &shift);
+        assert!(solution.clamped_joints > 0, "{solution:?}");
+        assert!(solution.residual_mm > 10.0, "{solution:?}");
+        assert_eq!(solution.iterations, MAX_ITERATIONS);
+    }
+}

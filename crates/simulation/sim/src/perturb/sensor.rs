@@ -1,0 +1,492 @@
+//! The sensor axis: what happens to a rendered picture before the policy sees
+//! it. Motion blur, defocus, compression, read-out noise, in this order.
+//!
+//! The arithmetic follows NumPy and SciPy (`ndimage.convolve`,
+//! `gaussian_filter`, mode `nearest`, truncated at 4 σ) in double precision.
+
+use std::f64::consts::PI;
+
+use libero_ctrl::SensorCorruption;
+use libero_ctrl::numpy::DefaultRng;
+use libero_ctrl::streams::{MatchedStream, Randomness};
+
+use super::jpeg;
+
+/// Pixel lengths of the parameters hold at this picture size.
+const REFERENCE_PX: f64 = 128.0;
+/// A motion blur shorter than this is none, pixels.
+const SHORTEST_MOTION_PX: f64 = 1.5;
+/// A Gaussian blur narrower than this is none, pixels.
+const LEAST_BLUR_PX: f64 = 1e-3;
+/// A compression weaker than this is none.
+const LEAST_JPEG_LOG2: f64 = 1e-3;
+/// Noise below this is none, on values in [0, 1].
+const LEAST_NOISE: f64 = 1e-5;
+/// Cut-off of the Gaussian, standard deviations.
+const TRUNCATE_SIGMAS: f64 = 4.0;
+
+/// Camera that a picture comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum FrameSource {
+    /// `agentview`.
+    Agentview,
+    /// `robot0_eye_in_hand`.
+    Wrist,
+}
+
+impl FrameSource {
+    /// Cameras, in the order in which they draw from NumPy's stream.
+    pub const ALL: [Self; 2] = [Self::Agentview, Self::Wrist];
+
+    const fn lane(self) -> u32 {
+        self as u32
+    }
+}
+
+/// One picture: RGB, row by row, in whatever orientation the renderer gives.
+#[derive(Debug)]
+pub struct Frame<'a> {
+    /// Camera of the frame.
+    pub source: FrameSource,
+    /// The policy's control step for which it was rendered, from 0.
+    pub step: u32,
+    /// Pixels per row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `width` × `height` × 3 bytes.
+    pub rgb: &'a mut [u8],
+}
+
+/// Corrupts the pictures of one rollout.
+#[derive(Clone)]
+pub struct SensorStage {
+    corruption: SensorCorruption,
+    /// Direction of the motion blur, rad, in [0, π).
+    motion_angle: f64,
+    noise: FrameNoise,
+}
+
+#[derive(Clone)]
+enum FrameNoise {
+    Matched(MatchedStream),
+    Reference(NumpyFrames),
+}
+
+impl SensorStage {
+    /// A stage at the beginning of a rollout.
+    pub fn new(corruption: &SensorCorruption, randomness: &Randomness) -> Self {
+        let (motion_angle, noise) = match *randomness {
+            Randomness::Matched(stream) => {
+                (stream.fixed().line_angle(), FrameNoise::Matched(stream))
+            }
+            Randomness::Reference { seed } => (
+                DefaultRng::seed(seed).uniform(0.0, PI),
+                FrameNoise::Reference(NumpyFrames::new(seed + 1)),
+            ),
+        };
+        Self {
+            corruption: *corruption,
+            motion_angle,
+            noise,
+        }
+    }
+
+    /// Corrupts a picture in place.
+    ///
+    /// The result depends on the picture, its step and its camera, and not on
+    /// which pictures came before: a policy that looks seldom, or through one
+    /// camera, sees what any other sees. In the `reference` realisation, where
+    /// both cameras draw from one stream at every step, noise is also drawn
+    /// and discarded for pictures that were not asked for; both cameras must then
+    /// have one size.
+    ///
+    /// # Panics
+    /// If `rgb` is not `width` × `height` × 3 bytes.
+    pub fn apply(&mut self, frame: &mut Frame<'_>) {
+        assert_eq!(
+            frame.rgb.len(),
+            frame.width * frame.height * 3,
+            "bytes of an RGB picture of {} x {}",
+            frame.width,
+            frame.height
+        );
+        let scale = frame.width.min(frame.height) as f64 / REFERENCE_PX;
+        let mut picture = Picture::from_rgb(frame);
+
+        let motion_px = self.corruption.motion_len.abs() * scale;
+        if motion_px >= SHORTEST_MOTION_PX {
+            picture = picture.motion_blurred(&motion_kernel(motion_px, self.motion_angle));
+        }
+        let blur_px = self.corruption.blur_sigma.abs() * scale;
+        if blur_px > LEAST_BLUR_PX {
+            picture = picture.gaussian_blurred(&gaussian_kernel(blur_px));
+        }
+        if let Some(quality) = self.jpeg_quality() {
+            let mut bytes = picture.to_bytes();
+            jpeg::round_trip(&mut bytes, frame.width, frame.height, quality);
+            picture.set_bytes(&bytes);
+        }
+        self.add_noise(frame.source, frame.step, &mut picture.values);
+        frame.rgb.copy_from_slice(&picture.to_bytes());
+    }
+
+    /// The drawn elements, which a result keeps: the blur's angle, and the first noise
+    /// values of the first picture of each camera.
+    pub fn realised(&self) -> Vec<f64> {
+        let mut realised = vec![self.motion_angle];
+        for source in FrameSource::ALL {
+            match &self.noise {
+                FrameNoise::Matched(stream) => {
+                    let mut rng = stream.at(0, source.lane());
+                    realised.extend((0..4).map(|_| rng.standard_normal()));
+                }
+                // One stream: its beginning identifies all of it.
+                FrameNoise::Reference(frames) => {
+                    let mut rng = frames.first.clone();
+                    realised.extend((0..4).map(|_| rng.standard_normal()));
+                }
+            }
+        }
+        realised
+    }
+
+    fn jpeg_quality(&self) -> Option<u8> {
+        let strength = self.corruption.jpeg_log2.abs();
+        let quality = (100.0 * (-strength).exp2()).round_ties_even();
+        (strength > LEAST_JPEG_LOG2).then_some(quality.clamp(1.0, 100.0) as u8)
+    }
+
+    fn add_noise(&mut self, source: FrameSource, step: u32, values: &mut [f64]) {
+        let sigma = self.corruption.noise_sigma.abs();
+        if sigma <= LEAST_NOISE {
+            return;
+        }
+        match &mut self.noise {
+            FrameNoise::Matched(stream) => {
+                let mut rng = stream.at(step, source.lane());
+                for value in values {
+                    *value += sigma * rng.standard_normal();
+                }
+            }
+            FrameNoise::Reference(frames) => {
+                let index = step as usize * FrameSource::ALL.len() + source.lane() as usize;
+                let mut rng = frames.at(index, values.len());
+                for value in values {
+                    *value += rng.normal(0.0, sigma);
+                }
+            }
+        }
+    }
+}
+
+/// NumPy's one noise stream, at the beginning of every picture. Normals take a
+/// varying number of words, so that a picture is only reached through those
+/// before it; what has been passed is kept (32 bytes per picture).
+#[derive(Clone)]
+struct NumpyFrames {
+    first: DefaultRng,
+    starts: Vec<DefaultRng>,
+    values_per_frame: usize,
+}
+
+impl NumpyFrames {
+    fn new(seed: u64) -> Self {
+        Self {
+            first: DefaultRng::seed(seed),
+            starts: Vec::new(),
+            values_per_frame: 0,
+        }
+    }
+
+    fn at(&mut self, index: usize, values_per_frame: usize) -> DefaultRng {
+        if self.values_per_frame != values_per_frame {
+            self.values_per_frame = values_per_frame;
+            self.starts = vec![self.first.clone()];
+        }
+        while self.starts.len() <= index {
+            let mut next = self.starts[self.starts.len() - 1].clone();
+            for _ in 0..values_per_frame {
+                next.standard_normal();
+            }
+            self.starts.push(next);
+        }
+        self.starts[index].clone()
+    }
+}
+
+/// A picture on [0, 1], channels interleaved.
+struct Picture {
+    width: usize,
+    height: usize,
+    values: Vec<f64>,
+}
+
+/// A square kernel with `weight` at some places and nothing elsewhere.
+struct LineKernel {
+    size: usize,
+    /// Row and column of each place.
+    places: Vec<(usize, usize)>,
+    weight: f64,
+}
+
+impl Picture {
+    fn from_rgb(frame: &Frame<'_>) -> Self {
+        Self {
+            width: frame.width,
+            height: frame.height,
+            values: frame.rgb.iter().map(|&b| f64::from(b) / 255.0).collect(),
+        }
+    }
+
+    fn set_bytes(&mut self, bytes: &[u8]) {
+        for (value, &byte) in self.values.iter_mut().zip(bytes) {
+            *value = f64::from(byte) / 255.0;
+        }
+    }
+
+    /// Converts to 8 bits by clipping and truncation.
+    fn to_bytes(&self) -> Vec<u8> {
+        let byte = |value: &f64| (value.clamp(0.0, 1.0) * 255.0) as u8;
+        self.values.iter().map(byte).collect()
+    }
+
+    /// The picture with its borders replicated by `margin` pixels all round.
+    fn padded(&self, margin: usize) -> Self {
+        let width = self.width + 2 * margin;
+        let height = self.height + 2 * margin;
+        let mut values = Vec::with_capacity(width * height * 3);
+        for y in 0..height {
+            let y = y.saturating_sub(margin).min(self.height - 1);
+            let row = &self.values[y * self.width * 3..(y + 1) * self.width * 3];
+            for _ in 0..margin {
+                values.extend_from_slice(&row[..3]);
+            }
+            values.extend_from_slice(row);
+            for _ in 0..margin {
+                values.extend_from_slice(&row[row.len() - 3..]);
+            }
+        }
+        Self {
+            width,
+            height,
+            values,
+        }
+    }
+
+    /// Convolution with a kernel centred at its element `size / 2`.
+    fn motion_blurred(&self, kernel: &LineKernel) -> Self {
+        let margin = kernel.size;
+        let padded = self.padded(margin);
+        let centre = kernel.size / 2;
+        let row_len = self.width * 3;
+        let mut values = vec![0.0; self.values.len()];
+        for (y, output) in values.chunks_exact_mut(row_len).enumerate() {
+            // Convolution mirrors the kernel; SciPy adds up in that order.
+            for &(row, column) in kernel.places.iter().rev() {
+                let y = y + margin + centre - row;
+                let x = margin + centre - column;
+                let start = (y * padded.width + x) * 3;
+                add_scaled(
+                    output,
+                    &padded.values[start..start + row_len],
+                    kernel.weight,
+                );
+            }
+        }
+        Self { values, ..*self }
+    }
+
+    /// Separable convolution with a symmetric kernel, given from its centre
+    /// outwards: down the columns first, then along the rows, as SciPy does.
+    fn gaussian_blurred(&self, kernel: &[f64]) -> Self {
+        let radius = kernel.len() - 1;
+        let row_len = self.width * 3;
+        let mut columns = vec![0.0; self.values.len()];
+        for (y, output) in columns.chunks_exact_mut(row_len).enumerate() {
+            let row = |offset: isize| {
+                let y = y.saturating_add_signed(offset).min(self.height - 1);
+                &self.values[y * row_len..(y + 1) * row_len]
+            };
+            symmetric_sum(output, kernel, |k| (row(-k), row(k)));
+        }
+        let mut values = vec![0.0; self.values.len()];
+        let mut padded = vec![0.0; row_len + 2 * radius * 3];
+        for (output, input) in values
+            .chunks_exact_mut(row_len)
+            .zip(columns.chunks_exact(row_len))
+        {
+            replicate_ends(&mut padded, input, radius);
+            let shifted = |offset: isize| {
+                let start = (radius as isize + offset) as usize * 3;
+                &padded[start..start + row_len]
+            };
+            symmetric_sum(output, kernel, |k| (shifted(-k), shifted(k)));
+        }
+        Self { values, ..*self }
+    }
+}
+
+/// `output` = centre · kernel\[0\] + Σ (left + right) · kernel\[k\], from the
+/// outermost pair inwards, which is SciPy's order.
+fn symmetric_sum<'a>(
+    output: &mut [f64],
+    kernel: &[f64],
+    pair: impl Fn(isize) -> (&'a [f64], &'a [f64]),
+) {
+    let (centre, _) = pair(0);
+    for (out, value) in output.iter_mut().zip(centre) {
+        *out = value * kernel[0];
+    }
+    for (k, &weight) in kernel.iter().enumerate().skip(1).rev() {
+        let (left, right) = pair(k as isize);
+        for ((out, l), r) in output.iter_mut().zip(left).zip(right) {
+            *out += (l + r) * weight;
+        }
+    }
+}
+
+fn add_scaled(output: &mut [f64], input: &[f64], weight: f64) {
+    for (out, value) in output.iter_mut().zip(input) {
+        *out += value * weight;
+    }
+}
+
+fn replicate_ends(padded: &mut [f64], row: &[f64], margin: usize) {
+    let (left, rest) = padded.split_at_mut(margin * 3);
+    let (middle, right) = rest.split_at_mut(row.len());
+    middle.copy_from_slice(row);
+    for pixel in left.chunks_exact_mut(3) {
+        pixel.copy_from_slice(&row[..3]);
+    }
+    for pixel in right.chunks_exact_mut(3) {
+        pixel.copy_from_slice(&row[row.len() - 3..]);
+    }
+}
+
+/// n samples of a line through the centre of an n × n kernel, normalised.
+fn motion_kernel(length_px: f64, angle: f64) -> LineKernel {
+    let size = length_px.round_ties_even() as usize;
+    let centre = (size as f64 - 1.0) / 2.0;
+    let place = |along: f64| (centre + along).round_ties_even();
+    let mut places = Vec::with_capacity(size);
+    for i in 0..size {
+        let t = i as f64 - centre;
+        let (row, column) = (place(t * angle.sin()), place(t * angle.cos()));
+        let inside = |index: f64| index >= 0.0 && index < size as f64;
+        if inside(row) && inside(column) {
+            places.push((row as usize, column as usize));
+        }
+    }
+    places.sort_unstable();
+    places.dedup();
+    let weight = 1.0 / places.len() as f64;
+    LineKernel {
+        size,
+        places,
+        weight,
+    }
+}
+
+/// A normalised Gaussian from its centre outwards.
+fn gaussian_kernel(sigma_px: f64) -> Vec<f64> {
+    let radius = (TRUNCATE_SIGMAS * sigma_px + 0.5) as usize;
+    let exponent = -0.5 / (sigma_px * sigma_px);
+    let weight = |x: usize| (exponent * (x * x) as f64).exp();
+    let whole: Vec<f64> = (0..=2 * radius)
+        .map(|i| weight(i.abs_diff(radius)))
+        .collect();
+    let sum = numpy_sum(&whole);
+    whole[radius..].iter().map(|weight| weight / sum).collect()
+}
+
+/// Adds up in NumPy's order, which for 8 to 128 values is eight sums side by
+/// side. An even patch of a picture lies exactly on the border between two grey
+/// levels, so that the last digit of the weights decides which one it gets.
+fn numpy_sum(values: &[f64]) -> f64 {
+    let (whole, rest) = values.split_at(values.len() / 8 * 8);
+    let mut lanes = whole.chunks_exact(8);
+    let Some(first) = lanes.next() else {
+        return values.iter().sum();
+    };
+    let mut s: [f64; 8] = first.try_into().expect("chunks of eight");
+    for lane in lanes {
+        for (sum, value) in s.iter_mut().zip(lane) {
+            *sum += value;
+        }
+    }
+    let paired = ((s[0] + s[1]) + (s[2] + s[3])) + ((s[4] + s[5]) + (s[6] + s[7]));
+    rest.iter().fold(paired, |sum, value| sum + value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use libero_ctrl::{Axis, Realisation, RolloutId};
+
+    const SIZE: usize = 48;
+
+    fn stage(id: &str, corruption: &SensorCorruption) -> SensorStage {
+        let id: RolloutId = id.parse().expect("an id");
+        let randomness = Randomness::of(&id, Axis::Sensor, Realisation::Matched);
+        SensorStage::new(corruption, &randomness)
+    }
+
+    fn corrupted(stage: &mut SensorStage, source: FrameSource, step: u32) -> Vec<u8> {
+        let mut rgb: Vec<u8> = (0..SIZE * SIZE * 3).map(|i| (i * 7 % 256) as u8).collect();
+        stage.apply(&mut Frame {
+            source,
+            step,
+            width: SIZE,
+            height: SIZE,
+            rgb: &mut rgb,
+        });
+        rgb
+    }
+
+    const STRONG: [f64; 4] = [0.05, 1.5, 1.8, 6.0];
+
+    #[test]
+    fn alone_and_combined_see_the_same_pictures_whoever_looks_when() {
+        let corruption = SensorCorruption::from(STRONG);
+        let mut alone = stage("goal/t3/sensor/L3/c02", &corruption);
+        let mut combined = stage("goal/t3/combination/L3/c02", &corruption);
+        assert_eq!(alone.realised(), combined.realised());
+        let looks = [
+            (FrameSource::Wrist, 4),
+            (FrameSource::Agentview, 0),
+            (FrameSource::Agentview, 4),
+        ];
+        let seen = looks.map(|(source, step)| corrupted(&mut alone, source, step));
+        let late = corrupted(&mut combined, FrameSource::Agentview, 4);
+        assert_eq!(seen[2], late);
+        assert_ne!(seen[1], late, "noise changes from step to step");
+        assert_ne!(seen[0], late, "cameras have noise of their own");
+    }
+
+    #[test]
+    fn signs_of_the_parameters_do_not_matter() {
+        let id = "goal/t3/sensor/L3/c02";
+        let positive = SensorCorruption::from(STRONG);
+        let negative = SensorCorruption::from(STRONG.map(|x| -x));
+        let look = |corruption| corrupted(&mut stage(id, corruption), FrameSource::Wrist, 1);
+        assert_eq!(look(&positive), look(&negative));
+    }
+
+    #[test]
+    fn a_diagonal_motion_kernel_lies_on_the_diagonal() {
+        let kernel = motion_kernel(3.2, PI / 4.0);
+        assert_eq!(kernel.size, 3);
+        assert_eq!(kernel.places, [(0, 0), (1, 1), (2, 2)]);
+        assert_eq!(kernel.weight, 1.0 / 3.0);
+    }
+
+    #[test]
+    fn kernels_keep_brightness() {
+        for sigma in [0.2, 0.5, 2.386, 9.0] {
+            let kernel = gaussian_kernel(sigma);
+            let sum = kernel[0] + 2.0 * kernel[1..].iter().sum::<f64>();
+            assert!((sum - 1.0).abs() < 1e-14, "{sigma}: {sum}");
+        }
+    }
+}

@@ -1,0 +1,333 @@
+//! Evaluation of goals. The predicates are LIBERO's (hf-libero 0.1.4, `object_states` and
+//! `objects`), resolved once per scene to ids.
+//!
+//! They look at body positions and contacts as the last step's first half
+//! left them and at joint positions after its integration, as the original
+//! does.
+
+use libero_ctrl::Predicate;
+use scene::catalog::{Articulation, Threshold};
+use scene::{Instance, RegionSite, Scene};
+
+use crate::error::SimError;
+use crate::mujoco::{Data, Model, ObjectKind};
+
+/// A goal resolved to ids: all its checks must hold.
+pub struct Goal {
+    checks: Vec<Check>,
+    /// Per geom: index of the instance that has it as a collision geom.
+    owner_of_geom: Vec<Option<usize>>,
+}
+
+enum Check {
+    /// One object on another.
+    OnObject { upper: Thing, lower: Thing },
+    /// An object on a region, touching what carries the region, if anything.
+    OnSite {
+        object: Thing,
+        site: Site,
+        parent: Option<usize>,
+    },
+    /// An object in a region.
+    InSite { object: Thing, site: Site },
+    /// Joints beyond a threshold: any of them, or all.
+    Joints {
+        addresses: Vec<usize>,
+        beyond: Beyond,
+        quantifier: Quantifier,
+    },
+}
+
+#[derive(Clone, Copy)]
+struct Thing {
+    instance: usize,
+    body: usize,
+}
+
+struct Site {
+    id: usize,
+    half_size: [f64; 3],
+}
+
+#[derive(Clone, Copy)]
+enum Beyond {
+    Side(Threshold),
+    AtLeast(f64),
+}
+
+#[derive(Clone, Copy)]
+enum Quantifier {
+    Any,
+    All,
+}
+
+/// Two objects stacked by `on` are at most this far apart horizontally, m.
+const STACKED_DISTANCE: f64 = 0.03;
+/// An object `on` a region may be this much below its top, and so much above, m.
+const ON_SITE_BELOW: f64 = 0.005;
+const ON_SITE_ABOVE: f64 = 0.10;
+/// An object `in` a region may be this much below it, m.
+const IN_SITE_BELOW: f64 = 0.01;
+
+impl Goal {
+    /// Resolves a scene's goal.
+    pub fn resolve(scene: &Scene, model: &Model) -> Result<Self, SimError> {
+        let mut owner_of_geom = vec![None; model.count(ObjectKind::Geom)];
+        for (index, instance) in scene.instances.iter().enumerate() {
+            for geom in &instance.contact_geoms {
+                owner_of_geom[model.id(ObjectKind::Geom, geom)?] = Some(index);
+            }
+        }
+        let resolver = Resolver { scene, model };
+        let checks = scene.goal.iter().map(|predicate| resolver.check(predicate));
+        Ok(Self {
+            checks: checks.collect::<Result<_, _>>()?,
+            owner_of_geom,
+        })
+    }
+
+    /// Returns true if all predicates hold.
+    pub fn holds(&self, model: &Model, data: &Data) -> bool {
+        self.checks
+            .iter()
+            .all(|check| self.check_holds(check, model, data))
+    }
+
+    /// Truth of each predicate, in the BDDL file's order.
+    pub fn truths(&self, model: &Model, data: &Data) -> Vec<bool> {
+        self.checks
+            .iter()
+            .map(|check| self.check_holds(check, model, data))
+            .collect()
+    }
+
+    fn check_holds(&self, check: &Check, model: &Model, data: &Data) -> bool {
+        let position = |thing: &Thing| vector(data.xpos(model), thing.body);
+        match check {
+            Check::OnObject { upper, lower } => {
+                let (above, below) = (position(upper), position(lower));
+                let apart = (below[0] - above[0]).hypot(below[1] - above[1]);
+                below[2] <= above[2]
+                    && apart < STACKED_DISTANCE
+                    && self.touch(data, upper.instance, lower.instance)
+            }
+            Check::OnSite {
+                object,
+                site,
+                parent,
+            } => {
+                site.carries(model, data, position(object))
+                    && parent.is_none_or(|parent| self.touch(data, parent, object.instance))
+            }
+            Check::InSite { object, site } => site.contains(model, data, position(object)),
+            Check::Joints {
+                addresses,
+                beyond,
+                quantifier,
+            } => {
+                let holds = |address: &usize| beyond.holds(data.qpos(model)[*address]);
+                match quantifier {
+                    Quantifier::Any => addresses.iter().any(holds),
+                    Quantifier::All => addresses.iter().all(holds),
+                }
+            }
+        }
+    }
+
+    fn touch(&self, data: &Data, a: usize, b: usize) -> bool {
+        let owner = |geom: i32| {
+            usize::try_from(geom)
+                .ok()
+                .and_then(|g| self.owner_of_geom[g])
+        };
+        data.contacts().any(|contact| {
+            let owners = contact.geoms.map(owner);
+            owners == [Some(a), Some(b)] || owners == [Some(b), Some(a)]
+        })
+    }
+}
+
+impl Site {
+    /// The offset is rotated by the site's matrix, not by its transpose: that
+    /// is what the original computes.
+    fn carries(&self, model: &Model, data: &Data, position: [f64; 3]) -> bool {
+        let offset = self.offset(model, data, position);
+        let rotation = &data.site_xmat(model)[self.id * 9..self.id * 9 + 9];
+        let along = |row: usize| -> f64 {
+            (0..3)
+                .map(|column| rotation[row * 3 + column] * offset[column])
+                .sum()
+        };
+        let [half_x, half_y, half_z] = self.half_size;
+        let height = along(2);
+        half_z - ON_SITE_BELOW < height
+            && height < half_z + ON_SITE_ABOVE
+            && along(0).abs() < half_x
+            && along(1).abs() < half_y
+    }
+
+    fn contains(&self, model: &Model, data: &Data, position: [f64; 3]) -> bool {
+        let rotation = &data.site_xmat(model)[self.id * 9..self.id * 9 + 9];
+        let centre = vector(data.site_xpos(model), self.id);
+        (0..3).all(|axis| {
+            let extent: f64 = (0..3)
+                .map(|column| rotation[axis * 3 + column] * self.half_size[column])
+                .sum();
+            let slack = if axis == 2 { IN_SITE_BELOW } else { 0.0 };
+            let (low, high) = (
+                centre[axis] - extent.abs() - slack,
+                centre[axis] + extent.abs(),
+            );
+            position[axis] > low && position[axis] < high
+        })
+    }
+
+    fn offset(&self, model: &Model, data: &Data, position: [f64; 3]) -> [f64; 3] {
+        let centre = vector(data.site_xpos(model), self.id);
+        std::array::from_fn(|axis| position[axis] - centre[axis])
+    }
+}
+
+impl Beyond {
+    fn holds(self, q: f64) -> bool {
+        match self {
+            Self::Side(threshold) => threshold.holds(q),
+            Self::AtLeast(limit) => q >= limit,
+        }
+    }
+}
+
+fn vector(values: &[f64], index: usize) -> [f64; 3] {
+    std::array::from_fn(|axis| values[index * 3 + axis])
+}
+
+/// Referent of a name in a goal.
+enum Referent<'a> {
+    Instance(usize, &'a Instance),
+    Region(&'a RegionSite),
+}
+
+struct Resolver<'a> {
+    scene: &'a Scene,
+    model: &'a Model,
+}
+
+impl<'a> Resolver<'a> {
+    fn check(&self, predicate: &Predicate) -> Result<Check, SimError> {
+        let problem = |problem: &str| SimError::Predicate {
+            predicate: predicate.to_string(),
+            problem: problem.to_owned(),
+        };
+        let refer = |name: &str| {
+            self.refer(name)
+                .ok_or_else(|| problem(&format!("`{name}` is not in the scene")))
+        };
+        let object = |name: &str| match refer(name)? {
+            Referent::Instance(index, instance) => self.thing(index, instance),
+            Referent::Region(_) => Err(problem(&format!("`{name}` is a region, not an object"))),
+        };
+        match (predicate.name.as_str(), predicate.arguments.as_slice()) {
+            ("on", [upper, lower]) => match refer(lower)? {
+                Referent::Instance(index, instance) => Ok(Check::OnObject {
+                    upper: object(upper)?,
+                    lower: self.thing(index, instance)?,
+                }),
+                Referent::Region(region) => Ok(Check::OnSite {
+                    object: object(upper)?,
+                    site: self.site(region)?,
+                    parent: region
+                        .parent
+                        .as_deref()
+                        .and_then(|name| self.position(name)),
+                }),
+            },
+            ("in", [inner, outer]) => match refer(outer)? {
+                Referent::Region(region) => Ok(Check::InSite {
+                    object: object(inner)?,
+                    site: self.site(region)?,
+                }),
+                Referent::Instance(..) => Err(problem(&format!(
+                    "`{outer}` is an object, and `in` needs a region"
+                ))),
+            },
+            ("open" | "close" | "turnon" | "turnoff", [name]) => {
+                let (instance, joints) = match refer(name)? {
+                    Referent::Instance(_, instance) => (instance, &instance.joints),
+                    Referent::Region(region) => {
+                        let parent = region
+                            .parent
+                            .as_deref()
+                            .and_then(|p| self.scene.instance(p));
+                        let parent = parent
+                            .ok_or_else(|| problem(&format!("`{name}` has nothing to move")))?;
+                        (parent, &region.joints)
+                    }
+                };
+                let (beyond, quantifier) =
+                    articulation_check(&predicate.name, instance.category.articulation)
+                        .ok_or_else(|| {
+                            problem(&format!("a {} cannot do that", instance.category.name))
+                        })?;
+                Ok(Check::Joints {
+                    addresses: self.addresses(joints)?,
+                    beyond,
+                    quantifier,
+                })
+            }
+            _ => Err(problem("no such predicate with so many arguments")),
+        }
+    }
+
+    fn position(&self, name: &str) -> Option<usize> {
+        self.scene
+            .instances
+            .iter()
+            .position(|instance| instance.name == name)
+    }
+
+    fn refer(&self, name: &str) -> Option<Referent<'a>> {
+        let scene = self.scene;
+        self.position(name)
+            .map(|index| Referent::Instance(index, &scene.instances[index]))
+            .or_else(|| scene.region(name).map(Referent::Region))
+    }
+
+    fn thing(&self, instance: usize, names: &Instance) -> Result<Thing, SimError> {
+        Ok(Thing {
+            instance,
+            body: self.model.id(ObjectKind::Body, &names.root_body)?,
+        })
+    }
+
+    fn site(&self, region: &RegionSite) -> Result<Site, SimError> {
+        let id = self.model.id(ObjectKind::Site, &region.name)?;
+        Ok(Site {
+            id,
+            half_size: region.half_size,
+        })
+    }
+
+    fn addresses(&self, joints: &[String]) -> Result<Vec<usize>, SimError> {
+        let address = |name: &String| {
+            let joint = self.model.id(ObjectKind::Joint, name)?;
+            Ok(self.model.jnt_qposadr()[joint] as usize)
+        };
+        joints.iter().map(address).collect()
+    }
+}
+
+fn articulation_check(predicate: &str, articulation: Articulation) -> Option<(Beyond, Quantifier)> {
+    match (predicate, articulation) {
+        ("open", Articulation::OpenClose { open, .. }) => {
+            Some((Beyond::Side(open), Quantifier::Any))
+        }
+        ("close", Articulation::OpenClose { close, .. }) => {
+            Some((Beyond::Side(close), Quantifier::All))
+        }
+        ("turnon", Articulation::OnOff { on, .. }) => Some((Beyond::AtLeast(on), Quantifier::Any)),
+        ("turnoff", Articulation::OnOff { off, .. }) => {
+            Some((Beyond::Side(Threshold::Below(off)), Quantifier::All))
+        }
+        _ => None,
+    }
+}

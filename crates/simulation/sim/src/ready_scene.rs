@@ -1,0 +1,108 @@
+//! A task, ready for its rollouts.
+
+use std::sync::Arc;
+
+use libero_ctrl::presets::ENV_SEED;
+use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
+
+use crate::compiled_scene::CompiledScene;
+use crate::environment::Environment;
+use crate::error::SimError;
+use crate::mujoco::ObjectKind;
+use crate::perturb::{CameraPose, look_at_point};
+
+/// The camera that the camera axis moves.
+pub(crate) const PERTURBED_CAMERA: &str = "agentview";
+/// `mjJNT_FREE`.
+const FREE_JOINT: i32 = 0;
+
+/// A task's compiled scene with its initial states, and what is computed once for its
+/// rollouts. Environments share it.
+pub struct ReadyScene {
+    pub(crate) compiled: Arc<CompiledScene>,
+    pub(crate) states: InitialStates,
+    pub(crate) digest: String,
+    /// Nominal pose of the perturbed camera, and the point it looks at.
+    pub(crate) camera: CameraPose,
+    pub(crate) look_at: [f64; 3],
+    pub(crate) files: TaskFiles,
+}
+
+impl ReadyScene {
+    /// Compiles the scene of a task's files.
+    ///
+    /// # Errors
+    /// If a file is missing or wrong, or MuJoCo refuses the scene.
+    pub fn compile(
+        files: TaskFiles,
+        pack: &AssetPack,
+        sources: &Sources,
+    ) -> Result<Self, SimError> {
+        let problem = files.problem()?;
+        let states = InitialStates::read(&files.init)?;
+        let scene = compose(&problem, pack, sources, ENV_SEED)?;
+        let digest = scene.digest();
+        let compiled = Arc::new(CompiledScene::compile(scene, pack, sources)?);
+        let mut environment = Environment::before_load(Arc::clone(&compiled))?;
+        let needed = 1 + environment.model().nq() + environment.model().nv();
+        if states.width() != needed {
+            return Err(SimError::StateWidth {
+                id: 0,
+                file: files.init.display().to_string(),
+                found: states.width(),
+                needed,
+            });
+        }
+        environment.load(states.get(0).expect("there is at least one"));
+        let camera = nominal_camera(&environment)?;
+        let look_at = look_at_point(&camera, &movable_centres(&environment));
+        Ok(Self {
+            compiled,
+            states,
+            digest,
+            camera,
+            look_at,
+            files,
+        })
+    }
+
+    /// Compiled scene that its environments share.
+    pub fn compiled(&self) -> &Arc<CompiledScene> {
+        &self.compiled
+    }
+
+    /// The task's released initial states.
+    pub fn states(&self) -> &InitialStates {
+        &self.states
+    }
+
+    /// An initial state of the task.
+    pub(crate) fn state(&self, id: u16) -> Result<&[f64], SimError> {
+        self.states
+            .get(usize::from(id))
+            .ok_or_else(|| SimError::NoSuchState {
+                id: usize::from(id),
+                file: self.files.init.display().to_string(),
+                count: self.states.count(),
+            })
+    }
+}
+
+fn nominal_camera(environment: &Environment) -> Result<CameraPose, SimError> {
+    let model = environment.model();
+    let camera = model.id(ObjectKind::Camera, PERTURBED_CAMERA)?;
+    Ok(CameraPose {
+        position: std::array::from_fn(|axis| model.cam_pos()[camera * 3 + axis]),
+        quat_wxyz: std::array::from_fn(|index| model.cam_quat()[camera * 4 + index]),
+    })
+}
+
+/// Centres of mass of everything with a free joint, world frame, m.
+fn movable_centres(environment: &Environment) -> Vec<[f64; 3]> {
+    let (model, data) = (environment.model(), environment.data());
+    let joints = model.jnt_type().iter().zip(model.jnt_bodyid());
+    joints
+        .filter(|(kind, _)| **kind == FREE_JOINT)
+        .map(|(_, body)| std::array::from_fn(|axis| data.xipos(model)[*body as usize * 3 + axis]))
+        .collect()
+}

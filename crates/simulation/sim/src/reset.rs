@@ -1,0 +1,136 @@
+//! Reset without an initial state, as robosuite's `reset`: LIBERO's samplers place
+//! everything.
+
+use libero_ctrl::numpy::LegacyRng;
+use scene::SceneError;
+use scene::placement::{PoseTarget, Samplers};
+
+use crate::controller::{ARM_JOINTS, RESET_JOINTS};
+use crate::error::SimError;
+use crate::mujoco::{Data, Model, ObjectKind};
+
+/// Finger positions at a reset, m (`PandaGripper.init_qpos`).
+const RESET_FINGERS: [f64; 2] = [0.020833, -0.020833];
+
+/// Starting point of a reset: robosuite's `hard_reset`, whose other sense shows in the
+/// resulting scenes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reset {
+    /// The model as compiled, as if it were loaded anew: fixtures where its file
+    /// has them until they are placed, nothing perturbed, the gripper's ramp at
+    /// its middle.
+    Hard,
+    /// The model as it is now: fixtures where they were last, which is what
+    /// objects on their sites are placed by, and the gripper's ramp where it was.
+    Soft,
+}
+
+/// The samplers' names as places in MuJoCo's arrays.
+pub(crate) struct Resets {
+    /// Per joint sampler: first position coordinates of its joints.
+    joints: Vec<Vec<usize>>,
+    targets: Vec<Target>,
+    sites: Vec<usize>,
+    /// The fixtures as compiled: body, position, orientation.
+    compiled: Vec<(usize, [f64; 3], [f64; 4])>,
+}
+
+enum Target {
+    /// First position coordinate of a free joint.
+    FreeJoint(usize),
+    Body(usize),
+}
+
+impl Resets {
+    /// Resolves the samplers of a scene in its model as it was compiled.
+    pub(crate) fn resolve(samplers: &Samplers, compiled: &Model) -> Result<Self, SimError> {
+        let model = compiled;
+        let address = |joint: &String| {
+            let id = model.id(ObjectKind::Joint, joint)?;
+            Ok::<_, SimError>(model.jnt_qposadr()[id] as usize)
+        };
+        let joints = samplers
+            .joints()
+            .iter()
+            .map(|sampler| sampler.joints.iter().map(address).collect())
+            .collect::<Result<_, _>>()?;
+        let mut targets = Vec::new();
+        let mut compiled = Vec::new();
+        for sampler in samplers.poses() {
+            targets.push(match &sampler.target {
+                PoseTarget::FreeJoint(joint) => Target::FreeJoint(address(joint)?),
+                PoseTarget::Body(body) => {
+                    let body = model.id(ObjectKind::Body, body)?;
+                    compiled.push((
+                        body,
+                        std::array::from_fn(|axis| model.body_pos()[body * 3 + axis]),
+                        std::array::from_fn(|index| model.body_quat()[body * 4 + index]),
+                    ));
+                    Target::Body(body)
+                }
+            });
+        }
+        let sites = samplers
+            .sites()
+            .iter()
+            .map(|site| model.id(ObjectKind::Site, site))
+            .collect::<Result<_, _>>()?;
+        Ok(Self {
+            joints,
+            targets,
+            sites,
+            compiled,
+        })
+    }
+
+    /// Puts the fixtures where they were compiled.
+    pub(crate) fn put_fixtures_back(&self, model: &mut Model) {
+        for (body, pos, quat) in &self.compiled {
+            model.body_pos_mut()[body * 3..][..3].copy_from_slice(pos);
+            model.body_quat_mut()[body * 4..][..4].copy_from_slice(quat);
+        }
+    }
+
+    /// One attempt at placing everything, from the fixtures where they are.
+    pub(crate) fn place(
+        &self,
+        samplers: &Samplers,
+        model: &mut Model,
+        data: &mut Data,
+        rng: &mut LegacyRng,
+        joint_sampler_rounds: u32,
+    ) -> Result<(), SceneError> {
+        data.reset(model);
+        Samplers::skip_arm_noise(rng);
+        let qpos = data.qpos_mut(model);
+        qpos[..ARM_JOINTS].copy_from_slice(&RESET_JOINTS);
+        qpos[ARM_JOINTS..][..2].copy_from_slice(&RESET_FINGERS);
+        for _ in 0..joint_sampler_rounds {
+            for (sampler, addresses) in samplers.joints().iter().zip(&self.joints) {
+                let position = sampler.sample(rng);
+                for address in addresses {
+                    qpos[*address] = position;
+                }
+            }
+        }
+        data.kinematics(model);
+        let site_position =
+            |site: &usize| std::array::from_fn(|axis| data.site_xpos(model)[site * 3 + axis]);
+        let sites: Vec<[f64; 3]> = self.sites.iter().map(site_position).collect();
+        let poses = samplers.sample_poses(rng, &sites)?;
+        for (target, pose) in self.targets.iter().zip(poses) {
+            match *target {
+                Target::FreeJoint(address) => {
+                    let qpos = &mut data.qpos_mut(model)[address..];
+                    qpos[..3].copy_from_slice(&pose.pos);
+                    qpos[3..7].copy_from_slice(&pose.quat);
+                }
+                Target::Body(body) => {
+                    model.body_pos_mut()[body * 3..][..3].copy_from_slice(&pose.pos);
+                    model.body_quat_mut()[body * 4..][..4].copy_from_slice(&pose.quat);
+                }
+            }
+        }
+        Ok(())
+    }
+}

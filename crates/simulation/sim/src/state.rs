@@ -1,0 +1,171 @@
+//! The state of an environment as robosuite's users handle it: reset without an initial
+//! state, read and written as one vector, observed when asked; and snapshots, which leave
+//! nothing out.
+
+use libero_ctrl::numpy::LegacyRng;
+use scene::placement::MAX_DRAWS;
+
+use crate::compiled_scene::{Burner, hide_marker_sites};
+use crate::controller::{Controller, SUBSTEPS};
+use crate::environment::{Environment, JointReadings};
+use crate::error::SimError;
+use crate::mujoco::{self, Data, Model};
+use crate::reset::Reset;
+
+/// Everything that an environment's next step depends on. Environments of one compiled
+/// scene take each other's.
+pub struct Snapshot {
+    pub(crate) model: Model,
+    pub(crate) data: Data,
+    pub(crate) observed: Data,
+    pub(crate) observed_joints: JointReadings,
+    pub(crate) observed_substep: usize,
+    pub(crate) controller: Controller,
+    pub(crate) burners: Vec<Burner>,
+    pub(crate) control_steps: u32,
+}
+
+impl Environment {
+    /// Starts over without an initial state: draws where everything is from
+    /// NumPy's legacy generator, in the original's order, the arm at home, fresh
+    /// controllers, time 0; then observes once.
+    ///
+    /// `joint_sampler_rounds` is how often the original has loaded its model by
+    /// then: 1 at construction, one more with each hard reset. Its list of
+    /// samplers of what starts open, closed, on or off grows by that.
+    ///
+    /// If a thing finds no room, everything is drawn again, as the original's wrapper
+    /// does, which counts as another hard reset if this is one. Returns the resulting
+    /// number of rounds, from which the next reset goes on.
+    ///
+    /// # Errors
+    /// [`NoRoom`](scene::SceneError::NoRoom) if that fails a thousand times.
+    pub fn reset(
+        &mut self,
+        rng: &mut LegacyRng,
+        reset: Reset,
+        joint_sampler_rounds: u32,
+    ) -> Result<u32, SimError> {
+        let Self {
+            compiled,
+            model,
+            data,
+            ..
+        } = self;
+        if reset == Reset::Hard {
+            model.copy_own(&compiled.model);
+            compiled.resets.put_fixtures_back(model);
+        }
+        let samplers = &compiled.scene.samplers;
+        let mut rounds = joint_sampler_rounds;
+        let mut attempts = 1;
+        while let Err(error) = compiled.resets.place(samplers, model, data, rng, rounds) {
+            if attempts == MAX_DRAWS {
+                return Err(error.into());
+            }
+            attempts += 1;
+            rounds += u32::from(reset == Reset::Hard);
+        }
+        data.forward(model);
+        // A burner that is on glows from the first step on, not before.
+        hide_marker_sites(&compiled.scene, model);
+        for burner in &mut self.burners {
+            burner.opacity = model.site_rgba()[burner.site * 4 + 3];
+        }
+        match reset {
+            Reset::Hard => self.controller.reset(),
+            Reset::Soft => self.controller.reset_arm(),
+        }
+        self.control_steps = 0;
+        self.observed_substep = SUBSTEPS;
+        self.observe_now();
+        // Earlier warnings belong to another rollout.
+        mujoco::take_warnings();
+        Ok(rounds)
+    }
+
+    /// Time, positions and velocities in one vector.
+    pub fn state(&self) -> Vec<f64> {
+        let (model, data) = (&self.model, &self.data);
+        let mut state = vec![data.time_secs()];
+        state.extend(data.qpos(model));
+        state.extend(data.qvel(model));
+        state
+    }
+
+    /// Writes such a vector, and computes nothing: controllers and observations stay as
+    /// they are.
+    ///
+    /// # Panics
+    /// If it does not have 1 + nq + nv numbers.
+    pub fn set_state(&mut self, state: &[f64]) {
+        let (nq, nv) = (self.model.nq(), self.model.nv());
+        assert_eq!(state.len(), 1 + nq + nv, "a state of this scene");
+        self.data.set_time_secs(state[0]);
+        let (qpos, qvel) = state[1..].split_at(nq);
+        self.data.qpos_mut(&self.model).copy_from_slice(qpos);
+        self.data.qvel_mut(&self.model).copy_from_slice(qvel);
+    }
+
+    /// Computes what follows from the state: poses, contacts, forces.
+    pub fn forward(&mut self) {
+        self.data.forward(&self.model);
+    }
+
+    /// Has what glows follow from the state.
+    pub fn post_process(&mut self) {
+        self.update_burners();
+    }
+
+    /// Observes the present instant. As in robosuite, later control steps then observe
+    /// one simulation step earlier: an update that is asked for counts as one of those
+    /// between two samples.
+    pub fn observe_now(&mut self) {
+        self.observed_substep = (self.observed_substep + SUBSTEPS - 1) % SUBSTEPS;
+        self.record_all();
+    }
+
+    /// The end-effector as the controller last read it: position, m, and matrix, row by
+    /// row, in the world frame.
+    pub fn controller_pose(&self) -> ([f64; 3], [f64; 9]) {
+        self.controller.last_pose()
+    }
+
+    /// Everything that the next step depends on.
+    ///
+    /// # Errors
+    /// Out of memory.
+    pub fn snapshot(&self) -> Result<Snapshot, SimError> {
+        let copy = |of: &Data| {
+            let mut data = Data::new(&self.model)?;
+            data.copy_from(&self.model, of);
+            Ok::<_, SimError>(data)
+        };
+        Ok(Snapshot {
+            model: self.model.share(),
+            data: copy(&self.data)?,
+            observed: copy(&self.observed)?,
+            observed_joints: self.observed_joints,
+            observed_substep: self.observed_substep,
+            controller: self.controller.clone(),
+            burners: self.burners.clone(),
+            control_steps: self.control_steps,
+        })
+    }
+
+    /// Goes back to a snapshot.
+    ///
+    /// # Panics
+    /// If it is of another compiled scene.
+    pub fn restore(&mut self, snapshot: &Snapshot) {
+        self.model.copy_own(&snapshot.model);
+        self.data.copy_from(&self.model, &snapshot.data);
+        self.observed.copy_from(&self.model, &snapshot.observed);
+        self.observed_is_posed = false;
+        self.observed_joints = snapshot.observed_joints;
+        self.observed_substep = snapshot.observed_substep;
+        self.controller.clone_from(&snapshot.controller);
+        self.burners.clone_from(&snapshot.burners);
+        self.control_steps = snapshot.control_steps;
+    }
+}

@@ -1,0 +1,156 @@
+//! Resets without an initial state, against what the original LIBERO placed and
+//! drew.
+
+mod draws;
+mod files;
+mod recorded;
+
+use libero_ctrl::numpy::LegacyRng;
+use scene::{Scene, SceneError};
+use sim::{Environment, Reset, SimError};
+
+use files::{compile, crowded, packs};
+
+const LOADED_TWICE: u32 = 2;
+
+#[test]
+fn a_state_loaded_after_a_reset_finds_the_fixtures_where_campaigns_have_them() {
+    let mut environment = compile(&crowded(), &packs()[0]).unwrap();
+    let poses = |environment: &Environment| environment.model().body_pos().to_vec();
+    let mut state = vec![0.0];
+    state.extend(environment.data().qpos(environment.model()));
+    state.extend(environment.data().qvel(environment.model()));
+    environment.load(&state);
+    let campaign = poses(&environment);
+
+    let mut rng = LegacyRng::seed(1);
+    environment
+        .reset(&mut rng, Reset::Hard, LOADED_TWICE)
+        .unwrap();
+    assert_ne!(poses(&environment), campaign, "the reset places fixtures");
+    environment.load(&state);
+    assert_eq!(poses(&environment), campaign);
+}
+
+/// MuJoCo's warnings are kept per thread, whatever environment they are of.
+#[test]
+fn an_environment_that_diverges_ends_no_other_of_its_thread() {
+    let pack = &packs()[0];
+    let [mut first, mut second] = [(); 2].map(|()| compile(&crowded(), pack).unwrap());
+    for joints in [1..8, 1..3, 7..8] {
+        let mut state = vec![0.0];
+        state.extend(first.data().qpos(first.model()));
+        state.extend(first.data().qvel(first.model()));
+        state[joints].fill(1e9);
+        first.load(&state);
+        assert!(first.step(&[0.0; 7]).is_err());
+        second.step(&[0.0; 7]).expect("the other one is sound");
+    }
+}
+
+#[test]
+fn a_hard_reset_undoes_what_was_perturbed_and_a_soft_one_keeps_it() {
+    let mut environment = compile(&crowded(), &packs()[0]).unwrap();
+    let lit = environment.model().light_diffuse().to_vec();
+    let mut rng = LegacyRng::seed(2);
+    environment.model_mut().light_diffuse_mut().fill(0.1);
+    environment
+        .reset(&mut rng, Reset::Soft, LOADED_TWICE)
+        .unwrap();
+    assert!(
+        environment
+            .model()
+            .light_diffuse()
+            .iter()
+            .all(|c| *c == 0.1)
+    );
+    environment
+        .reset(&mut rng, Reset::Hard, LOADED_TWICE)
+        .unwrap();
+    assert_eq!(environment.model().light_diffuse(), lit);
+}
+
+#[test]
+fn what_is_observed_after_a_reset_is_the_reset() {
+    let mut environment = compile(&crowded(), &packs()[0]).unwrap();
+    let mut rng = LegacyRng::seed(3);
+    environment
+        .reset(&mut rng, Reset::Hard, LOADED_TWICE)
+        .unwrap();
+    let first = environment.robot_state();
+    for _ in 0..3 {
+        environment
+            .step(&[0.5, 0.5, -0.5, 0.1, 0.0, 0.0, 1.0])
+            .unwrap();
+    }
+    assert_ne!(environment.robot_state(), first);
+    assert_eq!(environment.control_steps(), 3);
+    environment
+        .reset(&mut rng, Reset::Soft, LOADED_TWICE)
+        .unwrap();
+    assert_eq!(environment.robot_state(), first);
+    assert_eq!(environment.control_steps(), 0);
+    assert_eq!(environment.data().time_secs(), 0.0);
+}
+
+/// A scene whose second bowl never finds room.
+#[test]
+fn a_scene_without_room_is_refused_with_the_object_named() {
+    let text = crowded().replace("(0.0 -0.301 0.06 -0.3)", "(0.0 -0.301 0.001 -0.3)");
+    let Err(SimError::Scene(SceneError::NoRoom { object, region, .. })) =
+        compile(&text, &packs()[0]).map(drop)
+    else {
+        panic!("there is no room");
+    };
+    assert_eq!(object, "akita_black_bowl_2");
+    assert_eq!(region, "kitchen_table_narrow_region");
+}
+
+#[test]
+fn what_the_initial_state_cannot_mean_is_refused_with_the_statement() {
+    let cases = [
+        (
+            "(Open white_cabinet_1_bottom_region)",
+            "(On butter_1 kitchen_table_basket_region)",
+            "(on butter_1 ketchup_1), but `butter_1` has a place already",
+        ),
+        (
+            "(On basket_1 kitchen_table_basket_region)",
+            "",
+            "(on cream_cheese_1 basket_1_contain_region), but `basket_1` has no place itself",
+        ),
+        (
+            "(Open white_cabinet_1_bottom_region)",
+            "(TurnOn white_cabinet_1_bottom_region)",
+            "(turnon white_cabinet_1_bottom_region), but `white_cabinet_1_bottom_region` has \
+             nothing that could turnon",
+        ),
+        (
+            "(On white_cabinet_1 kitchen_table_cabinet_region)",
+            "(On white_cabinet_1 ketchup_1)",
+            "(on white_cabinet_1 ketchup_1), but `white_cabinet_1` is a fixture",
+        ),
+        (
+            "(On butter_1 ketchup_1)",
+            "(On spoon_1 ketchup_1)",
+            "(on spoon_1 ketchup_1), but `spoon_1` is not declared",
+        ),
+    ];
+    for (from, to, expected) in cases {
+        let text = crowded().replace(from, to);
+        let refused = compile(&text, &packs()[0]).map(drop).unwrap_err();
+        let said = refused.to_string();
+        assert!(said.contains(expected), "{to}: {said}");
+    }
+}
+
+/// Names of the bodies that a scene's samplers write to, in the order in which they draw.
+fn fixtures(scene: &Scene) -> Vec<&str> {
+    let bodies = scene.samplers.poses().iter();
+    bodies
+        .filter_map(|sampler| match &sampler.target {
+            scene::placement::PoseTarget::Body(body) => Some(body.as_str()),
+            scene::placement::PoseTarget::FreeJoint(_) => None,
+        })
+        .collect()
+}

@@ -1,0 +1,148 @@
+//! States after resets as `record.py` recorded them.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::numpy::LegacyRng;
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use sim::mujoco::ObjectKind;
+use sim::{Environment, Reset};
+
+use crate::files::{bddl, compile, crowded, packs};
+use crate::fixtures;
+
+/// Tolerance of positions right after a reset, m or rad: sines and products of matrices
+/// differ in their last digit.
+const PLACED_WITHIN: f64 = 1e-15;
+/// Tolerance of the robot's positions after some steps, m or rad.
+const MOVED_WITHIN: f64 = 1e-12;
+
+#[derive(Deserialize)]
+struct Recorded {
+    action: [f64; 7],
+    steps: usize,
+    scenarios: Vec<Scenario>,
+}
+
+#[derive(Deserialize)]
+struct Scenario {
+    file: String,
+    seed: u32,
+    hard: bool,
+    constructed: Generator,
+    resets: Vec<AfterReset>,
+}
+
+#[derive(Deserialize)]
+struct AfterReset {
+    attempts: u32,
+    generator: Generator,
+    fixtures: BTreeMap<String, [f64; 7]>,
+    qpos: Vec<f64>,
+    /// After some steps; not recorded where objects touch one another.
+    robot_qpos: Option<[f64; 9]>,
+}
+
+#[derive(Debug, PartialEq, Deserialize)]
+struct Generator {
+    words_sha256: String,
+    position: usize,
+    has_gauss: u8,
+    gauss: f64,
+}
+
+impl Generator {
+    fn of(rng: &LegacyRng) -> Self {
+        let state = rng.state();
+        let mut hash = Sha256::new();
+        for word in state.words {
+            hash.update(word.to_le_bytes());
+        }
+        let hex = hash.finalize().iter().map(|b| format!("{b:02x}")).collect();
+        Self {
+            words_sha256: hex,
+            position: state.position,
+            has_gauss: state.has_gauss.into(),
+            gauss: state.gauss,
+        }
+    }
+}
+
+fn check(scenario: &Scenario, environment: &mut Environment, action: &[f64; 7], steps: usize) {
+    let kind = match scenario.hard {
+        true => Reset::Hard,
+        false => Reset::Soft,
+    };
+    let mut rng = LegacyRng::seed(scenario.seed);
+    let mut rounds = environment.reset(&mut rng, Reset::Hard, 1).unwrap();
+    assert_eq!(rounds, 1, "construction finds room at once");
+    assert_eq!(Generator::of(&rng), scenario.constructed);
+    for (index, expected) in scenario.resets.iter().enumerate() {
+        let place = format!("{} from {}, reset {index}", scenario.file, scenario.seed);
+        let before = rounds;
+        rounds += u32::from(scenario.hard);
+        rounds = environment.reset(&mut rng, kind, rounds).unwrap();
+        let loads = if scenario.hard { expected.attempts } else { 0 };
+        assert_eq!(rounds, before + loads, "{place}");
+        assert_eq!(Generator::of(&rng), expected.generator, "{place}");
+
+        let (model, data) = (environment.model(), environment.data());
+        assert_close(data.qpos(model), &expected.qpos, PLACED_WITHIN, &place);
+        assert!(data.qvel(model).iter().all(|v| *v == 0.0), "{place}");
+        let names = fixtures(environment.scene());
+        assert_eq!(names.len(), expected.fixtures.len(), "{place}");
+        for name in names {
+            let body = model.id(ObjectKind::Body, name).unwrap();
+            let pose = [
+                &model.body_pos()[body * 3..][..3],
+                &model.body_quat()[body * 4..][..4],
+            ]
+            .concat();
+            assert_close(&pose, &expected.fixtures[name], PLACED_WITHIN, &place);
+        }
+
+        if let Some(robot_qpos) = expected.robot_qpos {
+            for _ in 0..steps {
+                environment.step(action).unwrap();
+            }
+            let (model, data) = (environment.model(), environment.data());
+            let robot = &data.qpos(model)[..9];
+            assert_close(robot, &robot_qpos, MOVED_WITHIN, &place);
+        }
+    }
+}
+
+fn assert_close(ours: &[f64], theirs: &[f64], within: f64, place: &str) {
+    assert_eq!(ours.len(), theirs.len(), "{place}");
+    for (index, (ours, theirs)) in ours.iter().zip(theirs).enumerate() {
+        let difference = (ours - theirs).abs();
+        assert!(
+            difference <= within,
+            "{place}: number {index} is {ours}, off by {difference:e}"
+        );
+    }
+}
+
+#[test]
+fn resets_place_everything_where_the_original_does_and_leave_the_same_generator() {
+    let recorded: Recorded = serde_json::from_str(include_str!("recorded.json")).unwrap();
+    for pack in packs() {
+        let mut compiled: Option<(&str, Environment)> = None;
+        for scenario in &recorded.scenarios {
+            // Two in a row may share a scene: the first reset of either is hard.
+            let known = compiled.take().filter(|(file, _)| *file == scenario.file);
+            let mut environment = known.map_or_else(
+                || {
+                    let text = match scenario.file.as_str() {
+                        "crowded.bddl" => crowded(),
+                        file => bddl(file),
+                    };
+                    compile(&text, &pack).unwrap()
+                },
+                |(_, environment)| environment,
+            );
+            check(scenario, &mut environment, &recorded.action, recorded.steps);
+            compiled = Some((&scenario.file, environment));
+        }
+    }
+}

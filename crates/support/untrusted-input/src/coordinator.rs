@@ -1,0 +1,119 @@
+//! Hostile calls to the coordinator: every method of both services, on a real
+//! queue with a real database, in which worker `w` holds a job of campaign `c`.
+//!
+//! Held here: a call that is refused has changed nothing, neither the database
+//! nor a file; whatever was called, every invariant of the database holds, and
+//! the next caller is answered. A clock that stands still makes an input do the
+//! same each time.
+
+mod messages;
+mod methods;
+mod seeds;
+mod service;
+
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use queue::invariants::check;
+use queue::{ARTIFACTS_FOLDER, DATABASE_FILE};
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection, SqliteConnection};
+use tonic::Code;
+
+use crate::call::{blames_itself, block_on};
+use crate::script;
+use methods::METHODS;
+use service::{Open, after};
+
+pub(crate) use seeds::seeds;
+
+/// A database with a campaign, a worker and a lease in it, as a file.
+static DATABASE: LazyLock<Vec<u8>> = LazyLock::new(|| after(&messages::a_lease()).0);
+
+/// Makes the calls of an input, one after another; says whether none was refused.
+///
+/// # Panics
+/// If what this module holds does not.
+pub(crate) fn messages(input: &[u8]) -> bool {
+    let database = &*DATABASE;
+    block_on(async {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        std::fs::write(folder.path().join(DATABASE_FILE), database).expect("a file");
+        let mut open = Open::in_folder(folder.path()).await;
+        let mut witness = Witness::of(folder.path()).await;
+        let mut all_accepted = true;
+        for called in script::read(input) {
+            let before = witness.look().await;
+            let method = METHODS[usize::from(called.method) % METHODS.len()];
+            if let Some(Err(refusal)) = open.call(method, &called.messages).await {
+                // Unavailable is what it says when its database fails.
+                let blames_itself = blames_itself(&refusal) || refusal.code() == Code::Unavailable;
+                assert!(!blames_itself, "{method} {called:?}: {refusal}");
+                let after = witness.look().await;
+                assert_eq!(before, after, "{method} {called:?}: {refusal}");
+                all_accepted = false;
+            }
+        }
+        witness.0.close().await.expect("closes");
+        assert_eq!(check(folder.path()).await.expect("a database"), []);
+        let (method, message) = messages::registration("next");
+        let next = open.call(method, &[&message]).await;
+        next.expect("an answer").expect("a sound message");
+        open.close().await;
+        all_accepted
+    })
+}
+
+/// Detects changes of a database and of the files beside it.
+struct Witness(SqliteConnection, PathBuf);
+
+impl Witness {
+    async fn of(data: &Path) -> Witness {
+        let file = data.join(DATABASE_FILE);
+        let options = SqliteConnectOptions::new().filename(file).read_only(true);
+        let connection = options.connect().await.expect("a database");
+        Witness(connection, data.join(ARTIFACTS_FOLDER))
+    }
+
+    /// A number that changes with every writing transaction of another connection,
+    /// and how many files there are.
+    async fn look(&mut self) -> (i64, usize) {
+        let version = sqlx::query_scalar("PRAGMA data_version");
+        let version = version.fetch_one(&mut self.0).await.expect("a number");
+        (version, files_below(&self.1))
+    }
+}
+
+fn files_below(folder: &Path) -> usize {
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return 0;
+    };
+    let paths = entries.map(|entry| entry.expect("an entry").path());
+    let counts = paths.map(|path| if path.is_dir() { files_below(&path) } else { 1 });
+    counts.sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_release_of_no_job_is_refused_and_changes_nothing() {
+        // Worker w releases attempt 1 of job 0.
+        let release = b"\x0a\x05\x0a\x01w\x18\x01\x10\x02\x1a\x01e";
+        assert!(!messages(&script::write(4, release)));
+    }
+
+    #[test]
+    fn every_method_of_both_services_is_called() {
+        let proto = include_str!("../../../../proto/rollout/coordinator/v1/coordinator.proto");
+        let names = METHODS.map(|method| method.split('/').nth(1).expect("a name"));
+        for line in proto
+            .lines()
+            .filter_map(|line| line.trim().strip_prefix("rpc "))
+        {
+            let name = line.split('(').next().expect("a name");
+            assert!(names.contains(&name), "{name}");
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! Messages that mean something.
+
+use prost::Message;
+use proto::coordinator as wire;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use rollout_types::AttemptId;
+
+use super::methods::CLAIM;
+
+/// A method and a message of it.
+pub(super) type Said = (&'static str, Vec<u8>);
+
+/// Two rollouts: a perturbed one, and its nominal one.
+const SPEC: &str = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
+    "tasks":["libero_object/0"],"axes":["camera"],"levels":["L1"],"configs":[0],
+    "nominal":"eval"}"#;
+/// Seed of the coordinator's attempt ids.
+pub(super) const SEED: u64 = 1;
+/// Control steps of the rollout.
+const STEPS: u32 = 100;
+
+/// Calls made before an input starts: worker `w` is left with a lease.
+pub(super) fn a_lease() -> [Said; 3] {
+    [create(), registration("w"), claim()]
+}
+
+/// A worker makes itself known.
+pub(super) fn registration(worker_id: &str) -> Said {
+    let request = wire::RegisterRequest {
+        protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
+        worker_id: worker_id.into(),
+        host: "h".into(),
+        slots: 1,
+        asset_pack: "primitives".into(),
+        asset_pack_digest: digest(),
+        mujoco_version: "3.3.7".into(),
+        renderer: "r".into(),
+        cores: 2,
+        ..wire::RegisterRequest::default()
+    };
+    ("WorkerService/Register", request.encode_to_vec())
+}
+
+pub(super) fn create() -> Said {
+    let request = wire::CreateCampaignRequest {
+        spec: SPEC.into(),
+        priority: 3,
+    };
+    ("OperatorService/CreateCampaign", request.encode_to_vec())
+}
+
+pub(super) fn claim() -> Said {
+    let request = wire::ClaimRequest {
+        worker_id: "w".into(),
+        claim_id: "0".repeat(32),
+        ..wire::ClaimRequest::default()
+    };
+    (CLAIM, request.encode_to_vec())
+}
+
+pub(super) fn heartbeat() -> Said {
+    let request = wire::HeartbeatRequest {
+        worker_id: "w".into(),
+        progress: vec![wire::Progress {
+            attempt_id: attempt(),
+            control_steps: 9,
+        }],
+        filming: 1,
+    };
+    ("WorkerService/Heartbeat", request.encode_to_vec())
+}
+
+pub(super) fn commit() -> Said {
+    let request = wire::CommitRequest {
+        attempt_id: attempt(),
+        result: Some(wire::RolloutResult {
+            success: true,
+            steps: STEPS,
+            wall_secs: 1.5,
+            parts: Some(wire::Parts {
+                physics_secs: 0.5,
+                drawing_secs: 0.25,
+                policy_secs: 0.5,
+            }),
+            goal: Some(wire::GoalProgress {
+                predicates: 2,
+                at_end: 2,
+                at_most: 2,
+            }),
+            ..wire::RolloutResult::default()
+        }),
+        provenance: Some(wire::Provenance {
+            asset_pack: "primitives".into(),
+            asset_pack_digest: digest(),
+            mujoco_version: "3.3.7".into(),
+            renderer: "r".into(),
+            fingerprint: digest(),
+            scene_digest: digest(),
+            init_state_digest: digest(),
+            realisation: "matched".into(),
+            policy_name: "p".into(),
+            ..wire::Provenance::default()
+        }),
+        motion: Some(wire::Motion {
+            path: vec![0; (STEPS as usize + 1) * 6],
+            actions: vec![],
+        }),
+    };
+    ("WorkerService/Commit", request.encode_to_vec())
+}
+
+pub(super) fn release() -> Said {
+    let request = wire::ReleaseRequest {
+        attempt_id: attempt(),
+        reason: wire::release_request::Reason::SlotCrashed.into(),
+        error: "e".into(),
+        answered_queries: Some(1),
+    };
+    ("WorkerService/Release", request.encode_to_vec())
+}
+
+pub(super) fn name() -> wire::GetCampaignRequest {
+    wire::GetCampaignRequest {
+        campaign: "c".into(),
+    }
+}
+
+pub(super) fn job() -> wire::JobName {
+    wire::JobName {
+        rollout_id: "object/t0/camera/L1/c00".into(),
+        replicate: 0,
+    }
+}
+
+/// The id of the first attempt that a coordinator of this seed grants.
+pub(super) fn attempt() -> String {
+    let mut bits = [0; 16];
+    ChaCha8Rng::seed_from_u64(SEED).fill_bytes(&mut bits);
+    AttemptId::from_random(bits).to_string()
+}
+
+pub(super) fn digest() -> String {
+    "0".repeat(64)
+}

@@ -1,0 +1,225 @@
+//! Files that users bring, except those of scenes. Held here: what was read reads
+//! the same when it is written again, what is let through can be used, and no
+//! error shows a secret.
+
+use std::io::{Cursor, Write};
+use std::path::Path;
+
+use libero_ctrl::{CampaignSpec, Design, manifest as manifests};
+use policy_gateway::config::file as gateway;
+use policy_gateway::recording::{self, Pair};
+use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
+use transport::{Role, Tokens};
+use worker::single::RecordedActions;
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
+
+/// Rows of a manifest that are enough to begin with.
+const SEED_ROWS: usize = 20;
+/// Endings of files with recorded actions; an input's first byte chooses one.
+const ENDINGS: [&str; 3] = [".npz", ".npy", ".jsonl"];
+
+/// A manifest.
+pub(crate) fn manifest(input: &[u8]) -> bool {
+    let Some(Ok(rows)) = text(input).map(manifests::parse) else {
+        return false;
+    };
+    let written = manifests::to_text(&rows);
+    let again = manifests::parse(&written).expect("what was written");
+    assert_eq!(again, rows, "{written}");
+    true
+}
+
+/// A campaign's specification.
+pub(crate) fn campaign_spec(input: &[u8]) -> bool {
+    let Some(Ok(spec)) = text(input).map(CampaignSpec::from_json) else {
+        return false;
+    };
+    let written = serde_json::to_string(&spec).expect("JSON");
+    let again = CampaignSpec::from_json(&written);
+    assert_eq!(again.as_ref(), Ok(&spec), "{written}");
+    true
+}
+
+/// `rollouts.jsonl`, of the reference implementation or exported.
+pub(crate) fn result_rows(input: &[u8]) -> bool {
+    imports(input, b"{}")
+}
+
+/// `about.json` beside sound rows.
+pub(crate) fn about_file(input: &[u8]) -> bool {
+    imports(ROWS.as_bytes(), input)
+}
+
+/// Recorded actions.
+pub(crate) fn recorded_actions(input: &[u8]) -> bool {
+    let Some((kind, bytes)) = input.split_first() else {
+        return false;
+    };
+    let ending = ENDINGS[usize::from(*kind) % ENDINGS.len()];
+    with_file(ending, bytes, |path| {
+        let actions = RecordedActions::read(path);
+        actions.is_ok_and(|actions| {
+            assert!(actions.count() > 0);
+            true
+        })
+    })
+}
+
+/// `gateway.toml`.
+pub(crate) fn gateway_file(input: &[u8]) -> bool {
+    with_file(".toml", input, |path| {
+        gateway::read(path).is_ok_and(|config| {
+            assert!(!config.routes().is_empty());
+            true
+        })
+    })
+}
+
+/// A recorded session.
+pub(crate) fn recording(input: &[u8]) -> bool {
+    with_file(".recording", input, |path| {
+        let Ok(mut reader) = recording::Reader::open(path) else {
+            return false;
+        };
+        loop {
+            match reader.pair() {
+                Ok(Some(_)) => {}
+                Ok(None) => return true,
+                Err(_) => return false,
+            }
+        }
+    })
+}
+
+/// A token file.
+pub(crate) fn token_file(input: &[u8]) -> bool {
+    with_file("", input, |path| match Tokens::read(path) {
+        Ok(tokens) => {
+            assert!(tokens.for_role(&Role::ALL).is_some());
+            assert_eq!(tokens.role_of(""), None);
+            true
+        }
+        Err(error) => {
+            // An error may quote no word of the file that is long enough to be a token.
+            let told = error.to_string().replace(&path.display().to_string(), "");
+            let words = String::from_utf8_lossy(input);
+            let secrets = words.split_whitespace();
+            let mut secrets = secrets.filter(|word| word.len() >= transport::MIN_TOKEN_BYTES);
+            assert!(!secrets.any(|secret| told.contains(secret)), "{told}");
+            false
+        }
+    })
+}
+
+/// Two results, as the reference writes one and as an export does.
+const ROWS: &str = concat!(
+    r#"{"rollout_id": "goal/t0/camera/L2/c01", "success": true, "steps": 113, "axis": "camera", "#,
+    r#""level": "L2", "suite": "libero_goal", "task_id": 0, "init_id": 6, "config": 1, "#,
+    r#""policy": "p", "wall_s": 7.2, "ik_res_mm": 0.12}"#,
+    "\n",
+    r#"{"rollout_id":"goal/t0/clean/i06","success":false,"init_id":6,"replicate":1}"#,
+    "\n",
+);
+
+pub(crate) fn manifest_seeds() -> Vec<Vec<u8>> {
+    let rows = Design::v0_1().expand().expect("v0.1");
+    vec![manifests::to_text(rows.iter().take(SEED_ROWS)).into()]
+}
+
+pub(crate) fn campaign_spec_seeds() -> Vec<Vec<u8>> {
+    let short = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
+        "tasks":["libero_object/0"],"axes":["camera"],"levels":["L1"],"configs":[0],
+        "nominal":"eval"}"#;
+    let spec = CampaignSpec::from_json(short).expect("a specification");
+    // With every field that it may have.
+    vec![short.into(), serde_json::to_vec(&spec).expect("JSON")]
+}
+
+pub(crate) fn result_rows_seeds() -> Vec<Vec<u8>> {
+    vec![ROWS.into()]
+}
+
+pub(crate) fn about_file_seeds() -> Vec<Vec<u8>> {
+    let about = r#"{"policy":"p","source":"s","realisation":"reference",
+        "published_nominal":0.97,"nominal":{"successes":19,"n":20}}"#;
+    vec![about.into()]
+}
+
+pub(crate) fn recorded_actions_seeds() -> Vec<Vec<u8>> {
+    let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (2, 7), }";
+    let mut array = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+    array.extend(format!("{header:<117}\n").as_bytes());
+    array.extend([0; 2 * 7 * 8]);
+    let lines = b"[0,0,0,0,0,0,-1]\n[0.5,0,1e-3,0,0,0,1]\n";
+    let zipped = zipped("actions.npy", &array);
+    let files = [&zipped[..], &array, lines];
+    (0..)
+        .zip(files)
+        .map(|(kind, file)| [&[kind], file].concat())
+        .collect()
+}
+
+pub(crate) fn gateway_file_seeds() -> Vec<Vec<u8>> {
+    let file = "[policy.one]\nreplicas = [\"grpc://a:1\", \"grpc://b:1/pi05\"]\n\
+        batching = \"deterministic\"\nanswer_within_secs = 0.5\n\
+        [policy.two.suites]\nlibero_goal = [\"ws://a:2\"]\n\
+        [policy.three]\nreplicas = [\"https://c:1\"]\nca = \"ca.pem\"\ntoken_file = \"t\"\n\
+        [policy.four]\nreplicas = [\"builtin:expert\"]\n";
+    vec![file.into()]
+}
+
+pub(crate) fn recording_seeds() -> Vec<Vec<u8>> {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (described, reset) = (DescribeResponse::default(), ResetRequest::default());
+    let writer = recording::Writer::begin(folder.path(), &described, &reset);
+    let mut writer = writer.expect("written");
+    let pair = Pair {
+        query: InferRequest::default(),
+        answer: InferResponse {
+            actions: vec![0.5; 7],
+            action_width: 7,
+        },
+    };
+    writer.add(&pair).expect("written");
+    let file = writer.finish().expect("written");
+    vec![std::fs::read(file).expect("a recording")]
+}
+
+pub(crate) fn token_file_seeds() -> Vec<Vec<u8>> {
+    let file = "# who\nworker 0123456789abcdef\n\nviewer fedcba9876543210\n";
+    vec![file.into()]
+}
+
+/// A zip with one member, as NumPy and PyTorch write it: not compressed.
+pub(crate) fn zipped(name: &str, bytes: &[u8]) -> Vec<u8> {
+    let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+    zip.start_file(name, stored).expect("a name");
+    zip.write_all(bytes).expect("written");
+    zip.finish().expect("a zip").into_inner()
+}
+
+/// Imports a folder of results; one that is accepted has records and can be written.
+fn imports(rows: &[u8], about: &[u8]) -> bool {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    std::fs::write(folder.path().join("rollouts.jsonl"), rows).expect("written");
+    std::fs::write(folder.path().join("about.json"), about).expect("written");
+    let Ok(subject) = report::import(folder.path()) else {
+        return false;
+    };
+    assert!(!subject.records.is_empty());
+    assert!(serde_json::to_vec(&subject).is_ok());
+    true
+}
+
+fn with_file(ending: &str, bytes: &[u8], then: impl FnOnce(&Path) -> bool) -> bool {
+    let file = tempfile::Builder::new().suffix(ending).tempfile();
+    let mut file = file.expect("a temporary file");
+    file.write_all(bytes).expect("written");
+    then(file.path())
+}
+
+fn text(input: &[u8]) -> Option<&str> {
+    std::str::from_utf8(input).ok()
+}

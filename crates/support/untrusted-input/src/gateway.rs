@@ -1,0 +1,210 @@
+//! Any message to the gateway: every method of `rollout.policy.v1` before
+//! the built-in policies, and what policy servers answer it. Held here: an answer
+//! to every call, and of every answer of a server either actions that a robot may
+//! execute or a refusal.
+
+use policy_gateway::backend::openpi::codec;
+use policy_gateway::backend::vla_eval;
+use policy_gateway::check;
+use policy_gateway::config::Config;
+use policy_gateway::service::Gateway;
+use policy_protocol::{ACTION_WIDTH, LARGEST_NUMBER, MAX_HORIZON};
+use prost::Message;
+use proto::policy as wire;
+use proto::policy::policy_server::PolicyServer;
+use tonic::service::Routes;
+
+use crate::call::{blames_itself, block_on, call};
+use crate::script;
+
+/// Prefix of the gateway's message that a policy did not want a query.
+const POLICY: &str = "the policy failed: ";
+/// Every method; an input names one by its place.
+const METHODS: [&str; 5] = ["Describe", "Reset", "Infer", "InferBatch", "End"];
+
+/// Makes the calls of an input, one after another; says whether none was refused.
+///
+/// # Panics
+/// If a call has no answer, or the gateway blames itself.
+pub(crate) fn messages(input: &[u8]) -> bool {
+    block_on(async {
+        let routes = ["noop=builtin:noop", "expert=builtin:expert"];
+        let routes = routes.map(|route| route.parse().expect("a route"));
+        let config = Config::new(routes.into()).expect("two routes");
+        let gateway = Gateway::new(&config).expect("no addresses");
+        let mut services = Routes::new(PolicyServer::new(gateway));
+        let mut all_accepted = true;
+        for called in script::read(input) {
+            let method = METHODS[usize::from(called.method) % METHODS.len()];
+            let path = format!("/rollout.policy.v1.Policy/{method}");
+            if let Err(refusal) = call(&mut services, &path, &called.messages).await {
+                let blames_itself = blames_itself(&refusal) && !refusal.message().contains(POLICY);
+                assert!(!blames_itself, "{method} {called:?}: {refusal}");
+                all_accepted = false;
+            }
+        }
+        all_accepted
+    })
+}
+
+/// Reads an input as each answer that a policy server may give; says whether it
+/// is one of them.
+///
+/// # Panics
+/// If what is let through is not what a robot may execute.
+pub(crate) fn answers(input: &[u8]) -> bool {
+    let mut is_an_answer = false;
+    if let Ok(described) = wire::DescribeResponse::decode(input)
+        && policy_protocol::description(&described).is_ok()
+    {
+        is_an_answer = true;
+        assert!((1..=MAX_HORIZON).contains(&described.horizon));
+        assert!(check::batch_size(&described) >= 1);
+        assert_eq!(check::difference(&described, &described), None);
+    }
+    if let Ok(response) = wire::InferResponse::decode(input)
+        && let Ok(actions) = policy_protocol::actions(&response, MAX_HORIZON)
+    {
+        is_an_answer = true;
+        assert_eq!(response.actions, actions.as_flattened());
+        let is_bounded = |number: &f32| number.abs() <= LARGEST_NUMBER;
+        assert!(response.actions.iter().all(is_bounded));
+    }
+    if let Ok(chunk) = codec::answer(input) {
+        is_an_answer = true;
+        let [count, width] = chunk.shape;
+        assert_eq!(count * width, chunk.numbers.len());
+    }
+    if let Ok(response) = vla_eval::answer(input, 1, 1) {
+        is_an_answer = true;
+        let grippers = response.actions.chunks(ACTION_WIDTH);
+        if policy_protocol::actions(&response, 1).is_ok() {
+            assert!(grippers.flat_map(|it| it.last()).all(|it| it.abs() == 1.0));
+        }
+    }
+    is_an_answer
+}
+
+/// Inputs for [`messages`]: for each policy a session with two queries.
+pub(crate) fn seeds() -> Vec<Vec<u8>> {
+    ["noop", "expert"].map(session).to_vec()
+}
+
+/// Inputs for [`answers`].
+pub(crate) fn answer_seeds() -> Vec<Vec<u8>> {
+    let described = wire::DescribeResponse {
+        protocol_version: proto::PROTOCOL_VERSION,
+        name: "p".into(),
+        horizon: 8,
+        execute: 4,
+        max_batch: 2,
+        cameras: vec![wire::CameraRequest {
+            name: "agentview".into(),
+            width: 128,
+            height: 128,
+        }],
+        ..wire::DescribeResponse::default()
+    };
+    let response = wire::InferResponse {
+        actions: vec![0.5; 14],
+        action_width: 7,
+    };
+    // {"actions": an array of one action, as msgpack_numpy writes it}
+    let mut chunk = b"\x81\xa7actions\x84\xc4\x0b__ndarray__\xc3\xc4\x04data\xc4\x1c".to_vec();
+    chunk.extend([0; 28]);
+    chunk.extend(b"\xc4\x05dtype\xa3<f4\xc4\x05shape\x92\x01\x07");
+    // One action, as vla-eval's servers write it.
+    let mut action = b"\x84\xa4type\xa6action\xa7payload\x81\xa7actions".to_vec();
+    action.extend(b"\x84\xab__ndarray__\xc3\xa4data\xc4\x1c");
+    action.extend([0; 28]);
+    action.extend(b"\xa5dtype\xa3<f4\xa5shape\x91\x07\xa3seq\x01\xa9timestamp\x00");
+    vec![
+        described.encode_to_vec(),
+        response.encode_to_vec(),
+        chunk,
+        action,
+    ]
+}
+
+fn session(policy: &str) -> Vec<u8> {
+    let describe = wire::DescribeRequest {
+        protocol_version: proto::PROTOCOL_VERSION,
+        policy: policy.into(),
+        suite: "libero_object".into(),
+    };
+    let reset = wire::ResetRequest {
+        policy: policy.into(),
+        session: "s".into(),
+        suite: "libero_object".into(),
+        instruction: "pick up the milk and place it in the basket".into(),
+        seed: 1,
+    };
+    let infer = wire::InferRequest {
+        policy: policy.into(),
+        session: "s".into(),
+        query_index: 0,
+        observation: Some(wire::Observation {
+            privileged: Some(scene()),
+            ..wire::Observation::default()
+        }),
+    };
+    let batch = wire::InferBatchRequest {
+        queries: vec![infer.clone(), infer.clone()],
+    };
+    let end = wire::EndRequest {
+        policy: policy.into(),
+        session: "s".into(),
+    };
+    [
+        script::write(0, &describe.encode_to_vec()),
+        script::write(1, &reset.encode_to_vec()),
+        script::write(2, &infer.encode_to_vec()),
+        script::write(3, &batch.encode_to_vec()),
+        script::write(4, &end.encode_to_vec()),
+    ]
+    .concat()
+}
+
+/// A bowl beside the plate that it belongs on, and the hand above the origin.
+fn scene() -> wire::PrivilegedState {
+    let entity = |name: &str, centre: [f64; 3]| wire::Entity {
+        name: name.into(),
+        kind: wire::entity::Kind::Object.into(),
+        category: "akita_black_bowl".into(),
+        pos: centre.into(),
+        quat: vec![1.0, 0.0, 0.0, 0.0],
+        half_extents: vec![0.05, 0.05, 0.02],
+        centre: centre.into(),
+    };
+    wire::PrivilegedState {
+        entities: vec![
+            entity("bowl_1", [-0.1, -0.1, 0.02]),
+            entity("plate_1", [0.1, 0.2, 0.02]),
+        ],
+        joints: vec![],
+        goal: vec![wire::GoalPredicate {
+            predicate: "on".into(),
+            arguments: vec!["bowl_1".into(), "plate_1".into()],
+        }],
+        grip_pos: vec![0.0, 0.0, 0.3],
+        grip_quat: vec![0.0, 0.5_f64.sqrt(), 0.5_f64.sqrt(), 0.0],
+        gripper_opening: 0.08,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::METHODS;
+
+    #[test]
+    fn every_method_is_called() {
+        let proto = include_str!("../../../../proto/rollout/policy/v1/policy.proto");
+        for line in proto
+            .lines()
+            .filter_map(|line| line.trim().strip_prefix("rpc "))
+        {
+            let name = line.split('(').next().expect("a name");
+            assert!(METHODS.contains(&name), "{name}");
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! Every reader and handler under inputs that are nearly right: the seeds, and
+//! seeded mutations of them. A fuzzer finds more (`fuzz/README.md`); this runs
+//! wherever the tests do. `ROLLOUT_HOSTILE_SEEDS=1000-1099` takes other seeds, as
+//! many as wanted.
+
+use std::ops::RangeInclusive;
+use std::panic;
+use std::sync::Once;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use untrusted_input::{TARGETS, Target};
+
+/// Inputs of a target that opens a database for each.
+const DATABASE_INPUTS: usize = 150;
+/// Inputs of each of the others.
+const INPUTS: usize = 2_000;
+/// Most changes that make one input.
+const MAX_CHANGES: usize = 8;
+/// Longest piece that is taken out, doubled or replaced, bytes.
+const MAX_RANGE_BYTES: usize = 64;
+/// Pieces that are inserted: limits of number types, and tokens of the formats.
+const PIECES: [&[u8]; 16] = [
+    b"\x00",
+    b"\xff",
+    b"\x7f",
+    b"\xff\xff\xff\xff",
+    b"\xff\xff\xff\xff\xff\xff\xff\xff\xff\x01",
+    b"-1",
+    b"1e999",
+    b"NaN",
+    b"18446744073709551616",
+    b"null",
+    b"[[[[[[[[",
+    b"\"",
+    b"\n",
+    b"../",
+    b"\xc3\xa4",
+    b"=",
+];
+
+#[test]
+fn the_seeds_are_accepted() {
+    for target in TARGETS {
+        for (number, seed) in (target.seeds)().iter().enumerate() {
+            assert!((target.run)(seed), "seed {number} of {}", target.name);
+        }
+    }
+}
+
+#[test]
+fn no_file_breaks_its_reader() {
+    let services = ["rpc", "rpc_policy"];
+    let readers = TARGETS.into_iter();
+    for target in readers.filter(|target| !services.contains(&target.name)) {
+        survives(target, INPUTS);
+    }
+}
+
+#[test]
+fn no_message_breaks_the_coordinator_or_changes_what_it_is_refused_for() {
+    survives(untrusted_input::named("rpc"), DATABASE_INPUTS);
+}
+
+#[test]
+fn no_message_breaks_the_gateway() {
+    survives(untrusted_input::named("rpc_policy"), INPUTS);
+}
+
+/// Gives a target mutated inputs. One that it does not survive is kept as a file,
+/// for the fuzz target of this name.
+fn survives(target: Target, inputs: usize) {
+    static PANICS: AtomicUsize = AtomicUsize::new(0);
+    static COUNTING: Once = Once::new();
+    // A task's panic ends the task alone; here it counts.
+    COUNTING.call_once(|| {
+        let tell = panic::take_hook();
+        panic::set_hook(Box::new(move |panic| {
+            PANICS.fetch_add(1, Ordering::SeqCst);
+            tell(panic);
+        }));
+    });
+    let seeds = (target.seeds)();
+    for seed in rng_seeds() {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        for number in 0..inputs {
+            let input = mutated(&seeds, &mut rng);
+            let survived = panic::catch_unwind(|| (target.run)(&input)).is_ok();
+            if survived && PANICS.load(Ordering::SeqCst) == 0 {
+                continue;
+            }
+            let name = format!("{}-{seed}-{number}", target.name);
+            let file = std::env::temp_dir().join(&name);
+            std::fs::write(&file, &input).expect("written");
+            panic!("{name} is not survived; it is in {}", file.display());
+        }
+    }
+}
+
+/// Seeds of the random numbers: one, or those that the environment names.
+fn rng_seeds() -> RangeInclusive<u64> {
+    let Ok(range) = std::env::var("ROLLOUT_HOSTILE_SEEDS") else {
+        return 5..=5;
+    };
+    let (first, last) = range.split_once('-').expect("FIRST-LAST");
+    first.parse().expect("a number")..=last.parse().expect("a number")
+}
+
+/// A seed, or two joined, with a few changes.
+fn mutated(seeds: &[Vec<u8>], rng: &mut ChaCha8Rng) -> Vec<u8> {
+    let mut input = seeds[below(rng, seeds.len())].clone();
+    if below(rng, 4) == 0 {
+        input.extend(&seeds[below(rng, seeds.len())]);
+    }
+    for _ in 0..=below(rng, MAX_CHANGES) {
+        let at = below(rng, input.len() + 1);
+        let end = (at + below(rng, MAX_RANGE_BYTES)).min(input.len());
+        match below(rng, 6) {
+            0 if at < input.len() => input[at] ^= 1 << below(rng, 8),
+            1 if at < input.len() => input[at] = below(rng, 256) as u8,
+            2 => drop(input.drain(at..end)),
+            3 => {
+                let again = input[at..end].to_vec();
+                input.splice(at..at, again);
+            }
+            4 => input.truncate(at),
+            _ => drop(input.splice(at..end, PIECES[below(rng, PIECES.len())].to_vec())),
+        }
+    }
+    input
+}
+
+fn below(rng: &mut ChaCha8Rng, bound: usize) -> usize {
+    rng.next_u32() as usize % bound
+}

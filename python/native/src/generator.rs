@@ -1,0 +1,48 @@
+//! NumPy's legacy generator, as `numpy.random.get_state()` hands it over.
+
+use libero_ctrl::numpy::{LegacyRng, LegacyState};
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+/// `("MT19937", key, position, has_gauss, cached_gaussian)`.
+pub(crate) type Generator<'py> = (String, Bound<'py, PyArray1<u32>>, usize, i32, f64);
+
+/// Its state.
+///
+/// # Errors
+/// If it is of another generator, or not of its size.
+pub(crate) fn read((name, key, position, has_gauss, gauss): &Generator<'_>) -> PyResult<LegacyRng> {
+    let wrong = |problem: String| {
+        PyValueError::new_err(format!(
+            "read a generator's state: {problem}; give numpy.random.get_state()"
+        ))
+    };
+    if name != "MT19937" {
+        return Err(wrong(format!("it is of `{name}` and not of `MT19937`")));
+    }
+    let key: PyReadonlyArray1<'_, u32> = key.readonly();
+    let words = key.as_slice()?;
+    let words = words
+        .try_into()
+        .map_err(|_| wrong(format!("its key has {} words", words.len())))?;
+    let state = LegacyState {
+        words,
+        position: *position,
+        has_gauss: *has_gauss != 0,
+        gauss: *gauss,
+    };
+    LegacyRng::from_state(state).ok_or_else(|| wrong(format!("its position is {position}")))
+}
+
+/// The state as NumPy takes it.
+pub(crate) fn write<'py>(py: Python<'py>, rng: &LegacyRng) -> Generator<'py> {
+    let state = rng.state();
+    (
+        "MT19937".to_owned(),
+        PyArray1::from_slice(py, &state.words),
+        state.position,
+        i32::from(state.has_gauss),
+        state.gauss,
+    )
+}

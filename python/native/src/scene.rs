@@ -1,0 +1,172 @@
+//! Compiled scenes.
+
+use std::ffi::CString;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use libero_ctrl::presets::ENV_SEED;
+use pyo3::exceptions::{PyRuntimeWarning, PyValueError};
+use pyo3::prelude::*;
+use scene::{InstanceKind, Sources, TaskFiles, compose};
+use sim::{CompiledScene, ReadyScene, SceneFolder};
+
+use crate::error;
+use crate::pack::opened;
+
+/// A compiled scene, shared by all its simulations.
+#[pyclass(frozen, weakref, module = "rollout_libero._native")]
+pub(crate) struct Scene {
+    pub(crate) compiled: Arc<CompiledScene>,
+    /// With the task's initial states; none if no file of them was given.
+    pub(crate) ready: Option<Arc<ReadyScene>>,
+    problem: scene::Problem,
+    #[pyo3(get)]
+    bddl_file: PathBuf,
+    #[pyo3(get)]
+    pack: String,
+    #[pyo3(get)]
+    digest: String,
+    /// Files because of which the pack is not LIBERO's.
+    #[pyo3(get)]
+    pack_differences: Vec<String>,
+}
+
+/// Instances with their categories.
+type Instances = Vec<(String, &'static str)>;
+
+#[pymethods]
+impl Scene {
+    /// Compiles the scene of a BDDL file, or maps it if this machine has compiled it before.
+    /// With the file of its initial states, its
+    /// rollouts can begin there.
+    #[new]
+    #[pyo3(signature = (bddl_file, *, assets, sources, init_file = None))]
+    fn new(
+        py: Python<'_>,
+        bddl_file: PathBuf,
+        assets: &str,
+        sources: PathBuf,
+        init_file: Option<PathBuf>,
+    ) -> PyResult<Self> {
+        let scene = py.detach(|| Self::compile(bddl_file, assets, &sources, init_file))?;
+        if let Some(problem) = SceneFolder::take_problem() {
+            let problem = CString::new(problem)?;
+            PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &problem, 1)?;
+        }
+        Ok(scene)
+    }
+
+    /// The problem's class: `libero_tabletop_manipulation`.
+    #[getter]
+    fn problem(&self) -> &str {
+        &self.problem.name
+    }
+
+    /// The BDDL file's own wording of the task.
+    #[getter]
+    fn language(&self) -> &str {
+        &self.problem.language
+    }
+
+    #[getter]
+    fn objects(&self) -> Instances {
+        self.instances(InstanceKind::Object)
+    }
+
+    #[getter]
+    fn fixtures(&self) -> Instances {
+        self.instances(InstanceKind::Fixture)
+    }
+
+    #[getter]
+    fn objects_of_interest(&self) -> Vec<String> {
+        self.problem.objects_of_interest.clone()
+    }
+
+    #[getter]
+    fn goal(&self) -> Vec<Vec<String>> {
+        let goal = self.problem.goal.iter();
+        goal.map(|predicate| {
+            let name = std::iter::once(&predicate.name);
+            name.chain(&predicate.arguments).cloned().collect()
+        })
+        .collect()
+    }
+
+    /// Number of initial states.
+    #[getter]
+    fn initial_states(&self) -> usize {
+        self.ready
+            .as_ref()
+            .map_or(0, |ready| ready.states().count())
+    }
+
+    /// The name of an instance's outermost body.
+    fn root_body(&self, instance: &str) -> PyResult<&str> {
+        Ok(&self.instance(instance)?.root_body)
+    }
+
+    /// The names of an instance's joints; an object's free joint is the last.
+    fn joints(&self, instance: &str) -> PyResult<Vec<String>> {
+        Ok(self.instance(instance)?.joints.clone())
+    }
+}
+
+impl Scene {
+    fn compile(
+        bddl_file: PathBuf,
+        assets: &str,
+        sources: &Path,
+        init_file: Option<PathBuf>,
+    ) -> PyResult<Self> {
+        let sources = Sources::open(sources).map_err(error::scene)?;
+        let pack = opened(assets, &sources).map_err(error::scene)?;
+        let files = TaskFiles {
+            bddl: bddl_file.clone(),
+            init: init_file.clone().unwrap_or_default(),
+        };
+        let problem = files.problem().map_err(error::scene)?;
+        let (compiled, ready) = if init_file.is_some() {
+            let ready = ReadyScene::compile(files, &pack, &sources).map_err(error::simulation)?;
+            (Arc::clone(ready.compiled()), Some(Arc::new(ready)))
+        } else {
+            let scene = compose(&problem, &pack, &sources, ENV_SEED).map_err(error::scene)?;
+            let compiled =
+                CompiledScene::compile(scene, &pack, &sources).map_err(error::simulation)?;
+            (Arc::new(compiled), None)
+        };
+        Ok(Self {
+            digest: compiled.scene().digest(),
+            compiled,
+            ready,
+            problem,
+            bddl_file,
+            pack: pack.name().to_owned(),
+            pack_differences: pack.differences().to_vec(),
+        })
+    }
+
+    fn instances(&self, kind: InstanceKind) -> Instances {
+        let instances = self.compiled.scene().instances.iter();
+        instances
+            .filter(|instance| instance.kind == kind)
+            .map(|instance| (instance.name.clone(), instance.category.name))
+            .collect()
+    }
+
+    fn instance(&self, name: &str) -> PyResult<&scene::Instance> {
+        self.compiled.scene().instance(name).ok_or_else(|| {
+            let known: Vec<&str> = self
+                .compiled
+                .scene()
+                .instances
+                .iter()
+                .map(|instance| instance.name.as_str())
+                .collect();
+            PyValueError::new_err(format!(
+                "find instance `{name}` in the scene: it has {}",
+                known.join(", ")
+            ))
+        })
+    }
+}

@@ -1,0 +1,116 @@
+//! Starting point of a rollout.
+
+use libero_ctrl::numpy::LegacyRng;
+use libero_ctrl::{ManifestRow, Realisation};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use serde::Deserialize;
+use sim::episode::NO_OP;
+use sim::{Conditions, Environment, ReadyScene, Reset};
+
+use crate::error::simulation;
+
+/// Starting point of a rollout.
+pub(crate) enum Start {
+    /// Circumstances of a manifest's row.
+    Row(Box<ManifestRow>),
+    /// Placement by LIBERO's samplers.
+    Sampled(Sampled),
+}
+
+/// A placement of the benchmark's samplers.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Sampled {
+    /// Seed of NumPy's legacy generator.
+    sampled: u32,
+    /// Control steps without action.
+    settle_steps: u32,
+    /// Row whose perturbations act; its initial state does not, and fixtures stay where
+    /// campaigns have them.
+    #[serde(default)]
+    perturbed: Option<Box<ManifestRow>>,
+}
+
+/// Rounds of joint samples that an environment draws when it is constructed, seeded and
+/// reset.
+const JOINT_SAMPLER_ROUNDS: u32 = 2;
+
+impl Start {
+    /// Reads JSON: a row, or `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`, in
+    /// which `perturbed` is optional.
+    ///
+    /// # Errors
+    /// If it is neither.
+    pub(crate) fn read(json: &str) -> PyResult<Self> {
+        let read = || {
+            let value: serde_json::Value = serde_json::from_str(json)?;
+            match value.get("sampled") {
+                Some(_) => serde_json::from_value(value).map(Self::Sampled),
+                None => serde_json::from_value(value).map(|row| Self::Row(Box::new(row))),
+            }
+        };
+        read().map_err(not_a_row)
+    }
+
+    /// Begins it in an environment of its scene, and lets that come to rest. Perturbations
+    /// are realised as LIBERO-CTRL matches them. Returns what becomes of actions and
+    /// frames; none where nothing does.
+    ///
+    /// # Errors
+    /// If the task has no such initial state, there is no room, or the physics diverges.
+    pub(crate) fn begin(
+        &self,
+        ready: Option<&ReadyScene>,
+        environment: &mut Environment,
+    ) -> PyResult<Option<Conditions>> {
+        match self {
+            Self::Row(row) => {
+                let ready = complete(ready)?;
+                let begun = Conditions::begin(ready, environment, row, Realisation::Matched);
+                let conditions = begun.map_err(simulation)?;
+                conditions.settle(environment).map_err(simulation)?;
+                Ok(Some(conditions))
+            }
+            Self::Sampled(it) => {
+                let mut rng = LegacyRng::seed(it.sampled);
+                let reset = environment.reset(&mut rng, Reset::Hard, JOINT_SAMPLER_ROUNDS);
+                reset.map_err(simulation)?;
+                let conditions = match &it.perturbed {
+                    Some(row) => {
+                        let (state, ready) = (environment.state(), complete(ready)?);
+                        let how = Realisation::Matched;
+                        let begun = Conditions::begin_at(state, ready, environment, row, how);
+                        Some(begun.map_err(simulation)?)
+                    }
+                    None => None,
+                };
+                for _ in 0..it.settle_steps {
+                    environment.step(&NO_OP).map_err(simulation)?;
+                }
+                Ok(conditions)
+            }
+        }
+    }
+}
+
+/// Names of the axes that a manifest's row, JSON, perturbs.
+///
+/// # Errors
+/// `ValueError`, if it is no row.
+#[pyfunction]
+pub(crate) fn perturbed_axes(row: &str) -> PyResult<Vec<String>> {
+    let row: ManifestRow = serde_json::from_str(row).map_err(not_a_row)?;
+    Ok(row.axes().axes().map(|axis| axis.to_string()).collect())
+}
+
+fn not_a_row(error: serde_json::Error) -> PyErr {
+    PyValueError::new_err(format!(
+        "read a configuration: {error}; it has the columns of a campaign's manifest"
+    ))
+}
+
+fn complete(ready: Option<&ReadyScene>) -> PyResult<&ReadyScene> {
+    ready
+        .ok_or_else(|| PyValueError::new_err("begin at an initial state: give Scene its init_file"))
+}

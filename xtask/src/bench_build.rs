@@ -1,0 +1,133 @@
+//! Times a newcomer's and a contributor's waits: a fresh clone to the demo's report, the check
+//! before a landing, and one changed line of the queue to its tests' verdict.
+
+use std::fs::{self, OpenOptions};
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+
+use crate::cargo::cargo;
+use crate::process::capture;
+
+/// A wait that is timed.
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Wait {
+    /// A fresh clone to the demo's report.
+    Demo,
+    /// A line changed in the queue, to the verdict of the queue's tests.
+    Line,
+    /// Everything that must hold before a change lands, in a fresh clone.
+    Ci,
+}
+
+impl Wait {
+    /// Limit in seconds on two cores, with downloads in the caches.
+    fn target(self) -> u64 {
+        match self {
+            Self::Demo => 6 * 60,
+            Self::Line => 30,
+            Self::Ci => 25 * 60,
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Demo => "fresh clone to the demo's report",
+            Self::Line => "one line of the queue to its tests' verdict",
+            Self::Ci => "`.ci/run` in a fresh clone",
+        }
+    }
+}
+
+/// Which waits are timed.
+#[derive(clap::Args)]
+pub(crate) struct Options {
+    /// Waits to time, separated by commas.
+    #[arg(long, value_delimiter = ',', default_value = "demo,line,ci")]
+    only: Vec<Wait>,
+}
+
+/// Clones the committed state beside this checkout, times each wait there and prints it beside
+/// its target.
+///
+/// # Errors
+/// If the clone cannot be made, or if a timed command fails: its time would mean nothing.
+pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
+    for &wait in &options.only {
+        let clone = root.join("target/bench-build");
+        if clone.exists() {
+            fs::remove_dir_all(&clone).with_context(|| format!("remove {}", clone.display()))?;
+        }
+        let mut git = Command::new("git");
+        capture(git.args(["clone", "--quiet"]).arg(root).arg(&clone))?;
+        // Tests look for the reference data beside their checkout.
+        let (shared, link) = (root.join("../shared"), root.join("target/shared"));
+        if shared.exists() && !link.exists() {
+            let shared = fs::canonicalize(&shared).context("find the reference data")?;
+            std::os::unix::fs::symlink(shared, &link).context("link the reference data")?;
+        }
+        let seconds = match wait {
+            Wait::Demo => timed(cargo(&clone).args(["xtask", "demo"]))?,
+            Wait::Ci => timed(Command::new("bash").arg(".ci/run").current_dir(&clone))?,
+            Wait::Line => {
+                queue_tests(&clone)?;
+                let source = clone.join("crates/service/queue/src/lib.rs");
+                let file = OpenOptions::new().append(true).open(&source);
+                let mut file = file.with_context(|| format!("open {}", source.display()))?;
+                writeln!(file, "// A line that changes what is compiled.")?;
+                queue_tests(&clone)?
+            }
+        };
+        let met = if seconds <= wait.target() {
+            "met"
+        } else {
+            "missed"
+        };
+        println!(
+            "{}: {seconds} s, target {} s, {met}",
+            wait.name(),
+            wait.target()
+        );
+    }
+    Ok(())
+}
+
+/// Seconds until the queue's tests passed.
+fn queue_tests(clone: &Path) -> Result<u64> {
+    let tests = ["nextest", "run", "--workspace", "-E", "package(queue)"];
+    timed(cargo(clone).args(tests))
+}
+
+/// Seconds that a command took. Its output is hidden unless it fails.
+fn timed(command: &mut Command) -> Result<u64> {
+    // Variables of the cargo that started this program would reach the clone's build.
+    for (name, _) in std::env::vars_os() {
+        let text = name.to_string_lossy();
+        if text.starts_with("CARGO_") && text != "CARGO_HOME" {
+            command.env_remove(&name);
+        }
+    }
+    let start = Instant::now();
+    let output = command
+        .stdin(Stdio::null())
+        .output()
+        .context("start a timed command")?;
+    let seconds = start.elapsed().as_secs();
+    if !output.status.success() {
+        let tail = |bytes: &[u8]| {
+            let text = String::from_utf8_lossy(bytes);
+            let lines: Vec<&str> = text.lines().collect();
+            lines[lines.len().saturating_sub(40)..].join("\n")
+        };
+        bail!(
+            "time a command: it ended with {} after {seconds} s\n{}\n{}",
+            output.status,
+            tail(&output.stdout),
+            tail(&output.stderr)
+        );
+    }
+    Ok(seconds)
+}

@@ -1,0 +1,55 @@
+//! The check for every save: format, lints, documentation and the tests that need neither
+//! programs nor scenes.
+
+use std::path::Path;
+
+use anyhow::Result;
+
+use crate::cargo::cargo;
+use crate::process::capture;
+use crate::setup;
+use crate::step::step;
+
+/// Runs every part, and fails at the first that does not hold.
+///
+/// # Errors
+/// If a part does not hold; the error has its output.
+pub(crate) fn run(root: &Path) -> Result<()> {
+    setup::run(root)?;
+    println!("Checking");
+    step("format", || {
+        capture(cargo(root).args(["fmt", "--all", "--check"])).map(|_| "as rustfmt writes it")
+    })?;
+    step("lints", || {
+        let clippy = ["clippy", "--workspace", "--all-targets", "--quiet"];
+        capture(cargo(root).args(clippy).args(["--", "--deny", "warnings"])).map(|_| "none")
+    })?;
+    step("documentation", || documentation(root))?;
+    step("unit tests", || {
+        // In the profile `check` of .config/nextest.toml.
+        let tests = ["nextest", "run", "--workspace", "--profile", "check"];
+        let lines = capture(
+            cargo(root)
+                .args(tests)
+                .args(["--final-status-level", "none"]),
+        )?;
+        Ok(lines.lines().last().unwrap_or("passed").trim().to_owned())
+    })?;
+    Ok(())
+}
+
+/// Builds rustdoc of all crates; a broken link or a malformed example is an error.
+///
+/// # Errors
+/// If rustdoc warns.
+pub(crate) fn documentation(root: &Path) -> Result<&'static str> {
+    let mut doc = cargo(root);
+    doc.args([
+        "doc",
+        "--workspace",
+        "--no-deps",
+        "--quiet",
+        "--document-private-items",
+    ]);
+    capture(doc.env("RUSTDOCFLAGS", "--deny warnings")).map(|_| "no warnings")
+}
