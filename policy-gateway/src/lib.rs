@@ -5,7 +5,7 @@
 
 #![forbid(unsafe_code)]
 
-use std::{convert::Infallible, time::Duration};
+use std::{convert::Infallible, pin::Pin, time::Duration};
 
 use proto::policy::policy_server::PolicyServer;
 use thiserror::Error;
@@ -47,7 +47,17 @@ pub async fn run(
     gateway: Gateway,
     security: &Security,
     listener: TcpListener,
-    shutdown: impl Future<Output = ()>,
+    shutdown: impl Future<Output = ()> + Send,
+) -> Result<(), RunError> {
+    // Boxed, so that the server is compiled once and not for every caller's future.
+    serve(gateway, security, listener, Box::pin(shutdown)).await
+}
+
+async fn serve(
+    gateway: Gateway,
+    security: &Security,
+    listener: TcpListener,
+    shutdown: Pin<Box<dyn Future<Output = ()> + Send + '_>>,
 ) -> Result<(), RunError> {
     let policies = PolicyServer::new(gateway)
         .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)

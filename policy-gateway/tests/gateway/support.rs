@@ -15,8 +15,8 @@ use policy_gateway::{
     service::Gateway,
 };
 use proto::policy::{
-    DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
-    InferResponse, Observation, ResetRequest, ResetResponse,
+    DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferBatchRequest,
+    InferBatchResponse, InferRequest, InferResponse, Observation, ResetRequest, ResetResponse,
     policy_client::PolicyClient,
     policy_server::{Policy, PolicyServer},
 };
@@ -92,9 +92,51 @@ pub(crate) async fn reloadable(routes: Vec<RouteSpec>) -> (Running, Gateway) {
 }
 
 /// A policy server that is not a gateway, on a free port.
-pub(crate) async fn serve<P: Policy>(policy: P) -> Running {
+pub(crate) async fn serve(policy: impl Policy) -> Running {
+    serve_any(Any(Box::new(policy))).await
+}
+
+/// A policy of any type, so that the server is compiled once and not for each of them.
+struct Any(Box<dyn Policy>);
+
+#[tonic::async_trait]
+impl Policy for Any {
+    async fn describe(
+        &self,
+        request: Request<DescribeRequest>,
+    ) -> Result<Response<DescribeResponse>, Status> {
+        self.0.describe(request).await
+    }
+
+    async fn reset(
+        &self,
+        request: Request<ResetRequest>,
+    ) -> Result<Response<ResetResponse>, Status> {
+        self.0.reset(request).await
+    }
+
+    async fn infer(
+        &self,
+        request: Request<InferRequest>,
+    ) -> Result<Response<InferResponse>, Status> {
+        self.0.infer(request).await
+    }
+
+    async fn infer_batch(
+        &self,
+        request: Request<InferBatchRequest>,
+    ) -> Result<Response<InferBatchResponse>, Status> {
+        self.0.infer_batch(request).await
+    }
+
+    async fn end(&self, request: Request<EndRequest>) -> Result<Response<EndResponse>, Status> {
+        self.0.end(request).await
+    }
+}
+
+async fn serve_any(policy: Any) -> Running {
     let (health, health_service) = tonic_health::server::health_reporter();
-    health.set_serving::<PolicyServer<P>>().await;
+    health.set_serving::<PolicyServer<Any>>().await;
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("a bound address");
     let (stop, stopped) = oneshot::channel();
@@ -185,21 +227,21 @@ pub(crate) struct Query {
 
 /// A policy that describes itself as told and answers what a function says. It
 /// keeps nothing of the protocol by itself.
-pub(crate) struct Scripted<F> {
+pub(crate) struct Scripted {
     described: Box<dyn Fn() -> DescribeResponse + Send + Sync>,
-    answer: F,
+    answer: Box<dyn Fn(Query) -> Result<InferResponse, Status> + Send + Sync>,
     seeds: Mutex<HashMap<String, u64>>,
     asked: AtomicU32,
 }
 
-impl<F> Scripted<F>
-where
-    F: Fn(Query) -> Result<InferResponse, Status> + Send + Sync + 'static,
-{
-    pub(crate) fn new(described: DescribeResponse, answer: F) -> Self {
+impl Scripted {
+    pub(crate) fn new(
+        described: DescribeResponse,
+        answer: impl Fn(Query) -> Result<InferResponse, Status> + Send + Sync + 'static,
+    ) -> Self {
         Self {
             described: Box::new(move || described.clone()),
-            answer,
+            answer: Box::new(answer),
             seeds: Mutex::default(),
             asked: AtomicU32::new(0),
         }
@@ -216,10 +258,7 @@ where
 }
 
 #[tonic::async_trait]
-impl<F> Policy for Scripted<F>
-where
-    F: Fn(Query) -> Result<InferResponse, Status> + Send + Sync + 'static,
-{
+impl Policy for Scripted {
     async fn describe(
         &self,
         _: Request<DescribeRequest>,
