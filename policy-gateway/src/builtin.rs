@@ -32,9 +32,9 @@ impl Builtin {
     pub const ALL: [Self; 5] = [
         Self::Noop,
         Self::Expert,
-        Self::Student(Weights::Plain),
-        Self::Student(Weights::Randomised),
         Self::Student(Weights::Libero),
+        Self::Student(Weights::Boxes),
+        Self::Student(Weights::BoxesRandomised),
     ];
 
     /// The name after `builtin:`.

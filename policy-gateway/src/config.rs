@@ -306,7 +306,7 @@ mod tests {
         check("a b=builtin:noop", "letters, digits");
         check(
             "x=builtin:nope",
-            "noop, expert, student, student-randomised, student-libero",
+            "noop, expert, student, student-boxes, student-boxes-randomised",
         );
         check("x=http://host:1", "grpc://HOST:PORT");
         check("x=ws://host", "ws://HOST:PORT");

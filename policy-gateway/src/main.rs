@@ -66,7 +66,7 @@ struct Serve {
     /// A policy's name and what answers for it: grpc://HOST:PORT[/POLICY],
     /// ws://HOST:PORT (an openpi server), vla-eval://HOST:PORT (a model server
     /// of vla-eval), builtin:noop, builtin:expert, builtin:student,
-    /// builtin:student-randomised, builtin:student-libero, student:FILE (weights
+    /// builtin:student-boxes, builtin:student-boxes-randomised, student:FILE (weights
     /// that training exported), or several replicas with commas between (repeatable)
     #[arg(
         long = "route",

@@ -128,7 +128,8 @@ impl Drop for Process {
 pub struct Campaigns {
     /// The coordinator.
     pub coordinator: Process,
-    /// The gateway, with routes `expert`, `noop` and `student`.
+    /// The gateway, with routes `expert`, `noop` and `student`, which was taught on the
+    /// built-in boxes.
     pub gateway: Process,
 }
 
@@ -137,8 +138,9 @@ impl Campaigns {
     pub fn start(data: &Path) -> Self {
         let mut gateway = Command::new(program("policy-gateway"));
         gateway.args(["--listen", "127.0.0.1:0"]);
-        for name in ["expert", "noop", "student"] {
-            gateway.arg("--route").arg(format!("{name}=builtin:{name}"));
+        let boxes = "student=builtin:student-boxes";
+        for route in ["expert=builtin:expert", "noop=builtin:noop", boxes] {
+            gateway.args(["--route", route]);
         }
         Self {
             coordinator: serve(data, "127.0.0.1:0"),

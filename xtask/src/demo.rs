@@ -4,8 +4,7 @@
 //! perturbation changes.
 //!
 //! The policy is the scripted expert. It is given the simulator's state, so that only the
-//! robot's pose and the actuation disturb it; the student has been taught on the built-in
-//! pack and solves nothing on LIBERO's meshes.
+//! robot's pose and the actuation disturb it, and it needs no time for looking.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -131,12 +131,13 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
     let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
     let mut tests = cargo(root);
     match nextest {
-        true => tests.args(["nextest", "run", "--workspace"]).args(filters),
-        false => tests
-            .args(["test", "--workspace", "--lib", "--bins", "--tests"])
-            .args(filters),
+        true => tests.args(["nextest", "run"]),
+        false => tests.arg("test"),
     };
+    // Lints compile the examples; building and linking them takes a minute.
     tests
+        .args(["--workspace", "--lib", "--bins", "--tests"])
+        .args(filters)
         .env("ROLLOUT_PROGRAMS", programs)
         .env("ROLLOUT_PYTHON", &python)
         .env("ROLLOUT_PYTHON_PACKAGES", &packages);

@@ -33,7 +33,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// Width of a program's name before the lines that it prints, columns.
 const NAME_COLUMNS: usize = 11;
 /// The policies that come with the gateway.
-const BUILT_IN: [&str; 2] = ["student=builtin:student-libero", "expert=builtin:expert"];
+const BUILT_IN: [&str; 2] = ["student=builtin:student", "expert=builtin:expert"];
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\

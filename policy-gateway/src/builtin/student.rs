@@ -26,9 +26,9 @@ const STATE: [StateField; 3] = [
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weights {
     /// Taught in unperturbed scenes of the built-in assets.
-    Plain,
+    Boxes,
     /// Taught in randomly perturbed scenes of the built-in assets.
-    Randomised,
+    BoxesRandomised,
     /// Taught in unperturbed scenes of LIBERO's own assets.
     Libero,
 }
@@ -37,28 +37,29 @@ impl Weights {
     /// The policy's name.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Plain => "student",
-            Self::Randomised => "student-randomised",
-            Self::Libero => "student-libero",
+            Self::Boxes => "student-boxes",
+            Self::BoxesRandomised => "student-boxes-randomised",
+            Self::Libero => "student",
         }
     }
 
     /// The asset pack that they were taught on, as provenance names it.
     fn taught_on(self) -> &'static str {
         match self {
-            Self::Plain | Self::Randomised => "primitives",
+            Self::Boxes | Self::BoxesRandomised => "primitives",
             Self::Libero => "libero",
         }
     }
 
     /// The network with them, which is made once.
     pub(crate) fn network(self) -> &'static Arc<Network> {
-        static PLAIN: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::PLAIN));
-        static RANDOMISED: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::RANDOMISED));
+        static BOXES: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::BOXES));
+        static BOXES_RANDOMISED: LazyLock<Arc<Network>> =
+            LazyLock::new(|| shipped(student::BOXES_RANDOMISED));
         static LIBERO: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::LIBERO));
         match self {
-            Self::Plain => &PLAIN,
-            Self::Randomised => &RANDOMISED,
+            Self::Boxes => &BOXES,
+            Self::BoxesRandomised => &BOXES_RANDOMISED,
             Self::Libero => &LIBERO,
         }
     }
@@ -110,6 +111,8 @@ pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
 /// The policy with weights that the program brings.
 pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     let mut policy = policy(Arc::clone(weights.network()), checkpoint);
+    // The boxes' files were exported under other names, and their digests are published.
+    policy.described.name = weights.name().to_owned();
     policy.described.settings = vec![Setting {
         name: TAUGHT_ON.to_owned(),
         value: weights.taught_on().to_owned(),
@@ -234,7 +237,7 @@ mod tests {
     }
 
     fn session(instruction: &str) -> (DescribeResponse, Box<dyn BuiltinPolicy>) {
-        let network = Arc::clone(Weights::Plain.network());
+        let network = Arc::clone(Weights::Boxes.network());
         let policy = policy(network, "builtin:student".to_owned());
         let reset = ResetRequest {
             instruction: instruction.to_owned(),
@@ -281,8 +284,8 @@ mod tests {
     #[test]
     fn the_shipped_weights_say_what_they_were_taught_on() {
         for (weights, pack) in [
-            (Weights::Plain, "primitives"),
-            (Weights::Randomised, "primitives"),
+            (Weights::Boxes, "primitives"),
+            (Weights::BoxesRandomised, "primitives"),
             (Weights::Libero, "libero"),
         ] {
             let described = shipped_policy(weights, "builtin".to_owned()).described;
@@ -296,9 +299,10 @@ mod tests {
 
     #[test]
     fn all_weights_are_networks_with_names_of_their_own() {
-        let all = [Weights::Plain, Weights::Randomised, Weights::Libero];
+        let all = [Weights::Boxes, Weights::BoxesRandomised, Weights::Libero];
         for weights in all {
-            assert_eq!(weights.network().name(), weights.name());
+            let described = shipped_policy(weights, "builtin".to_owned()).described;
+            assert_eq!(described.name, weights.name());
         }
         let digests: BTreeSet<&str> = all.iter().map(|it| it.network().digest()).collect();
         assert_eq!(digests.len(), all.len());

@@ -80,13 +80,13 @@ mod query;
 mod text;
 mod weights;
 
-/// Weights that were taught in unperturbed scenes, as safetensors.
-pub const PLAIN: &[u8] = include_bytes!("../weights/student.safetensors");
-/// Weights that were taught in randomly perturbed scenes.
-pub const RANDOMISED: &[u8] = include_bytes!("../weights/student-randomised.safetensors");
-
-/// Weights that were taught on LIBERO's own assets, in unperturbed scenes.
-pub const LIBERO: &[u8] = include_bytes!("../weights/student-libero.safetensors");
+/// Weights that were taught on LIBERO's own assets, in unperturbed scenes, as safetensors.
+pub const LIBERO: &[u8] = include_bytes!("../weights/student.safetensors");
+/// Weights that were taught on the built-in boxes, in unperturbed scenes.
+pub const BOXES: &[u8] = include_bytes!("../weights/student-boxes.safetensors");
+/// Weights that were taught on the built-in boxes, in randomly perturbed scenes.
+pub const BOXES_RANDOMISED: &[u8] =
+    include_bytes!("../weights/student-boxes-randomised.safetensors");
 
 pub use error::{QueryError, WeightsError};
 pub use network::Network;
