@@ -1,17 +1,17 @@
-"""Everything from the first frame to a student that is measured, in calls that go on.
+"""Collects, trains, exports and evaluates a student, in calls that resume one another.
 
     python -m training.pipeline --data data --stage teach --minutes 9 --total-minutes 18
     python -m training.pipeline --data data --stage teach --minutes 9 --total-minutes 18
     python -m training.pipeline --data data --stage evaluate --minutes 4
 
-``teach`` has the processor's cores collect while the GPU trains. In the first round the expert
-drives, mostly disturbed; in each later one the student drives in turns with it, with its newest
-weights, and the tasks that it failed before get more environments. Frames of all rounds stay in
-training. A call ends by itself after ``--minutes``,
-and the next with the same words goes on; the learning rate falls over ``--total-minutes``, the
-training of all calls. The last call exports the weights.
+``teach`` collects on the processor's cores while the GPU trains. In the first round the expert
+drives, mostly disturbed; in each later round the student, with its newest weights, takes turns
+with the expert, and the tasks that the student failed before get more environments. Training
+keeps the frames of all rounds. A call ends after ``--minutes``, and the same command resumes it;
+the learning rate falls over ``--total-minutes``, the training time of all calls.
 
-``evaluate`` measures the student on the benchmark's released states, which no stage has seen.
+``evaluate`` exports the weights and measures the student on the benchmark's released initial
+states, which no stage has seen.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from training.collect import OUTCOMES, read_outcomes
 from training.train import WEIGHTS
 
 LEAVE_SECONDS = 12.0
-"""Before a call's end, to write what is left."""
+"""Seconds before the end of a call at which collecting and training stop, to write files."""
 THREADS = 16
-"""Of a collecting process: more wait for one another in the interpreter."""
+"""Threads of a collecting process; more would contend for the interpreter lock (GIL)."""
 
 
 def python(module: str, *arguments: object) -> list[str]:

@@ -46,7 +46,7 @@ GPU_SHARE = 0.7
 
 
 class Losses(nn.Module):
-    """The network with what it is trained by, so that both are compiled as one."""
+    """The network and its loss in one module, so that ``torch.compile`` compiles both."""
 
     def __init__(self, network: Network) -> None:
         super().__init__()
@@ -77,7 +77,7 @@ class Trainer:
         self.step = 0
         self.trained_seconds = 0.0
         self.spent_seconds = 0.0
-        """On loading, in all calls."""
+        """Seconds that loading has taken, summed over all calls."""
         self._network = Network().to(self._device)
         self._network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._mean = copy.deepcopy(self._network).requires_grad_(False).eval()
@@ -242,7 +242,7 @@ def train(arguments: argparse.Namespace) -> None:
     begun, seconds = time.monotonic(), arguments.seconds
     device = torch.device(arguments.device)
     torch.manual_seed(arguments.seed)
-    # Before anything is on the GPU: the processes that draw are copies of this one.
+    # Before CUDA is initialised: the processes that draw wordings are forked from this one.
     wordings = Wordings(arguments.wordings, arguments.seed, device, arguments.processes)
     trainer = Trainer(arguments)
     held_out = min(HELD_OUT_FRAMES, arguments.capacity or HELD_OUT_FRAMES)

@@ -57,8 +57,8 @@ CAMERAS = [
 
 
 def arena(floor, wall, furnish, floor_in_body=False, walls=CORNERED_WALLS):
-    """One scene file. `furnish(worldbody)` adds the furniture; `floor_in_body` where LIBERO hangs
-    regions on a body called `floor`."""
+    """Returns one scene file. `furnish(worldbody)` adds the furniture; `floor_in_body` puts the
+    floor into a body called `floor`, to which LIBERO attaches regions in some arenas."""
     mujoco = ET.Element("mujoco", model="arena")
     asset = ET.SubElement(mujoco, "asset")
     ET.SubElement(

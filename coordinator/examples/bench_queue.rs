@@ -151,7 +151,8 @@ async fn create(queue: &Queue, campaign: &NewCampaign) -> Result<(u64, f64)> {
     Ok((created.jobs_total, began.elapsed().as_secs_f64()))
 }
 
-/// Takes another campaign in and out until it is stopped, and notes how long each step took.
+/// Creates, copies, deletes and imports another campaign until it is stopped, and records the
+/// seconds that each step took.
 async fn move_beside(queue: Arc<Queue>, jobs: u64, moved: Arc<Mutex<Vec<[f64; 4]>>>) -> Result<()> {
     let mut other = spec("other", jobs)?;
     // The slots are those of the first campaign.

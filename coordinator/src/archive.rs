@@ -1,5 +1,6 @@
-//! A campaign in one file, to be kept or taken to another coordinator: a compressed tar
-//! of a data folder that holds nothing else, with what it says of itself in front.
+//! Archive of a campaign in one file, to be kept or imported by another coordinator: a compressed
+//! tar of a data folder with this campaign alone. It begins with a table of contents, the
+//! specification, the provenance and the report.
 //!
 //! | member | what it is |
 //! | --- | --- |
@@ -90,7 +91,7 @@ pub enum ArchiveError {
         /// Error of the system.
         source: io::Error,
     },
-    /// It is something else.
+    /// The file is not an archive of a campaign.
     #[error(
         "read archive {archive}: it is no archive of a campaign ({problem}); make one with `coordinator campaign archive`"
     )]
@@ -190,7 +191,7 @@ pub enum ArchiveError {
         /// Error of the system.
         source: io::Error,
     },
-    /// There is no room for what it claims to hold.
+    /// The disk lacks space for the content that the archive declares.
     #[error(
         "unpack archive {archive}: that takes {needed_mib} MiB and the disk of {} has {free_mib} \
          left; make room",

@@ -80,7 +80,7 @@ pub struct Provider {
 }
 
 impl Provider {
-    /// For a pack whose files are fetched when they are needed; none for another.
+    /// Returns a provider for a pack whose files are fetched on demand, None for any other pack.
     pub fn new(pack: &AssetPack, sources: &Sources) -> Option<Self> {
         pack.is_managed().then(|| Self {
             pack: pack.clone(),

@@ -43,7 +43,7 @@ pub struct Config {
 pub struct Filmed {
     /// Videos that the coordinator has now.
     pub stored: u64,
-    /// Rollouts of which there is none; the log says why.
+    /// Rollouts that could not be filmed; the log says why.
     pub failed: u64,
 }
 
@@ -56,7 +56,7 @@ pub enum FilmError {
     /// The coordinator cannot be called.
     #[error(transparent)]
     Link(#[from] SuperviseError),
-    /// It says no.
+    /// The request for the next rollout failed.
     #[error("ask the coordinator at {url} what to film: {}", answer(status))]
     Refused {
         /// URL of the coordinator.
@@ -77,9 +77,8 @@ struct Filmable {
     success: bool,
 }
 
-/// Films until nothing is left, as many rollouts at a time as `config` says. Each is drawn
-/// on a thread of its own, whose simulator is opened there. `provide` sees that a task's
-/// files are there.
+/// Films rollouts until none is left, `config.at_a_time` at a time, each thread with a simulator
+/// of its own. `provide` fetches the files of a rollout's task if they are missing.
 ///
 /// # Errors
 /// If the coordinator cannot be reached. A rollout that cannot be filmed is logged and
@@ -91,7 +90,7 @@ pub fn run(
 ) -> Result<Filmed, FilmError> {
     let runtime = tokio::runtime::Runtime::new().map_err(FilmError::Room)?;
     let scratch = tempfile::tempdir().map_err(FilmError::Room)?;
-    // It never drains: ending it costs the videos in hand.
+    // `worker film` never drains: when it is ended, unfinished videos are lost.
     let (_running, draining) = watch::channel(false);
     let inside = runtime.enter();
     let link = Link::new(&config.coordinator, &config.access, config.seed, draining)?;

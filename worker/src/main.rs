@@ -334,8 +334,8 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
     match rescued.saved_by_placebo.len() as u64 {
         0 => Ok(()),
         times => say(&format!(
-            "at {}, nudging the robot by a thousandth of a millimetre and lifting nothing saves it \
-             as well: the rollout stood on an edge there, and these count as no rescue",
+            "at {}, the placebo (nothing lifted, the robot nudged by a thousandth of a millimetre) \
+             saves it as well: its outcome was on an edge there, and these do not count as rescues",
             counted(times, "step")
         )),
     }
@@ -458,7 +458,7 @@ async fn forward(
             _ = terminate.recv() => {}
             _ = interrupt.recv() => {}
         }
-        // A third one finds the queue full, and nothing left to change.
+        // A third request changes nothing and may be dropped when the queue is full.
         let _ = requests.try_send(());
     }
 }
@@ -467,7 +467,7 @@ fn own_program() -> anyhow::Result<PathBuf> {
     std::env::current_exe().context("find this program's own file")
 }
 
-/// A program as a slot, on the same files.
+/// Returns the command line of a slot's process, with the worker's files and credentials.
 fn slot_program(
     program: PathBuf,
     arguments: &SimulatorArguments,
@@ -484,7 +484,8 @@ fn slot_program(
     slot
 }
 
-/// A program in a mode that simulates, on the same files.
+/// Returns the command line of `program` in a simulating mode (`slot` or `bench-slot`), with the
+/// worker's assets, sources, renderer and scene folder.
 fn program_of(
     mode: &str,
     program: PathBuf,

@@ -12,7 +12,7 @@ const WIDTH: usize = 34;
 /// Runs a step that says in a few words how it went.
 pub(crate) fn step<T: Display>(what: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
     let mut out = std::io::stdout();
-    // On a terminal the line is there before its outcome is.
+    // A terminal shows the title while the step runs.
     if out.is_terminal() {
         let _ = write!(out, "  {what:<WIDTH$} …");
         let _ = out.flush();

@@ -11,7 +11,7 @@ const RIGHT: f64 = 20.0;
 const GAP: f64 = 26.0;
 const COLOURS: [&str; 3] = ["#1f5fa8", "#c4511d", "#3a7d44"];
 
-/// A quantity of a sample; none where there is none.
+/// Label of a line, and the quantity of a sample that it shows; None where it was not measured.
 type Line = (&'static str, fn(&Sample) -> Option<f64>);
 
 /// A panel: what it shows, with its unit, and its lines.

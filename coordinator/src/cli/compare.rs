@@ -14,8 +14,9 @@ use super::command::{CommandError, Connection, print_line, usage};
 pub(super) struct CompareArguments {
     #[command(flatten)]
     sources: Sources,
-    /// Demand intervals that hold at any look: both campaigns were created with
-    /// `--stop`, and ran in the same order. Where they did, these are there anyway.
+    /// Fail unless confidence sequences, which hold at any look, can be computed: both campaigns
+    /// were created with `--stop` and ran in the same order. Without this flag, confidence
+    /// sequences are reported whenever they can be computed.
     #[arg(long)]
     sequential: bool,
     /// Say after how many configurations a rule about the `difference` was met, such

@@ -34,7 +34,7 @@ pub(super) struct ExplainArguments {
     /// transition is explained.
     #[arg(long, value_name = "N", value_parser = number(1..=u32::MAX, "rollouts"))]
     budget: Option<u32>,
-    /// What that order is drawn from.
+    /// Seed of the random order in which transitions are explained. [default: 0]
     #[arg(long, value_parser = number_from(0_u64, ""))]
     seed: Option<u64>,
     /// Run every subset, and not only those that decide which of them are minimal.
@@ -96,7 +96,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
 }
 
 impl ExplainArguments {
-    /// Whether it says how to explain, and not only what.
+    /// Returns true if a flag of the campaign to be created was given, such as `--budget`.
     fn asks_for_something(&self) -> bool {
         self.budget.is_some()
             || self.seed.is_some()
@@ -106,14 +106,14 @@ impl ExplainArguments {
     }
 }
 
-/// Whether there is a campaign of this name, and it explains the other.
+/// Returns true if the campaign `name` exists and explains `campaign`.
 async fn is_there(client: &Client, campaign: &str, name: &str) -> Result<bool, CommandError> {
     let rollouts = derived::rollouts(client, name).await?;
     Ok(matches!(rollouts, Some(Rollouts::Explanation(there)) if there.campaign == campaign))
 }
 
-/// Creates the campaign if that is the action, unless it is there as it would be created.
-/// Returns what it takes, in words.
+/// Creates the campaign if `action` is [`Action::Create`], unless it exists with the same
+/// specification. Returns the rollouts that it takes and a forecast of their time, as text.
 async fn begin(
     client: &Client,
     arguments: &ExplainArguments,

@@ -49,7 +49,7 @@ pub(super) async fn ask_of(
     answer.map_err(|error| format!("failed to {error}"))
 }
 
-/// The same in words.
+/// Describes a forecast, or the reason why there is none, for a terminal.
 pub(super) fn in_words(answer: &Result<ForecastResponse, String>, policy: &str) -> String {
     match answer {
         Ok(forecast) => forecast::in_words(forecast, policy),
@@ -57,7 +57,7 @@ pub(super) fn in_words(answer: &Result<ForecastResponse, String>, policy: &str) 
     }
 }
 
-/// The same with the rest of a dry run, as JSON.
+/// Prints a dry run as JSON: the campaign, its forecast and its planning.
 pub(super) fn print(
     campaign: &NewCampaign,
     answer: Result<ForecastResponse, String>,

@@ -43,7 +43,7 @@ pub(super) struct ThresholdsArguments {
     /// configuration is measured.
     #[arg(long, value_name = "N", value_parser = number(1..=u32::MAX, "rollouts"))]
     budget: Option<u32>,
-    /// What that order is drawn from.
+    /// Seed of the random order in which configurations are measured. [default: 0]
     #[arg(long, value_parser = number_from(0_u64, ""))]
     seed: Option<u64>,
     #[command(flatten)]
@@ -99,21 +99,21 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
 }
 
 impl ThresholdsArguments {
-    /// Whether it says how to measure, and not only what.
+    /// Returns true if a flag of the campaign to be created was given, such as `--tolerance`.
     fn asks_for_something(&self) -> bool {
         let measures = self.tolerance.or(self.max_radius).is_some();
         measures || !self.axes.is_empty() || self.budget.is_some() || self.seed.is_some()
     }
 }
 
-/// Whether there is a campaign of this name, and it measures the other.
+/// Returns true if the campaign `name` exists and measures thresholds of `campaign`.
 async fn is_there(client: &Client, campaign: &str, name: &str) -> Result<bool, CommandError> {
     let rollouts = derived::rollouts(client, name).await?;
     Ok(matches!(rollouts, Some(Rollouts::Thresholds(there)) if there.campaign == campaign))
 }
 
-/// Creates the campaign if that is the action, unless it is there as it would be created.
-/// Returns what it takes, in words.
+/// Creates the campaign if `action` is [`Action::Create`], unless it exists with the same
+/// specification. Returns the rollouts that it takes and a forecast of their time, as text.
 async fn begin(
     client: &Client,
     arguments: &ThresholdsArguments,

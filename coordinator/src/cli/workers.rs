@@ -65,7 +65,7 @@ pub(super) async fn filming(client: &Client) -> Result<u32, CommandError> {
     Ok(alive.map(|worker| worker.filming).sum())
 }
 
-/// The same in a line; none of none.
+/// Describes in one line how many rollouts the slots are filming; None if there are none.
 pub(super) fn filming_in_words(rollouts: u32) -> Option<String> {
     (rollouts > 0).then(|| {
         let rollouts = counted(rollouts.into(), "rollout");

@@ -12,7 +12,7 @@ use crate::{Measure, load::Slot, programs::Running, simulated};
 
 /// Connections over which the queries come.
 const CONNECTIONS: u32 = 64;
-/// How long neither a refusal comes nor memory grows before all is in.
+/// The load is complete when for this long no query is refused and memory does not grow.
 const QUIET: Duration = Duration::from_secs(2);
 
 pub(crate) async fn measure(measure: &Measure) -> Result<Value> {

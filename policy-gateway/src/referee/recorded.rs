@@ -5,8 +5,8 @@ use std::path::Path;
 use super::situation::Situation;
 use crate::recording::{self, Pair, Reader, RecordingError};
 
-/// Takes up to `count` situations from the recordings of a folder: of as many
-/// sessions as there are, spread over each session's length.
+/// Takes up to `count` situations from the recordings of a folder: from as many sessions as
+/// possible, spread over the length of each.
 ///
 /// # Errors
 /// If there is no recording, or one is damaged.

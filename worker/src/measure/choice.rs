@@ -20,8 +20,8 @@ pub(super) struct Throughput {
     pub(super) steps_per_sec: f64,
 }
 
-/// The fewest slots that reach [`ENOUGH`] of the best throughput. Numbers above
-/// `most` are left out, from the best too. None if no number is left.
+/// Returns the smallest number of slots that reaches [`ENOUGH`] of the best throughput. Numbers
+/// above `most` are ignored, also for the best throughput. None if no number is left.
 pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput> {
     let fitting = || measured.iter().filter(|it| it.slots <= most).copied();
     let best = fitting().map(|it| it.steps_per_sec).fold(0.0, f64::max);
@@ -61,8 +61,8 @@ pub(super) struct PerSlot {
     pub(super) scene_files: u64,
 }
 
-/// Returns the number of slots that fit into the bytes of memory that are available, at
-/// least one. No two have a scene in common, until slots have the scenes of all tasks.
+/// Returns the number of slots that fit into [`SHARE`] of `available` bytes of memory, at least
+/// one. Assumes that no two slots share a scene until the slots hold the scenes of all tasks.
 pub(super) fn fit(available: u64, per_slot: PerSlot) -> usize {
     let room = available as f64 * SHARE;
     let tasks = TaskRef::all().count() as f64;

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use crate::packages::WHEELS;
 use crate::process::capture;
 
-/// Something from elsewhere.
+/// Third-party component that the archive or the image contains.
 pub(super) struct Component {
     pub(super) name: String,
     pub(super) version: String,
@@ -61,7 +61,7 @@ pub(super) fn of_compiler(libraries: &[&str]) -> Result<Vec<Component>> {
     Ok(found.collect())
 }
 
-/// The C library, which an image has and an archive has not.
+/// Describes the C library, which the container image contains and the archive does not.
 pub(super) fn glibc() -> Result<Component> {
     let told = capture(Command::new("ldd").arg("--version"))?;
     let first = told.lines().next().unwrap_or_default();

@@ -1,8 +1,8 @@
 //! Scripts with `{{NAME}}` where a value goes.
 //!
-//! A line whose placeholder has no value is left out. Values are quoted for who reads
-//! the line: Slurm if it begins with `#SBATCH`, else the shell. Several values repeat
-//! a line of Slurm's, and are several words of the shell's.
+//! A line with a placeholder that has no value is left out. Values are quoted for the reader of
+//! the line: Slurm if the line begins with `#SBATCH`, else the shell. A placeholder with several
+//! values repeats an `#SBATCH` line, and becomes several words of a shell line.
 
 /// Values of the placeholders.
 #[derive(Default)]
@@ -86,8 +86,8 @@ pub(super) fn for_shell(value: &str) -> String {
     }
 }
 
-/// A word of an `#SBATCH` line, in which a backslash stands before what is meant
-/// literally, between quotation marks too.
+/// Quotes a value as one word of an `#SBATCH` line, where a backslash escapes the next character,
+/// also between quotation marks.
 fn for_slurm(value: &str) -> String {
     match is_plain(value) {
         true => value.to_owned(),
@@ -95,7 +95,7 @@ fn for_slurm(value: &str) -> String {
     }
 }
 
-/// Whether it means itself to both.
+/// Returns true if a value needs no quotation marks, neither for the shell nor for Slurm.
 fn is_plain(value: &str) -> bool {
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-+=:,./@%".contains(c);
     !value.is_empty() && value.chars().all(plain)

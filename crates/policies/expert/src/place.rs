@@ -8,13 +8,13 @@ use crate::world::{Entity, World};
 
 /// An object is carried this far above its destination's brim, m.
 const CARRY_M: f64 = 0.02;
-/// Into an open container, an object is let go this far below its brim, m.
+/// Depth below an open container's brim at which an object is let go, m.
 const DROP_DEPTH_M: f64 = 0.04;
-/// Into a drawer, it goes this far in front of the middle, clear of the roof
-/// and of the handles above, m.
+/// Distance from a drawer's middle towards its front at which an object is let go, clear of the
+/// roof and of the handles above, m.
 const DRAWER_SHIFT_M: f64 = 0.022;
-/// Into a covered region, it goes just this far in, since the hand has to stay
-/// outside; this far above its floor; and from this far away, m.
+/// Placing into a covered region, where the hand has to stay outside: depth of the object behind
+/// the opening, its gap above the floor, and length of the straight way in, m.
 const COVERED_DEPTH_M: f64 = 0.013;
 const COVERED_FLOOR_GAP_M: f64 = 0.02;
 const COVERED_RUN_M: f64 = 0.13;

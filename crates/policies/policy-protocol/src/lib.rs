@@ -124,7 +124,7 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     }
 }
 
-/// Size of a camera's frame, if a scene can be drawn so.
+/// Returns the bytes of a camera's frame, if scenes have the camera and the size is allowed.
 fn camera_bytes(camera: &CameraRequest) -> Result<u64, DescriptionFault> {
     let CameraRequest {
         name,

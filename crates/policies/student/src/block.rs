@@ -41,8 +41,8 @@ pub(crate) struct Shape {
 }
 
 impl Block {
-    /// Takes the tensors whose names start with `name`. `text` is the width of what
-    /// modulates.
+    /// Takes the tensors whose names start with `name`. `text` is the width of the text embedding
+    /// that modulates the block.
     pub(crate) fn read(
         tensors: &mut Tensors<'_>,
         name: &str,

@@ -6,7 +6,7 @@ use crate::linear::transposed;
 use crate::product::{Matrix, MatrixMut, Products};
 use crate::weights::Tensors;
 
-/// A convolution as a matrix; what it looks at comes as columns.
+/// A convolution as a matrix, to be multiplied by the columns of its input windows.
 #[derive(Debug)]
 pub(crate) struct Convolution {
     /// Inputs x outputs: as products read it fastest. The inputs of a 3 x 3

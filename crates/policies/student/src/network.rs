@@ -14,10 +14,10 @@ use crate::weights::Tensors;
 const TEXT: usize = 128;
 /// Numbers that the robot's state becomes.
 const STATE_WIDTH: usize = 64;
-/// Numbers that the head decides by.
+/// Width of the head's input: both cameras, the robot's state and the instruction.
 const WIDTH: usize = 2 * encoder::WIDTH + STATE_WIDTH + TEXT;
 const HEAD: usize = 384;
-/// The same with points on 32 x 32 places.
+/// Width of the head's hidden layers in format `rollout-student/2`: points on 32 x 32 places.
 const WIDE_HEAD: usize = 512;
 
 /// A student with its weights, ready to be asked. It keeps nothing from one query
@@ -49,7 +49,7 @@ impl Network {
     /// # Errors
     ///
     /// If the file is not whole, is of another format, or has other tensors than this
-    /// network, or if a number in it cannot be computed with.
+    /// network, or if it holds a number that is not finite or a deviation that is not positive.
     pub fn from_safetensors(bytes: &[u8]) -> Result<Self, WeightsError> {
         let mut tensors = Tensors::open(bytes)?;
         let file = &mut tensors;

@@ -13,8 +13,8 @@ use subtle::{ConditionallySelectable, ConstantTimeEq};
 
 use crate::private::exposed;
 
-/// Shortest token, bytes: 128 bits of hex fit in 32, of base64 in 22, and what
-/// people think of themselves stays out.
+/// Shortest token, bytes. 128 random bits take 32 bytes in hex and 22 in base64; the limit
+/// keeps out most passwords that people make up.
 pub const MIN_TOKEN_BYTES: usize = 16;
 /// Longest token, bytes.
 pub const MAX_TOKEN_BYTES: usize = 256;
@@ -103,8 +103,8 @@ impl fmt::Debug for Token {
 #[derive(Clone, Debug)]
 pub struct Tokens {
     tokens: Vec<(Role, Token)>,
-    /// SHA-256 of each: of one length, so that comparing them tells nothing
-    /// about the secret's.
+    /// SHA-256 of each token. Digests have one length, so that comparing them reveals nothing
+    /// about the length of a token.
     digests: Vec<[u8; 32]>,
 }
 
@@ -232,8 +232,8 @@ impl Tokens {
         })
     }
 
-    /// The role that `shown` gives. Takes equally long whichever token it is,
-    /// and whether it is one.
+    /// Returns the role of the token `shown`, None if it is unknown. The time taken does not
+    /// depend on which token matches, or on whether one does.
     pub fn role_of(&self, shown: &str) -> Option<Role> {
         let shown = digest(shown);
         let mut found = 0_u32;

@@ -33,7 +33,7 @@ impl Element {
         if depth == MAX_DEPTH {
             return Err(format!("elements are nested more than {MAX_DEPTH} deep"));
         }
-        // Only the part after the colon is kept, which may then be twice there.
+        // An attribute in a namespace would lose its prefix, and its name may then occur twice.
         if let Some(strange) = node.attributes().find(|a| a.namespace().is_some()) {
             return Err(format!("attribute `{}` is in a namespace", strange.name()));
         }

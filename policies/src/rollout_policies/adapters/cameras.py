@@ -1,9 +1,8 @@
-"""Which camera feeds which image slot of a checkpoint.
+"""Assignment of the simulator's cameras to the image slots of a checkpoint.
 
-Checkpoints call their slots as the data set did that they were trained on. A
-wrong guess serves a policy that sees its wrist where it expects the scene, and
-fails every task; so slots are assigned by names that are known, or by the
-command line, or not at all.
+Slots are named after the data set that the checkpoint was trained on. A wrong guess
+shows the policy the wrist camera where it expects the scene, and it fails every task;
+so slots are assigned by known names, or by the command line, or not at all.
 """
 
 from __future__ import annotations
@@ -31,8 +30,8 @@ NAMES = {
         " wrist_camera wrist_image wrist_rgb wrist_view".split()
     ),
 }
-#: Slots that are declared and that no data set of LIBERO fills: a checkpoint has
-#: never seen anything in them, and zeros would be something.
+#: Declared slots that no LIBERO data set fills. They get no image, not even zeros: the
+#: checkpoint was trained without one.
 NEVER_FILLED = frozenset(["camera3", "image3", "right_wrist_0_rgb"])
 
 
@@ -41,14 +40,14 @@ def camera_of_slot(
     given: Mapping[str, str] | None = None,
     renamed: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
-    """The simulator's camera of every slot that gets one.
+    """Returns the simulator's camera of each slot that gets one.
 
-    `given` is the command line's: slot by role ("scene", "wrist"). `renamed` is
-    the checkpoint's own record of how its data set's images were renamed, slot by
-    image: it tells more than the slots' own names, `camera1` for example.
+    `given` maps camera roles ("scene", "wrist") to slots, as the command line has them. `renamed`
+    maps image names of the data set to slots, as the checkpoint has recorded them; these names
+    say more than slot names such as `camera1`.
 
-    Raises UnusableOption if `given` names no slot, UnusableCheckpoint, with the
-    flag to write, if the names do not tell.
+    Raises UnusableOption if `given` names an unknown role or slot, or one slot twice;
+    UnusableCheckpoint, with the flag to write, if the names do not determine the cameras.
     """
     if given:
         return _as_given(slots, given)
