@@ -98,6 +98,17 @@ class Scene:
 class Snapshot:
     """Everything that the next step depends on, the scripted expert included."""
 
+class Look:
+    """What cameras see at an instant of observation: a few kilobytes. Pictures have the bits
+    that `Simulation` would have drawn then, also once it is closed."""
+
+    def frame(self, camera: str, width: int, height: int) -> NDArray[np.uint8]:
+        """[height, width, 3]."""
+    def depth(self, camera: str, width: int, height: int) -> NDArray[np.float32]:
+        """[height, width]: OpenGL's, 0 at the near plane and 1 at the far one."""
+    def segmentation(self, camera: str, width: int, height: int) -> NDArray[np.int32]:
+        """[height, width, 2]: kind (mjtObj) and id; -1 where nothing is. Sites are left out."""
+
 class Simulation:
     """One environment. Methods let go of the interpreter while they compute; a second
     thread that calls meanwhile gets BusyError."""
@@ -156,6 +167,10 @@ class Simulation:
     def segmentation(self, camera: str, width: int, height: int) -> NDArray[np.int32]:
         """[height, width, 2]: kind (mjtObj) and id; -1 where nothing is."""
 
+    def look(self) -> Look:
+        """What is observed now, for pictures that may be drawn later, or never."""
+    def planes(self) -> tuple[float, float, float]:
+        """Extent, m, and the near and the far plane of cameras, in extents."""
     def controller_pose(self) -> tuple[F64, F64]:
         """Position [3] and matrix [3, 3] of the end-effector as the controller last read them."""
 
