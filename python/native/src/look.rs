@@ -87,14 +87,14 @@ impl Look {
             })
         };
         py.detach(|| {
-            if let Ok(mut held) = self.state.hold()
-                && let Some(state) = held.as_mut()
-                && Arc::ptr_eq(state.environment.compiled(), &self.compiled)
-            {
-                return see(&mut state.environment);
-            }
-            let mut other = Environment::of(Arc::clone(&self.compiled)).map_err(simulation)?;
-            see(&mut other)
+            let seen = self.state.look(|state| {
+                Arc::ptr_eq(state.environment.compiled(), &self.compiled)
+                    .then(|| see(&mut state.environment))
+            });
+            seen.unwrap_or_else(|| {
+                let other = Environment::of(Arc::clone(&self.compiled)).map_err(simulation);
+                see(&mut other?)
+            })
         })
     }
 }
