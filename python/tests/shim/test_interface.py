@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import pickle
+import statistics
 import subprocess
 import sys
 import threading
+import time
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ from libero.libero.envs import (
 )
 
 import rollout_libero
+from rollout_libero import scenes
 
 NOTHING = [0.0] * 6 + [-1.0]
 
@@ -250,6 +253,40 @@ def test_missing_files_are_named_with_the_remedy(
     monkeypatch.setenv("ROLLOUT_ASSETS", str(tmp_path))
     with pytest.raises(FileNotFoundError, match="asset pack"):
         OffScreenRenderEnv(bddl_file_name=bddl_file)
+
+
+def test_a_scene_outlives_its_environments(
+    bddl_file: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def construct(file: str) -> float:
+        begun = time.perf_counter()
+        env = OffScreenRenderEnv(bddl_file_name=file, camera_heights=16, camera_widths=16)
+        taken = time.perf_counter() - begun
+        env.reset()
+        env.close()
+        return 1e3 * taken
+
+    own = tmp_path / "own.bddl"
+    own.write_text(Path(bddl_file).read_text())
+    compiled: list[Any] = []
+    native = scenes.native
+
+    class Native:
+        Scene = staticmethod(lambda *a, **k: compiled.append(a) or native.Scene(*a, **k))
+        fetch_assets = staticmethod(native.fetch_assets)
+
+    monkeypatch.setattr(scenes, "native", Native)
+    first, *later = (construct(str(own)) for _ in range(6))
+    assert len(compiled) == 1
+    print(f"constructed in {first:.1f} ms, then in {statistics.median(later):.1f} ms")
+    # Who changes the file means another scene.
+    own.write_text(own.read_text() + "\n")
+    construct(str(own))
+    assert len(compiled) == 2
+    suite = benchmark.get_benchmark("libero_goal")()
+    for i in range(scenes.MAX_KEPT):
+        construct(suite.get_task_bddl_file_path(i))
+    assert len(scenes._kept) == scenes.MAX_KEPT
 
 
 def test_a_device_is_accepted_and_not_used(bddl_file: str) -> None:

@@ -86,10 +86,18 @@ def test_however_it_is_read_it_holds_what_was_drawn_at_once(number: int, bddl_fi
 
 
 def test_steps_that_nobody_looks_at_draw_nothing(bddl_file: str) -> None:
-    env = OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=24, camera_widths=32)
-    # The first is drawn, so that what cannot be drawn is known.
+    size = {"camera_heights": 23, "camera_widths": 31}
+    env = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
+    # The scene's first through these cameras is drawn, so that what cannot be drawn is known.
     assert undrawn(env.reset()) == []
     assert undrawn(env.reset()) == list(PICTURES)
+    other = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
+    assert undrawn(other.reset()) == list(PICTURES)
+    other.close()
+    large = OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=5000)
+    with pytest.raises(ValueError, match="each side may have 1 to 4096"):
+        large.reset()
+    large.close()
     seen, *_ = env.step(actions(1)[0])
     assert len(seen) > 20 and "agentview_image" in seen
     assert seen["agentview_image"] is seen["agentview_image"]

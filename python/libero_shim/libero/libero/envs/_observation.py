@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from rollout_libero._native import Look
+from rollout_libero._native import Look, Scene
 
 from libero.libero.envs._lazy import Observation, Undrawn
 from libero.libero.envs._models import TaskModel
@@ -31,6 +32,9 @@ _PROPRIOCEPTION = (
 )
 
 __all__ = ["Observation", "Observer"]
+
+#: Scenes, and through which cameras they have been drawn in this process.
+_drawn: WeakKeyDictionary[Scene, set[tuple[Camera, ...]]] = WeakKeyDictionary()
 
 
 class Observer:
@@ -58,7 +62,7 @@ class Observer:
         self._left_out: set[str] = set()
         self._undrawn: dict[str, Undrawn] = {}
         self._look: Look | None = None
-        self._has_drawn = False
+        self._cameras = cameras
         self._read: dict[str, NDArray[Any]] = {}
 
     @property
@@ -85,7 +89,8 @@ class Observer:
 
     def observe(self) -> Observation:
         """Readings, frames, and the vectors that join readings of one kind. The first
-        observation is drawn at once, so that what cannot be drawn is known early."""
+        observation of a scene through these cameras is drawn at once, so that what cannot be
+        drawn is known early."""
         if not self._read:
             self._read = self._readings()
         observation = Observation()
@@ -99,9 +104,10 @@ class Observer:
                 joined.setdefault(f"{modality}-state", []).append(self._read[name])
         for name, parts in joined.items():
             observation[name] = np.concatenate(parts)
-        if not self._has_drawn:
+        drawn = _drawn.setdefault(self._held.scene, set())
+        if self._cameras not in drawn:
             observation.draw()
-            self._has_drawn = True
+            drawn.add(self._cameras)
         return observation
 
     def _readings(self) -> dict[str, NDArray[Any]]:
