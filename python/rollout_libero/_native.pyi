@@ -203,6 +203,7 @@ class Batch:
         absolute: bool = False,
         mirrored: bool = False,
         expert: NDArray[np.bool_] | None = None,
+        past_success: bool = False,
     ) -> dict[str, Any]:
         """Each begins a rollout where `starts` has a manifest's row for it, JSON (or
         `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`), and otherwise takes its actions, [simulations,
@@ -211,7 +212,12 @@ class Batch:
         taken and `success` of each, the readings by name, and the frames by camera, with
         row 0 at the top, and column 0 at the right if they are `mirrored`. `expert` has the
         scripted expert asked at every step, whose actions are returned as `expert_action`;
-        where it is true the expert drives, and the action is added to its own. Arguments
+        where it is true the expert drives, and the action is added to its own. With
+        `past_success` steps go on after a success, and `successes` [simulations, steps] says
+        after which the goal held. A start may be
+        `{"legacy_seed": SEED, "rounds": N, "state": [time, qpos, qvel], "settle_steps": N,
+        "settle_action": [7 numbers]}`: the original's reset after `seed`, its
+        `set_init_state`, unless there is no state, and steps. Arguments
         that do not fit raise, and nothing has moved then; `errors` has None or the exception
         of each environment, whose `steps` are those that it took before it."""
     def restore(self, snapshots: Sequence[Snapshot]) -> None:

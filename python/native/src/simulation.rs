@@ -20,7 +20,7 @@ use crate::generator::{self, Generator};
 use crate::guarded::Guarded;
 use crate::look::Look;
 use crate::scene::Scene;
-use crate::start::Start;
+use crate::start::{Start, check_width};
 
 /// Pixels of a picture's longest side.
 const LARGEST_SIDE: u32 = 4096;
@@ -214,7 +214,7 @@ impl Simulation {
     fn load(&self, py: Python<'_>, state: Numbers<'_>) -> PyResult<()> {
         let numbers = numbers(&state);
         self.state.with(py, |state| {
-            check_width(state, &numbers)?;
+            check_width(&state.environment, &numbers)?;
             state.forget();
             state.environment.load(&numbers);
             Ok(())
@@ -237,7 +237,7 @@ impl Simulation {
     fn set_state(&self, py: Python<'_>, state: Numbers<'_>) -> PyResult<()> {
         let numbers = numbers(&state);
         self.state.with(py, |state| {
-            check_width(state, &numbers)?;
+            check_width(&state.environment, &numbers)?;
             state.environment.set_state(&numbers);
             Ok(())
         })
@@ -512,21 +512,6 @@ type Pose<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>);
 
 fn numbers(given: &Numbers<'_>) -> Vec<f64> {
     given.as_array().iter().copied().collect()
-}
-
-fn check_width(state: &State, numbers: &[f64]) -> PyResult<()> {
-    let model = state.environment.model();
-    let needed = 1 + model.nq() + model.nv();
-    if numbers.len() == needed {
-        return Ok(());
-    }
-    Err(PyValueError::new_err(format!(
-        "load a state of {} numbers: this scene's have {needed} (time, {} of qpos, {} of qvel); is \
-         it of another task?",
-        numbers.len(),
-        model.nq(),
-        model.nv()
-    )))
 }
 
 /// The control that a flag means.
