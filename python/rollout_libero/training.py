@@ -111,8 +111,14 @@ class TrainingEnvironment:
         self._settle = (settle_steps, [float(number) for number in settle_action])
         self.simulations: list[native.Simulation | None] = [None] * num_envs
 
-    def reset(self, starts: Sequence[Start], rows: Sequence[int] | None = None) -> Observation:
-        """Begins rollouts in some rows, or in all, a start for each; returns what they observe.
+    def reset(
+        self,
+        starts: Sequence[Start],
+        rows: Sequence[int] | None = None,
+        render: Literal["last", "none"] = "last",
+    ) -> Observation:
+        """Begins rollouts in some rows, or in all, a start for each; returns what they observe,
+        with ``render="none"`` without frames.
 
         Raises:
             FileNotFoundError: if files are missing.
@@ -132,7 +138,10 @@ class TrainingEnvironment:
         leaders = sorted(first.values())
         held = [self._held(rows[at]) for at in leaders]
         shown = self._advance(
-            held, np.empty((len(held), 0, ACTION_WIDTH)), [self._row(starts[at]) for at in leaders]
+            held,
+            np.empty((len(held), 0, ACTION_WIDTH)),
+            [self._row(starts[at]) for at in leaders],
+            render,
         )
         errors = dict(zip(leaders, shown["errors"], strict=True))
         for at, leader in enumerate(alike):
