@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -206,6 +207,24 @@ def test_spaces_and_pictures_of_several_environments(kind: Any) -> None:
     envs.close()
     with pytest.raises(AttributeError):
         _ = envs.nonsense
+
+
+class Slow(Counting):
+    """An environment that takes its time, and says when."""
+
+    def set_init_state(self, state: float) -> Any:
+        begun = time.monotonic()
+        time.sleep(state)
+        return {"begun": begun, "ended": time.monotonic()}
+
+
+def test_states_are_set_side_by_side() -> None:
+    envs = SubprocVectorEnv([Slow] * 3)
+    envs.reset()
+    seen = envs.set_init_state([0.5, 0.3, 0.4])
+    assert max(one["begun"] for one in seen) < min(one["ended"] for one in seen)
+    assert [round(one["ended"] - one["begun"], 1) for one in seen] == [0.5, 0.3, 0.4]
+    envs.close()
 
 
 def test_an_environment_without_a_picture_has_none(bddl_file: str) -> None:

@@ -108,6 +108,10 @@ class EnvWorker(ABC):
     def recv(self) -> Any:
         """What the step or reset returned."""
 
+    def begin(self, method: str, *arguments: Any) -> None:
+        """Begins to call a method; `recv` returns the result."""
+        raise NotImplementedError(f"{type(self).__name__} calls no method beside others")
+
     @abstractmethod
     def get_env_attr(self, key: str) -> Any:
         """An attribute of the environment; None if it has none of this name."""
@@ -176,6 +180,9 @@ class DummyEnvWorker(EnvWorker):
 
     def call(self, method: str, *arguments: Any) -> Any:
         return getattr(self.env, method)(*arguments)
+
+    def begin(self, method: str, *arguments: Any) -> None:
+        self.result = self.call(method, *arguments)
 
     def send(self, action: Any, **kwargs: Any) -> None:
         self.result = self.env.reset(**kwargs) if action is None else self.env.step(action)
@@ -272,8 +279,11 @@ class SubprocEnvWorker(EnvWorker):
         self._is_starting = True
         super().__init__(env_fn)
 
-    def call(self, method: str, *arguments: Any) -> Any:
+    def begin(self, method: str, *arguments: Any) -> None:
         self._send(method, arguments[0] if arguments else None)
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        self.begin(method, *arguments)
         return self.recv()
 
     def send(self, action: Any, **kwargs: Any) -> None:
@@ -407,9 +417,15 @@ class BaseVectorEnv:
 
     def set_init_state(self, init_state: Any = None, id: _Ids = None) -> Any:
         """Sets states; returns observations in an array [n] of objects."""
-        chosen = self._choose(id)
+        pairs = list(zip(self._choose(id), init_state))
+        states = [state for _, state in pairs]
+        chosen = [i for i, _ in pairs]
+        if any(not _sets_states_beside_others(self.workers[i]) for i in chosen):
+            return _stack([self.workers[i].set_init_state(state) for i, state in pairs])
         return _stack(
-            [self.workers[i].set_init_state(state) for i, state in zip(chosen, init_state)]
+            self._exchange(
+                chosen, lambda worker, at: worker.begin("set_init_state", states[at])
+            )
         )
 
     def get_segmentation_of_interest(self, segmentation_images: Any) -> list[Any]:
@@ -491,6 +507,15 @@ class SubprocVectorEnv(BaseVectorEnv):
 
     def __init__(self, env_fns: Sequence[Callable[[], Any]], **kwargs: Any) -> None:
         super().__init__(env_fns, SubprocEnvWorker, **kwargs)
+
+
+def _sets_states_beside_others(worker: Any) -> bool:
+    """True unless a subclass sets states in a way of its own, or calls nothing beside others."""
+    kind = type(worker)
+    return (
+        getattr(kind, "set_init_state", None) is EnvWorker.set_init_state
+        and kind.begin is not EnvWorker.begin
+    )
 
 
 def _has_info(result: Any) -> bool:
