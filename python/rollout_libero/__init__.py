@@ -7,6 +7,7 @@ from rollout_libero._library import native as _native
 from rollout_libero.environment import Environment
 from rollout_libero.files import MissingAssetsError, fetch_assets
 from rollout_libero.tasks import Task, tasks
+from rollout_libero.training import TrainingEnvironment
 from rollout_libero.vector import VectorEnvironment
 
 BusyError = _native.BusyError
@@ -24,6 +25,7 @@ __all__ = [
     "SimulationError",
     "Snapshot",
     "Task",
+    "TrainingEnvironment",
     "VectorEnvironment",
     "fetch_assets",
     "tasks",

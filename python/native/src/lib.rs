@@ -10,6 +10,7 @@ mod error;
 mod fetch;
 mod generator;
 mod guarded;
+mod look;
 mod pack;
 mod scene;
 mod simulation;
@@ -26,6 +27,8 @@ mod _native {
     use super::error::{BusyError, ClosedError, FilesError, SimulationError};
     #[pymodule_export]
     use super::fetch::fetch_assets;
+    #[pymodule_export]
+    use super::look::Look;
     #[pymodule_export]
     use super::scene::Scene;
     #[pymodule_export]

@@ -18,8 +18,9 @@ use crate::action::{Numbers, WIDTH, actions};
 use crate::error::simulation;
 use crate::generator::{self, Generator};
 use crate::guarded::Guarded;
+use crate::look::Look;
 use crate::scene::Scene;
-use crate::start::Start;
+use crate::start::{Start, check_width};
 
 /// Pixels of a picture's longest side.
 const LARGEST_SIDE: u32 = 4096;
@@ -124,7 +125,7 @@ impl State {
 }
 
 /// Draws on this thread.
-fn with_drawer<T>(
+pub(crate) fn with_drawer<T>(
     renderer: Renderer,
     draw: impl FnOnce(&Drawer) -> Result<T, sim::SimError>,
 ) -> PyResult<T> {
@@ -213,7 +214,7 @@ impl Simulation {
     fn load(&self, py: Python<'_>, state: Numbers<'_>) -> PyResult<()> {
         let numbers = numbers(&state);
         self.state.with(py, |state| {
-            check_width(state, &numbers)?;
+            check_width(&state.environment, &numbers)?;
             state.forget();
             state.environment.load(&numbers);
             Ok(())
@@ -236,7 +237,7 @@ impl Simulation {
     fn set_state(&self, py: Python<'_>, state: Numbers<'_>) -> PyResult<()> {
         let numbers = numbers(&state);
         self.state.with(py, |state| {
-            check_width(state, &numbers)?;
+            check_width(&state.environment, &numbers)?;
             state.environment.set_state(&numbers);
             Ok(())
         })
@@ -381,10 +382,25 @@ impl Simulation {
                 environment.segmentation(drawer, camera, size)
             })
         })?;
-        let pairs = segments
-            .into_iter()
-            .flat_map(|segment| segment.map_or([-1, -1], |segment| [segment.kind, segment.id]));
-        shaped(py, pairs.collect(), &[height as usize, width as usize, 2])
+        shaped(py, pairs(segments), &[height as usize, width as usize, 2])
+    }
+
+    /// What cameras see now, for pictures that may be drawn later, or never.
+    fn look(&self, py: Python<'_>) -> PyResult<Look> {
+        self.state.with(py, |state| {
+            Ok(Look {
+                look: state.environment.look(),
+                compiled: Arc::clone(state.environment.compiled()),
+                renderer: self.renderer,
+                state: self.state.clone(),
+            })
+        })
+    }
+
+    /// Extent, m, and the near and the far plane of cameras, in extents.
+    fn planes(&self, py: Python<'_>) -> PyResult<[f64; 3]> {
+        self.state
+            .with(py, |state| Ok(state.environment.model().planes()))
     }
 
     /// Position and matrix of the end-effector, as the controller last read them.
@@ -498,21 +514,6 @@ fn numbers(given: &Numbers<'_>) -> Vec<f64> {
     given.as_array().iter().copied().collect()
 }
 
-fn check_width(state: &State, numbers: &[f64]) -> PyResult<()> {
-    let model = state.environment.model();
-    let needed = 1 + model.nq() + model.nv();
-    if numbers.len() == needed {
-        return Ok(());
-    }
-    Err(PyValueError::new_err(format!(
-        "load a state of {} numbers: this scene's have {needed} (time, {} of qpos, {} of qvel); is \
-         it of another task?",
-        numbers.len(),
-        model.nq(),
-        model.nv()
-    )))
-}
-
 /// The control that a flag means.
 pub(crate) fn action_frame(absolute: bool) -> ActionFrame {
     match absolute {
@@ -589,6 +590,14 @@ fn data_array(state: &State, name: &str) -> PyResult<(Vec<f64>, usize)> {
         }
     };
     Ok((values.to_vec(), rows))
+}
+
+/// Kind and id of each pixel's object, -1 where there is none.
+pub(crate) fn pairs(segments: Vec<Option<sim::Segment>>) -> Vec<i32> {
+    segments
+        .into_iter()
+        .flat_map(|segment| segment.map_or([-1, -1], |segment| [segment.kind, segment.id]))
+        .collect()
 }
 
 /// An array that takes the values over.

@@ -16,6 +16,24 @@ pub(crate) enum Start {
     Row(Box<ManifestRow>),
     /// Placement by LIBERO's samplers.
     Sampled(Sampled),
+    /// A state of the original's environments, as its users set it.
+    Legacy(Legacy),
+}
+
+/// A reset of the original's `OffScreenRenderEnv` after `seed`, with `set_init_state` and steps
+/// until everything rests.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Legacy {
+    /// Seed of NumPy's legacy generator, by which fixtures are placed.
+    legacy_seed: u32,
+    /// How often the original has loaded its model by then.
+    rounds: u32,
+    settle_steps: u32,
+    settle_action: [f64; 7],
+    /// Time, qpos, qvel; none leaves things where they were placed.
+    #[serde(default)]
+    state: Option<Vec<f64>>,
 }
 
 /// A placement of the benchmark's samplers.
@@ -38,17 +56,21 @@ const JOINT_SAMPLER_ROUNDS: u32 = 2;
 
 impl Start {
     /// Reads JSON: a row, or `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`, in
-    /// which `perturbed` is optional.
+    /// which `perturbed` is optional, or `{"legacy_seed": SEED, "rounds": N, "settle_steps": N,
+    /// "settle_action": [..], "state": [..]}`, in which `state` is.
     ///
     /// # Errors
     /// If it is neither.
     pub(crate) fn read(json: &str) -> PyResult<Self> {
         let read = || {
             let value: serde_json::Value = serde_json::from_str(json)?;
-            match value.get("sampled") {
-                Some(_) => serde_json::from_value(value).map(Self::Sampled),
-                None => serde_json::from_value(value).map(|row| Self::Row(Box::new(row))),
+            if value.get("sampled").is_some() {
+                return serde_json::from_value(value).map(Self::Sampled);
             }
+            if value.get("legacy_seed").is_some() {
+                return serde_json::from_value(value).map(Self::Legacy);
+            }
+            serde_json::from_value(value).map(|row| Self::Row(Box::new(row)))
         };
         read().map_err(not_a_row)
     }
@@ -90,8 +112,49 @@ impl Start {
                 }
                 Ok(conditions)
             }
+            Self::Legacy(it) => it.begin(environment).map(|()| None),
         }
     }
+}
+
+impl Legacy {
+    fn begin(&self, environment: &mut Environment) -> PyResult<()> {
+        if let Some(state) = &self.state {
+            check_width(environment, state)?;
+        }
+        let mut rng = LegacyRng::seed(self.legacy_seed);
+        let reset = environment.reset(&mut rng, Reset::Hard, self.rounds);
+        reset.map_err(simulation)?;
+        if let Some(state) = &self.state {
+            environment.set_state(state);
+            environment.forward();
+            environment.post_process();
+            environment.observe_now();
+        }
+        for _ in 0..self.settle_steps {
+            environment.step(&self.settle_action).map_err(simulation)?;
+        }
+        Ok(())
+    }
+}
+
+/// Checks that a vector is a state of an environment's scene.
+///
+/// # Errors
+/// `ValueError`, if it has not as many numbers.
+pub(crate) fn check_width(environment: &Environment, numbers: &[f64]) -> PyResult<()> {
+    let model = environment.model();
+    let needed = 1 + model.nq() + model.nv();
+    if numbers.len() == needed {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!(
+        "load a state of {} numbers: this scene's have {needed} (time, {} of qpos, {} of qvel); is \
+         it of another task?",
+        numbers.len(),
+        model.nq(),
+        model.nv()
+    )))
 }
 
 /// Names of the axes that a manifest's row, JSON, perturbs.

@@ -11,6 +11,7 @@ pub mod environment;
 pub mod episode;
 pub mod error;
 mod fingerprint;
+mod look;
 #[allow(unsafe_code, reason = "the façade over MuJoCo's C API")]
 pub mod mujoco;
 pub mod observation;
@@ -30,6 +31,7 @@ pub use environment::Environment;
 pub use episode::{Conditions, Digests, Episode};
 pub use error::SimError;
 pub use fingerprint::fingerprint;
+pub use look::Look;
 pub use mujoco::{ObjectKind, Segment};
 pub use observation::{CameraRequest, Frame, Observation, ObservationRequest, RobotState};
 pub use perturb::IkSolution;

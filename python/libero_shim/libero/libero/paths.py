@@ -14,6 +14,9 @@ libero_config_path = os.environ.get("LIBERO_CONFIG_PATH", os.path.expanduser("~/
 config_file = os.path.join(libero_config_path, "config.yaml")
 
 _KEYS = ("benchmark_root", "bddl_files", "init_states", "datasets", "assets")
+#: The folder of `libero.libero`: the original's files lie in it. Programs compare it with
+#: `benchmark_root` to find out whether the configuration is another installation's.
+_PACKAGE = os.path.dirname(os.path.abspath(__file__))
 
 
 def get_libero_path(query_key: str) -> str:
@@ -36,24 +39,27 @@ def get_libero_path(query_key: str) -> str:
         return folder
     if query_key == "assets":
         return files.assets(None)
+    if query_key == "benchmark_root":
+        return _PACKAGE
     return _folders(_default_root())[query_key]
 
 
 def get_default_path_dict(custom_location: str | None = None) -> dict[str, str]:
     """The folders below `custom_location`, or those of the files that were fetched."""
-    if custom_location is None:
-        return _folders(_default_root())
+    if custom_location is None or _is_own(custom_location):
+        return {**_folders(_default_root()), "benchmark_root": _PACKAGE}
     return _folders(custom_location)
 
 
 def set_libero_default_path(custom_location: str | None = None) -> None:
     """Writes the configuration file: LIBERO's files lie below this folder.
 
-    Without a folder, removes the file, so that the defaults count again.
+    Without a folder, or with that of this package, removes the file, so that the defaults
+    count again.
 
     Raises FileNotFoundError if the folder has no `bddl_files`, as it would not count.
     """
-    if custom_location is None:
+    if custom_location is None or _is_own(custom_location):
         Path(config_file).unlink(missing_ok=True)
         return
     folders = _folders(os.path.abspath(custom_location))
@@ -75,6 +81,10 @@ def get_assets_path() -> str:
     if os.environ.get("ROLLOUT_ASSETS"):
         return files.assets(None)
     return get_libero_path("assets")
+
+
+def _is_own(folder: str) -> bool:
+    return os.path.abspath(folder) == _PACKAGE
 
 
 def _default_root() -> str:

@@ -291,6 +291,13 @@ impl Model {
         self.raw.vis.headlight.ambient = rgb;
     }
 
+    /// Extent, m, and the near and the far plane of cameras, in extents.
+    pub fn planes(&self) -> [f64; 3] {
+        let raw = self.raw();
+        let map = &raw.vis.map;
+        [raw.stat.extent, map.znear.into(), map.zfar.into()]
+    }
+
     /// Makes room for pictures of this size, pixels, in contexts made later.
     pub(crate) fn grow_offscreen_buffer(&mut self, width: u32, height: u32) {
         let global = &mut self.raw.vis.global;

@@ -105,8 +105,8 @@ libero_task_map: dict[str, list[str]] = {
     "libero_spatial": _files("libero_spatial"),
     "libero_object": _files("libero_object"),
     "libero_goal": _files("libero_goal"),
-    "libero_10": _files("libero_10"),
     "libero_90": _LIBERO_90,
+    "libero_10": _files("libero_10"),
 }
 
 #: Orders of a suite of ten tasks, by `task_order_index`; the first is the suite's own.

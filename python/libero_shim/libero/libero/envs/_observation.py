@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
+from rollout_libero._native import Look, Scene
 
+from libero.libero.envs._lazy import Observation, Undrawn
 from libero.libero.envs._models import TaskModel
 from libero.libero.envs._rotations import relative_poses
 from libero.libero.envs._settings import Camera
@@ -28,16 +31,20 @@ _PROPRIOCEPTION = (
     "gripper_qvel",
 )
 
-Observation = OrderedDict[str, Any]
+__all__ = ["Observation", "Observer"]
+
+#: Scenes, and through which cameras they have been drawn in this process.
+_drawn: WeakKeyDictionary[Scene, set[tuple[Camera, ...]]] = WeakKeyDictionary()
 
 
 class Observer:
-    """Reads and draws what the simulation observed last, once for each observation."""
+    """Reads what the simulation observed last, once for each observation, and draws what is
+    read of it."""
 
     def __init__(self, held: Held, cameras: tuple[Camera, ...], model: TaskModel) -> None:
         self._held = held
         self._objects = [(one.name, one.root_body) for one in model.objects.values()]
-        self._pictures: dict[str, Callable[[], NDArray[Any]]] = {}
+        self._pictures: dict[str, Callable[[Look], NDArray[Any]]] = {}
         for camera in cameras:
             self._add(camera, model)
         proprioception = [f"{_ROBOT}_{name}" for name in _PROPRIOCEPTION]
@@ -53,7 +60,9 @@ class Observer:
             **dict.fromkeys(poses, "object"),
         }
         self._left_out: set[str] = set()
-        self._drawn: dict[str, NDArray[Any]] = {}
+        self._undrawn: dict[str, Undrawn] = {}
+        self._look: Look | None = None
+        self._cameras = cameras
         self._read: dict[str, NDArray[Any]] = {}
 
     @property
@@ -74,14 +83,17 @@ class Observer:
 
     def expire(self) -> None:
         """Says that the simulation has observed anew."""
-        self._drawn = {}
+        self._undrawn = {}
+        self._look = None
         self._read = {}
 
     def observe(self) -> Observation:
-        """Readings, frames, and the vectors that join readings of one kind."""
+        """Readings, frames, and the vectors that join readings of one kind. The first
+        observation of a scene through these cameras is drawn at once, so that what cannot be
+        drawn is known early."""
         if not self._read:
             self._read = self._readings()
-        observation: Observation = OrderedDict()
+        observation = Observation()
         joined: dict[str, list[NDArray[Any]]] = {}
         for name in self.names:
             modality = self.modalities[name]
@@ -92,6 +104,10 @@ class Observer:
                 joined.setdefault(f"{modality}-state", []).append(self._read[name])
         for name, parts in joined.items():
             observation[name] = np.concatenate(parts)
+        drawn = _drawn.setdefault(self._held.scene, set())
+        if self._cameras not in drawn:
+            observation.draw()
+            drawn.add(self._cameras)
         return observation
 
     def _readings(self) -> dict[str, NDArray[Any]]:
@@ -112,52 +128,44 @@ class Observer:
                 ) = from_hand
         return read
 
-    def _picture(self, name: str) -> NDArray[Any]:
-        if name not in self._drawn:
-            self._drawn[name] = self._pictures[name]()
-        return self._drawn[name]
+    def _picture(self, name: str) -> Undrawn:
+        """A picture of this instant, whenever it is drawn: of one for all observations of it."""
+        if self._look is None:
+            self._look = self._held.get().look()
+        if name not in self._undrawn:
+            self._undrawn[name] = Undrawn(partial(self._pictures[name], self._look))
+        return self._undrawn[name]
 
     def _add(self, camera: Camera, model: TaskModel) -> None:
         name, width, height = camera.name, camera.width, camera.height
-        get = self._held.get
-        self._pictures[f"{name}_image"] = lambda: get().frame(name, width, height)
+        self._pictures[f"{name}_image"] = lambda look: look.frame(name, width, height)
         if camera.depth:
-            self._pictures[f"{name}_depth"] = lambda: get().depth(name, width, height)[
+            self._pictures[f"{name}_depth"] = lambda look: look.depth(name, width, height)[
                 ..., np.newaxis
             ]
         for kind in camera.segmentations:
-            self._pictures[f"{name}_segmentation_{kind}"] = self._segmentation(camera, kind, model)
+            self._pictures[f"{name}_segmentation_{kind}"] = _segmentation(camera, kind, model)
 
-    def _segmentation(
-        self, camera: Camera, kind: str, model: TaskModel
-    ) -> Callable[[], NDArray[np.int32]]:
-        if kind == "element":
-            return lambda: _geoms(self._segments(camera))
-        numbers = model.numbers(kind)
 
-        def draw() -> NDArray[np.int32]:
-            segments = self._segments(camera)
-            shown = np.zeros((*segments.shape[:2], 1), dtype=np.int32)
-            for what, of_type in (("geom", _GEOM), ("site", _SITE)):
-                those = segments[..., 0] == of_type
-                shown[those, 0] = numbers[what][segments[those, 1]]
-            return shown
+def _segmentation(
+    camera: Camera, kind: str, model: TaskModel
+) -> Callable[[Look], NDArray[np.int32]]:
+    def segments(look: Look) -> NDArray[np.int32]:
+        return look.segmentation(camera.name, camera.width, camera.height)
 
-        return draw
+    if kind == "element":
+        return lambda look: _geoms(segments(look))
+    numbers = model.numbers(kind)
 
-    def _segments(self, camera: Camera) -> NDArray[np.int32]:
-        """MuJoCo's type and id of what a camera sees, [h, w, 2]. Sites are transparent, as
-        in frames; MuJoCo's segmentations would show them. A burner is not: it is drawn as
-        it was when it was observed."""
-        simulation = self._held.get()
-        colours = simulation.model_array("site_rgba")
-        transparent = colours.copy()
-        transparent[:, 3] = 0.0
-        simulation.set_model_array("site_rgba", transparent)
-        try:
-            return simulation.segmentation(camera.name, camera.width, camera.height)
-        finally:
-            simulation.set_model_array("site_rgba", colours)
+    def draw(look: Look) -> NDArray[np.int32]:
+        seen = segments(look)
+        shown = np.zeros((*seen.shape[:2], 1), dtype=np.int32)
+        for what, of_type in (("geom", _GEOM), ("site", _SITE)):
+            those = seen[..., 0] == of_type
+            shown[those, 0] = numbers[what][seen[those, 1]]
+        return shown
+
+    return draw
 
 
 def _geoms(segments: NDArray[np.int32]) -> NDArray[np.int32]:

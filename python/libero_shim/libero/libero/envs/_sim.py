@@ -66,6 +66,22 @@ class MjSimState:
         return np.concatenate([[self.time], self.qpos, self.qvel])
 
 
+class _Constants:
+    """Numbers of the model that are not arrays."""
+
+    def __init__(self, what: str, values: dict[str, Any]) -> None:
+        self._what = what
+        self._values = values
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self._values[name]
+        except KeyError:
+            raise absent_attribute(
+                self._what, name, f"it has {', '.join(self._values)}"
+            ) from None
+
+
 class MjModel:
     """The model's names and arrays, by MuJoCo's names. Arrays are copies."""
 
@@ -106,6 +122,8 @@ class MjModel:
             return lambda i: self._name(kind, i)
         if name in _COUNTS:
             return len(self._held.get().model_array(_COUNTS[name]))
+        if name in ("stat", "vis"):
+            return _Constants(f"sim.model.{name}", self._constants()[name])
         if name.startswith("_"):
             raise absent_attribute("sim.model", name, "MuJoCo's own objects are not shown")
         return self._array(name)
@@ -117,6 +135,11 @@ class MjModel:
             raise AttributeError(
                 f"sim.model.{name} cannot be assigned to: call sim.model.set({name!r}, values)"
             )
+
+    def _constants(self) -> dict[str, Any]:
+        extent, near, far = self._held.get().planes()
+        planes = _Constants("sim.model.vis.map", {"znear": near, "zfar": far})
+        return {"stat": {"extent": extent}, "vis": {"map": planes}}
 
     def _array(self, name: str) -> ReadOnlyArray:
         try:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from libero.libero.envs import bddl_utils
+from libero.libero.envs._construction import said_when_it_fails
 from libero.libero.envs._robot import Robot
 from libero.libero.envs._settings import controller_config, existing_file
 from libero.libero.envs._sim import MjSim
@@ -62,6 +63,37 @@ class ControlEnv:
         Raises FileNotFoundError for a missing file or missing assets, NotImplementedError
         for what only the original has.
         """
+        with said_when_it_fails():
+            self._construct(
+                bddl_file_name,
+                robots=robots,
+                controller=controller,
+                gripper_types=gripper_types,
+                initialization_noise=initialization_noise,
+                use_camera_obs=use_camera_obs,
+                has_renderer=has_renderer,
+                has_offscreen_renderer=has_offscreen_renderer,
+                render_camera=render_camera,
+                render_collision_mesh=render_collision_mesh,
+                render_visual_mesh=render_visual_mesh,
+                render_gpu_device_id=render_gpu_device_id,
+                control_freq=control_freq,
+                horizon=horizon,
+                ignore_done=ignore_done,
+                hard_reset=hard_reset,
+                camera_names=camera_names,
+                camera_heights=camera_heights,
+                camera_widths=camera_widths,
+                camera_depths=camera_depths,
+                camera_segmentations=camera_segmentations,
+                renderer=renderer,
+                renderer_config=renderer_config,
+                **kwargs,
+            )
+
+    def _construct(
+        self, bddl_file_name: str | os.PathLike[str], *, controller: str, **arguments: Any
+    ) -> None:
         file = existing_file(bddl_file_name)
         info = bddl_utils.get_problem_info(file)
         self.problem_name = info["problem_name"]
@@ -72,30 +104,7 @@ class ControlEnv:
                 f"{file} is of the problem `{self.problem_name}`: known are {', '.join(TASK_MAPPING)}"
             )
         self._env: BDDLBaseDomain | None = TASK_MAPPING[self.problem_name](
-            file,
-            robots=robots,
-            controller_configs=controller_config(controller),
-            gripper_types=gripper_types,
-            initialization_noise=initialization_noise,
-            use_camera_obs=use_camera_obs,
-            has_renderer=has_renderer,
-            has_offscreen_renderer=has_offscreen_renderer,
-            render_camera=render_camera,
-            render_collision_mesh=render_collision_mesh,
-            render_visual_mesh=render_visual_mesh,
-            render_gpu_device_id=render_gpu_device_id,
-            control_freq=control_freq,
-            horizon=horizon,
-            ignore_done=ignore_done,
-            hard_reset=hard_reset,
-            camera_names=camera_names,
-            camera_heights=camera_heights,
-            camera_widths=camera_widths,
-            camera_depths=camera_depths,
-            camera_segmentations=camera_segmentations,
-            renderer=renderer,
-            renderer_config=renderer_config,
-            **kwargs,
+            file, controller_configs=controller_config(controller), **arguments
         )
 
     @property

@@ -6,11 +6,14 @@ users expect. `rollout_libero.VectorEnvironment` needs less memory and time.
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import pickle
 import traceback
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from multiprocessing.sharedctypes import RawArray
 from typing import Any
 
 import cloudpickle
@@ -23,11 +26,53 @@ __all__ = [
     "DummyEnvWorker",
     "DummyVectorEnv",
     "EnvWorker",
+    "ShArray",
     "SubprocEnvWorker",
     "SubprocVectorEnv",
 ]
 
+#: Attributes that several environments have as lists of each one's.
+GYM_RESERVED_KEYS = ["metadata", "reward_range", "spec", "action_space", "observation_space"]
+
 _Ids = int | Sequence[int] | NDArray[np.integer] | None
+
+
+def deprecation(msg: str) -> None:
+    """Warns of what will go."""
+    warnings.warn(msg, DeprecationWarning, stacklevel=2)
+
+
+class ShArray:
+    """An array in memory that processes share."""
+
+    def __init__(self, dtype: Any, shape: Sequence[int]) -> None:
+        self.dtype = np.dtype(dtype)
+        self.shape = tuple(shape)
+        size = int(np.prod(self.shape)) * self.dtype.itemsize
+        self.arr = RawArray(ctypes.c_ubyte, size)
+
+    def save(self, ndarray: NDArray[Any]) -> None:
+        """Copies an array into it, which has its shape."""
+        if np.shape(ndarray) != self.shape:
+            raise ValueError(
+                f"the shared array holds {self.shape}, not {np.shape(ndarray)}: give it what "
+                "its space describes"
+            )
+        np.copyto(self.get(), ndarray, casting="unsafe")
+
+    def get(self) -> NDArray[Any]:
+        """The array, which the next `save` overwrites."""
+        return np.frombuffer(self.arr, dtype=self.dtype).reshape(self.shape)
+
+
+def _setup_buf(space: Any) -> Any:
+    """Shared arrays for what a space describes: gym's or gymnasium's."""
+    parts = getattr(space, "spaces", None)
+    if isinstance(parts, Mapping):
+        return {name: _setup_buf(part) for name, part in parts.items()}
+    if parts is not None:
+        return tuple(_setup_buf(part) for part in parts)
+    return ShArray(space.dtype, space.shape)
 
 
 class CloudpickleWrapper:
@@ -63,6 +108,10 @@ class EnvWorker(ABC):
     def recv(self) -> Any:
         """What the step or reset returned."""
 
+    def begin(self, method: str, *arguments: Any) -> None:
+        """Begins to call a method; `recv` returns the result."""
+        raise NotImplementedError(f"{type(self).__name__} calls no method beside others")
+
     @abstractmethod
     def get_env_attr(self, key: str) -> Any:
         """An attribute of the environment; None if it has none of this name."""
@@ -95,6 +144,15 @@ class EnvWorker(ABC):
         """Seeds the environment."""
         return self.call("seed", seed)
 
+    def render(self, **kwargs: Any) -> Any:
+        """The environment's picture; None if it makes none."""
+        return self.call("render", kwargs)
+
+    @staticmethod
+    def wait(conns: Any, wait_num: int, timeout: float | None = None) -> list[Any]:
+        """All of these workers: a step waits for each."""
+        return list(conns)
+
     def check_success(self) -> bool:
         """Whether the goal holds."""
         return bool(self.call("check_success"))
@@ -123,11 +181,17 @@ class DummyEnvWorker(EnvWorker):
     def call(self, method: str, *arguments: Any) -> Any:
         return getattr(self.env, method)(*arguments)
 
+    def begin(self, method: str, *arguments: Any) -> None:
+        self.result = self.call(method, *arguments)
+
     def send(self, action: Any, **kwargs: Any) -> None:
         self.result = self.env.reset(**kwargs) if action is None else self.env.step(action)
 
     def recv(self) -> Any:
         return self.result
+
+    def render(self, **kwargs: Any) -> Any:
+        return _picture(self.env, kwargs)
 
     def get_env_attr(self, key: str) -> Any:
         return getattr(self.env, key, None)
@@ -137,6 +201,10 @@ class DummyEnvWorker(EnvWorker):
 
     def close_env(self) -> None:
         self.env.close()
+
+
+def _picture(env: Any, kwargs: dict[str, Any]) -> Any:
+    return env.render(**kwargs) if hasattr(env, "render") else None
 
 
 class _Failure:
@@ -161,6 +229,7 @@ def _serve(parent: Any, connection: Any, env_fn: CloudpickleWrapper, obs_bufs: N
     connection.send(None)
     commands: dict[str, Callable[[Any], Any]] = {
         "reset": lambda kwargs: env.reset(**kwargs),
+        "render": lambda kwargs: _picture(env, kwargs),
         "getattr": lambda key: getattr(env, key, None),
         "setattr": lambda pair: setattr(env, pair["key"], pair["value"]),
         "check_success": lambda _: env.check_success(),
@@ -181,8 +250,16 @@ def _serve(parent: Any, connection: Any, env_fn: CloudpickleWrapper, obs_bufs: N
             return
 
 
+#: As other projects import it.
+_worker = _serve
+
+
 class SubprocEnvWorker(EnvWorker):
     """An environment in a process of its own, started as `multiprocessing` is set to."""
+
+    # A subclass may start its process by itself, and serve in it as it likes.
+    _is_starting = False
+    _is_awaited = False
 
     def __init__(self, env_fn: Callable[[], Any], share_memory: bool = False) -> None:
         if share_memory:
@@ -200,11 +277,13 @@ class SubprocEnvWorker(EnvWorker):
         self.process.start()
         self.child_remote.close()
         self._is_starting = True
-        self._is_awaited = False
         super().__init__(env_fn)
 
-    def call(self, method: str, *arguments: Any) -> Any:
+    def begin(self, method: str, *arguments: Any) -> None:
         self._send(method, arguments[0] if arguments else None)
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        self.begin(method, *arguments)
         return self.recv()
 
     def send(self, action: Any, **kwargs: Any) -> None:
@@ -243,7 +322,7 @@ class SubprocEnvWorker(EnvWorker):
 
     def _send(self, command: str, data: Any) -> None:
         # Environments are made side by side: none is waited for before it is needed.
-        if getattr(self, "_is_starting", False):
+        if self._is_starting:
             self._is_starting = False
             self.recv()
         if self._is_awaited:
@@ -270,8 +349,12 @@ class BaseVectorEnv:
             )
         self._env_fns = env_fns
         self.workers = [worker_fn(env_fn) for env_fn in env_fns]
+        self.worker_class = type(self.workers[0]) if self.workers else EnvWorker
         self.env_num = len(env_fns)
+        self.wait_num = self.env_num
+        self.timeout = timeout
         self.is_async = False
+        self.waiting_conn: list[Any] = []
         self.is_closed = False
         self.waiting_id: list[int] = []
         self.ready_id = list(range(self.env_num))
@@ -279,10 +362,22 @@ class BaseVectorEnv:
     def __len__(self) -> int:
         return self.env_num
 
+    def __getattr__(self, name: str) -> Any:
+        if name in GYM_RESERVED_KEYS:
+            return self.get_env_attr(name)
+        raise AttributeError(
+            f"{type(self).__name__} has no `{name}`: ask each environment's by get_env_attr"
+        )
+
     def reset(self, id: _Ids = None, **kwargs: Any) -> Any:
-        """Resets environments; returns their observations in an array [n] of objects."""
+        """Resets environments; returns their observations in an array [n] of objects, and a
+        list of their infos if they return infos, as gymnasium's do."""
         chosen = self._choose(id)
-        return _stack(self._exchange(chosen, lambda worker, _: worker.send(None, **kwargs)))
+        results = self._exchange(chosen, lambda worker, _: worker.send(None, **kwargs))
+        if results and all(map(_has_info, results)):
+            observations, infos = zip(*results)
+            return _stack(observations), list(infos)
+        return _stack(results)
 
     def step(self, action: Any, id: _Ids = None) -> tuple[Any, ...]:
         """One control step each, with actions [n, 7]: observations, rewards, dones and
@@ -297,6 +392,11 @@ class BaseVectorEnv:
             result[-1]["env_id"] = i
         observations, *others = zip(*results)
         return (_stack(observations), *map(np.stack, others))
+
+    def render(self, **kwargs: Any) -> list[Any]:
+        """Each environment's picture; None where it makes none."""
+        self._assert_is_not_closed()
+        return [worker.render(**kwargs) for worker in self.workers]
 
     def seed(self, seed: int | Sequence[int | None] | None = None) -> list[Any]:
         """Seeds all environments: a list, or the first one's seed of consecutive ones."""
@@ -317,9 +417,15 @@ class BaseVectorEnv:
 
     def set_init_state(self, init_state: Any = None, id: _Ids = None) -> Any:
         """Sets states; returns observations in an array [n] of objects."""
-        chosen = self._choose(id)
+        pairs = list(zip(self._choose(id), init_state))
+        states = [state for _, state in pairs]
+        chosen = [i for i, _ in pairs]
+        if any(not _sets_states_beside_others(self.workers[i]) for i in chosen):
+            return _stack([self.workers[i].set_init_state(state) for i, state in pairs])
         return _stack(
-            [self.workers[i].set_init_state(state) for i, state in zip(chosen, init_state)]
+            self._exchange(
+                chosen, lambda worker, at: worker.begin("set_init_state", states[at])
+            )
         )
 
     def get_segmentation_of_interest(self, segmentation_images: Any) -> list[Any]:
@@ -401,6 +507,20 @@ class SubprocVectorEnv(BaseVectorEnv):
 
     def __init__(self, env_fns: Sequence[Callable[[], Any]], **kwargs: Any) -> None:
         super().__init__(env_fns, SubprocEnvWorker, **kwargs)
+
+
+def _sets_states_beside_others(worker: Any) -> bool:
+    """True unless a subclass sets states in a way of its own, or calls nothing beside others."""
+    kind = type(worker)
+    return (
+        getattr(kind, "set_init_state", None) is EnvWorker.set_init_state
+        and kind.begin is not EnvWorker.begin
+    )
+
+
+def _has_info(result: Any) -> bool:
+    """True for an observation and an info. Observations are no pairs."""
+    return isinstance(result, (tuple, list)) and len(result) == 2 and isinstance(result[1], dict)
 
 
 def _stack(observations: Sequence[Any]) -> np.ndarray:

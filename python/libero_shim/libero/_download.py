@@ -1,0 +1,29 @@
+"""`libero-download-assets`, as installations of LIBERO call it."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from collections.abc import Sequence
+
+
+def command(arguments: Sequence[str] | None = None) -> list[str]:
+    """What `python -m rollout_libero` is asked for."""
+    parser = argparse.ArgumentParser(
+        prog="libero-download-assets",
+        description="Fetches LIBERO's assets: python -m rollout_libero fetch, which has more options.",
+    )
+    parser.add_argument(
+        "--skip-existing",
+        action="store_true",
+        help="accepted: what is there and whole is never fetched again",
+    )
+    parser.parse_args(arguments)
+    return ["fetch"]
+
+
+def main() -> int:
+    """Fetches them; returns the exit status."""
+    module = [sys.executable, "-m", "rollout_libero"]
+    return subprocess.run([*module, *command()], check=False).returncode

@@ -1,0 +1,119 @@
+"""An observation whose pictures are drawn when they are first read.
+
+To draw takes most of a step's time, and most programs look at few of the observations that
+steps return: of those while objects settle at none, of a chunk of actions at the last.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, ItemsView, Iterator, ValuesView
+from typing import Any
+
+from numpy.typing import NDArray
+
+_MISSING = object()
+
+
+class Undrawn:
+    """A picture in an observation's place for it, frozen at its instant."""
+
+    __slots__ = ("_array", "_draw")
+
+    def __init__(self, draw: Callable[[], NDArray[Any]]) -> None:
+        self._draw: Callable[[], NDArray[Any]] | None = draw
+        self._array: NDArray[Any] | None = None
+
+    def array(self) -> NDArray[Any]:
+        """The picture: the same array whoever asks."""
+        draw = self._draw
+        if draw is not None and self._array is None:
+            self._array = draw()
+            # Lets go of what it was drawn from.
+            self._draw = None
+        assert self._array is not None
+        return self._array
+
+
+class _Values(ValuesView[Any]):
+    def __reversed__(self) -> Iterator[Any]:
+        return (self._mapping[key] for key in reversed(self._mapping))  # type: ignore[call-overload]
+
+
+class _Items(ItemsView[str, Any]):
+    def __reversed__(self) -> Iterator[tuple[str, Any]]:
+        return ((key, self._mapping[key]) for key in reversed(self._mapping))  # type: ignore[call-overload]
+
+
+class Observation(OrderedDict[str, Any]):
+    """An observation. However it is read or copied, it holds the arrays that an observation
+    drawn at once holds. What is pickled or copied deeply is a plain `OrderedDict` of them."""
+
+    def draw(self) -> None:
+        """Draws what is not drawn."""
+        for key in self:
+            self[key]
+
+    def __getitem__(self, key: str) -> Any:
+        value = super().__getitem__(key)
+        if type(value) is Undrawn:
+            value = value.array()
+            # Its place stays.
+            dict.__setitem__(self, key, value)
+        return value
+
+    # C code copies dictionaries with the iterator of their own past `__getitem__`.
+    def __iter__(self) -> Iterator[str]:
+        return super().__iter__()
+
+    def items(self) -> Any:
+        return _Items(self)
+
+    def values(self) -> Any:
+        return _Values(self)
+
+    def get(self, key: str, default: Any = None) -> Any:
+        return self[key] if key in self else default
+
+    def pop(self, key: str, default: Any = _MISSING) -> Any:
+        if key not in self and default is not _MISSING:
+            return default
+        value = self[key]
+        del self[key]
+        return value
+
+    def popitem(self, last: bool = True) -> tuple[str, Any]:
+        key, value = super().popitem(last)
+        return key, value.array() if type(value) is Undrawn else value
+
+    def setdefault(self, key: str, default: Any = None) -> Any:
+        if key not in self:
+            self[key] = default
+        return self[key]
+
+    def copy(self) -> Observation:
+        other = Observation()
+        for key in self:
+            # Both show the same array, drawn once.
+            other[key] = super().__getitem__(key)
+        return other
+
+    __copy__ = copy
+
+    def __reduce_ex__(self, _protocol: Any) -> Any:
+        return OrderedDict, (), None, None, iter(self.items())
+
+    def __eq__(self, other: object) -> bool:
+        self.draw()
+        if isinstance(other, Observation):
+            other.draw()
+        return super().__eq__(other)
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        self.draw()
+        return super().__repr__()

@@ -1,0 +1,1 @@
+"""Of LIBERO's utilities those that programs which run its environments import."""

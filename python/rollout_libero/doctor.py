@@ -1,0 +1,117 @@
+"""Which package `libero` a program imports, and what stands in its way.
+
+Several distributions install a package of this name, into the same folder, and frameworks put
+checkouts of LIBERO before it on the path: whichever is found first is imported, without a word.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+from collections.abc import Iterable
+from importlib import metadata
+from pathlib import Path
+
+SHIM = "rollout-libero-shim"
+OF_THE_SHIM = "_absent.py"
+"""A module that only the shim's package has."""
+RIVALS = ("libero", "hf-libero", "rlinf-libero")
+"""Other distributions with a package `libero`."""
+REINSTALL = f"pip install --force-reinstall --no-deps {SHIM}, from its wheel, as the last of all"
+
+
+def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
+    """What was found, and what is wrong with it, each with its remedy."""
+    found, wrong = [], []
+    rivals = [name for name in RIVALS if _version(name) is not None]
+    installed = _version(SHIM)
+    imported = _imported()
+    if imported is None:
+        wrong.append(f"no libero can be imported: {REINSTALL}")
+    elif (imported / OF_THE_SHIM).is_file():
+        found.append(f"libero is {SHIM} {installed or '(not installed: from a folder)'}: {imported}")
+        if rivals:
+            wrong.append(
+                f"{', '.join(rivals)} installs a package libero into the same folder: "
+                f"pip uninstall {' '.join(rivals)}, then {REINSTALL}"
+            )
+    else:
+        wrong.append(f"libero is not {SHIM}, but {imported}: {_remedy(imported, rivals)}")
+    for folder in _folders(sys.path if path is None else path):
+        if imported is not None and not _is_same(folder, imported):
+            found.append(f"hidden, as it comes later on the path: {folder}")
+    found += _configuration()
+    return found, wrong
+
+
+def report() -> int:
+    """Prints what was found; returns the exit status: 1 if something is wrong."""
+    found, wrong = examine()
+    for line in found:
+        print(line)
+    for line in wrong:
+        print(f"wrong: {line}")
+    return 1 if wrong else 0
+
+
+def _imported() -> Path | None:
+    """The folder of the package that `import libero` finds."""
+    try:
+        spec = importlib.util.find_spec("libero")
+    except (ImportError, ValueError):
+        return None
+    if spec is None:
+        return None
+    if spec.origin is not None:
+        return Path(spec.origin).parent
+    # A folder without __init__.py.
+    return Path(next(iter(spec.submodule_search_locations or ["."])))
+
+
+def _remedy(imported: Path, rivals: list[str]) -> str:
+    given = [os.path.abspath(part) for part in _split(os.environ.get("PYTHONPATH"))]
+    if str(imported.parent.absolute()) in given:
+        return f"take it out of PYTHONPATH ({imported.parent})"
+    if imported.parent.absolute() == Path.cwd():
+        return "start Python in another folder"
+    if rivals:
+        return f"pip uninstall {' '.join(rivals)}, then {REINSTALL}"
+    return f"remove it from the path, or {REINSTALL}"
+
+
+def _folders(path: Iterable[str]) -> list[Path]:
+    return [folder for entry in path if (folder := Path(entry or ".") / "libero").is_dir()]
+
+
+def _configuration() -> list[str]:
+    """Folders that LIBERO's configuration file names, and that count before those of the
+    package: they may be those of an installation that nobody remembers."""
+    folder = os.environ.get("LIBERO_CONFIG_PATH", os.path.expanduser("~/.libero"))
+    file = Path(folder) / "config.yaml"
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return []
+    pairs = [line.partition(":") for line in lines if line.startswith(("bddl_files", "assets"))]
+    named = [(key, value.strip().strip("'\"")) for key, _, value in pairs]
+    return [
+        f"{key} are those that {file} names, {value}: remove the file unless that is meant"
+        for key, value in named
+        if os.path.isdir(value) and os.listdir(value)
+    ]
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _split(path: str | None) -> list[str]:
+    return [part for part in (path or "").split(os.pathsep) if part]

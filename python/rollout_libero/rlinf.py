@@ -1,0 +1,312 @@
+"""RLinf's LIBERO environments in one process: ``export RLINF_EXT_MODULE=rollout_libero.rlinf``.
+
+RLinf imports the module that this variable names in each of its workers and calls
+``register``. Nothing else of a run changes: its ``LiberoEnv`` chooses tasks and initial states,
+rewards, truncates, counts and resets as ever, and only what simulates below it is another: in
+place of a process for each environment, which draws and sends every observation, threads that
+draw the one at the end of each chunk, which is all that the policy is shown.
+
+A run that saves videos or collects data has every step drawn: set ``save_video: False`` to be
+fast.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rollout_libero.training import Start, TrainingEnvironment
+
+_CAMERAS = {"agentview": "agentview_image", "robot0_eye_in_hand": "robot0_eye_in_hand_image"}
+_READINGS = {
+    "eef_pos": "robot0_eef_pos",
+    "eef_quat": "robot0_eef_quat",
+    "gripper_pos": "robot0_gripper_qpos",
+    "gripper_vel": "robot0_gripper_qvel",
+    "joint_pos": "robot0_joint_pos",
+    "joint_vel": "robot0_joint_vel",
+}
+_PARAMETERS = {"bddl_file_name", "camera_heights", "camera_widths", "seed"}
+
+
+def register() -> None:
+    """Has RLinf make its LIBERO environments of this module. Again, it changes nothing."""
+    if os.environ.get("LIBERO_TYPE", "standard").lower() != "standard":
+        print("rollout_libero.rlinf: LIBERO_TYPE is not standard; RLinf's own processes go on")
+        return
+    from rlinf.envs.libero import libero_env
+
+    if not getattr(libero_env.LiberoEnv, "is_together", False):
+        libero_env.LiberoEnv = together(libero_env.LiberoEnv)
+
+
+def together(base: Any) -> Any:
+    """RLinf's class, simulated in one process."""
+
+    class LiberoEnv(base):  # type: ignore[misc]
+        """RLinf's LIBERO, simulated by ``rollout_libero``."""
+
+        is_together = True
+
+        def _init_env(self) -> None:
+            parameters = self.get_env_fn_params()
+            unknown = {name for one in parameters for name in one} - _PARAMETERS
+            if unknown:
+                raise ValueError(
+                    f"env.init_params has {', '.join(sorted(unknown))}, which rollout_libero.rlinf "
+                    "does not know: leave it out, or unset RLINF_EXT_MODULE"
+                )
+            self.env = Rows(parameters, threads=_threads(), draws_all=_is_recorded(self.cfg))
+
+        def chunk_step(self, chunk_actions: Any) -> Any:
+            with self.env.chunk(_as_array(chunk_actions)):
+                return super().chunk_step(chunk_actions)
+
+        def _wrap_obs(self, obs_list: Any) -> Any:
+            # RLinf looks at the last observation of a chunk, and passes over None.
+            return None if obs_list is None else super()._wrap_obs(obs_list)
+
+    LiberoEnv.__qualname__ = LiberoEnv.__name__
+    LiberoEnv.__module__ = base.__module__
+    return LiberoEnv
+
+
+class Rows:
+    """Environments with what RLinf calls of its ``ReconfigureSubprocEnv``."""
+
+    is_async = False
+
+    def __init__(
+        self, parameters: Sequence[dict[str, Any]], *, threads: int, draws_all: bool
+    ) -> None:
+        heights = {one.get("camera_heights", 128) for one in parameters}
+        widths = {one.get("camera_widths", 128) for one in parameters}
+        if len(heights) != 1 or len(widths) != 1:
+            raise ValueError(
+                f"make frames of {sorted(heights)} × {sorted(widths)} pixels: give all environments "
+                "one size"
+            )
+        self.env_num = len(parameters)
+        self._size = (widths.pop(), heights.pop())
+        self._draws_all = draws_all
+        self._pool = ThreadPoolExecutor(threads)
+        self._files = [str(one["bddl_file_name"]) for one in parameters]
+        self._seeds = [int(one["seed"]) for one in parameters]
+        # How often the original has loaded each one's model.
+        self._loads = [1] * self.env_num
+        self._chunk: _Chunk | None = None
+        self._rows = TrainingEnvironment(
+            self.env_num,
+            _assets(),
+            threads=threads,
+            cameras=list(_CAMERAS),
+            width=self._size[0],
+            height=self._size[1],
+            settle_steps=0,
+        )
+
+    def __len__(self) -> int:
+        return self.env_num
+
+    def reconfigure_env_fns(self, env_fns: Sequence[dict[str, Any]], id: Any = None) -> None:
+        """Gives environments tasks, as if they were made anew."""
+        for row, one in zip(self._ids(id), env_fns, strict=True):
+            self._files[row] = str(one["bddl_file_name"])
+            self._seeds[row] = int(one["seed"])
+            self._loads[row] = 1
+
+    def seed(self, seed: int | Sequence[int]) -> list[None]:
+        """Seeds all environments: consecutively from a number, or each."""
+        if isinstance(seed, int | np.integer):
+            seed = [int(seed) + row for row in range(self.env_num)]
+        self._seeds = [int(one) for one in seed]
+        return [None] * self.env_num
+
+    def reset(self, id: Any = None) -> NDArray[np.object_]:
+        """Places everything anew in environments."""
+        rows = self._ids(id)
+        for row in rows:
+            self._loads[row] += 1
+        return self._begin(rows, [None] * len(rows))
+
+    def set_init_state(self, init_state: Any, id: Any = None) -> NDArray[np.object_]:
+        """Starts environments that were reset from states."""
+        return self._begin(self._ids(id), init_state)
+
+    def step(self, action: Any, id: Any = None) -> Any:
+        """One control step of environments, or the next of the chunk that was begun."""
+        if self._chunk is not None and self._chunk.is_left and id is None:
+            observations, success = self._chunk.next()
+            rows = list(range(self.env_num))
+        else:
+            rows = self._ids(id)
+            stepped = self._rows.step_chunk(_as_array(action)[:, None], rows, render="none")
+            success = stepped.success[:, 0]
+            observations = self._observed(stepped.observation, rows)
+        infos = np.array([{"env_id": row} for row in rows], dtype=object)
+        return observations, success.astype(np.float64), success.copy(), infos
+
+    def chunk(self, actions: NDArray[np.float64]) -> _Chunk:
+        """Within it, steps are those of a chunk, [environments, steps, 7], that is simulated as
+        a whole, each environment at its own pace."""
+        if self._draws_all:
+            return _Chunk(self, None)
+        stepped = self._rows.step_chunk(actions)
+        rows = range(self.env_num)
+        last = _objects([self._drawn(stepped.observation, at) for at in rows])
+        return _Chunk(self, (last, stepped.success))
+
+    def check_success(self) -> list[bool]:
+        """Whether each one's goal holds."""
+        return [simulation.success() for simulation in self._simulations()]
+
+    def get_sim_state(self) -> list[NDArray[np.float64]]:
+        """Each one's state."""
+        return [simulation.state() for simulation in self._simulations()]
+
+    def close(self) -> None:
+        """Frees them."""
+        self._rows.close()
+        self._pool.shutdown()
+
+    def _begin(self, rows: list[int], states: Any) -> NDArray[np.object_]:
+        starts = [
+            Start(
+                self._files[row],
+                None if state is None else np.asarray(state, dtype=np.float64),
+                seed=self._seeds[row],
+                loads=self._loads[row],
+            )
+            for row, state in zip(rows, states, strict=True)
+        ]
+        return self._observed(self._rows.reset(starts, rows, render="none"), rows)
+
+    def _observed(self, readings: dict[str, Any], rows: list[int]) -> NDArray[np.object_]:
+        """Observations whose frames are drawn, all of them on threads, when one is read."""
+        instant = _Instant(
+            [self._rows.simulations[row].look() for row in rows],  # type: ignore[union-attr]
+            self._size,
+            self._pool.map,
+        )
+        return _objects(
+            [_Seen(_named(readings, at), instant, at) for at in range(len(rows))]
+        )
+
+    def _drawn(self, observation: dict[str, Any], at: int) -> dict[str, Any]:
+        frames = {theirs: observation[ours][at, ::-1, ::-1] for ours, theirs in _CAMERAS.items()}
+        return {**frames, **_named(observation, at)}
+
+    def _simulations(self) -> list[Any]:
+        return [simulation for simulation in self._rows.simulations if simulation is not None]
+
+    def _ids(self, id: Any) -> list[int]:
+        if id is None:
+            return list(range(self.env_num))
+        return [int(row) for row in np.atleast_1d(id)]
+
+
+class _Chunk:
+    """Steps of a chunk that was simulated, handed out one after another."""
+
+    def __init__(self, rows: Rows, results: tuple[Any, NDArray[np.bool_]] | None) -> None:
+        self._rows = rows
+        self._results = results
+        self._taken = 0
+
+    @property
+    def is_left(self) -> bool:
+        """True if a step is left."""
+        return self._results is not None and self._taken < self._results[1].shape[1]
+
+    def next(self) -> tuple[Any, NDArray[np.bool_]]:
+        """The next step's observations, None before the last, and success."""
+        assert self._results is not None
+        last, success = self._results
+        self._taken += 1
+        return (None if self.is_left else last), success[:, self._taken - 1]
+
+    def __enter__(self) -> None:
+        self._rows._chunk = self
+
+    def __exit__(self, *_error: Any) -> None:
+        self._rows._chunk = None
+
+
+class _Instant:
+    """What environments show at one instant, drawn once."""
+
+    def __init__(self, looks: list[Any], size: tuple[int, int], together: Callable[..., Any]) -> None:
+        self._looks = looks
+        self._size = size
+        self._together = together
+        self._frames: list[dict[str, Any]] | None = None
+
+    def frames(self, at: int) -> dict[str, Any]:
+        """An environment's frames."""
+        if self._frames is None:
+            self._frames = list(self._together(self._draw, self._looks))
+        return self._frames[at]
+
+    def _draw(self, look: Any) -> dict[str, Any]:
+        return {theirs: look.frame(ours, *self._size) for ours, theirs in _CAMERAS.items()}
+
+
+class _Seen(dict[str, Any]):
+    """An observation of which frames are drawn when they are read."""
+
+    def __init__(self, readings: dict[str, Any], instant: _Instant, at: int) -> None:
+        super().__init__(readings)
+        self._instant, self._at = instant, at
+
+    def __missing__(self, name: str) -> Any:
+        if name not in _CAMERAS.values():
+            raise KeyError(name)
+        self.update(self._instant.frames(self._at))
+        return self[name]
+
+
+def _named(readings: dict[str, Any], at: int) -> dict[str, Any]:
+    # Copies, as RLinf writes into a quaternion.
+    return {theirs: readings[ours][at].copy() for ours, theirs in _READINGS.items()}
+
+
+def _objects(observations: list[Any]) -> NDArray[np.object_]:
+    array = np.empty(len(observations), dtype=object)
+    array[:] = observations
+    return array
+
+
+def _as_array(actions: Any) -> NDArray[np.float64]:
+    if hasattr(actions, "detach"):
+        actions = actions.detach().cpu().numpy()
+    return np.asarray(actions, dtype=np.float64)
+
+
+def _is_recorded(cfg: Any) -> bool:
+    """True if every step's observation is kept: as a video's picture, or as data."""
+    video, data = cfg.get("video_cfg"), cfg.get("data_collection")
+    return bool(
+        (video is not None and video.get("save_video"))
+        or (data is not None and data.get("enabled"))
+    )
+
+
+def _threads() -> int:
+    """A share of the machine's cores for each of RLinf's workers on it."""
+    workers = max(1, int(os.environ.get("NODE_LOCAL_WORLD_SIZE") or 1))
+    return max(1, len(os.sched_getaffinity(0)) // workers)
+
+
+def _assets() -> str | None:
+    """The asset pack that LIBERO's configuration names, as the shim takes it."""
+    try:
+        from libero.libero import get_assets_path
+    except ImportError:
+        return None
+    path: str = get_assets_path()
+    return path

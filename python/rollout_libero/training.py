@@ -1,0 +1,272 @@
+"""Many environments in one process, for programs that train a policy by reinforcement.
+
+They differ from ``VectorEnvironment``, which is gymnasium's, in what such programs ask for: any
+task of a BDDL file, and another one at each reset; a given state, as the original's
+``set_init_state`` starts from it; chunks of actions that go on past success; some rows at a time.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rollout_libero import files, scenes
+from rollout_libero._library import native
+from rollout_libero.environment import Render, is_absolute
+from rollout_libero.observation import (
+    ACTION_WIDTH,
+    CAMERAS,
+    READINGS,
+    Observation,
+    Orientation,
+    is_mirrored,
+)
+from rollout_libero.rollout import UNTOUCHED
+from rollout_libero.tasks import Task
+
+LOADS = 2
+"""How often the original has loaded a task's model when an environment is made, seeded and
+reset."""
+
+
+class Stepped(NamedTuple):
+    """The results of a chunk, in the order of the rows."""
+
+    observation: Observation
+    """After the last step; with ``render="all"`` arrays are [rows, steps, …]."""
+    success: NDArray[np.bool_]
+    """[rows, steps]: the goal holds after the step."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """The start of a row's rollout, as a script starts an ``OffScreenRenderEnv``: constructs it,
+    calls ``seed(seed)`` and ``reset()``, then ``set_init_state(state)``, and steps until
+    everything rests."""
+
+    task: str
+    """A BDDL file, or the name of one of the forty tasks, ``libero_goal/3``."""
+    state: NDArray[np.float64] | None = None
+    """Time, s, joint positions and velocities; None leaves everything where the samplers have
+    placed it."""
+    seed: int = 0
+    """Of NumPy's legacy generator, which places fixtures, and without a state all else."""
+    loads: int = LOADS
+    """How often the original would have loaded the task's model by then: one more for each
+    reset of an environment that it does not make anew."""
+
+
+class TrainingEnvironment:
+    """Rows of environments that begin and step together, on threads of this process.
+
+    Args:
+        num_envs: the number of rows.
+        assets: as in ``Environment``.
+        threads: on how many threads they compute; by default as many as there are cores.
+        cameras, height, width, orientation: of the frames, as in ``Environment``. Arrays are
+            contiguous, and new in each call: ``torch.from_numpy`` takes them over.
+        control: ``"relative"`` or ``"absolute"``, as in ``Environment``.
+        settle_steps, settle_action: control steps before the first observation, and their
+            action.
+
+    Rows that begin alike in one call, a group of the same task, state and seed, come to rest
+    once. If a row fails, the others finish; the exception, ``SimulationError``, has the rows
+    that failed as ``environments`` and the results of the call as ``result``.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        assets: str | PathLike[str] | None = None,
+        *,
+        threads: int | None = None,
+        cameras: Sequence[str] = CAMERAS,
+        height: int = 256,
+        width: int = 256,
+        orientation: Orientation = "policy",
+        control: Literal["relative", "absolute"] = "relative",
+        settle_steps: int = 10,
+        settle_action: Sequence[float] = (0, 0, 0, 0, 0, 0, -1),
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"make {num_envs} environments: it takes one at least")
+        if settle_steps < 0 or len(settle_action) != ACTION_WIDTH:
+            raise ValueError(
+                f"settle in {settle_steps} steps with {len(settle_action)} numbers: give 0 steps or "
+                f"more, and {ACTION_WIDTH} numbers"
+            )
+        self.num_envs = num_envs
+        self._assets = assets
+        self._threads = threads or len(os.sched_getaffinity(0))
+        self._cameras = [(camera, width, height) for camera in cameras]
+        self._mirrored = is_mirrored(orientation)
+        self._absolute = is_absolute(control)
+        self._settle = (settle_steps, [float(number) for number in settle_action])
+        self.simulations: list[native.Simulation | None] = [None] * num_envs
+
+    def reset(
+        self,
+        starts: Sequence[Start],
+        rows: Sequence[int] | None = None,
+        render: Literal["last", "none"] = "last",
+    ) -> Observation:
+        """Begins rollouts in some rows, or in all, a start for each; returns what they observe,
+        with ``render="none"`` without frames.
+
+        Raises:
+            FileNotFoundError: if files are missing.
+            ValueError: if there is no such task or row, or a state is of another task; in
+                rows that are named before it, rollouts may have begun.
+        """
+        rows = self._rows(rows)
+        if len(starts) != len(rows):
+            raise ValueError(f"begin in {len(rows)} rows: {len(starts)} starts were given")
+        for row, start in zip(rows, starts, strict=True):
+            self._make(row, start.task)
+        first: dict[tuple[str, str], int] = {}
+        alike = [
+            first.setdefault((_bddl_file(start.task), self._row(start)), at)
+            for at, start in enumerate(starts)
+        ]
+        leaders = sorted(first.values())
+        held = [self._held(rows[at]) for at in leaders]
+        shown = self._advance(
+            held,
+            np.empty((len(held), 0, ACTION_WIDTH)),
+            [self._row(starts[at]) for at in leaders],
+            render,
+        )
+        errors = dict(zip(leaders, shown["errors"], strict=True))
+        for at, leader in enumerate(alike):
+            if at != leader and errors[leader] is None:
+                self._held(rows[at]).restore(self._held(rows[leader]).snapshot())
+        observation = {
+            name: values if len(leaders) == len(rows) else values[np.searchsorted(leaders, alike)]
+            for name, values in self._observation(shown).items()
+        }
+        return _finished(observation, rows, [errors[leader] for leader in alike])
+
+    def step_chunk(
+        self,
+        actions: ArrayLike,
+        rows: Sequence[int] | None = None,
+        render: Render = "last",
+    ) -> Stepped:
+        """Control steps of some rows, or of all, with actions [rows, steps, 7]: all of them,
+        past success too.
+
+        Raises:
+            ValueError: for actions of another shape, and for rows without a rollout; nothing
+                has moved then.
+        """
+        rows = self._rows(rows)
+        actions = np.asarray(actions, dtype=np.float64)
+        if actions.ndim != 3 or actions.shape[0] != len(rows) or not actions.shape[1]:
+            raise ValueError(
+                f"step with actions of shape {actions.shape}: expected [{len(rows)}, steps, 7]"
+            )
+        shown = self._advance(
+            [self._held(row) for row in rows], actions, [None] * len(rows), render
+        )
+        stepped = Stepped(self._observation(shown), shown["successes"])
+        return _finished(stepped, rows, shown["errors"])
+
+    def frame(self, row: int, camera: str, width: int, height: int) -> NDArray[np.uint8]:
+        """A picture of what a row observed last, upright, in any size."""
+        return self._held(row).frame(camera, width, height)[::-1]
+
+    def snapshot(self, row: int) -> native.Snapshot:
+        """All that a row's next step depends on."""
+        return self._held(row).snapshot()
+
+    def restore(self, row: int, snapshot: native.Snapshot) -> None:
+        """Has a row go on from a snapshot of a row of the same task."""
+        self._held(row).restore(snapshot)
+
+    def close(self) -> None:
+        """Frees the environments."""
+        for simulation in self.simulations:
+            if simulation is not None:
+                simulation.close()
+        self.simulations = [None] * self.num_envs
+
+    def _make(self, row: int, task: str) -> None:
+        """Has a row simulate a task."""
+        scene = scenes.scene(_bddl_file(task), self._assets)
+        held = self.simulations[row]
+        if held is None or held.scene is not scene:
+            if held is not None:
+                held.close()
+            self.simulations[row] = native.Simulation(scene)
+
+    def _held(self, row: int) -> native.Simulation:
+        simulation = self.simulations[row]
+        if simulation is None:
+            raise ValueError(f"step row {row}: it has no rollout; call reset")
+        return simulation
+
+    def _rows(self, rows: Sequence[int] | None) -> list[int]:
+        chosen = list(range(self.num_envs)) if rows is None else [int(row) for row in rows]
+        if not chosen or len(set(chosen)) != len(chosen):
+            raise ValueError(f"choose rows {chosen}: give one at least, and each once")
+        if not all(0 <= row < self.num_envs for row in chosen):
+            raise ValueError(f"choose rows {chosen}: there are 0 to {self.num_envs - 1}")
+        return chosen
+
+    def _row(self, start: Start) -> str:
+        steps, action = self._settle
+        row = {
+            "legacy_seed": start.seed,
+            "rounds": start.loads,
+            "settle_steps": steps,
+            "settle_action": action,
+        }
+        if start.state is not None:
+            row["state"] = np.asarray(start.state, dtype=np.float64).tolist()
+        return json.dumps(row)
+
+    def _advance(
+        self,
+        simulations: list[native.Simulation],
+        actions: NDArray[np.float64],
+        starts: Sequence[str | None],
+        render: Render = "last",
+    ) -> dict[str, Any]:
+        return native.Batch(simulations, self._threads).advance(
+            actions,
+            [actions.shape[1]] * len(simulations),
+            starts,
+            self._cameras,
+            render=render,
+            absolute=self._absolute,
+            mirrored=self._mirrored,
+            past_success=True,
+        )
+
+    def _observation(self, shown: dict[str, Any]) -> Observation:
+        names = [*(camera for camera, _, _ in self._cameras), *READINGS]
+        return {name: shown[name] for name in names if name in shown}
+
+
+def _bddl_file(task: str) -> str:
+    if str(task).endswith(".bddl"):
+        return os.path.realpath(task)
+    return str(files.bddl_file(Task.of(task)))
+
+
+def _finished(result: Any, rows: Sequence[int], errors: Sequence[Exception | None]) -> Any:
+    """Returns the results of a call, or raises the first error with them."""
+    failed = [row for row, error in zip(rows, errors, strict=True) if error is not None]
+    if not failed:
+        return result
+    error: Any = next(error for error in errors if error is not None)
+    if not isinstance(error, (*UNTOUCHED, ValueError)):
+        error.environments, error.result = failed, result
+    raise error

@@ -1,0 +1,363 @@
+"""What frameworks for reinforcement learning ask of LIBERO beside episodes: the lines of
+theirs that failed, or got something else, in as few words as they can be said in."""
+
+from __future__ import annotations
+
+import ctypes.util
+import multiprocessing
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import libero.libero
+import numpy as np
+import pytest
+from libero.libero import benchmark, get_libero_path, paths, set_libero_default_path
+from libero.libero.envs import DummyVectorEnv, OffScreenRenderEnv, SubprocVectorEnv, venv
+
+NOTHING = [0.0] * 6 + [-1.0]
+PACKAGE = os.path.dirname(os.path.abspath(libero.libero.__file__))
+
+
+@pytest.fixture
+def config_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    file = tmp_path / "config.yaml"
+    monkeypatch.setattr(paths, "config_file", str(file))
+    monkeypatch.setattr(paths, "libero_config_path", str(tmp_path))
+    return file
+
+
+def in_a_process(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+# RLinf: its configuration is pointed at the package, in every process.
+
+
+def test_the_root_is_the_package_as_in_the_original(config_file: Path) -> None:
+    assert get_libero_path("benchmark_root") == PACKAGE
+    assert paths.get_default_path_dict()["benchmark_root"] == PACKAGE
+
+
+def test_the_packages_own_folder_is_the_default(config_file: Path, tmp_path: Path) -> None:
+    # As another installation left it behind.
+    config_file.write_text(f"benchmark_root: {tmp_path}\nbddl_files: {tmp_path}\n")
+    for _ in range(2):
+        set_libero_default_path(PACKAGE)
+        assert get_libero_path("benchmark_root") == PACKAGE
+        assert Path(get_libero_path("bddl_files"), "libero_goal").is_dir()
+
+
+def test_many_processes_set_the_packages_folder_at_once(tmp_path: Path) -> None:
+    code = (
+        "import os, libero.libero as core\n"
+        "for _ in range(50): core.set_libero_default_path(os.path.dirname(core.__file__))\n"
+        "print(os.path.isdir(core.get_libero_path('bddl_files')))"
+    )
+    settings = {**os.environ, "LIBERO_CONFIG_PATH": str(tmp_path)}
+    (tmp_path / "config.yaml").write_text("bddl_files: /gone\n")
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", code], env=settings, stdout=subprocess.PIPE, text=True
+        )
+        for _ in range(6)
+    ]
+    assert [process.communicate(timeout=300)[0] for process in started] == ["True\n"] * 6
+
+
+def test_suites_are_in_the_originals_order() -> None:
+    # RLinf counts the tasks of libero_130 through them.
+    order = ["libero_spatial", "libero_object", "libero_goal", "libero_90", "libero_10"]
+    assert benchmark.libero_suites == order
+    assert list(benchmark.libero_task_map) == list(benchmark.task_maps) == order
+    names = [name for suite in benchmark.libero_suites for name in benchmark.task_maps[suite]]
+    assert names[30] == benchmark.get_benchmark("libero_90")().get_task_names()[0]
+    assert names[120] == benchmark.get_benchmark("libero_10")().get_task_names()[0]
+
+
+def test_what_a_cameras_depths_mean_can_be_read(bddl_file: str) -> None:
+    env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
+    model = env.sim.model
+    # Against the depth buffer: MuJoCo's planes are in units of the extent.
+    near, far = (float(plane) * model.stat.extent for plane in (model.vis.map.znear, model.vis.map.zfar))
+    assert 0 < near < 0.1 < 2 < far
+    env.reset()
+    camera = model.camera_name2id("agentview")
+    _, depth = env.sim.render(width=65, height=65, camera_name="agentview", depth=True)
+    metres = near / (1 - depth * (1 - near / far))
+    distance = np.linalg.norm(env.sim.data.cam_xpos[camera] - env.sim.data.get_body_xpos("plate_1_main"))
+    assert metres.min() < distance < metres.max()
+    with pytest.raises(AttributeError, match="`meaninertia`"):
+        _ = model.stat.meaninertia
+    with pytest.raises(AttributeError, match="`quality`"):
+        _ = model.vis.quality
+    env.close()
+
+
+# verl-vla, and what builds on RLinf before it had a copy of LIBERO's module.
+
+
+def _serve_once(parent: Any, connection: Any, env_fn: Any, buffers: Any = None) -> None:
+    parent.close()
+    env = env_fn.data()
+    while True:
+        command, data = connection.recv()
+        if command == "close":
+            connection.send(env.close())
+            return
+        connection.send(env.step(data) if command == "step" else env.reset(**data))
+
+
+class OwnWorker(venv.SubprocEnvWorker):
+    """A worker whose constructor and process are another project's."""
+
+    def __init__(self, env_fn: Any) -> None:
+        self.parent_remote, self.child_remote = multiprocessing.Pipe()
+        self.process = multiprocessing.Process(
+            target=_serve_once,
+            args=(self.parent_remote, self.child_remote, venv.CloudpickleWrapper(env_fn), None),
+            daemon=True,
+        )
+        self.process.start()
+        self.child_remote.close()
+        venv.EnvWorker.__init__(self, env_fn)
+
+
+class Counting:
+    """An environment that counts."""
+
+    action_space = gymnasium.spaces.Box(-1, 1, (7,))
+    observation_space = gymnasium.spaces.Dict({"at": gymnasium.spaces.Box(0, 9, (1,))})
+
+    def __init__(self) -> None:
+        self.at = 0
+
+    def reset(self, **_options: Any) -> Any:
+        self.at = 0
+        return {"at": np.array([self.at])}, {"begun": True}
+
+    def step(self, action: Any) -> Any:
+        self.at += 1
+        return {"at": np.array([self.at])}, 0.0, False, False, {}
+
+    def render(self, scale: int = 1) -> int:
+        return self.at * scale
+
+    def close(self) -> None:
+        pass
+
+
+def test_workers_of_another_project_are_served() -> None:
+    envs = venv.BaseVectorEnv([Counting] * 2, OwnWorker)
+    assert envs.worker_class is OwnWorker
+    assert (envs.wait_num, envs.timeout, envs.waiting_conn) == (2, None, [])
+    envs.reset()
+    observations, *_ = envs.step([NOTHING] * 2)
+    assert [seen["at"].item() for seen in observations] == [1, 1]
+    envs.close()
+
+
+def test_buffers_of_a_space_are_shared_with_a_process() -> None:
+    space = gymnasium.spaces.Dict(
+        frame=gymnasium.spaces.Box(0, 255, (2, 2, 3), np.uint8),
+        pair=gymnasium.spaces.Tuple([gymnasium.spaces.Box(-9, 9, (2,), np.float32)]),
+    )
+    buffer = venv._setup_buf(space)
+    frame, numbers = np.arange(12, dtype=np.uint8).reshape(2, 2, 3), np.float32([0.25, -1.5])
+    for shared, array in ((buffer["frame"], frame), (buffer["pair"][0], numbers)):
+        process = multiprocessing.get_context("spawn").Process(target=shared.save, args=(array,))
+        process.start()
+        process.join()
+        np.testing.assert_array_equal(shared.get(), array)
+        assert shared.get().dtype == array.dtype
+    assert isinstance(buffer["frame"], venv.ShArray)
+    with pytest.raises(ValueError, match="holds"):
+        buffer["frame"].save(np.zeros((2, 2), np.uint8))
+    assert "action_space" in venv.GYM_RESERVED_KEYS
+    assert callable(venv._worker) and callable(venv.deprecation)
+
+
+# RIPT: spaces, infos of resets, pictures.
+
+
+@pytest.mark.parametrize("kind", [DummyVectorEnv, SubprocVectorEnv])
+def test_spaces_and_pictures_of_several_environments(kind: Any) -> None:
+    envs = kind([Counting] * 2)
+    observations, infos = envs.reset()
+    assert [seen["at"].item() for seen in observations] == [0, 0]
+    assert infos == [{"begun": True}] * 2
+    assert [space.shape for space in envs.action_space] == [(7,)] * 2
+    assert list(envs.observation_space[1]) == ["at"]
+    assert envs.reward_range == [None] * 2
+    envs.step([NOTHING] * 2)
+    assert envs.render() == [1, 1]
+    assert envs.render(scale=3) == [3, 3]
+    envs.close()
+    with pytest.raises(AttributeError):
+        _ = envs.nonsense
+
+
+class Slow(Counting):
+    """An environment that takes its time, and says when."""
+
+    def set_init_state(self, state: float) -> Any:
+        begun = time.monotonic()
+        time.sleep(state)
+        return {"begun": begun, "ended": time.monotonic()}
+
+
+def test_states_are_set_side_by_side() -> None:
+    envs = SubprocVectorEnv([Slow] * 3)
+    envs.reset()
+    seen = envs.set_init_state([0.5, 0.3, 0.4])
+    assert max(one["begun"] for one in seen) < min(one["ended"] for one in seen)
+    assert [round(one["ended"] - one["begun"], 1) for one in seen] == [0.5, 0.3, 0.4]
+    envs.close()
+
+
+def test_an_environment_without_a_picture_has_none(bddl_file: str) -> None:
+    def construct() -> OffScreenRenderEnv:
+        return OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
+
+    for kind in (DummyVectorEnv, SubprocVectorEnv):
+        envs = kind([construct])
+        assert envs.render() == [None]
+        envs.close()
+
+
+def test_time_is_taken_and_videos_have_a_home() -> None:
+    from libero.libero.utils.time_utils import Timer
+
+    with Timer() as timer:
+        threading.Event().wait(0.02)
+    assert 0.015 < timer.get_elapsed_time() == timer.value < 5
+    with pytest.raises(ImportError, match=r"libero.libero.utils.utils is not part of rollout"):
+        import libero.libero.utils.utils  # noqa: F401
+
+
+# SimpleVLA-RL: a process for each rollout, forked from one that has loaded everything.
+
+
+def forked(work: Any) -> Any:
+    """What a forked process computes."""
+    context = multiprocessing.get_context("fork")
+    queue = context.SimpleQueue()
+    process = context.Process(target=lambda: queue.put(work()), daemon=True)
+    process.start()
+    process.join(timeout=120)
+    assert process.exitcode == 0, "the forked process hangs, or has ended otherwise"
+    return queue.get()
+
+
+def rollout(env: OffScreenRenderEnv, state: Any) -> list[Any]:
+    env.seed(0)
+    env.reset()
+    env.set_init_state(state)
+    seen = [env.step([0.3, -0.2, -0.4, 0, 0, 0.1, -1])[0] for _ in range(3)]
+    return [seen[-1]["agentview_image"], seen[-1]["robot0_eef_pos"]]
+
+
+def test_a_forked_process_constructs_and_steps(bddl_file: str) -> None:
+    state = benchmark.get_benchmark("libero_goal")().get_task_init_states(8)[3]
+
+    def construct() -> OffScreenRenderEnv:
+        return OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=32, camera_widths=32)
+
+    def anew() -> list[Any]:
+        return rollout(construct(), state)
+
+    idle, stop = construct(), threading.Event()
+    # As PyTorch's: threads that are alive in the parent, and are not in the child.
+    others = [threading.Thread(target=stop.wait) for _ in range(4)]
+    for thread in others:
+        thread.start()
+    try:
+        expected = anew()
+        answers = [forked(anew), forked(lambda: rollout(idle, state)), rollout(idle, state)]
+    finally:
+        stop.set()
+    for answer in answers:
+        np.testing.assert_array_equal(answer[0], expected[0])
+        np.testing.assert_array_equal(answer[1], expected[1])
+    idle.close()
+
+
+def test_another_allocator_does_no_harm(bddl_file: str) -> None:
+    allocator = next(
+        filter(None, map(ctypes.util.find_library, ("jemalloc", "tcmalloc", "mimalloc"))), None
+    )
+    if allocator is None:
+        pytest.skip("no other allocator is installed")
+    code = (
+        "import multiprocessing, sys\n"
+        "from libero.libero.envs import OffScreenRenderEnv\n"
+        "def work():\n"
+        f"    env = OffScreenRenderEnv(bddl_file_name={bddl_file!r}, use_camera_obs=False)\n"
+        "    env.reset()\n"
+        f"    env.step({NOTHING})\n"
+        "    env.close()\n"
+        "work()\n"
+        "process = multiprocessing.get_context('fork').Process(target=work)\n"
+        "process.start(); process.join(); sys.exit(process.exitcode)"
+    )
+    done = in_a_process(code, LD_PRELOAD=allocator)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_construction_that_fails_is_said_though_the_error_is_swallowed() -> None:
+    code = (
+        "from libero.libero.envs import OffScreenRenderEnv\n"
+        "for _ in range(3):\n"
+        "    try: OffScreenRenderEnv(bddl_file_name='nowhere.bddl')\n"
+        "    except: pass\n"
+    )
+    done = in_a_process(code)
+    assert done.stderr.count("there is no BDDL file nowhere.bddl: take its path") == 1
+    assert done.returncode == 0
+
+
+# Several packages of one name.
+
+
+def test_the_doctor_says_which_libero_is_imported(tmp_path: Path) -> None:
+    def doctor(*path: Path) -> subprocess.CompletedProcess[str]:
+        searched = [*map(str, path), os.environ.get("PYTHONPATH", "")]
+        return subprocess.run(
+            [sys.executable, "-m", "rollout_libero", "doctor"],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, searched))},
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+
+    well = doctor()
+    assert well.returncode == 0, well.stdout + well.stderr
+    assert "libero is rollout-libero-shim" in well.stdout
+    (tmp_path / "third_party/libero/libero/libero").mkdir(parents=True)
+    (tmp_path / "third_party/libero/libero/__init__.py").touch()
+    ill = doctor(tmp_path / "third_party/libero")
+    assert ill.returncode == 1
+    assert str(tmp_path / "third_party/libero/libero") in ill.stdout
+    assert "take it out of PYTHONPATH" in ill.stdout
+
+
+def test_assets_are_fetched_by_the_originals_command() -> None:
+    from libero import _download
+
+    assert _download.command(["--skip-existing"]) == ["fetch"]
+    with pytest.raises(SystemExit):
+        _download.command(["--nonsense"])

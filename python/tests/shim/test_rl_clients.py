@@ -1,0 +1,210 @@
+"""Frameworks for reinforcement learning on the shim, their own files unmodified.
+
+RLinf is installed where the other clients are (`ROLLOUT_CLIENTS`, test_clients.py). The others
+are on no package index: `ROLLOUT_FRAMEWORKS` names a folder with checkouts of them, by their
+repositories' names.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import libero
+import numpy as np
+import pytest
+import rollout_libero
+from libero.libero import benchmark
+from libero.libero.envs import OffScreenRenderEnv
+
+SCRIPT = Path(__file__).with_name("rl_rollouts.py")
+SUITE, SIZE = "libero_spatial", 64
+
+
+@pytest.fixture(scope="module")
+def python() -> str:
+    """The Python of an environment with PyTorch."""
+    path = os.environ.get("ROLLOUT_CLIENTS")
+    if not path or not Path(path).exists():
+        pytest.skip("the clients are not installed: ROLLOUT_CLIENTS names no Python")
+    return path
+
+
+@pytest.fixture(scope="module")
+def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with nothing but the packages under test."""
+    folder = tmp_path_factory.mktemp("packages")
+    for package in (rollout_libero, libero):
+        (folder / package.__name__).symlink_to(Path(str(package.__file__)).parent)
+    return folder
+
+
+def rolled_out(python: str, shim: Path, out: Path, framework: str, sources: Path | None) -> Any:
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(shim),
+        "LIBERO_CONFIG_PATH": str(out / "settings"),
+        "FRAMEWORK_SOURCES": "" if sources is None else str(sources),
+    }
+    file = out / f"{framework}.pickle"
+    done = subprocess.run(
+        [python, str(SCRIPT), framework, str(file)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert done.returncode == 0, f"{framework}: {done.stdout[-2000:]}{done.stderr[-4000:]}"
+    with open(file, "rb") as pickled:
+        return pickle.load(pickled)
+
+
+def checkout(name: str) -> Path:
+    folder = Path(os.environ.get("ROLLOUT_FRAMEWORKS") or "/nowhere") / name
+    if not folder.is_dir():
+        pytest.skip(f"there is no checkout of {name}: ROLLOUT_FRAMEWORKS names no folder with one")
+    return folder
+
+
+def rlinf(python: str, which: str) -> Path | None:
+    if which == "checkout":
+        return checkout("RLinf")
+    if subprocess.run([python, "-c", "import rlinf"], capture_output=True, check=False).returncode:
+        pytest.skip("RLinf is not among the clients")
+    return None
+
+
+def assert_same(ours: Any, theirs: Any, what: str) -> None:
+    if isinstance(theirs, dict):
+        assert list(ours) == list(theirs), what
+        for key in theirs:
+            assert_same(ours[key], theirs[key], f"{what}/{key}")
+    elif isinstance(theirs, list | tuple):
+        assert len(ours) == len(theirs), what
+        for i, (our, their) in enumerate(zip(ours, theirs)):
+            assert_same(our, their, f"{what}/{i}")
+    else:
+        assert type(ours) is type(theirs), what
+        np.testing.assert_array_equal(ours, theirs, err_msg=what)
+
+
+@pytest.mark.parametrize("which", ["package", "checkout"])
+@pytest.mark.parametrize("kind", ["rlinf", "rlinf_auto_reset", "rlinf_evaluated"])
+def test_rlinf_in_one_process_is_rlinf(
+    kind: str, which: str, python: str, shim: Path, tmp_path: Path
+) -> None:
+    sources = rlinf(python, which)
+    theirs = rolled_out(python, shim, tmp_path, kind, sources)
+    ours = rolled_out(python, shim, tmp_path, f"{kind}_together", sources)
+    assert ours["tasks"] == theirs["tasks"]
+    assert len(theirs["seen"]) == 10
+    assert_same(ours["seen"], theirs["seen"], kind)
+    print(
+        f"{kind}: {theirs['seconds']:.1f} s in processes, {ours['seconds']:.1f} s in one process"
+    )
+
+
+@pytest.mark.parametrize("which", ["package", "checkout"])
+def test_rlinf_counts_the_tasks_of_all_suites(
+    which: str, python: str, shim: Path, tmp_path: Path
+) -> None:
+    rollouts = rolled_out(python, shim, tmp_path, "rlinf_of_130", rlinf(python, which))
+    known = {
+        task.language
+        for suite in benchmark.libero_suites
+        for task in benchmark.task_maps[suite].values()
+    }
+    assert set(rollouts["tasks"]) <= known
+    assert rollouts["seen"][0]["main_images"].shape == (2, SIZE, SIZE, 3)
+
+
+def test_simplevla_rl_rolls_out_in_a_forked_process(
+    python: str, shim: Path, tmp_path: Path
+) -> None:
+    rollouts = rolled_out(python, shim, tmp_path, "simplevla_rl", checkout("SimpleVLA-RL"))
+    first, *steps = rollouts["seen"]
+    suite = benchmark.get_benchmark(SUITE)()
+    env = OffScreenRenderEnv(
+        bddl_file_name=suite.get_task_bddl_file_path(2), camera_heights=256, camera_widths=256
+    )
+    env.seed(0)
+    env.reset()
+    env.set_init_state(suite.get_task_init_states(2)[5])
+    for _ in range(10):
+        seen, *_ = env.step([0, 0, 0, 0, 0, 0, -1])
+    assert_same(first["obs"], dict(seen), "first")
+    assert first["task_description"] == suite.get_task(2).language
+    assert [step["finish_step"] for step in steps] == [8, 16, 24]
+    assert [step["active"] for step in steps] == [True, True, False]
+    chance = np.random.default_rng(4)
+    for step in steps:
+        for action in chance.uniform(-1, 1, (8, 7)):
+            # As the framework's own functions have it: binary, and the other way round.
+            action[-1] = -np.sign(2 * action[-1] - 1)
+            seen, *_ = env.step(action.tolist())
+        assert_same(step["obs"], dict(seen), "step")
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("framework", "name"), [("verl_vla", "verl-vla"), ("vlarl", "vlarl"), ("siirl", "siiRL")]
+)
+def test_several_environments_of_a_framework_are_those_of_the_shim(
+    framework: str, name: str, python: str, shim: Path, tmp_path: Path
+) -> None:
+    rollouts = rolled_out(python, shim, tmp_path, framework, checkout(name))
+    begun, observations, rewards, dones, infos = rollouts["seen"]
+    suite = benchmark.get_benchmark(SUITE)()
+    moves = np.random.default_rng(4).uniform(-1, 1, (3, 2, 7))
+    tasks = [(0, 1), (3, 2)]
+    for row, (task, state) in enumerate(tasks):
+        env = OffScreenRenderEnv(
+            bddl_file_name=suite.get_task_bddl_file_path(task),
+            camera_heights=SIZE,
+            camera_widths=SIZE,
+        )
+        env.seed(4 + row)
+        env.reset()
+        seen = env.set_init_state(suite.get_task_init_states(task)[state])
+        assert_same(dict(begun[row]), dict(seen), f"{framework} {row}")
+        for action in moves[:, row]:
+            seen, *_ = env.step(action.tolist())
+        if row == 0:
+            assert_same(dict(observations[0]), dict(seen), framework)
+        elif framework != "verl_vla":
+            env.reset()
+            env.set_init_state(suite.get_task_init_states(task)[4])
+            seen, *_ = env.step([0.0] * 6 + [-1.0])
+            assert_same(dict(observations[1]), dict(seen), f"{framework} renewed")
+        env.close()
+    if framework == "verl_vla":
+        env = OffScreenRenderEnv(
+            bddl_file_name=suite.get_task_bddl_file_path(5),
+            camera_heights=SIZE,
+            camera_widths=SIZE,
+        )
+        env.seed(9)
+        env.reset()
+        env.set_init_state(suite.get_task_init_states(5)[4])
+        seen, *_ = env.step([0.0] * 6 + [-1.0])
+        assert_same(dict(observations[1]), dict(seen), "another task")
+        env.close()
+    assert rewards.tolist() == [0.0, 0.0] and dones.tolist() == [False, False]
+    assert infos == [{"env_id": 0}, {"env_id": 1}]
+
+
+def test_ript_wraps_one_environment_and_several(python: str, shim: Path, tmp_path: Path) -> None:
+    rollouts = rolled_out(python, shim, tmp_path, "ript_vla", checkout("ript-vla"))
+    alone, several = rollouts["seen"][:4], rollouts["seen"][4:]
+    # `reset_ori` returns what was seen before its states; the second reset sets them.
+    for count, (first, stepped, reset, again) in ((1, alone), (2, several)):
+        assert first["agentview_rgb"].shape == (count, SIZE, SIZE, 3)
+        assert reset["gripper_states"].shape == (count, 2)
+        for observation, reward, terminated, truncated, info in (stepped, again):
+            assert observation["agentview_rgb"].shape == (count, SIZE, SIZE, 3)
+            assert reward.shape == terminated.shape == truncated.shape == (count,)
+            assert [one["success"] for one in info] == [False] * count

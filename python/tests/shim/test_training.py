@@ -1,0 +1,202 @@
+"""`TrainingEnvironment` beside the shim's environments: the same bits from the same starts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import rollout_libero
+from libero.libero import benchmark
+from libero.libero.envs import OffScreenRenderEnv
+from rollout_libero.training import Start, TrainingEnvironment
+
+SIZE = 32
+SETTLING = [0.0] * 6 + [-1.0]
+NAMES = {
+    "agentview": "agentview_image",
+    "robot0_eye_in_hand": "robot0_eye_in_hand_image",
+    "eef_pos": "robot0_eef_pos",
+    "eef_quat": "robot0_eef_quat",
+    "joint_pos": "robot0_joint_pos",
+    "gripper_pos": "robot0_gripper_qpos",
+}
+
+
+def task(suite: str, i: int) -> tuple[str, np.ndarray]:
+    made = benchmark.get_benchmark(suite)()
+    return made.get_task_bddl_file_path(i), made.get_task_init_states(i)
+
+
+def begun(start: Start, settle_steps: int = 10, resets: int = 1) -> tuple[OffScreenRenderEnv, Any]:
+    """An environment of the shim that a script has begun like this."""
+    env = OffScreenRenderEnv(bddl_file_name=start.task, camera_heights=SIZE, camera_widths=SIZE)
+    for _ in range(resets):
+        env.seed(start.seed)
+        seen = env.reset()
+    if start.state is not None:
+        seen = env.set_init_state(start.state)
+    for _ in range(settle_steps):
+        seen, *_ = env.step(SETTLING)
+    return env, seen
+
+
+def assert_same(observation: Any, at: int, seen: Any) -> None:
+    for ours, theirs in NAMES.items():
+        expected = seen[theirs]
+        expected = expected[::-1, ::-1] if theirs.endswith("image") else expected
+        np.testing.assert_array_equal(observation[ours][at], expected, err_msg=ours)
+
+
+@pytest.fixture
+def envs() -> Any:
+    made = TrainingEnvironment(3, height=SIZE, width=SIZE, threads=2)
+    yield made
+    made.close()
+
+
+def test_rows_of_any_tasks_begin_and_step_as_scripts_have_them(envs: TrainingEnvironment) -> None:
+    # A drawer whose joint and place the seed draws, an object, and one of the ninety.
+    tasks = [task("libero_goal", 0), task("libero_object", 3), task("libero_90", 44)]
+    starts = [Start(file, states[7 + i], seed=20 + i) for i, (file, states) in enumerate(tasks)]
+    shim = [begun(start) for start in starts]
+    observation = envs.reset(starts)
+    for at, (_, seen) in enumerate(shim):
+        assert_same(observation, at, seen)
+    chunk = np.random.default_rng(0).uniform(-1, 1, (3, 5, 7))
+    stepped = envs.step_chunk(chunk)
+    assert stepped.success.shape == (3, 5)
+    for at, (env, _) in enumerate(shim):
+        for action in chunk[at]:
+            seen, *_ = env.step(action)
+        assert_same(stepped.observation, at, seen)
+    # Another task in the middle row alone, without a state, from an environment that is kept.
+    other = Start(task("libero_goal", 6)[0], seed=5, loads=3)
+    observation = envs.reset([other], rows=[1])
+    assert_same(observation, 0, begun(other, resets=2)[1])
+    assert observation["agentview"].shape == (1, SIZE, SIZE, 3)
+    assert observation["agentview"].flags.c_contiguous and observation["agentview"].flags.writeable
+    # The others have not moved.
+    stepped = envs.step_chunk(chunk[[2, 0], :2], rows=[2, 0], render="all")
+    for place, row in enumerate((2, 0)):
+        for step, action in enumerate(chunk[row, :2]):
+            seen, *_ = shim[row][0].step(action)
+            assert_same({k: v[:, step] for k, v in stepped.observation.items()}, place, seen)
+
+
+def test_chunks_go_on_past_success_and_say_when_it_held(envs: TrainingEnvironment) -> None:
+    file, states = task("libero_object", 0)
+    start = Start(file, states[0], seed=7)
+    env, seen = begun(start)
+    target = env.obj_of_interest[0]
+    at, basket = seen[f"{target}_pos"], seen["basket_1_pos"]
+    plan = [
+        (22, at + [0, 0, 0.12], -1.0),
+        (20, at, -1.0),
+        (8, at, 1.0),
+        (15, at + [0, 0, 0.25], 1.0),
+        (30, basket + [0, 0, 0.3], 1.0),
+        (10, basket + [0, 0, 0.2], 1.0),
+        (39, basket + [0, 0, 0.2], -1.0),
+    ]
+    actions, held = [], []
+    for steps, goal, gripper in plan:
+        for _ in range(steps):
+            towards = np.clip((goal - seen["robot0_eef_pos"]) / 0.05, -1, 1)
+            actions.append([*towards, 0, 0, 0, gripper])
+            seen, _, done, _ = env.step(actions[-1])
+            held.append(done)
+    assert any(held) and not held[0], "the script did not put the object into the basket"
+    envs.reset([start], rows=[0])
+    told = []
+    for chunk in np.array(actions).reshape(-1, 8, 7):
+        stepped = envs.step_chunk(chunk[None], rows=[0], render="none")
+        told += stepped.success[0].tolist()
+        assert "agentview" not in stepped.observation
+    assert told == held
+    first = held.index(True)
+    assert len(held) - first > 8, "nothing came after success"
+    for name in ("eef_pos", "joint_pos"):
+        np.testing.assert_array_equal(stepped.observation[name][0], seen[NAMES[name]])
+
+
+def test_a_group_comes_to_rest_once_and_goes_its_own_ways(
+    envs: TrainingEnvironment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, states = task("libero_goal", 8)
+    group = Start(file, states[2], seed=3)
+    begins: list[int] = []
+    advance = envs._advance
+    monkeypatch.setattr(
+        envs, "_advance", lambda sims, *rest: begins.append(len(sims)) or advance(sims, *rest)
+    )
+    observation = envs.reset([group, Start(file, states[4], seed=3), group])
+    assert begins == [2]
+    for at, start in enumerate([group, Start(file, states[4], seed=3), group]):
+        assert_same(observation, at, begun(start)[1])
+    moves = np.random.default_rng(1).uniform(-1, 1, (3, 4, 7))
+    stepped = envs.step_chunk(moves)
+    alone = TrainingEnvironment(1, height=SIZE, width=SIZE)
+    alone.reset([group])
+    only = alone.step_chunk(moves[2:])
+    np.testing.assert_array_equal(
+        stepped.observation["agentview"][2], only.observation["agentview"][0]
+    )
+    assert (stepped.observation["eef_pos"][0] != stepped.observation["eef_pos"][2]).any()
+    # What was settled can be gone back to.
+    before = alone.snapshot(0)
+    after = [alone.step_chunk(moves[:1]).observation["eef_pos"] for _ in range(2)]
+    alone.restore(0, before)
+    np.testing.assert_array_equal(alone.step_chunk(moves[:1]).observation["eef_pos"], after[0])
+    alone.close()
+
+
+def test_settling_is_chosen() -> None:
+    file, states = task("libero_goal", 8)
+    made = TrainingEnvironment(
+        1, height=SIZE, width=SIZE, settle_steps=15, settle_action=[0.0] * 7
+    )
+    observation = made.reset([Start(file, states[1], seed=9)])
+    env, _ = begun(Start(file, states[1], seed=9), settle_steps=0)
+    for _ in range(15):
+        seen, *_ = env.step([0.0] * 7)
+    assert_same(observation, 0, seen)
+    made.close()
+
+
+def test_what_is_refused_moves_nothing(envs: TrainingEnvironment) -> None:
+    file, states = task("libero_goal", 8)
+    with pytest.raises(ValueError, match="row 0: it has no rollout; call reset"):
+        envs.step_chunk(np.zeros((3, 1, 7)))
+    envs.reset([Start(file, states[0])] * 3)
+    for rows in ([], [0, 0], [3]):
+        with pytest.raises(ValueError, match="choose rows"):
+            envs.step_chunk(np.zeros((len(rows), 1, 7)), rows=rows)
+    for shape in ((3, 7), (2, 1, 7), (3, 0, 7), (3, 1, 6)):
+        with pytest.raises(ValueError, match="actions of shape"):
+            envs.step_chunk(np.zeros(shape))
+    with pytest.raises(ValueError, match="2 starts were given"):
+        envs.reset([Start(file)] * 2)
+    with pytest.raises(ValueError, match="is it of another task"):
+        envs.reset([Start(file, states[0][:-1])], rows=[1])
+    with pytest.raises(FileNotFoundError, match="nowhere.bddl"):
+        envs.reset([Start("nowhere.bddl")], rows=[1])
+    at = envs.step_chunk(np.zeros((3, 1, 7))).observation["eef_pos"]
+    np.testing.assert_array_equal(at[0], at[2])
+
+
+def test_rows_that_fail_are_named_and_the_others_go_on(envs: TrainingEnvironment) -> None:
+    file, states = task("libero_goal", 8)
+    envs.reset([Start(file, states[0])] * 3)
+    wild = states[0].copy()
+    wild[1:8] = 1e9  # rad: no physics survives that
+    simulation = envs.simulations[1]
+    assert simulation is not None
+    simulation.set_state(wild)
+    with pytest.raises(rollout_libero.SimulationError) as caught:
+        envs.step_chunk(np.zeros((3, 2, 7)))
+    error: Any = caught.value
+    assert error.environments == [1]
+    assert error.result.observation["eef_pos"].shape == (3, 3)
+    stepped = envs.step_chunk(np.zeros((2, 2, 7)), rows=[0, 2])
+    assert np.isfinite(stepped.observation["eef_pos"]).all()
