@@ -8,14 +8,16 @@ mod fog;
 mod gaussian;
 mod glass;
 mod motion;
+mod picture;
 mod zoom;
 
 use std::fmt;
 
 use libero_ctrl::numpy::LegacyRng;
 
-/// Channels of a pixel.
-const CHANNELS: usize = 3;
+use picture::CHANNELS;
+pub use picture::Picture;
+
 /// Severities of each kind.
 const SEVERITIES: u8 = 10;
 /// Side of the fog's map; the released code fails on larger pictures.
@@ -64,17 +66,6 @@ pub struct Corruption {
     kind: Kind,
     /// From 0.
     severity: usize,
-}
-
-/// A picture: rows of pixels of three bytes, in the order in which they are given.
-#[derive(Debug)]
-pub struct Picture<'a> {
-    /// Rows.
-    pub height: usize,
-    /// Pixels of a row.
-    pub width: usize,
-    /// `height × width × 3` bytes.
-    pub rgb: &'a mut [u8],
 }
 
 impl Corruption {
@@ -149,15 +140,4 @@ pub struct UnsuitedPicture {
     height: usize,
     width: usize,
     bytes: usize,
-}
-
-/// A byte as NumPy makes one of a number in 0..=255 and a little more: by truncation.
-fn truncated(value: f64) -> u8 {
-    value as u8
-}
-
-/// The picture in [0, 1].
-fn unit(picture: &Picture<'_>) -> Vec<f64> {
-    let bytes = picture.rgb.iter();
-    bytes.map(|byte| f64::from(*byte) / 255.0).collect()
 }

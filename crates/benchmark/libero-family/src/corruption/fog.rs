@@ -2,7 +2,7 @@
 
 use libero_ctrl::numpy::LegacyRng;
 
-use super::{CHANNELS, Picture, truncated, unit};
+use super::picture::{CHANNELS, Picture, truncated, unit};
 
 /// Side of the map.
 pub(super) const SIDE: usize = 256;

@@ -2,7 +2,7 @@
 //! are repeated in its order, since truncation to bytes shows the last bit.
 
 use super::exponential::exp;
-use super::{CHANNELS, Picture, truncated, unit};
+use super::picture::{CHANNELS, Picture, truncated, unit};
 
 /// Widths of the ten severities, pixels.
 const SIGMAS: [f64; 10] = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0];

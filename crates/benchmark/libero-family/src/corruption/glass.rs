@@ -4,7 +4,7 @@
 use libero_ctrl::numpy::LegacyRng;
 
 use super::gaussian;
-use super::{CHANNELS, Picture, truncated, unit};
+use super::picture::{CHANNELS, Picture, truncated, unit};
 
 /// Width of the blur in pixels, farthest offset in pixels, and rounds, of each severity.
 const SEVERITIES: [(f64, u32, u32); 10] = [

@@ -4,7 +4,7 @@
 use libero_ctrl::numpy::LegacyRng;
 
 use super::exponential::exp;
-use super::{CHANNELS, Picture};
+use super::picture::{CHANNELS, Picture};
 
 /// Radius and width of the one-sided filter, pixels, of each severity.
 const SEVERITIES: [(f64, f64); 10] = [

@@ -1,7 +1,7 @@
 //! Zoom blur: the mean of the picture and of its middle, magnified step by step, in single
 //! precision as `scipy.ndimage.zoom` of order 1 does it.
 
-use super::{CHANNELS, Picture};
+use super::picture::{CHANNELS, Picture};
 
 /// End and step of the factors of each severity. The end is a factor where rounding says
 /// so, as in `numpy.arange`.
