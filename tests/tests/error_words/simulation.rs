@@ -2,6 +2,10 @@
 
 use assets::AssetsError;
 use libero_ctrl::NoSuchRow;
+use libero_ctrl::numpy::LegacyRng;
+use libero_family::corruption::{Corruption, Picture, UnsuitedPicture};
+use libero_family::plus::{ProblemClass, Prompt, UnknownVariant};
+use libero_family::protocol::Protocol;
 use policy_protocol::{ActionFault, DescriptionFault};
 use raster::{DrawError, ModelError};
 use scene::SceneError;
@@ -103,7 +107,37 @@ fn pictures(messages: &mut Messages) {
     );
 }
 
+/// A picture that no fog covers.
+fn unsuited_picture() -> UnsuitedPicture {
+    let mut picture = Picture {
+        height: 300,
+        width: 300,
+        rgb: &mut vec![0; 300 * 300 * 3],
+    };
+    let fog = Corruption::new(31).expect("a corruption");
+    let refused = fog.apply(&mut picture, &mut LegacyRng::seed(1));
+    refused.expect_err("it is too large")
+}
+
 fn simulator(messages: &mut Messages) {
+    messages.add("UnsuitedPicture", unsuited_picture());
+    messages.add(
+        "ProblemError",
+        ProblemClass::parse("libero_moon").expect_err("none"),
+    );
+    messages.add(
+        "UnknownPrompt",
+        "aloud".parse::<Prompt>().expect_err("none"),
+    );
+    messages.add(
+        "UnknownProtocol",
+        "own".parse::<Protocol>().expect_err("none"),
+    );
+    variants!(messages, UnknownVariant,
+        UnknownVariant::Task(_) => UnknownVariant::Task(text()),
+        UnknownVariant::Suffix { .. } => UnknownVariant::Suffix { name: text(), suffix: text() },
+        UnknownVariant::Dimension(_) => UnknownVariant::Dimension(text()),
+    );
     variants!(messages, SimError,
         SimError::Scene(_) => SimError::Scene(no_scene()),
         SimError::Compile(_) => SimError::Compile("Error: repeated name".to_owned()),
@@ -121,6 +155,7 @@ fn simulator(messages: &mut Messages) {
         },
         SimError::DistortedPose => SimError::DistortedPose,
         SimError::Camera(_) => SimError::Camera("frontview".to_owned()),
+        SimError::Corruption(_) => SimError::from(unsuited_picture()),
         SimError::Graphics { .. } => SimError::Graphics {
             problem: "there is no device".to_owned(), remedy: "use --renderer software",
         },

@@ -87,6 +87,16 @@ impl Corruption {
         self.severity + 1
     }
 
+    /// Draws what a picture of a size takes, as if it were corrupted, from the generator.
+    pub fn skip(self, height: usize, width: usize, rng: &mut LegacyRng) {
+        match self.kind {
+            Kind::Motion => motion::skip(rng),
+            Kind::Gaussian | Kind::Zoom => {}
+            Kind::Fog => fog::skip(rng),
+            Kind::Glass => glass::skip(height, width, self.severity, rng),
+        }
+    }
+
     /// Corrupts a picture, drawing what it needs from the generator.
     ///
     /// # Errors
@@ -132,8 +142,8 @@ impl fmt::Display for Corruption {
 /// A picture that a corruption is not made for.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "a picture of {width}×{height} pixels and {bytes} bytes cannot be corrupted by `{}`: draw square \
-     pictures of at most 256 pixels a side, three bytes a pixel", kind.name()
+    "corrupt a picture of {width}×{height} pixels and {bytes} bytes by `{}`: it takes square \
+     pictures of at most 256 pixels a side; have the policy ask for such", kind.name()
 )]
 pub struct UnsuitedPicture {
     kind: Kind,

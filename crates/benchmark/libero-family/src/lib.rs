@@ -8,3 +8,4 @@
 
 pub mod corruption;
 pub mod plus;
+pub mod protocol;

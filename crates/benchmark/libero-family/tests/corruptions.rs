@@ -54,6 +54,10 @@ fn check(kind: Kind) {
                 .collect();
             assert_eq!(digest, expected, "{number} ({corruption}) at {side} pixels");
         }
+        let mut skipping = LegacyRng::seed(1000 + u32::from(number));
+        corruption.skip(side, side, &mut skipping);
+        corruption.skip(side, side, &mut skipping);
+        assert!(skipping == rng, "{number} skips what it draws");
         let next: f64 = next.parse().unwrap();
         assert_eq!(rng.random_sample(), next, "{number} draws as many numbers");
         checked += 1;

@@ -9,6 +9,9 @@ use assets::{Difference, VerifiedFolder};
 
 use crate::error::SceneError;
 
+/// Folder of LIBERO-Plus' task files in the sources.
+pub const LIBERO_PLUS: &str = "libero-plus";
+
 /// The folder with the unpacked wheels: `robosuite/` (its `models/assets`) and
 /// `libero/` (its `bddl_files` and `init_files`).
 #[derive(Debug, Clone)]
@@ -70,14 +73,23 @@ impl Sources {
     /// The folder of a release archive may be read-only; there it is the one in the
     /// user's cache folder, unless the archive's has been filled.
     pub fn fetched_pack(dir: &Path) -> PathBuf {
-        const PACK: &str = "packs/libero";
-        let here = dir.join(PACK);
+        Self::fetched(dir, "packs/libero")
+    }
+
+    /// The folder that the task files of a benchmark of LIBERO's family are fetched into, in
+    /// the sources or, as with [`fetched_pack`](Self::fetched_pack), in the cache.
+    pub fn family(dir: &Path, name: &str) -> PathBuf {
+        Self::fetched(dir, name)
+    }
+
+    fn fetched(dir: &Path, name: &str) -> PathBuf {
+        let here = dir.join(name);
         let is_of_release = || {
             let canonical = dir.canonicalize().ok();
             canonical.is_some() && canonical == Self::of_release()
         };
         if !here.is_dir() && is_of_release() {
-            return Self::in_cache().join(PACK);
+            return Self::in_cache().join(name);
         }
         here
     }

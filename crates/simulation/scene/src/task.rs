@@ -3,10 +3,11 @@
 use std::path::PathBuf;
 
 use libero_ctrl::TaskRef;
+use libero_family::plus::Variant;
 
 use crate::bddl::Problem;
 use crate::error::SceneError;
-use crate::sources::Sources;
+use crate::sources::{LIBERO_PLUS, Sources};
 
 /// Paths of a task's files.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -25,6 +26,23 @@ impl TaskFiles {
             bddl: sources.bddl_file(suite, stem),
             init: sources.init_file(suite, stem),
         }
+    }
+
+    /// The files of a variant of LIBERO-Plus: LIBERO's own where it has none of its own,
+    /// else those that `worker assets fetch --suite libero-plus` has put beside them.
+    pub fn of_variant(sources: &Sources, variant: &Variant) -> Self {
+        let liberos = Self::of_task(sources, variant.task);
+        let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
+        let fetched = Sources::family(sources.dir(), LIBERO_PLUS);
+        let bddl = match stem == variant.task.name() {
+            true => liberos.bddl,
+            false => fetched.join(format!("bddl_files/{suite}/{stem}.bddl")),
+        };
+        let init = match variant.has_one_state() {
+            true => fetched.join("init_files").join(variant.states_file()),
+            false => liberos.init,
+        };
+        Self { bddl, init }
     }
 
     /// Reads the problem.

@@ -39,6 +39,13 @@ pub(super) fn cover(picture: &mut Picture<'_>, severity: usize, rng: &mut Legacy
     }
 }
 
+/// Draws what a picture takes.
+pub(super) fn skip(rng: &mut LegacyRng) {
+    for _ in 1..SIDE * SIDE {
+        rng.random_sample();
+    }
+}
+
 /// A map of numbers in [0, 1]. Every place but the corner is drawn once.
 fn plasma(decay: f64, rng: &mut LegacyRng) -> Vec<f64> {
     let mut map = vec![0.0; SIDE * SIDE];

@@ -28,6 +28,33 @@ pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyR
     for (byte, value) in picture.rgb.iter_mut().zip(blurred) {
         *byte = truncated(value * 255.0);
     }
+    displace(height, width, reach, rounds, rng, |from, to| {
+        let from = from * CHANNELS;
+        picture
+            .rgb
+            .copy_within(from..from + CHANNELS, to * CHANNELS);
+    });
+    let blurred = gaussian::blur(unit(picture), height, width, sigma);
+    for (byte, value) in picture.rgb.iter_mut().zip(blurred) {
+        *byte = truncated(value.clamp(0.0, 1.0) * 255.0);
+    }
+}
+
+/// Draws what a picture takes.
+pub(super) fn skip(height: usize, width: usize, severity: usize, rng: &mut LegacyRng) {
+    let (_, reach, rounds) = SEVERITIES[severity];
+    displace(height, width, reach, rounds, rng, |_, _| {});
+}
+
+/// Draws which pixels are copied over which, and has them copied.
+fn displace(
+    height: usize,
+    width: usize,
+    reach: u32,
+    rounds: u32,
+    rng: &mut LegacyRng,
+    mut copy: impl FnMut(usize, usize),
+) {
     let far = reach as usize;
     let offset = |rng: &mut LegacyRng| rng.randint(2 * reach) as usize;
     for _ in 0..rounds {
@@ -35,14 +62,8 @@ pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyR
             for column in (far + 1..=width.saturating_sub(far)).rev() {
                 let from_column = column + offset(rng) - far;
                 let from_row = row + offset(rng) - far;
-                let from = (from_row * width + from_column) * CHANNELS;
-                let to = (row * width + column) * CHANNELS;
-                picture.rgb.copy_within(from..from + CHANNELS, to);
+                copy(from_row * width + from_column, row * width + column);
             }
         }
-    }
-    let blurred = gaussian::blur(unit(picture), height, width, sigma);
-    for (byte, value) in picture.rgb.iter_mut().zip(blurred) {
-        *byte = truncated(value.clamp(0.0, 1.0) * 255.0);
     }
 }

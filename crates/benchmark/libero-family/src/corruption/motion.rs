@@ -27,7 +27,7 @@ const QUANTA: u32 = 257;
 /// Corrupts a picture.
 pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyRng) {
     let (radius, sigma) = SEVERITIES[severity];
-    let angle = rng.uniform(-MAX_ANGLE, MAX_ANGLE);
+    let angle = draw_angle(rng);
     let length = 2 * radius.ceil() as usize + 1;
     let weights = weights(length, sigma);
     let offsets = offsets(length, angle);
@@ -51,6 +51,15 @@ pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyR
             }
         }
     }
+}
+
+/// Draws what a picture takes.
+pub(super) fn skip(rng: &mut LegacyRng) {
+    draw_angle(rng);
+}
+
+fn draw_angle(rng: &mut LegacyRng) -> f64 {
+    rng.uniform(-MAX_ANGLE, MAX_ANGLE)
 }
 
 fn quantum(byte: u8) -> f64 {

@@ -142,7 +142,7 @@ const FIRST_TEXTURES: [&str; 6] = ["bricks", "cliff", "cobble", "marble", "tiles
 
 /// No class of LIBERO-Plus is called so.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no problem class of LIBERO or LIBERO-Plus")]
+#[error("read problem class `{0}`: neither LIBERO nor LIBERO-Plus has it")]
 pub struct ProblemError(String);
 
 impl ProblemClass {

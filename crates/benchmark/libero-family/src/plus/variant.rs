@@ -314,11 +314,14 @@ impl FromStr for Variant {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum UnknownVariant {
     /// It begins with no task.
-    #[error("`{0}` begins with none of LIBERO's forty tasks: give a name of LIBERO-Plus' task map")]
+    #[error(
+        "read variant `{0}`: it begins with none of LIBERO's forty tasks; give a name of LIBERO-Plus' \
+         task map"
+    )]
     Task(String),
     /// No change ends so.
     #[error(
-        "`{name}` ends in `{suffix}`, which is no change: valid are _view_H_V_S_R_T_initstate_N, \
+        "read variant `{name}`: it ends in `{suffix}`, which is no change; valid are _view_H_V_S_R_T_initstate_N, \
          …_noise_K, _language_L_view_0_0_100_0_0_initstate_0, _light_G, _table_T, _tb_T, _add_A, \
          _levelL_sampleS, and _moved_levelL_sampleS in libero_goal"
     )]

@@ -1,0 +1,133 @@
+//! Protocols by name: how a harness begins a rollout of a variant, what it tells the policy,
+//! and how long it lets it try. Numbers of two protocols measure different things.
+
+use std::fmt;
+use std::str::FromStr;
+
+use libero_ctrl::Suite;
+
+use crate::plus::Prompt;
+
+/// The state in which the waits begin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Beginning {
+    /// Initial state 0 over a reset; controllers as the reset left them.
+    InitialState,
+    /// A reset alone.
+    Reset,
+}
+
+impl Beginning {
+    /// Name in results.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::InitialState => "initial-state",
+            Self::Reset => "reset",
+        }
+    }
+}
+
+/// A harness' way to run LIBERO-Plus.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Protocol {
+    /// Name on the command line and in results.
+    pub name: &'static str,
+    /// The state in which the waits begin.
+    pub beginning: Beginning,
+    /// Source of the prompt.
+    pub prompt: Prompt,
+    /// Seed of the environment's generator.
+    pub seed: u32,
+    /// Control steps of the do-nothing action before the policy's first look.
+    pub waits: u32,
+    /// Control steps that the policy has, in the order of [`Suite::ALL`].
+    budgets: [u32; 4],
+    /// The code that it is read from.
+    pub source: &'static str,
+}
+
+/// Budgets of openvla-oft, which most harnesses took over.
+const BUDGETS: [u32; 4] = [220, 280, 300, 520];
+
+/// The protocols of LIBERO-Plus.
+pub const PROTOCOLS: [Protocol; 5] = [
+    Protocol {
+        name: "plus-official",
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Released,
+        seed: 0,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "openvla-oft as LIBERO-plus evaluates it, the source of the published table",
+    },
+    Protocol {
+        name: "plus-openpi",
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Released,
+        seed: 7,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "openpi 15a9616, examples/libero/main.py; starVLA 0ed0aad and vla-eval e1ee9ad alike",
+    },
+    Protocol {
+        name: "plus-lerobot",
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Released,
+        seed: 0,
+        waits: 10,
+        budgets: [280, 280, 300, 520],
+        source: "lerobot 7427f31, which seeds by argument; 0 here",
+    },
+    Protocol {
+        name: "plus-rlinf",
+        beginning: Beginning::Reset,
+        prompt: Prompt::Released,
+        seed: 0,
+        waits: 15,
+        budgets: [512; 4],
+        source: "RLinf a3816b5 with LIBERO_SUFFIX unset, its first environment at seed 0",
+    },
+    Protocol {
+        name: "plus-stripped",
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Stripped,
+        seed: 0,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "this project: plus-official with prompts that do not tell what was changed",
+    },
+];
+
+impl Protocol {
+    /// Control steps that the policy has in a suite.
+    pub const fn budget(&self, suite: Suite) -> u32 {
+        match suite {
+            Suite::Spatial => self.budgets[0],
+            Suite::Object => self.budgets[1],
+            Suite::Goal => self.budgets[2],
+            Suite::Long => self.budgets[3],
+        }
+    }
+}
+
+impl fmt::Display for Protocol {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+impl FromStr for Protocol {
+    type Err = UnknownProtocol;
+
+    fn from_str(text: &str) -> Result<Self, UnknownProtocol> {
+        PROTOCOLS
+            .into_iter()
+            .find(|protocol| protocol.name == text)
+            .ok_or_else(|| UnknownProtocol(text.to_owned()))
+    }
+}
+
+/// No protocol is called so.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("read protocol `{0}`: valid are {}", PROTOCOLS.map(|protocol| protocol.name).join(", "))]
+pub struct UnknownProtocol(String);
