@@ -9,13 +9,13 @@ use assets::HUB;
 use clap::error::ErrorKind;
 use clap::{ArgGroup, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use libero_ctrl::{Level, Realisation, RolloutId, Suite, TaskRef};
-use libero_family::protocol::Protocol;
+use libero_family::protocol::Benchmark;
 use scene::pack::LIBERO;
 use sim::Renderer;
 use terminal::{number, number_from, seconds};
 use transport::{ClientArguments, EndpointError, parse_endpoint};
 
-use crate::variants::Choice;
+use crate::variants::{Choice, Manner};
 
 /// Longest name of a machine, bytes.
 const MAX_MACHINE_BYTES: usize = 128;
@@ -104,8 +104,8 @@ pub enum Command {
     /// Makes the videos of campaigns that record transitions, from the actions
     /// that were kept, until none is left; asks no policy
     Film(FilmArguments),
-    /// Counts variants of LIBERO-Plus and says what they need; with --endpoint,
-    /// runs them and the unperturbed rollouts of their tasks
+    /// Counts variants of LIBERO-Plus or LIBERO-PRO and says what they need; with
+    /// --endpoint, runs them and the unperturbed rollouts of their tasks
     Variants(Box<VariantsArguments>),
     /// Looks after asset packs: lists, verifies and fetches them
     Assets(AssetsArguments),
@@ -350,9 +350,9 @@ pub struct VariantsArguments {
     /// Which.
     #[command(flatten)]
     pub choice: Choice,
-    /// Prints a line for each variant: what it needs, and whether it is here
-    #[arg(long, conflicts_with = "endpoint")]
-    pub list: bool,
+    /// How.
+    #[command(flatten)]
+    pub manner: Manner,
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url, requires = "output")]
     pub endpoint: Option<String>,
@@ -360,19 +360,9 @@ pub struct VariantsArguments {
     /// several, one must be named]
     #[arg(long, value_name = "NAME")]
     pub policy: Option<String>,
-    /// How they are run: plus-official, plus-openpi, plus-lerobot, plus-rlinf or
-    /// plus-stripped; docs/FAMILY.md tells them apart
-    #[arg(long, value_name = "NAME", default_value = "plus-official")]
-    pub protocol: Protocol,
     /// A folder for results.jsonl and the rollouts; a run that was cut goes on
     #[arg(long, value_name = "DIR", requires = "endpoint")]
     pub output: Option<PathBuf>,
-    /// Leaves out variants whose files are missing, after naming them
-    #[arg(long)]
-    pub runnable: bool,
-    /// Films each rollout
-    #[arg(long)]
-    pub video: bool,
     /// How to get in at the policy.
     #[command(flatten)]
     pub access: ClientArguments,
@@ -480,10 +470,9 @@ pub struct FetchArguments {
     /// may be repeated
     #[arg(long, value_name = "FILE")]
     pub bddl: Vec<PathBuf>,
-    /// Fetches the task files of a benchmark of LIBERO's family, 25 MB:
-    /// `libero-plus`
-    #[arg(long, value_name = "NAME", value_parser = ["libero-plus"], conflicts_with_all = ["tasks", "bddl", "everything", "into", "hub"])]
-    pub suite: Option<String>,
+    /// Fetches the task files of `libero-plus`, 25 MB, or of `libero-pro`, 5 MB
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["tasks", "bddl", "everything", "into", "hub"])]
+    pub suite: Option<Benchmark>,
     /// Fetches all of LIBERO's 585 files, 236 MB, whatever the tasks need
     #[arg(long, conflicts_with_all = ["tasks", "bddl"])]
     pub everything: bool,

@@ -11,8 +11,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use assets::{Bar, Deadlines, FileFacts, Origin, Report, Table, size_in_words};
 use libero_ctrl::TaskRef;
+use libero_family::protocol::Benchmark;
 use scene::pack::{LIBERO, PRIMITIVES, digest_of_folder};
-use scene::sources::LIBERO_PLUS;
 use scene::{AssetPack, Sources, TaskFiles};
 use terminal::counted;
 
@@ -218,25 +218,29 @@ pub fn name_some(mut names: Vec<String>, between: &str) -> String {
     names.join(between)
 }
 
-/// Fetches the task files of LIBERO-Plus.
-fn fetch_suite(arguments: &FetchArguments, sources: &Sources) -> Result<(), PackError> {
+/// Fetches the task files of a benchmark of LIBERO's family.
+fn fetch_suite(
+    benchmark: Benchmark,
+    arguments: &FetchArguments,
+    sources: &Sources,
+) -> Result<(), PackError> {
     let origin = origin(arguments)?;
     let mut bar = Bar::default();
-    let fetched = scene::fetch_plus(sources, &origin, &mut |report| {
+    let fetched = scene::fetch_task_files(benchmark, sources, &origin, &mut |report| {
         bar.show(report);
         ControlFlow::Continue(())
     });
     bar.finish();
     print(&format!(
-        "{}: the task files of LIBERO-Plus are there; {} over the network\n",
-        Sources::family(sources.dir(), LIBERO_PLUS).display(),
+        "{}: the task files are there; {} over the network\n",
+        Sources::family(sources.dir(), benchmark).display(),
         size_in_words(fetched?.bytes),
     ))
 }
 
 fn fetch(arguments: &FetchArguments, sources: &Sources) -> Result<(), PackError> {
-    if arguments.suite.is_some() {
-        return fetch_suite(arguments, sources);
+    if let Some(benchmark) = arguments.suite {
+        return fetch_suite(benchmark, arguments, sources);
     }
     let pack = match &arguments.into {
         Some(dir) => AssetPack::into_folder(dir),

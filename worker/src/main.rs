@@ -285,42 +285,43 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
 }
 
 fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
-    let entries = arguments.choice.entries()?;
+    let VariantsArguments { choice, manner, .. } = &arguments;
+    let protocol = manner.protocol_of(choice.benchmark())?;
     let simulator = open(&arguments.simulator)?;
-    let audit = variants::Audit::new(&entries, &simulator.pack, &simulator.sources);
+    let audit = variants::Audit::new(choice.cases()?, &simulator.pack, &simulator.sources)?;
+    let print = |text: &str| terminal::print(text).context("print to standard output");
     let (Some(endpoint), Some(output)) = (&arguments.endpoint, &arguments.output) else {
-        let text = if arguments.list {
-            audit.list()
-        } else {
-            audit.report()
+        return match manner.list {
+            true => print(&audit.list()),
+            false => print(&audit.report()),
         };
-        return terminal::print(&text).context("print to standard output");
     };
-    if !arguments.runnable {
+    if !manner.runnable {
         audit.require_all()?;
     }
-    terminal::print(&audit.report()).context("print to standard output")?;
+    print(&audit.report())?;
     let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
     let mut actor = PolicyClient::new(endpoint, &access, OF_ONE_ROLLOUT)?;
     let assign = |row: ManifestRow, folder: &Path| Assignment {
         policy: arguments.policy.clone().unwrap_or_default(),
         policy_endpoint: endpoint.clone(),
-        video: arguments.video.then(|| VideoRequest {
+        video: manner.video.then(|| VideoRequest {
             file: folder.join("video.mp4"),
             of: VideoOf::Everything,
         }),
         ..of_no_campaign(row, 0, Realisation::Matched)
     };
+    let mut cases = variants::Case::unperturbed(&audit.runnable);
+    cases.extend(audit.runnable);
     let run = variants::Run {
-        protocol: arguments.protocol,
-        cases: variants::Case::of(&audit.runnable),
+        protocol,
+        cases,
         output,
-        video: arguments.video,
+        video: manner.video,
         assign: &assign,
     };
-    let mut report = |line: &str| tracing::info!("{line}");
-    let tally = run.run(simulator, &mut actor, &mut report)?;
-    terminal::print(&format!("{}\n{tally}", arguments.protocol)).context("print to standard output")
+    let tally = run.run(simulator, &mut actor, &mut |line| tracing::info!("{line}"))?;
+    print(&format!("{protocol}\n{tally}"))
 }
 
 /// A rollout that no coordinator asks for, of which nothing is kept.

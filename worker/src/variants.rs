@@ -1,5 +1,5 @@
-//! `worker variants`: counts variants of LIBERO-Plus, says what each of them needs, and runs
-//! them one after the other under a protocol, with the unperturbed rollout of each of their
+//! `worker variants`: counts variants of LIBERO-Plus or LIBERO-PRO, says what each of them
+//! needs, and runs them one after the other under a protocol, with the unperturbed rollout of each of their
 //! tasks. Results are lines of `results.jsonl`; a run that was cut goes on from them.
 
 mod audit;
@@ -20,8 +20,8 @@ use crate::message::Assignment;
 use crate::single;
 
 pub use audit::{Audit, Lack};
-pub use case::Case;
-pub use choice::Choice;
+pub use case::{Case, Subject};
+pub use choice::{Choice, Manner};
 pub use error::VariantsError;
 use results::Results;
 pub use results::{Pin, Row, Tally};

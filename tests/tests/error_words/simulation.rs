@@ -5,7 +5,8 @@ use libero_ctrl::NoSuchRow;
 use libero_ctrl::numpy::LegacyRng;
 use libero_family::corruption::{Corruption, Picture, UnsuitedPicture};
 use libero_family::plus::{ProblemClass, Prompt, UnknownVariant};
-use libero_family::protocol::Protocol;
+use libero_family::pro::ProSuite;
+use libero_family::protocol::{Benchmark, Protocol};
 use policy_protocol::{ActionFault, DescriptionFault};
 use raster::{DrawError, ModelError};
 use scene::SceneError;
@@ -203,6 +204,9 @@ fn rollouts(messages: &mut Messages) {
     );
     variants!(messages, VariantsError,
         VariantsError::Nothing => VariantsError::Nothing,
+        VariantsError::Foreign { .. } => VariantsError::Foreign {
+            protocol: "plus-rlinf", benchmark: "libero-pro",
+        },
         VariantsError::Unused { .. } => VariantsError::Unused { name: text() },
         VariantsError::Lacking { .. } => VariantsError::Lacking {
             lacking: 3, chosen: 5, report: text(),

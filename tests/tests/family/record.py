@@ -8,7 +8,8 @@ to LIBERO's assets. Needs numpy 1.26.4, mujoco 3.3.7, robosuite 1.4.0, bddl 1.0.
 Wand 0.7.2 and what these import. Native collision detection is off, as everywhere here. A line: variant, what, numbers.
 `camera` is the compiled pose of agentview, `reset` the state after a reset with seed 7, `official` after its initial
 state and ten waits, `reset-only` after fifteen waits without one, each in an environment of its own, and `draw` the
-number that the generator gives after the reset.
+number that the generator gives after the reset. `noise` is the number that it gives after the initial state and ten
+waits of a variant whose pictures are corrupted, all eleven of them.
 """
 
 import os
@@ -42,6 +43,7 @@ VARIANTS = (
     "libero_10/LIVING_ROOM_SCENE1_put_both_the_alphabet_soup_and_the_cream_cheese_box_in_the_basket_level5_sample2",
     "libero_spatial/pick_up_the_black_bowl_from_table_center_and_place_it_on_the_plate_view_0_0_122_0_0_initstate_0",
 )
+NOISE = tuple(f"{BOWL}_view_0_0_100_0_0_initstate_0_noise_{number}" for number in (9, 20, 30, 39, 50))
 
 
 def load(path: str, **_) -> np.ndarray:
@@ -64,7 +66,7 @@ def main() -> None:
     sys.modules["torch"] = types.SimpleNamespace(load=load)
     from liberoplus.liberoplus.envs import OffScreenRenderEnv
 
-    for variant in VARIANTS:
+    for variant in (*VARIANTS, *NOISE):
         suite, name = variant.split("/")
         stem = re.sub(r"(_language_\d+)?_view_.*|_tb_\d+$", "", name)
         single = "_level" in name
@@ -82,7 +84,9 @@ def main() -> None:
         def reset():
             env = OffScreenRenderEnv(
                 bddl_file_name=str(inner / "bddl_files" / suite / f"{name}.bddl"),
-                use_camera_obs=False,
+                use_camera_obs=variant in NOISE,
+                camera_heights=256,
+                camera_widths=256,
             )
             env.seed(SEED)
             env.reset()
@@ -90,6 +94,13 @@ def main() -> None:
             return env
 
         env = reset()
+        if variant in NOISE:
+            env.set_init_state(states[0])
+            for _ in range(10):
+                env.step(NO_OP)
+            say("noise", [np.random.random_sample()])
+            env.close()
+            continue
         say("draw", [np.random.random_sample()])
         camera = env.sim.model._model.camera("agentview")
         say("camera", [*camera.pos, *camera.quat])

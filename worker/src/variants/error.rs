@@ -14,6 +14,17 @@ pub enum VariantsError {
     /// No variant is of all that was asked for.
     #[error("choose variants: none is of all that was asked for; leave a filter out")]
     Nothing,
+    /// The protocol is another benchmark's.
+    #[error(
+        "run {benchmark} under protocol `{protocol}`: it is another benchmark's; docs/FAMILY.md \
+         lists the protocols of each"
+    )]
+    Foreign {
+        /// The protocol.
+        protocol: &'static str,
+        /// The benchmark.
+        benchmark: &'static str,
+    },
     /// LIBERO-Plus' task map does not have a variant.
     #[error(
         "choose variant `{name}`: its name is well-formed, and LIBERO-Plus' task map does not \
@@ -25,7 +36,7 @@ pub enum VariantsError {
     },
     /// Files of some are missing.
     #[error(
-        "run {lacking} of the {chosen} chosen variants, whose files are missing:\n{report}\nGive \
+        "run {lacking} of the {chosen} chosen rollouts, whose files are missing:\n{report}\nGive \
          --runnable to run the others without them"
     )]
     Lacking {

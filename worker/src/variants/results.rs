@@ -8,7 +8,6 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use libero_ctrl::{JsonError, ManifestRow, TaskRef};
-use libero_family::plus::Dimension;
 use libero_family::protocol::Protocol;
 use scene::AssetPack;
 use serde::{Deserialize, Serialize};
@@ -52,8 +51,10 @@ pub struct Row {
     pub variant: String,
     /// LIBERO's task.
     pub task: TaskRef,
-    /// Dimension; none: unperturbed.
-    pub dimension: Option<String>,
+    /// The trial: the number of its initial state.
+    pub trial: u16,
+    /// Dimension of LIBERO-Plus or suite of LIBERO-PRO; none: unperturbed.
+    pub group: Option<String>,
     /// 1 to 5; none: not given.
     pub difficulty: Option<u8>,
     /// The policy's instruction.
@@ -87,7 +88,7 @@ impl Pin {
     /// The circumstances of a run.
     pub fn new(protocol: &Protocol, pack: &AssetPack) -> Self {
         Self {
-            benchmark: "libero-plus".to_owned(),
+            benchmark: protocol.benchmark.name().to_owned(),
             protocol: protocol.name.to_owned(),
             prompt_source: protocol.prompt.name().to_owned(),
             beginning: protocol.beginning.name().to_owned(),
@@ -144,8 +145,9 @@ impl Row {
         Self {
             variant: case.name(),
             task: case.task,
-            dimension: case.entry.map(|it| it.dimension().name().to_owned()),
-            difficulty: case.entry.and_then(|it| it.difficulty),
+            trial: case.trial,
+            group: case.group(),
+            difficulty: case.difficulty(),
             prompt: match evidence.policy_canonical_only {
                 true => case.task.instruction(),
                 false => row.instruction.clone(),
@@ -263,18 +265,18 @@ impl Results {
     }
 }
 
-/// Successes by dimension, beside those of the same tasks unperturbed.
+/// Successes by dimension or suite, beside those of the same tasks unperturbed.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Tally {
-    /// Of each dimension that has results, and of all.
+    /// Of each group that has results, and of all.
     pub lines: Vec<(String, Count)>,
 }
 
 /// Outcomes of variants, paired with their unperturbed tasks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Count {
-    /// Variants.
-    pub variants: usize,
+    /// Rollouts of variants.
+    pub rollouts: usize,
     /// Those that succeeded.
     pub successes: usize,
     /// Those that failed, and whose task succeeds unperturbed.
@@ -283,64 +285,157 @@ pub struct Count {
     pub gained: usize,
 }
 
+impl Count {
+    fn add(&mut self, success: bool, unperturbed: Option<bool>) {
+        self.rollouts += 1;
+        self.successes += usize::from(success);
+        self.broken += usize::from(!success && unperturbed == Some(true));
+        self.gained += usize::from(success && unperturbed == Some(false));
+    }
+}
+
 impl Tally {
     /// Counts rows.
     pub fn of(rows: &[Row]) -> Self {
-        let nominal = rows.iter().filter(|row| row.dimension.is_none());
-        let nominal: BTreeMap<TaskRef, bool> = nominal.map(|row| (row.task, row.success)).collect();
-        let count = |dimension: Option<Dimension>| {
-            let mut count = Count::default();
-            for row in rows {
-                let Some(of) = &row.dimension else { continue };
-                if dimension.is_some_and(|it| it.name() != of) {
-                    continue;
-                }
-                count.variants += 1;
-                count.successes += usize::from(row.success);
-                match (nominal.get(&row.task), row.success) {
-                    (Some(true), false) => count.broken += 1,
-                    (Some(false), true) => count.gained += 1,
-                    _ => {}
-                }
-            }
-            count
-        };
-        let dimensions = Dimension::ALL.map(|it| (it.name().to_owned(), count(Some(it))));
-        let lines = dimensions
-            .into_iter()
-            .filter(|(_, count)| count.variants > 0);
-        let total = [("all".to_owned(), count(None))];
+        let unperturbed = rows.iter().filter(|row| row.group.is_none());
+        let unperturbed: BTreeMap<(TaskRef, u16), bool> = unperturbed
+            .map(|row| ((row.task, row.trial), row.success))
+            .collect();
+        let mut groups: BTreeMap<&str, Count> = BTreeMap::new();
+        let mut all = Count::default();
+        for row in rows {
+            let Some(group) = &row.group else { continue };
+            let beside = unperturbed.get(&(row.task, row.trial)).copied();
+            groups.entry(group).or_default().add(row.success, beside);
+            all.add(row.success, beside);
+        }
+        let groups = groups.into_iter();
+        let groups = groups.map(|(name, count)| (name.to_owned(), count));
         Self {
-            lines: lines.chain(total).collect(),
+            lines: groups.chain([("all".to_owned(), all)]).collect(),
         }
     }
 }
 
 impl fmt::Display for Tally {
-    /// Success is that of the published table: successes over variants; all of them together
-    /// in the last line, dimensions weighing by their variants.
+    /// Success is that of the published tables: successes over rollouts; all of them together
+    /// in the last line.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "{:<12}{:>9}{:>10}{:>9}{:>8}{:>8}",
-            "dimension", "variants", "successes", "percent", "broken", "gained"
+            "{:<22}{:>9}{:>10}{:>9}{:>8}{:>8}",
+            "", "rollouts", "successes", "percent", "broken", "gained"
         )?;
         for (name, count) in &self.lines {
             let Count {
-                variants,
+                rollouts,
                 successes,
                 broken,
                 gained,
             } = count;
-            let percent = match variants {
+            let percent = match rollouts {
                 0 => "-".to_owned(),
-                _ => format!("{:.1}", 100.0 * *successes as f64 / *variants as f64),
+                _ => format!("{:.1}", 100.0 * *successes as f64 / *rollouts as f64),
             };
             writeln!(
                 f,
-                "{name:<12}{variants:>9}{successes:>10}{percent:>9}{broken:>8}{gained:>8}"
+                "{name:<22}{rollouts:>9}{successes:>10}{percent:>9}{broken:>8}{gained:>8}"
             )?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pin(protocol: &str) -> Pin {
+        Pin {
+            benchmark: "libero-plus".to_owned(),
+            protocol: protocol.to_owned(),
+            prompt_source: "released".to_owned(),
+            beginning: "initial-state".to_owned(),
+            seed: 0,
+            waits: 10,
+            corruption_rules: CORRUPTION_RULES.to_owned(),
+            asset_pack_digest: "ab".to_owned(),
+            mujoco: "3.3.7".to_owned(),
+        }
+    }
+
+    fn row(variant: &str, group: Option<&str>, success: bool) -> Row {
+        Row {
+            variant: variant.to_owned(),
+            task: "libero_goal/8".parse().unwrap(),
+            trial: 0,
+            group: group.map(str::to_owned),
+            difficulty: None,
+            prompt: "put the bowl on the plate".to_owned(),
+            budget: 300,
+            success,
+            steps: 80,
+            policy: "a".to_owned(),
+            policy_checkpoint_digest: String::new(),
+            policy_canonical_only: false,
+            renderer: String::new(),
+            scene_digest: String::new(),
+            init_state_digest: String::new(),
+            first_frame_digest: String::new(),
+            pin: pin("plus-official"),
+        }
+    }
+
+    #[test]
+    fn a_run_goes_on_from_its_results_and_is_pooled_with_no_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let open = |protocol| Results::open(folder.path(), pin(protocol));
+        let mut results = open("plus-official").unwrap();
+        results.add(row("one", None, true)).unwrap();
+        let mut results = open("plus-official").unwrap();
+        assert!(results.has("one") && !results.has("two"));
+        let another = Row {
+            policy_checkpoint_digest: "cd".to_owned(),
+            ..row("two", None, true)
+        };
+        let error = results.add(another).unwrap_err();
+        let what = |error: &VariantsError| match error {
+            VariantsError::Pinned { what, .. } => *what,
+            other => panic!("{other}"),
+        };
+        assert_eq!(what(&error), "policy weights");
+        assert!(!results.has("two"));
+        let error = open("plus-rlinf").err().unwrap();
+        assert_eq!(what(&error), "protocol");
+        fs::write(folder.path().join("results.jsonl"), "{}\n").unwrap();
+        let error = open("plus-official").err().unwrap().to_string();
+        assert!(error.contains("read line 1"), "{error}");
+    }
+
+    #[test]
+    fn variants_are_counted_by_group_and_paired_with_the_unperturbed_task() {
+        let noise = Some("noise");
+        let rows = [
+            row("task", None, true),
+            row("task_noise_1", noise, false),
+            row("task_noise_2", noise, true),
+            row("task_light_1", Some("light"), true),
+        ];
+        let count = |rollouts, successes, broken| Count {
+            rollouts,
+            successes,
+            broken,
+            gained: 0,
+        };
+        let expected = [
+            ("light", count(1, 1, 0)),
+            ("noise", count(2, 1, 1)),
+            ("all", count(3, 2, 1)),
+        ];
+        let expected = expected.map(|(name, count)| (name.to_owned(), count));
+        assert_eq!(Tally::of(&rows).lines, expected);
+        let rows = [row("task", None, false), row("task_noise_2", noise, true)];
+        assert_eq!(Tally::of(&rows).lines[0].1.gained, 1);
+        assert!(Tally::of(&rows).to_string().contains("100.0"));
     }
 }

@@ -7,5 +7,7 @@
 #![forbid(unsafe_code)]
 
 pub mod corruption;
+pub mod para;
 pub mod plus;
+pub mod pro;
 pub mod protocol;

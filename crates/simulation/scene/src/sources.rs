@@ -6,11 +6,9 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use assets::{Difference, VerifiedFolder};
+use libero_family::protocol::Benchmark;
 
 use crate::error::SceneError;
-
-/// Folder of LIBERO-Plus' task files in the sources.
-pub const LIBERO_PLUS: &str = "libero-plus";
 
 /// The folder with the unpacked wheels: `robosuite/` (its `models/assets`) and
 /// `libero/` (its `bddl_files` and `init_files`).
@@ -78,8 +76,8 @@ impl Sources {
 
     /// The folder that the task files of a benchmark of LIBERO's family are fetched into, in
     /// the sources or, as with [`fetched_pack`](Self::fetched_pack), in the cache.
-    pub fn family(dir: &Path, name: &str) -> PathBuf {
-        Self::fetched(dir, name)
+    pub fn family(dir: &Path, benchmark: Benchmark) -> PathBuf {
+        Self::fetched(dir, benchmark.name())
     }
 
     fn fetched(dir: &Path, name: &str) -> PathBuf {

@@ -4,10 +4,12 @@ use std::path::PathBuf;
 
 use libero_ctrl::TaskRef;
 use libero_family::plus::Variant;
+use libero_family::pro::ProSuite;
+use libero_family::protocol::Benchmark;
 
 use crate::bddl::Problem;
 use crate::error::SceneError;
-use crate::sources::{LIBERO_PLUS, Sources};
+use crate::sources::Sources;
 
 /// Paths of a task's files.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -33,7 +35,7 @@ impl TaskFiles {
     pub fn of_variant(sources: &Sources, variant: &Variant) -> Self {
         let liberos = Self::of_task(sources, variant.task);
         let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
-        let fetched = Sources::family(sources.dir(), LIBERO_PLUS);
+        let fetched = Sources::family(sources.dir(), Benchmark::Plus);
         let bddl = match stem == variant.task.name() {
             true => liberos.bddl,
             false => fetched.join(format!("bddl_files/{suite}/{stem}.bddl")),
@@ -43,6 +45,16 @@ impl TaskFiles {
             false => liberos.init,
         };
         Self { bddl, init }
+    }
+
+    /// The files of a task of LIBERO-PRO, which `worker assets fetch --suite libero-pro` has
+    /// put beside LIBERO's.
+    pub fn of_pro_task(sources: &Sources, suite: ProSuite, task: TaskRef) -> Self {
+        let (folder, name) = (Sources::family(sources.dir(), Benchmark::Pro), task.name());
+        Self {
+            bddl: folder.join(format!("bddl_files/{suite}/{name}.bddl")),
+            init: folder.join(format!("init_files/{suite}/{name}.pruned_init.npz")),
+        }
     }
 
     /// Reads the problem.

@@ -39,6 +39,9 @@ pub struct VariantStart {
     pub posture: Option<[f64; ARM_JOINTS]>,
     /// Seed of the generator.
     pub seed: u32,
+    /// Resets of the same generator before the one that counts: as many as there are
+    /// trials before this one, since harnesses seed once.
+    pub earlier_resets: u32,
     /// The state.
     pub start: Start,
     /// Corruption of `agentview`'s pictures.
@@ -66,7 +69,11 @@ impl VariantStart {
     ) -> Result<Option<Noise>, SimError> {
         environment.set_reset_joints(self.posture.unwrap_or(RESET_JOINTS))?;
         let mut rng = LegacyRng::seed(self.seed);
-        environment.reset(&mut rng, Reset::Hard, ROUNDS)?;
+        let mut rounds = ROUNDS;
+        for _ in 0..self.earlier_resets {
+            rounds = environment.reset(&mut rng, Reset::Hard, rounds)? + 1;
+        }
+        environment.reset(&mut rng, Reset::Hard, rounds)?;
         if let Some(view) = self.view {
             let nominal = ready.written_camera.ok_or_else(|| SimError::Missing {
                 kind: ObjectKind::Camera,
