@@ -9,10 +9,13 @@ use assets::HUB;
 use clap::error::ErrorKind;
 use clap::{ArgGroup, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use libero_ctrl::{Level, Realisation, RolloutId, Suite, TaskRef};
+use libero_family::protocol::Benchmark;
 use scene::pack::LIBERO;
 use sim::Renderer;
 use terminal::{number, number_from, seconds};
 use transport::{ClientArguments, EndpointError, parse_endpoint};
+
+use crate::variants::{Choice, Manner};
 
 /// Longest name of a machine, bytes.
 const MAX_MACHINE_BYTES: usize = 128;
@@ -31,6 +34,7 @@ const MAX_MACHINE_BYTES: usize = 128;
                       --output DIR [OPTIONS]\n       \
                       worker film --connect URL [OPTIONS]\n       \
                       worker preview --suite SUITE --task N --output DIR [OPTIONS]\n       \
+                      worker variants [OPTIONS]\n       \
                       worker bench [OPTIONS]\n       \
                       worker assets fetch|list|path|verify [OPTIONS]\n       \
                       worker completions SHELL"
@@ -100,6 +104,9 @@ pub enum Command {
     /// Makes the videos of campaigns that record transitions, from the actions
     /// that were kept, until none is left; asks no policy
     Film(FilmArguments),
+    /// Counts variants of LIBERO-Plus or LIBERO-PRO and says what they need; with
+    /// --endpoint, runs them and the unperturbed rollouts of their tasks
+    Variants(Box<VariantsArguments>),
     /// Looks after asset packs: lists, verifies and fetches them
     Assets(AssetsArguments),
     /// Measures how many control steps and frames per second 1, 2, 4, … slots
@@ -337,6 +344,33 @@ pub struct RolloutArguments {
     pub simulator: SimulatorArguments,
 }
 
+/// Which variants, and how they are run.
+#[derive(Debug, Args)]
+pub struct VariantsArguments {
+    /// Which.
+    #[command(flatten)]
+    pub choice: Choice,
+    /// How.
+    #[command(flatten)]
+    pub manner: Manner,
+    /// URL of the policy, or of a gateway
+    #[arg(long, value_name = "URL", value_parser = server_url, requires = "output")]
+    pub endpoint: Option<String>,
+    /// Which of the policies there [default: the only one; where there are
+    /// several, one must be named]
+    #[arg(long, value_name = "NAME")]
+    pub policy: Option<String>,
+    /// A folder for results.jsonl and the rollouts; a run that was cut goes on
+    #[arg(long, value_name = "DIR", requires = "endpoint")]
+    pub output: Option<PathBuf>,
+    /// How to get in at the policy.
+    #[command(flatten)]
+    pub access: ClientArguments,
+    /// What simulates.
+    #[command(flatten)]
+    pub simulator: SimulatorArguments,
+}
+
 /// Which failing rollout, and what acts in it.
 #[derive(Debug, Args)]
 pub struct RescueArguments {
@@ -436,6 +470,9 @@ pub struct FetchArguments {
     /// may be repeated
     #[arg(long, value_name = "FILE")]
     pub bddl: Vec<PathBuf>,
+    /// Fetches the task files of `libero-plus`, 25 MB, or of `libero-pro`, 5 MB
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["tasks", "bddl", "everything", "into", "hub"])]
+    pub suite: Option<Benchmark>,
     /// Fetches all of LIBERO's 585 files, 236 MB, whatever the tasks need
     #[arg(long, conflicts_with_all = ["tasks", "bddl"])]
     pub everything: bool,

@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use assets::{Bar, Deadlines, FileFacts, Origin, Report, Table, size_in_words};
 use libero_ctrl::TaskRef;
+use libero_family::protocol::Benchmark;
 use scene::pack::{LIBERO, PRIMITIVES, digest_of_folder};
 use scene::{AssetPack, Sources, TaskFiles};
 use terminal::counted;
@@ -217,7 +218,30 @@ pub fn name_some(mut names: Vec<String>, between: &str) -> String {
     names.join(between)
 }
 
+/// Fetches the task files of a benchmark of LIBERO's family.
+fn fetch_suite(
+    benchmark: Benchmark,
+    arguments: &FetchArguments,
+    sources: &Sources,
+) -> Result<(), PackError> {
+    let origin = origin(arguments)?;
+    let mut bar = Bar::default();
+    let fetched = scene::fetch_task_files(benchmark, sources, &origin, &mut |report| {
+        bar.show(report);
+        ControlFlow::Continue(())
+    });
+    bar.finish();
+    print(&format!(
+        "{}: the task files are there; {} over the network\n",
+        Sources::family(sources.dir(), benchmark).display(),
+        size_in_words(fetched?.bytes),
+    ))
+}
+
 fn fetch(arguments: &FetchArguments, sources: &Sources) -> Result<(), PackError> {
+    if let Some(benchmark) = arguments.suite {
+        return fetch_suite(benchmark, arguments, sources);
+    }
     let pack = match &arguments.into {
         Some(dir) => AssetPack::into_folder(dir),
         None => AssetPack::open(LIBERO, sources)?,

@@ -31,4 +31,5 @@ pub mod slot;
 pub mod stage;
 mod stopwatch;
 pub mod supervise;
+pub mod variants;
 pub mod video;

@@ -21,7 +21,7 @@ use worker::actor::Actor;
 use worker::args::{
     Arguments, BenchArguments, BenchSlotArguments, Command, FilmArguments, LoadArguments,
     PreviewArguments, RescueArguments, RolloutArguments, ServeArguments, SimulatorArguments,
-    SlotArguments, SlotCount,
+    SlotArguments, SlotCount, VariantsArguments,
 };
 use worker::assets::Provider;
 use worker::child::SlotProgram;
@@ -31,7 +31,7 @@ use worker::policy::{OF_ONE_ROLLOUT, POLICY_CALL_DEADLINE, PolicyClient};
 use worker::single::{OwnTask, RecordedActions};
 use worker::slot::warn_of_scene_files;
 use worker::supervise::{self, Config, Identity};
-use worker::{assets, film, measure, preview, rescue, single, slot};
+use worker::{assets, film, measure, preview, rescue, single, slot, variants};
 
 /// Compiled scenes that a slot keeps. Jobs of one task come together, so two
 /// are enough; each takes some hundred MB with the real assets where it is not kept in
@@ -55,6 +55,7 @@ fn main() -> ExitCode {
         (Some(Command::Bench(arguments)), _) => run_bench(&arguments),
         (Some(Command::Rollout(rollout)), _) => run_rollout(*rollout),
         (Some(Command::Rescue(rescue)), _) => run_rescue(*rescue),
+        (Some(Command::Variants(arguments)), _) => run_variants(*arguments),
         (Some(Command::Preview(preview)), _) => run_preview(&preview),
         (Some(Command::Film(arguments)), _) => run_film(arguments),
         (Some(Command::Completions { shell }), _) => print_completions(shell),
@@ -264,6 +265,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     let request = single::Request {
         assignment: &assignment,
         files: own_task.as_ref().map(OwnTask::files),
+        variant: None,
         draw: !arguments.no_video,
         output: &arguments.output,
     };
@@ -280,6 +282,46 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         arguments.output.display()
     ))?;
     Ok(())
+}
+
+fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
+    let VariantsArguments { choice, manner, .. } = &arguments;
+    let protocol = manner.protocol_of(choice.benchmark())?;
+    let simulator = open(&arguments.simulator)?;
+    let audit = variants::Audit::new(choice.cases()?, &simulator.pack, &simulator.sources)?;
+    let print = |text: &str| terminal::print(text).context("print to standard output");
+    let (Some(endpoint), Some(output)) = (&arguments.endpoint, &arguments.output) else {
+        return match manner.list {
+            true => print(&audit.list()),
+            false => print(&audit.report()),
+        };
+    };
+    if !manner.runnable {
+        audit.require_all()?;
+    }
+    print(&audit.report())?;
+    let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
+    let mut actor = PolicyClient::new(endpoint, &access, OF_ONE_ROLLOUT)?;
+    let assign = |row: ManifestRow, folder: &Path| Assignment {
+        policy: arguments.policy.clone().unwrap_or_default(),
+        policy_endpoint: endpoint.clone(),
+        video: manner.video.then(|| VideoRequest {
+            file: folder.join("video.mp4"),
+            of: VideoOf::Everything,
+        }),
+        ..of_no_campaign(row, 0, Realisation::Matched)
+    };
+    let mut cases = variants::Case::unperturbed(&audit.runnable);
+    cases.extend(audit.runnable);
+    let run = variants::Run {
+        protocol,
+        cases,
+        output,
+        video: manner.video,
+        assign: &assign,
+    };
+    let tally = run.run(simulator, &mut actor, &mut |line| tracing::info!("{line}"))?;
+    print(&format!("{protocol}\n{tally}"))
 }
 
 /// A rollout that no coordinator asks for, of which nothing is kept.

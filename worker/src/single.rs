@@ -18,7 +18,7 @@ use std::{fs, io};
 use rollout_types::RolloutResult;
 use scene::TaskFiles;
 use serde::Serialize;
-use sim::Simulator;
+use sim::{Simulator, VariantStart};
 use transport::chain;
 
 use crate::actor::{Action, Actor};
@@ -39,6 +39,8 @@ pub struct Request<'a> {
     pub assignment: &'a Assignment,
     /// A task that stands in for the row's.
     pub files: Option<TaskFiles>,
+    /// Circumstances of a variant of LIBERO's family.
+    pub variant: Option<VariantStart>,
     /// True if the first and the last picture of both cameras are drawn.
     pub draw: bool,
     /// Output folder.
@@ -94,6 +96,7 @@ pub fn run(
         None => Stage::of_the_protocol(simulator),
         Some(files) => Stage::of_files(simulator, files.clone()),
     };
+    let stage = stage.with_variant(request.variant.clone());
     let mut stage = match request.draw {
         true => stage,
         false => stage.with_a_renderer_only_if_needed(),

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use libero_ctrl::{ManifestRow, Realisation};
 use proto::policy as wire;
 use scene::TaskFiles;
-use sim::{Episode, SimError, Simulator};
+use sim::{Episode, SimError, Simulator, VariantStart};
 
 use crate::actor::Description;
 
@@ -14,6 +14,8 @@ pub struct Stage<'a> {
     simulator: &'a mut Simulator,
     /// In place of those of the row's task.
     files: Option<TaskFiles>,
+    /// Circumstances of a variant of LIBERO's family, in place of the row's perturbation.
+    variant: Option<VariantStart>,
     /// True if a rollout that nothing is drawn of names the renderer too.
     always_names_renderer: bool,
 }
@@ -24,6 +26,7 @@ impl<'a> Stage<'a> {
         Self {
             simulator,
             files: None,
+            variant: None,
             always_names_renderer: true,
         }
     }
@@ -33,8 +36,14 @@ impl<'a> Stage<'a> {
         Self {
             simulator,
             files: Some(files),
+            variant: None,
             always_names_renderer: true,
         }
+    }
+
+    /// Begins as a variant does, if there is one.
+    pub fn with_variant(self, variant: Option<VariantStart>) -> Self {
+        Self { variant, ..self }
     }
 
     /// Leaves the renderer unopened, and unnamed in the evidence, if nothing is
@@ -62,9 +71,12 @@ impl<'a> Stage<'a> {
         row: &ManifestRow,
         realisation: Realisation,
     ) -> Result<Episode<'_>, SimError> {
-        match &self.files {
-            None => self.simulator.begin(row, realisation),
-            Some(files) => self.simulator.begin_with(files.clone(), row, realisation),
+        match (&self.files, &self.variant) {
+            (None, _) => self.simulator.begin(row, realisation),
+            (Some(files), None) => self.simulator.begin_with(files.clone(), row, realisation),
+            (Some(files), Some(variant)) => {
+                self.simulator.begin_variant(files.clone(), row, variant)
+            }
         }
     }
 
@@ -77,9 +89,10 @@ impl<'a> Stage<'a> {
         description: &Description,
     ) -> Cow<'r, str> {
         let by_heart = description.about.language() == wire::Language::CanonicalOnly;
-        match &self.files {
-            None if by_heart => Cow::Owned(row.id.task().instruction()),
-            _ => Cow::Borrowed(&row.instruction),
+        let is_of_a_benchmark = self.files.is_none() || self.variant.is_some();
+        match by_heart && is_of_a_benchmark {
+            true => Cow::Owned(row.id.task().instruction()),
+            false => Cow::Borrowed(&row.instruction),
         }
     }
 

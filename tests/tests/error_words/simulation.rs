@@ -2,6 +2,11 @@
 
 use assets::AssetsError;
 use libero_ctrl::NoSuchRow;
+use libero_ctrl::numpy::LegacyRng;
+use libero_family::corruption::{Corruption, Picture, UnsuitedPicture};
+use libero_family::plus::{ProblemClass, Prompt, UnknownVariant};
+use libero_family::pro::ProSuite;
+use libero_family::protocol::{Benchmark, Protocol};
 use policy_protocol::{ActionFault, DescriptionFault};
 use raster::{DrawError, ModelError};
 use scene::SceneError;
@@ -20,6 +25,7 @@ use worker::rollout::RolloutError;
 use worker::single::SingleError;
 use worker::slot::SlotError;
 use worker::supervise::SuperviseError;
+use worker::variants::VariantsError;
 use worker::video::VideoError;
 
 use crate::{Messages, io_error, path, text, variants};
@@ -103,7 +109,37 @@ fn pictures(messages: &mut Messages) {
     );
 }
 
+/// A picture that no fog covers.
+fn unsuited_picture() -> UnsuitedPicture {
+    let mut picture = Picture {
+        height: 300,
+        width: 300,
+        rgb: &mut vec![0; 300 * 300 * 3],
+    };
+    let fog = Corruption::new(31).expect("a corruption");
+    let refused = fog.apply(&mut picture, &mut LegacyRng::seed(1));
+    refused.expect_err("it is too large")
+}
+
 fn simulator(messages: &mut Messages) {
+    messages.add("UnsuitedPicture", unsuited_picture());
+    messages.add(
+        "ProblemError",
+        ProblemClass::parse("libero_moon").expect_err("none"),
+    );
+    messages.add(
+        "UnknownPrompt",
+        "aloud".parse::<Prompt>().expect_err("none"),
+    );
+    messages.add(
+        "UnknownProtocol",
+        "own".parse::<Protocol>().expect_err("none"),
+    );
+    variants!(messages, UnknownVariant,
+        UnknownVariant::Task(_) => UnknownVariant::Task(text()),
+        UnknownVariant::Suffix { .. } => UnknownVariant::Suffix { name: text(), suffix: text() },
+        UnknownVariant::Dimension(_) => UnknownVariant::Dimension(text()),
+    );
     variants!(messages, SimError,
         SimError::Scene(_) => SimError::Scene(no_scene()),
         SimError::Compile(_) => SimError::Compile("Error: repeated name".to_owned()),
@@ -121,6 +157,7 @@ fn simulator(messages: &mut Messages) {
         },
         SimError::DistortedPose => SimError::DistortedPose,
         SimError::Camera(_) => SimError::Camera("frontview".to_owned()),
+        SimError::Corruption(_) => SimError::from(unsuited_picture()),
         SimError::Graphics { .. } => SimError::Graphics {
             problem: "there is no device".to_owned(), remedy: "use --renderer software",
         },
@@ -164,6 +201,31 @@ fn rollouts(messages: &mut Messages) {
         },
         RolloutError::Policy(_) => RolloutError::Policy(no_policy()),
         RolloutError::Abandoned => RolloutError::Abandoned,
+    );
+    variants!(messages, VariantsError,
+        VariantsError::Nothing => VariantsError::Nothing,
+        VariantsError::Foreign { .. } => VariantsError::Foreign {
+            protocol: "plus-rlinf", benchmark: "libero-pro",
+        },
+        VariantsError::Unused { .. } => VariantsError::Unused { name: text() },
+        VariantsError::Lacking { .. } => VariantsError::Lacking {
+            lacking: 3, chosen: 5, report: text(),
+        },
+        VariantsError::Task(_) => VariantsError::Task(no_scene()),
+        VariantsError::Row(_) => VariantsError::Row(NoSuchRow {
+            id: "object/t0/clean/i03".parse().expect("an id"),
+            problem: "there are 50 initial states".to_owned(),
+        }),
+        VariantsError::Single(_) => VariantsError::Single(SingleError::Rollout(
+            RolloutError::Abandoned,
+        )),
+        VariantsError::Pinned { .. } => VariantsError::Pinned {
+            path: path(), what: "protocol", found: text(), expected: text(),
+        },
+        VariantsError::Malformed { .. } => VariantsError::Malformed {
+            path: path(), line: 3, problem: "no `success`".to_owned(),
+        },
+        VariantsError::File { .. } => VariantsError::File { path: path(), source: io_error() },
     );
     variants!(messages, SingleError,
         SingleError::Row(_) => SingleError::Row(NoSuchRow {

@@ -57,11 +57,11 @@ impl Coverage {
     fn add_models(&mut self, problem: &Problem, pack: &AssetPack) {
         let has = |file: &str| pack.dir().join(file).is_file();
         let arena = arena(&problem.name);
-        if let Some(arena) = arena {
-            self.arenas.add(arena.problem, has(arena.file));
+        if let Some(arena) = &arena {
+            self.arenas.add(arena.problem, has(&arena.file));
         }
         for declaration in problem.objects.iter().chain(&problem.fixtures) {
-            let workspace = arena.map(|arena| arena.workspace_category);
+            let workspace = arena.as_ref().map(|arena| arena.workspace_category);
             let model = category(&declaration.category);
             if workspace != Some(&*declaration.category) {
                 let is_there = model.is_some_and(|model| has(model.file));

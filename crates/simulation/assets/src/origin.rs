@@ -141,12 +141,12 @@ impl Origin {
                 Location::Address(hub.below(&format!("{HUB_FOLDER}/{path}")))
             }
         };
-        let is_deflated = !matches!(self.0, Kind::Hub { .. });
+        let is_of_wheel = !matches!(self.0, Kind::Hub { .. });
         let members = group.iter().map(|file| Member {
             file,
-            offset: if is_deflated { file.offset } else { 0 },
+            offset: if is_of_wheel { file.offset } else { 0 },
             stored: self.transfer_bytes(file),
-            is_deflated,
+            is_deflated: is_of_wheel && !file.is_a_wheel(),
         });
         Ok(Parcel {
             name: match &at {
@@ -154,7 +154,7 @@ impl Origin {
                 Location::File(path) => path.display().to_string(),
             },
             at,
-            bytes: if is_deflated {
+            bytes: if is_of_wheel {
                 wheel.bytes
             } else {
                 group[0].bytes

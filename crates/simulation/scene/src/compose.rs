@@ -116,9 +116,9 @@ pub fn compose(
         known: known_problems(),
     })?;
     let robot = robot::load(&sources.robosuite(), arena.robot)?;
-    let mut workspace = load_arena(arena, pack)?;
-    let parts = load_instances(problem, arena, pack)?;
-    let regions = find_regions(problem, arena, &parts, &mut workspace)?;
+    let mut workspace = load_arena(&arena, pack)?;
+    let parts = load_instances(problem, &arena, pack)?;
+    let regions = find_regions(problem, &arena, &parts, &mut workspace)?;
 
     let inconsistent = SceneError::Inconsistent;
     let mut model = Part::load(&sources.robosuite(), "base.xml", "base model")?;
@@ -132,7 +132,7 @@ pub fn compose(
         model.merge_assets(&part.part);
         model.worldbody_mut().children.push(part.body.clone());
     }
-    let samplers = Samplers::new(problem, arena, &parts, &regions)?;
+    let samplers = Samplers::new(problem, &arena, &parts, &regions)?;
     let scene = Scene {
         mjcf: model.root.write(),
         fixture_poses: samplers.campaign_fixtures(env_seed)?,
@@ -177,16 +177,16 @@ fn load_instances(
 
 fn load_arena(arena: &Arena, pack: &AssetPack) -> Result<Part, SceneError> {
     let root = pack.root();
-    let mut part = Part::load(&root, arena.file, "arena model")?;
+    let mut part = Part::load(&root, &arena.file, "arena model")?;
     recolor_collision_geoms(part.worldbody_mut(), ARENA_COLLISION_RGBA, Some("floor"));
     let missing = |what: String| SceneError::Malformed {
         what: "arena model".to_owned(),
-        path: root.path(arena.file),
+        path: root.path(&arena.file),
         problem: format!("no {what}"),
     };
     for (texture, file) in [
-        ("texplane", arena.floor_texture),
-        ("tex-wall", arena.wall_texture),
+        ("texplane", &arena.floor_texture),
+        ("tex-wall", &arena.wall_texture),
     ] {
         let texture = part
             .root

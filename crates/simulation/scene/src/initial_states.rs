@@ -1,4 +1,4 @@
-//! Released initial states: `.pruned_init` files.
+//! Released initial states: `.pruned_init` files, and `.npz` files with an array `states`.
 
 use std::fs::File;
 use std::io::{Read, Seek};
@@ -20,6 +20,8 @@ pub struct InitialStates {
 
 /// Name of these files in messages.
 const WHAT: &str = "initial states";
+/// The array of LIBERO-PRO's files.
+const NPZ_MEMBER: &str = "states.npy";
 /// Larger than any released file by far; bounds what is read into memory.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
@@ -86,15 +88,18 @@ fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
     let name = archive
         .file_names()
         .filter_map(|name| name.ok().map(|name| name.into_owned()))
-        .find(|name| name.ends_with("/data.pkl"))
-        .ok_or("no `data.pkl` in the zip")?;
+        .find(|name| name.ends_with("/data.pkl") || name == NPZ_MEMBER)
+        .ok_or("neither `data.pkl` nor `states.npy` is in the zip")?;
     let member = archive.by_name(&name).map_err(|error| error.to_string())?;
     let mut bytes = Vec::new();
     member
         .take(MAX_FILE_BYTES)
         .read_to_end(&mut bytes)
         .map_err(|error| error.to_string())?;
-    let matrix = read_matrix(&bytes)?;
+    let matrix = match name == NPZ_MEMBER {
+        true => read_npy(&bytes)?,
+        false => read_matrix(&bytes)?,
+    };
     if matrix.rows == 0 || matrix.columns == 0 {
         return Err("it holds no state".to_owned());
     }
@@ -103,4 +108,71 @@ fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
         return Err(format!("state {row} holds a number that is not finite"));
     }
     Ok(matrix)
+}
+
+/// Reads NumPy's format 1.0: a matrix of little-endian doubles, row by row.
+fn read_npy(bytes: &[u8]) -> Result<Matrix, String> {
+    let no = || "`states.npy` is no matrix of little-endian doubles, row by row".to_owned();
+    let rest = bytes.strip_prefix(b"\x93NUMPY\x01\x00").ok_or_else(no)?;
+    let (length, rest) = rest.split_first_chunk::<2>().ok_or_else(no)?;
+    let length = usize::from(u16::from_le_bytes(*length));
+    let (header, data) = rest.split_at_checked(length).ok_or_else(no)?;
+    let header = std::str::from_utf8(header).map_err(|_| no())?;
+    let header: String = header.split_whitespace().collect();
+    let shape = header
+        .strip_prefix("{'descr':'<f8','fortran_order':False,'shape':(")
+        .and_then(|rest| rest.strip_suffix("),}"))
+        .ok_or_else(no)?;
+    let (rows, columns) = shape.split_once(',').ok_or_else(no)?;
+    let number = |text: &str| text.parse::<usize>().map_err(|_| no());
+    let (rows, columns) = (number(rows)?, number(columns)?);
+    let (chunks, rest) = data.as_chunks::<8>();
+    if !rest.is_empty() || rows.checked_mul(columns) != Some(chunks.len()) {
+        return Err("`states.npy` has another size than its shape".to_owned());
+    }
+    Ok(Matrix {
+        rows,
+        columns,
+        values: chunks
+            .iter()
+            .map(|chunk| f64::from_le_bytes(*chunk))
+            .collect(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn npy(header: &str, values: &[f64]) -> Vec<u8> {
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((header.len() as u16).to_le_bytes());
+        bytes.extend(header.as_bytes());
+        values
+            .iter()
+            .for_each(|value| bytes.extend(value.to_le_bytes()));
+        bytes
+    }
+
+    #[test]
+    fn a_matrix_of_doubles_is_read_and_nothing_else() {
+        let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (2, 3), }   \n";
+        let values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.5];
+        let read = read_npy(&npy(header, &values)).unwrap();
+        assert_eq!((read.rows, read.columns), (2, 3));
+        assert_eq!(read.values, values);
+        for wrong in [
+            header.replace("<f8", "|O"),
+            header.replace("False", "True"),
+            header.replace("(2, 3)", "(6,)"),
+            header.replace("(2, 3)", "(2, 4)"),
+            header.replace("(2, 3)", "(18446744073709551615, 2)"),
+        ] {
+            assert!(read_npy(&npy(&wrong, &values)).is_err(), "{wrong}");
+        }
+        let whole = npy(header, &values);
+        for end in 0..whole.len() {
+            assert!(read_npy(&whole[..end]).is_err(), "{end}");
+        }
+    }
 }

@@ -17,6 +17,7 @@ pub mod compose;
 mod element;
 pub mod error;
 mod expression;
+mod family;
 #[doc(hidden)]
 pub mod fuzzing;
 pub mod initial_states;
@@ -36,6 +37,7 @@ pub mod task;
 pub use bddl::Problem;
 pub use compose::{Scene, compose};
 pub use error::SceneError;
+pub use family::fetch_task_files;
 pub use initial_states::InitialStates;
 pub use instance::{Instance, InstanceKind, RegionSite};
 pub use needs::needed_files;

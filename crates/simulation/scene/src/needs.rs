@@ -22,8 +22,8 @@ pub fn needed_files(problem: &Problem) -> Result<Vec<&'static FileFacts>, SceneE
         problem: problem.name.clone(),
         known: known_problems(),
     })?;
-    let textures = [arena.floor_texture, arena.wall_texture];
-    let mut models = vec![arena.file];
+    let textures = [&arena.floor_texture, &arena.wall_texture];
+    let mut models = vec![&*arena.file];
     for declaration in problem.objects.iter().chain(&problem.fixtures) {
         if declaration.category == arena.workspace_category {
             continue;

@@ -1,5 +1,5 @@
 //! Reads the one thing that released initial states are pickled as: a
-//! two-dimensional NumPy array of little-endian doubles. Every other opcode,
+//! NumPy array of little-endian doubles, of two dimensions, or of one for a single state. Every other opcode,
 //! global or shape is refused, so a file can do nothing but hold numbers.
 
 use std::collections::HashMap;
@@ -303,7 +303,11 @@ impl Machine<'_> {
                         data: data.clone(),
                     }))
                 }
-                _ => return Err("its array is not two-dimensional".to_owned()),
+                [Value::Int(columns)] if *columns >= 0 => Value::Array(Some(Array {
+                    shape: [1, *columns as usize],
+                    data: data.clone(),
+                })),
+                _ => return Err("its array has neither one nor two dimensions".to_owned()),
             },
             (value, _) => {
                 return Err(format!(

@@ -6,6 +6,7 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use assets::{Difference, VerifiedFolder};
+use libero_family::protocol::Benchmark;
 
 use crate::error::SceneError;
 
@@ -70,14 +71,23 @@ impl Sources {
     /// The folder of a release archive may be read-only; there it is the one in the
     /// user's cache folder, unless the archive's has been filled.
     pub fn fetched_pack(dir: &Path) -> PathBuf {
-        const PACK: &str = "packs/libero";
-        let here = dir.join(PACK);
+        Self::fetched(dir, "packs/libero")
+    }
+
+    /// The folder that the task files of a benchmark of LIBERO's family are fetched into, in
+    /// the sources or, as with [`fetched_pack`](Self::fetched_pack), in the cache.
+    pub fn family(dir: &Path, benchmark: Benchmark) -> PathBuf {
+        Self::fetched(dir, benchmark.name())
+    }
+
+    fn fetched(dir: &Path, name: &str) -> PathBuf {
+        let here = dir.join(name);
         let is_of_release = || {
             let canonical = dir.canonicalize().ok();
             canonical.is_some() && canonical == Self::of_release()
         };
         if !here.is_dir() && is_of_release() {
-            return Self::in_cache().join(PACK);
+            return Self::in_cache().join(name);
         }
         here
     }

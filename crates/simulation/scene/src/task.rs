@@ -3,6 +3,9 @@
 use std::path::PathBuf;
 
 use libero_ctrl::TaskRef;
+use libero_family::plus::Variant;
+use libero_family::pro::ProSuite;
+use libero_family::protocol::Benchmark;
 
 use crate::bddl::Problem;
 use crate::error::SceneError;
@@ -24,6 +27,33 @@ impl TaskFiles {
         Self {
             bddl: sources.bddl_file(suite, stem),
             init: sources.init_file(suite, stem),
+        }
+    }
+
+    /// The files of a variant of LIBERO-Plus: LIBERO's own where it has none of its own,
+    /// else those that `worker assets fetch --suite libero-plus` has put beside them.
+    pub fn of_variant(sources: &Sources, variant: &Variant) -> Self {
+        let liberos = Self::of_task(sources, variant.task);
+        let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
+        let fetched = Sources::family(sources.dir(), Benchmark::Plus);
+        let bddl = match stem == variant.task.name() {
+            true => liberos.bddl,
+            false => fetched.join(format!("bddl_files/{suite}/{stem}.bddl")),
+        };
+        let init = match variant.has_one_state() {
+            true => fetched.join("init_files").join(variant.states_file()),
+            false => liberos.init,
+        };
+        Self { bddl, init }
+    }
+
+    /// The files of a task of LIBERO-PRO, which `worker assets fetch --suite libero-pro` has
+    /// put beside LIBERO's.
+    pub fn of_pro_task(sources: &Sources, suite: ProSuite, task: TaskRef) -> Self {
+        let (folder, name) = (Sources::family(sources.dir(), Benchmark::Pro), task.name());
+        Self {
+            bddl: folder.join(format!("bddl_files/{suite}/{name}.bddl")),
+            init: folder.join(format!("init_files/{suite}/{name}.pruned_init.npz")),
         }
     }
 

@@ -17,7 +17,7 @@ use crate::mujoco::{Data, Model, ObjectKind};
 pub const ARM_JOINTS: usize = 7;
 /// The site that is controlled: between the fingertips.
 pub const GRIP_SITE: &str = "gripper0_grip_site";
-/// Arm joints at a reset, and target of the null space, rad (`MountedPanda.init_qpos`).
+/// Arm joints at a reset, rad (`MountedPanda.init_qpos`); LIBERO-Plus has other robots.
 pub const RESET_JOINTS: [f64; ARM_JOINTS] = [
     0.0,
     -1.61037389e-01,
@@ -229,7 +229,8 @@ impl Controller {
             .copy_from(&(lambda_rot * torque));
 
         let posture_damping = 2.0 * POSTURE_STIFFNESS.sqrt();
-        let posture_error = ArmVector::from_column_slice(&RESET_JOINTS) - arm.joint_pos;
+        // The null space leads back to the posture of the reset.
+        let posture_error = self.reset_arm.joint_pos - arm.joint_pos;
         let posture =
             arm.inertia * (posture_error * POSTURE_STIFFNESS - arm.joint_vel * posture_damping);
         let inverse_jacobian = inertia_inverse * arm.jacobian.transpose() * lambda_full;

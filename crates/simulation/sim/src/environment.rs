@@ -33,6 +33,8 @@ pub struct Environment {
     /// The substep of a control step whose kinematics its observation shows.
     pub(crate) observed_substep: usize,
     pub(crate) controller: Controller,
+    /// Angles of the arm's joints at a reset, rad.
+    pub(crate) reset_joints: [f64; ARM_JOINTS],
     pub(crate) burners: Vec<Burner>,
     pub(crate) control_steps: u32,
 }
@@ -66,10 +68,7 @@ impl Environment {
     pub(crate) fn before_load(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let model = compiled.model.share();
         let mut data = Data::new(&model)?;
-        data.qpos_mut(&model)[..ARM_JOINTS].copy_from_slice(&RESET_JOINTS);
-        let mut without_contacts = model.share();
-        without_contacts.disable(DISABLE_CONSTRAINT);
-        data.forward(&without_contacts);
+        pose_arm(&model, &mut data, &RESET_JOINTS);
         Ok(Self {
             controller: Controller::new(&model, &data)?,
             burners: compiled.burners.clone(),
@@ -78,11 +77,28 @@ impl Environment {
             observed_joints: JointReadings::default(),
             observed_substep: OBSERVED_SUBSTEP,
             canvas: None,
+            reset_joints: RESET_JOINTS,
             control_steps: 0,
             model,
             data,
             compiled,
         })
+    }
+
+    /// Has the arm stand otherwise at resets, as the robots of LIBERO-Plus do: the controller
+    /// remembers the posture, also where a state is loaded afterwards. To be loaded or reset
+    /// before anything else.
+    ///
+    /// # Errors
+    /// Out of memory.
+    pub fn set_reset_joints(&mut self, joints: [f64; ARM_JOINTS]) -> Result<(), SimError> {
+        if joints != self.reset_joints {
+            self.data.reset(&self.model);
+            pose_arm(&self.model, &mut self.data, &joints);
+            self.controller = Controller::new(&self.model, &self.data)?;
+            self.reset_joints = joints;
+        }
+        Ok(())
     }
 
     /// The scene.
@@ -397,6 +413,14 @@ impl Environment {
             self.model.site_rgba_mut()[burner.site * 4 + 3] = opacity(burner);
         }
     }
+}
+
+/// Poses the arm, and computes nothing of contacts.
+fn pose_arm(model: &Model, data: &mut Data, joints: &[f64; ARM_JOINTS]) {
+    data.qpos_mut(model)[..ARM_JOINTS].copy_from_slice(joints);
+    let mut without_contacts = model.share();
+    without_contacts.disable(DISABLE_CONSTRAINT);
+    data.forward(&without_contacts);
 }
 
 /// The matrix of a unit quaternion w x y z, row by row.

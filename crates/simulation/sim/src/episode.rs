@@ -6,7 +6,7 @@ use libero_ctrl::{Axis, ManifestRow, Realisation, RobotShift};
 use nalgebra::Matrix3;
 use rollout_types::Realised;
 
-use crate::controller::{ARM_JOINTS, ActionFrame, GRIP_SITE};
+use crate::controller::{ARM_JOINTS, ActionFrame, GRIP_SITE, RESET_JOINTS};
 use crate::error::SimError;
 use crate::mujoco::{Data, ObjectKind};
 use crate::observation::{Frame, Observation, ObservationRequest};
@@ -16,6 +16,7 @@ use crate::perturb::{
 };
 use crate::ready_scene::{PERTURBED_CAMERA, ReadyScene};
 use crate::render::LazyDrawer;
+use crate::variant::{Noise, VariantStart};
 use crate::{Environment, perturb};
 
 /// The action that does nothing and keeps the gripper open.
@@ -53,6 +54,8 @@ pub struct Conditions {
     ik: Option<IkSolution>,
     sensor: Option<SensorStage>,
     actuation: Option<ActuationStage>,
+    /// Corruption of a variant of LIBERO's family.
+    noise: Option<Noise>,
     settle_steps: u32,
     policy_steps: u32,
 }
@@ -92,6 +95,7 @@ impl Conditions {
         row: &ManifestRow,
         realisation: Realisation,
     ) -> Result<Self, SimError> {
+        environment.set_reset_joints(RESET_JOINTS)?;
         let perturbation = &row.perturbation;
         let mut realised = Realised::default();
         let mut realise = |axis, elements| {
@@ -131,6 +135,31 @@ impl Conditions {
             ik,
             sensor,
             actuation,
+            noise: None,
+            settle_steps: row.settle_steps,
+            policy_steps: 0,
+        })
+    }
+
+    /// Begins a variant of LIBERO's family: of the row, its initial state and its waits
+    /// count, and its perturbation does not.
+    ///
+    /// # Errors
+    /// If there is no such initial state, or the scene cannot be reset.
+    pub fn begin_variant(
+        ready: &ReadyScene,
+        environment: &mut Environment,
+        row: &ManifestRow,
+        variant: &VariantStart,
+    ) -> Result<Self, SimError> {
+        let noise = variant.begin(ready, environment, ready.state(row.init_id)?)?;
+        Ok(Self {
+            realisation: Realisation::Matched,
+            realised: Realised::default(),
+            ik: None,
+            sensor: None,
+            actuation: None,
+            noise,
             settle_steps: row.settle_steps,
             policy_steps: 0,
         })
@@ -212,8 +241,12 @@ impl<'a> Episode<'a> {
         drawer: &'a mut LazyDrawer,
         row: &ManifestRow,
         realisation: Realisation,
+        variant: Option<&VariantStart>,
     ) -> Result<Self, SimError> {
-        let conditions = Conditions::begin(ready, environment, row, realisation)?;
+        let conditions = match variant {
+            None => Conditions::begin(ready, environment, row, realisation)?,
+            Some(variant) => Conditions::begin_variant(ready, environment, row, variant)?,
+        };
         let init_id = usize::from(row.init_id);
         let digests = Digests {
             scene: ready.digest.clone(),
@@ -269,6 +302,7 @@ impl<'a> Episode<'a> {
         self.environment.restore_appearance();
         self.conditions.sensor = None;
         self.conditions.actuation = None;
+        self.conditions.noise = None;
     }
 
     /// Moves the point between the fingertips up by [`NUDGE_M`], by the joints' least change
@@ -300,6 +334,9 @@ impl<'a> Episode<'a> {
             let (width, height) = (camera.width, camera.height);
             let mut frame = self.environment.draw(drawer, &camera.name, width, height)?;
             self.conditions.see(&mut frame);
+            if let Some(noise) = &mut self.conditions.noise {
+                noise.see(&mut frame, self.environment.control_steps())?;
+            }
             frames.push(frame);
         }
         let privileged = if request.privileged {

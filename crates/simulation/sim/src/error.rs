@@ -76,6 +76,9 @@ pub enum SimError {
     /// A policy asks for a camera that the protocol does not offer.
     #[error("look through camera `{0}`: policies have agentview and robot0_eye_in_hand")]
     Camera(String),
+    /// A picture cannot be corrupted as a variant says.
+    #[error(transparent)]
+    Corruption(#[from] libero_family::corruption::UnsuitedPicture),
     /// OpenGL cannot be opened or used.
     #[error("draw off-screen: {problem}; {remedy}")]
     Graphics {

@@ -24,6 +24,7 @@ mod reset;
 mod scene_files;
 pub mod simulator;
 mod state;
+mod variant;
 
 pub use compiled_scene::CompiledScene;
 pub use controller::ActionFrame;
@@ -41,3 +42,4 @@ pub use reset::Reset;
 pub use scene_files::{SceneFileError, SceneFolder};
 pub use simulator::{Simulator, SimulatorConfig};
 pub use state::Snapshot;
+pub use variant::{Start, VariantStart};

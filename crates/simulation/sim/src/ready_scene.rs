@@ -3,6 +3,8 @@
 use std::sync::Arc;
 
 use libero_ctrl::presets::ENV_SEED;
+use libero_family::plus::CameraPose as WrittenPose;
+use scene::arena::arena;
 use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 
 use crate::compiled_scene::CompiledScene;
@@ -25,6 +27,8 @@ pub struct ReadyScene {
     /// Nominal pose of the perturbed camera, and the point it looks at.
     pub(crate) camera: CameraPose,
     pub(crate) look_at: [f64; 3],
+    /// Pose of the perturbed camera as the arena writes it, before MuJoCo normalises it.
+    pub(crate) written_camera: Option<WrittenPose>,
     pub(crate) files: TaskFiles,
 }
 
@@ -62,6 +66,7 @@ impl ReadyScene {
             digest,
             camera,
             look_at,
+            written_camera: arena(&problem.name).and_then(|arena| arena.camera(PERTURBED_CAMERA)),
             files,
         })
     }

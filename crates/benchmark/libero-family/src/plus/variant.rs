@@ -1,0 +1,339 @@
+//! Names of the variants, and which files of the benchmark each name stands for.
+
+use std::fmt;
+use std::str::FromStr;
+
+use libero_ctrl::{Suite, TaskRef};
+
+use super::camera::View;
+use super::start::ROBOTS;
+
+/// Corruptions of the picture: five kinds of ten severities.
+const CORRUPTIONS: u8 = 50;
+/// Sentences of a task.
+const SENTENCES: u8 = 50;
+
+/// Dimension of robustness, as LIBERO-Plus divides its variants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Dimension {
+    /// Textures of table, floor and walls.
+    Background,
+    /// Posture of the arm at the reset.
+    Robot,
+    /// Pose of `agentview`.
+    Camera,
+    /// Instruction.
+    Language,
+    /// Corruption of `agentview`'s pictures.
+    Noise,
+    /// Places of the objects, and further objects.
+    Layout,
+    /// Lights.
+    Light,
+}
+
+impl Dimension {
+    /// All of them, in the order of the benchmark's table.
+    pub const ALL: [Self; 7] = [
+        Self::Background,
+        Self::Robot,
+        Self::Camera,
+        Self::Language,
+        Self::Noise,
+        Self::Layout,
+        Self::Light,
+    ];
+
+    /// Name on the command line: `background`, `robot`, …
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Background => "background",
+            Self::Robot => "robot",
+            Self::Camera => "camera",
+            Self::Language => "language",
+            Self::Noise => "noise",
+            Self::Layout => "layout",
+            Self::Light => "light",
+        }
+    }
+
+    /// The benchmark's own name, as in `task_classification.json`.
+    pub const fn category(self) -> &'static str {
+        match self {
+            Self::Background => "Background Textures",
+            Self::Robot => "Robot Initial States",
+            Self::Camera => "Camera Viewpoints",
+            Self::Language => "Language Instructions",
+            Self::Noise => "Sensor Noise",
+            Self::Layout => "Objects Layout",
+            Self::Light => "Light Conditions",
+        }
+    }
+}
+
+impl fmt::Display for Dimension {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Dimension {
+    type Err = UnknownVariant;
+
+    fn from_str(text: &str) -> Result<Self, UnknownVariant> {
+        Self::ALL
+            .into_iter()
+            .find(|dimension| dimension.name() == text || dimension.category() == text)
+            .ok_or_else(|| UnknownVariant::Dimension(text.to_owned()))
+    }
+}
+
+/// The one thing that a variant changes. Numbers are those of its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Change {
+    /// Another camera.
+    Camera(View),
+    /// Another posture at the reset, of 500.
+    Robot(u16),
+    /// A corruption, of 50.
+    Noise(u8),
+    /// Another sentence.
+    Language(u8),
+    /// Other lights.
+    Light(u8),
+    /// Another texture of the table, or of the floor where there is no table.
+    Table(u8),
+    /// Other textures of table and background, or of floor and wall.
+    TableAndBackground(u8),
+    /// Further objects, a sixth of the number rounded up.
+    Added(u8),
+    /// Objects elsewhere.
+    Level {
+        /// How far, 1 to 5.
+        level: u8,
+        /// Which sample of it.
+        sample: u8,
+    },
+}
+
+impl Change {
+    /// Dimension that it belongs to.
+    pub const fn dimension(self) -> Dimension {
+        match self {
+            Self::Camera(_) => Dimension::Camera,
+            Self::Robot(_) => Dimension::Robot,
+            Self::Noise(_) => Dimension::Noise,
+            Self::Language(_) => Dimension::Language,
+            Self::Light(_) => Dimension::Light,
+            Self::Table(_) | Self::TableAndBackground(_) => Dimension::Background,
+            Self::Added(_) | Self::Level { .. } => Dimension::Layout,
+        }
+    }
+
+    /// Reads what follows the task in a name, without the first underscore.
+    fn parse(suffix: &str, suite: Suite) -> Option<Self> {
+        let numbers = |text: &str| text.split('_').map(number).collect::<Option<Vec<u16>>>();
+        let small = |text: &str| u8::try_from(number(text)?).ok();
+        let (kind, rest) = suffix.split_once('_')?;
+        let change = match kind {
+            "table" => Self::Table(small(rest)?),
+            "tb" => Self::TableAndBackground(small(rest)?),
+            "light" => Self::Light(small(rest)?),
+            "add" => Self::Added(small(rest)?),
+            "moved" if suite == Suite::Goal => return level(rest),
+            "language" => {
+                let (sentence, view) = rest.split_once('_')?;
+                (view == "view_0_0_100_0_0_initstate_0").then_some(())?;
+                Self::Language(small(sentence)?)
+            }
+            "view" => {
+                let (view, rest) = rest.split_once("_initstate_")?;
+                let view = View::from_numbers(&numbers(view)?)?;
+                let (robot, noise) = match rest.split_once("_noise_") {
+                    Some((robot, noise)) => (number(robot)?, small(noise)?),
+                    None => (number(rest)?, 0),
+                };
+                match (view.is_nominal(), robot, noise) {
+                    (_, 0, 0) => Self::Camera(view),
+                    (true, _, 0) => Self::Robot(robot),
+                    (true, 0, _) => Self::Noise(noise),
+                    _ => return None,
+                }
+            }
+            _ if suite != Suite::Goal => return level(suffix),
+            _ => return None,
+        };
+        change.is_in_range().then_some(change)
+    }
+
+    fn is_in_range(self) -> bool {
+        match self {
+            Self::Camera(_) => true,
+            Self::Robot(robot) => (1..=ROBOTS).contains(&robot),
+            Self::Noise(noise) => (1..=CORRUPTIONS).contains(&noise),
+            Self::Language(sentence) => (1..=SENTENCES).contains(&sentence),
+            Self::Light(number)
+            | Self::Table(number)
+            | Self::TableAndBackground(number)
+            | Self::Added(number) => number > 0,
+            Self::Level { level, sample } => (1..=5).contains(&level) && sample > 0,
+        }
+    }
+}
+
+/// A number as names have it: digits, no leading zero.
+fn number(text: &str) -> Option<u16> {
+    let canonical = text.bytes().all(|byte| byte.is_ascii_digit());
+    let canonical = canonical && (text == "0" || !text.starts_with('0'));
+    canonical.then(|| text.parse().ok()).flatten()
+}
+
+/// Reads `levelL_sampleS`.
+fn level(text: &str) -> Option<Change> {
+    let (level, sample) = text.strip_prefix("level")?.split_once("_sample")?;
+    let small = |text: &str| u8::try_from(number(text)?).ok();
+    let (level, sample) = (small(level)?, small(sample)?);
+    let change = Change::Level { level, sample };
+    change.is_in_range().then_some(change)
+}
+
+/// A variant of a task. Displays as the name that LIBERO-Plus gives it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Variant {
+    /// LIBERO's task.
+    pub task: TaskRef,
+    /// The change.
+    pub change: Change,
+}
+
+impl Variant {
+    /// Stem of its BDDL file in the folder of its suite. Camera, robot and noise have none
+    /// of their own: theirs is LIBERO's.
+    pub fn bddl_stem(&self) -> String {
+        match self.change {
+            Change::Camera(_) | Change::Robot(_) | Change::Noise(_) => self.task.name().to_owned(),
+            Change::Language(sentence) => format!("{}_language_{sentence}", self.task.name()),
+            _ => self.to_string(),
+        }
+    }
+
+    /// File of its initial states, below `init_files`.
+    pub fn states_file(&self) -> String {
+        let suite = self.task.suite();
+        match self.has_one_state() {
+            true => format!("libero_newobj/{suite}/{self}.pruned_init"),
+            false => format!("{suite}/{}.pruned_init", self.task.name()),
+        }
+    }
+
+    /// True if its file holds one state as a vector; the others are LIBERO's own files, of
+    /// fifty states.
+    pub fn has_one_state(&self) -> bool {
+        matches!(self.change, Change::Added(_) | Change::Level { .. })
+    }
+
+    /// Pose of `agentview`. Every variant has it computed, and so rounded.
+    pub fn view(&self) -> View {
+        match self.change {
+            Change::Camera(view) => view,
+            _ => View::NOMINAL,
+        }
+    }
+
+    /// Dimension of robustness.
+    pub fn dimension(&self) -> Dimension {
+        self.change.dimension()
+    }
+
+    /// Posture of the arm at the reset; none: at home.
+    pub fn robot(&self) -> Option<u16> {
+        match self.change {
+            Change::Robot(robot) => Some(robot),
+            _ => None,
+        }
+    }
+
+    /// Corruption of `agentview`'s pictures.
+    pub fn corruption(&self) -> Option<u8> {
+        match self.change {
+            Change::Noise(noise) => Some(noise),
+            _ => None,
+        }
+    }
+}
+
+impl fmt::Display for Variant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.task.name())?;
+        let nominal = View::NOMINAL;
+        match self.change {
+            Change::Camera(view) => write!(f, "_view_{view}_initstate_0"),
+            Change::Robot(robot) => write!(f, "_view_{nominal}_initstate_{robot}"),
+            Change::Noise(noise) => write!(f, "_view_{nominal}_initstate_0_noise_{noise}"),
+            Change::Language(sentence) => {
+                write!(f, "_language_{sentence}_view_{nominal}_initstate_0")
+            }
+            Change::Light(number) => write!(f, "_light_{number}"),
+            Change::Table(number) => write!(f, "_table_{number}"),
+            Change::TableAndBackground(number) => write!(f, "_tb_{number}"),
+            Change::Added(number) => write!(f, "_add_{number}"),
+            Change::Level { level, sample } => {
+                let moved = match self.task.suite() {
+                    Suite::Goal => "_moved",
+                    _ => "",
+                };
+                write!(f, "{moved}_level{level}_sample{sample}")
+            }
+        }
+    }
+}
+
+impl FromStr for Variant {
+    type Err = UnknownVariant;
+
+    /// Reads a name. A name without a suffix is an unperturbed task, which LIBERO-Plus
+    /// cannot load either.
+    fn from_str(name: &str) -> Result<Self, UnknownVariant> {
+        let task = TaskRef::all()
+            .filter(|task| name.starts_with(task.name()))
+            .max_by_key(|task| task.name().len())
+            .ok_or_else(|| UnknownVariant::Task(name.to_owned()))?;
+        let suffix = &name[task.name().len()..];
+        let change = suffix
+            .strip_prefix('_')
+            .and_then(|suffix| Change::parse(suffix, task.suite()))
+            .ok_or_else(|| UnknownVariant::Suffix {
+                name: name.to_owned(),
+                suffix: suffix.to_owned(),
+            })?;
+        Ok(Self { task, change })
+    }
+}
+
+/// A name that LIBERO-Plus does not have.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum UnknownVariant {
+    /// It begins with no task.
+    #[error(
+        "read variant `{0}`: it begins with none of LIBERO's forty tasks; give a name of LIBERO-Plus' \
+         task map"
+    )]
+    Task(String),
+    /// No change ends so.
+    #[error(
+        "read variant `{name}`: it ends in `{suffix}`, which is no change; valid are _view_H_V_S_R_T_initstate_N, \
+         …_noise_K, _language_L_view_0_0_100_0_0_initstate_0, _light_G, _table_T, _tb_T, _add_A, \
+         _levelL_sampleS, and _moved_levelL_sampleS in libero_goal"
+    )]
+    Suffix {
+        /// The name.
+        name: String,
+        /// Its end.
+        suffix: String,
+    },
+    /// No such dimension.
+    #[error(
+        "read dimension `{0}`: valid are background, robot, camera, language, noise, layout, light"
+    )]
+    Dimension(String),
+}

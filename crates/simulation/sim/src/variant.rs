@@ -1,0 +1,124 @@
+//! A variant of LIBERO's family as it begins: a reset whose draws all come from one
+//! generator, the initial state on top of it or not, and the camera's corruption, which
+//! goes on with the same generator.
+
+use libero_ctrl::numpy::LegacyRng;
+use libero_family::corruption::{Corruption, Picture};
+use libero_family::plus::View;
+
+use crate::controller::{ARM_JOINTS, RESET_JOINTS};
+use crate::environment::Environment;
+use crate::error::SimError;
+use crate::mujoco::ObjectKind;
+use crate::observation::Frame;
+use crate::ready_scene::{PERTURBED_CAMERA, ReadyScene};
+use crate::reset::Reset;
+
+/// The model has been loaded twice by the first reset: by it, and at construction.
+const ROUNDS: u32 = 2;
+/// Side of the pictures that the benchmark's environments draw, pixels. How much glass blur
+/// draws from the generator depends on it.
+const DRAWN_SIDE: usize = 256;
+
+/// The state in which a rollout begins to wait.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Start {
+    /// The row's initial state over a reset. The controllers stay as the reset left them:
+    /// the waits turn the hand to where it was then.
+    InitialState,
+    /// The reset's own.
+    Reset,
+}
+
+/// Circumstances of a variant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VariantStart {
+    /// Pose of `agentview`; none: LIBERO's, unrounded.
+    pub view: Option<View>,
+    /// Angles of the arm's joints at the reset, rad; none: LIBERO's.
+    pub posture: Option<[f64; ARM_JOINTS]>,
+    /// Seed of the generator.
+    pub seed: u32,
+    /// Resets of the same generator before the one that counts: as many as there are
+    /// trials before this one, since harnesses seed once.
+    pub earlier_resets: u32,
+    /// The state.
+    pub start: Start,
+    /// Corruption of `agentview`'s pictures.
+    pub corruption: Option<Corruption>,
+}
+
+/// Corruption under way.
+#[derive(Clone)]
+pub(crate) struct Noise {
+    corruption: Corruption,
+    /// In the state that the corruption of picture `picture` starts from.
+    rng: LegacyRng,
+    /// Control steps before that picture.
+    picture: u32,
+}
+
+impl VariantStart {
+    /// Resets an environment of the variant's scene, and brings it to its start. Returns what
+    /// becomes of its pictures.
+    pub(crate) fn begin(
+        &self,
+        ready: &ReadyScene,
+        environment: &mut Environment,
+        state: &[f64],
+    ) -> Result<Option<Noise>, SimError> {
+        environment.set_reset_joints(self.posture.unwrap_or(RESET_JOINTS))?;
+        let mut rng = LegacyRng::seed(self.seed);
+        let mut rounds = ROUNDS;
+        for _ in 0..self.earlier_resets {
+            rounds = environment.reset(&mut rng, Reset::Hard, rounds)? + 1;
+        }
+        environment.reset(&mut rng, Reset::Hard, rounds)?;
+        if let Some(view) = self.view {
+            let nominal = ready.written_camera.ok_or_else(|| SimError::Missing {
+                kind: ObjectKind::Camera,
+                name: PERTURBED_CAMERA.to_owned(),
+            })?;
+            let pose = view.apply(nominal);
+            let length = pose.quat.iter().map(|part| part * part).sum::<f64>().sqrt();
+            let model = environment.model_mut();
+            let camera = model.id(ObjectKind::Camera, PERTURBED_CAMERA)?;
+            model.cam_pos_mut()[camera * 3..][..3].copy_from_slice(&pose.pos);
+            let quat = pose.quat.map(|part| part / length);
+            model.cam_quat_mut()[camera * 4..][..4].copy_from_slice(&quat);
+        }
+        if self.start == Start::InitialState {
+            environment.set_state(state);
+            environment.forward();
+            environment.post_process();
+            environment.observe_now();
+        }
+        Ok(self.corruption.map(|corruption| Noise {
+            corruption,
+            rng,
+            picture: 0,
+        }))
+    }
+}
+
+impl Noise {
+    /// Corrupts a picture that is drawn after so many control steps. Pictures that nobody
+    /// looked at have taken their draws, too.
+    pub(crate) fn see(&mut self, frame: &mut Frame, control_steps: u32) -> Result<(), SimError> {
+        if frame.camera != PERTURBED_CAMERA {
+            return Ok(());
+        }
+        while self.picture < control_steps {
+            self.corruption.skip(DRAWN_SIDE, DRAWN_SIDE, &mut self.rng);
+            self.picture += 1;
+        }
+        let mut picture = Picture {
+            height: frame.height as usize,
+            width: frame.width as usize,
+            rgb: &mut frame.rgb,
+        };
+        // From a copy: the same picture may be looked at again.
+        let corrupted = self.corruption.apply(&mut picture, &mut self.rng.clone());
+        Ok(corrupted?)
+    }
+}

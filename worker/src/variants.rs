@@ -1,0 +1,103 @@
+//! `worker variants`: counts variants of LIBERO-Plus or LIBERO-PRO, says what each of them
+//! needs, and runs them one after the other under a protocol, with the unperturbed rollout of each of their
+//! tasks. Results are lines of `results.jsonl`; a run that was cut goes on from them.
+
+mod audit;
+mod case;
+mod choice;
+mod error;
+mod results;
+
+use std::path::{Path, PathBuf};
+
+use libero_ctrl::ManifestRow;
+use libero_family::protocol::Protocol;
+use scene::{AssetPack, Sources};
+use sim::{Simulator, SimulatorConfig};
+
+use crate::actor::Actor;
+use crate::message::Assignment;
+use crate::single;
+
+pub use audit::{Audit, Lack};
+pub use case::{Case, Subject};
+pub use choice::{Choice, Manner};
+pub use error::VariantsError;
+use results::Results;
+pub use results::{Pin, Row, Tally};
+
+/// A run of variants.
+pub struct Run<'a> {
+    /// How they are run.
+    pub protocol: Protocol,
+    /// The unperturbed rollouts and the variants.
+    pub cases: Vec<Case>,
+    /// Folder of results.
+    pub output: &'a Path,
+    /// True if each rollout is filmed.
+    pub video: bool,
+    /// Makes the assignment of a rollout, for results in a folder.
+    pub assign: &'a dyn Fn(ManifestRow, &Path) -> Assignment,
+}
+
+impl Run<'_> {
+    /// Runs what the results lack. Returns the tally of all of them.
+    ///
+    /// # Errors
+    /// If earlier results are of another protocol, policy or simulator, or a rollout has no
+    /// result.
+    pub fn run(
+        &self,
+        simulator: SimulatorConfig,
+        actor: &mut dyn Actor,
+        say: &mut dyn FnMut(&str),
+    ) -> Result<Tally, VariantsError> {
+        let (sources, pack) = (simulator.sources.clone(), simulator.pack.clone());
+        let pin = Pin::new(&self.protocol, &pack);
+        let mut results = Results::open(self.output, pin)?;
+        let mut simulator = Simulator::new(simulator);
+        for case in &self.cases {
+            if results.has(&case.name()) {
+                continue;
+            }
+            let row = self.run_case(case, &sources, &pack, &mut simulator, actor)?;
+            let outcome = if row.success { "success" } else { "failure" };
+            say(&format!(
+                "{}: {outcome} after {} steps",
+                row.variant, row.steps
+            ));
+            results.add(row)?;
+        }
+        Ok(results.tally())
+    }
+
+    fn run_case(
+        &self,
+        case: &Case,
+        sources: &Sources,
+        pack: &AssetPack,
+        simulator: &mut Simulator,
+        actor: &mut dyn Actor,
+    ) -> Result<Row, VariantsError> {
+        let files = case.files(sources);
+        pack.provide_with_bar(std::slice::from_ref(&files))?;
+        let row = case.row(&files, &self.protocol)?;
+        let output: PathBuf = self.output.join(case.name());
+        let assignment = (self.assign)(row, &output);
+        let request = single::Request {
+            assignment: &assignment,
+            files: Some(files),
+            variant: Some(case.start(&self.protocol)),
+            draw: self.video,
+            output: &output,
+        };
+        let finished = single::run(simulator, actor, &request)?;
+        Ok(Row::new(
+            case,
+            &self.protocol,
+            pack,
+            &assignment.row,
+            &finished,
+        ))
+    }
+}

@@ -1,0 +1,199 @@
+//! Which variants, and how they are run: the command line's filters and manner.
+
+use clap::Args;
+use libero_ctrl::Suite;
+use libero_family::plus::{Dimension, Entry, Variant, entry, inventory};
+use libero_family::pro::{ProSuite, STATES};
+use libero_family::protocol::{Benchmark, Protocol};
+
+use super::case::{Case, Subject};
+use super::error::VariantsError;
+
+/// Which variants: of LIBERO-Plus those that are of everything that is given, or suites of
+/// LIBERO-PRO.
+#[derive(Clone, Debug, Default, Args)]
+pub struct Choice {
+    /// Variants of LIBERO-Plus by the benchmark's names, separated by commas
+    /// [default: all 10,030]
+    #[arg(long = "variant", value_name = "NAME,...", value_delimiter = ',')]
+    pub variants: Vec<Variant>,
+    /// Those of suites: libero_spatial, libero_object, libero_goal, libero_10
+    #[arg(long = "suite", value_name = "SUITE,...", value_delimiter = ',')]
+    pub suites: Vec<Suite>,
+    /// Those of dimensions: background, robot, camera, language, noise, layout,
+    /// light
+    #[arg(long = "dimension", value_name = "NAME,...", value_delimiter = ',')]
+    pub dimensions: Vec<Dimension>,
+    /// Those of difficulties, 1 to 5; 0: those that have none
+    #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', value_parser = clap::value_parser!(u8).range(0..=5))]
+    pub difficulties: Vec<u8>,
+    /// Suites of LIBERO-PRO instead: libero_goal_swap, ..., of each of LIBERO's
+    /// four suites _lan, _object, _swap and _task
+    #[arg(long = "pro", value_name = "SUITE,...", value_delimiter = ',', conflicts_with_all = ["variants", "suites", "dimensions", "difficulties"])]
+    pub pro: Vec<ProSuite>,
+    /// Trials of each task of LIBERO-PRO, one from each initial state [default: 50]
+    #[arg(long, value_name = "N", requires = "pro", value_parser = clap::value_parser!(u16).range(1..=i64::from(STATES)))]
+    pub trials: Option<u16>,
+}
+
+/// How variants are run.
+#[derive(Clone, Debug, Args)]
+pub struct Manner {
+    /// The protocol: plus-official, plus-openpi, plus-lerobot, plus-rlinf,
+    /// plus-stripped, pro-official, pro-openpi or pro-bddl; docs/FAMILY.md tells
+    /// them apart [default: plus-official, or pro-official]
+    #[arg(long, value_name = "NAME")]
+    pub protocol: Option<Protocol>,
+    /// Leaves out variants whose files are missing, after naming them
+    #[arg(long)]
+    pub runnable: bool,
+    /// Films each rollout
+    #[arg(long)]
+    pub video: bool,
+    /// Prints a line for each variant: what it needs, and whether it is here
+    #[arg(long, conflicts_with = "endpoint")]
+    pub list: bool,
+}
+
+impl Choice {
+    /// The benchmark that is chosen from.
+    pub fn benchmark(&self) -> Benchmark {
+        match self.pro.is_empty() {
+            true => Benchmark::Plus,
+            false => Benchmark::Pro,
+        }
+    }
+
+    /// The rollouts of what is chosen, in the benchmark's order.
+    ///
+    /// # Errors
+    /// If there is none, or the benchmark does not have one that is named.
+    pub fn cases(&self) -> Result<Vec<Case>, VariantsError> {
+        if self.benchmark() == Benchmark::Pro {
+            let trials = self.trials.unwrap_or(STATES);
+            let suites = ProSuite::all().filter(|suite| self.pro.contains(suite));
+            let cases = suites.flat_map(|suite| {
+                let tasks = suite.suite.tasks();
+                tasks.flat_map(move |task| {
+                    (0..trials).map(move |trial| Case {
+                        subject: Subject::Pro(suite),
+                        task,
+                        trial,
+                    })
+                })
+            });
+            return Ok(cases.collect());
+        }
+        let cases = self.entries()?.into_iter().map(|entry| Case {
+            subject: Subject::Plus(entry),
+            task: entry.variant.task,
+            trial: 0,
+        });
+        Ok(cases.collect())
+    }
+
+    /// The chosen variants of LIBERO-Plus.
+    fn entries(&self) -> Result<Vec<&'static Entry>, VariantsError> {
+        if let Some(unused) = self.variants.iter().find(|it| entry(it).is_none()) {
+            return Err(VariantsError::Unused {
+                name: unused.to_string(),
+            });
+        }
+        let chosen = inventory().iter().filter(|entry| {
+            is_of(&self.variants, &entry.variant)
+                && is_of(&self.suites, &entry.variant.task.suite())
+                && is_of(&self.dimensions, &entry.dimension())
+                && is_of(&self.difficulties, &entry.difficulty.unwrap_or(0))
+        });
+        let chosen: Vec<_> = chosen.collect();
+        match chosen.is_empty() {
+            true => Err(VariantsError::Nothing),
+            false => Ok(chosen),
+        }
+    }
+}
+
+impl Manner {
+    /// The protocol to run a benchmark under.
+    ///
+    /// # Errors
+    /// If one of another benchmark was asked for.
+    pub fn protocol_of(&self, benchmark: Benchmark) -> Result<Protocol, VariantsError> {
+        let protocol = self.protocol.unwrap_or(match benchmark {
+            Benchmark::Plus => Protocol::PLUS_OFFICIAL,
+            Benchmark::Pro => Protocol::PRO_OFFICIAL,
+        });
+        match protocol.benchmark == benchmark {
+            true => Ok(protocol),
+            false => Err(VariantsError::Foreign {
+                protocol: protocol.name,
+                benchmark: benchmark.name(),
+            }),
+        }
+    }
+}
+
+/// True if nothing was asked for, or this was.
+fn is_of<T: PartialEq>(asked: &[T], found: &T) -> bool {
+    asked.is_empty() || asked.contains(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn filters_are_met_all_at_once() {
+        let all = Choice::default();
+        assert_eq!(all.entries().unwrap().len(), 10_030);
+        let some = Choice {
+            suites: vec![Suite::Goal],
+            dimensions: vec![Dimension::Light],
+            difficulties: vec![0],
+            ..Choice::default()
+        };
+        assert_eq!(some.entries().unwrap().len(), 121);
+        let none = Choice {
+            suites: vec![Suite::Spatial],
+            ..some
+        };
+        assert!(matches!(none.entries(), Err(VariantsError::Nothing)));
+        let unused = "turn_on_the_stove_table_19".parse().unwrap();
+        let unused = Choice {
+            variants: vec![unused],
+            ..Choice::default()
+        };
+        assert!(matches!(
+            unused.entries(),
+            Err(VariantsError::Unused { .. })
+        ));
+    }
+
+    #[test]
+    fn a_suite_of_pro_is_ten_tasks_of_fifty_trials_under_a_protocol_of_its_own() {
+        let pro = Choice {
+            pro: vec!["libero_goal_swap".parse().unwrap()],
+            ..Choice::default()
+        };
+        let cases = pro.cases().unwrap();
+        assert_eq!((cases.len(), Case::unperturbed(&cases).len()), (500, 500));
+        assert_eq!(
+            cases[1].name(),
+            "libero_goal_swap/open_the_middle_drawer_of_the_cabinet/e01"
+        );
+        let mut manner = Manner {
+            protocol: None,
+            runnable: false,
+            video: false,
+            list: false,
+        };
+        let of = |manner: &Manner, benchmark| manner.protocol_of(benchmark);
+        assert_eq!(of(&manner, Benchmark::Pro).unwrap().name, "pro-official");
+        assert_eq!(of(&manner, Benchmark::Plus).unwrap().name, "plus-official");
+        manner.protocol = Some("plus-rlinf".parse().unwrap());
+        assert!(matches!(
+            of(&manner, Benchmark::Pro),
+            Err(VariantsError::Foreign { .. })
+        ));
+    }
+}
