@@ -1,7 +1,6 @@
-//! How fast the queue is: simulated slots claim, wait as long as a rollout would
-//! take, and commit, on a real SQLite file with `synchronous=FULL`. The queue is
-//! called in this process, without sockets. Prints one JSON object; `cargo xtask
-//! bench queue` calls it.
+//! Queue benchmark: simulated slots claim, sleep for the duration of a rollout and commit, on a
+//! real SQLite file with `synchronous=FULL`. The queue runs in this process, without sockets.
+//! Prints one JSON object; run by `cargo xtask bench queue`.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -49,18 +48,19 @@ struct Arguments {
     data: Option<PathBuf>,
 }
 
-/// Rollouts of one configuration: 40 tasks, 7 conditions, 3 levels.
+/// Rollouts per configuration number: 40 tasks, 7 conditions, 3 levels.
 const ROLLOUTS_PER_CONFIG: u64 = 840;
 /// Longest wait of a claim.
 const CLAIM_WAIT: Duration = Duration::from_secs(30);
 
-/// Measurements of the slots.
+/// Measurements collected from all slots.
 #[derive(Default)]
 struct Measured {
     committed: AtomicU64,
-    /// Latencies of each slot's first claim, when it holds no scene and all come at once.
+    /// Latency of each slot's first claim, when it holds no compiled scene and all slots claim at
+    /// once.
     first_claim_micros: Mutex<Vec<u64>>,
-    /// Latencies of all its other claims.
+    /// Latencies of all later claims.
     claim_micros: Mutex<Vec<u64>>,
     commit_micros: Mutex<Vec<u64>>,
 }
@@ -151,11 +151,11 @@ async fn create(queue: &Queue, campaign: &NewCampaign) -> Result<(u64, f64)> {
     Ok((created.jobs_total, began.elapsed().as_secs_f64()))
 }
 
-/// Creates, copies, deletes and imports another campaign until it is stopped, and records the
-/// seconds that each step took.
+/// Repeatedly creates, copies, deletes and imports another campaign, and records the duration of
+/// each step, seconds.
 async fn move_beside(queue: Arc<Queue>, jobs: u64, moved: Arc<Mutex<Vec<[f64; 4]>>>) -> Result<()> {
     let mut other = spec("other", jobs)?;
-    // The slots are those of the first campaign.
+    // Lower priority, so that the slots only run the first campaign.
     other.priority = -1;
     let name = CampaignName::parse("other")?;
     loop {
@@ -177,7 +177,7 @@ async fn move_beside(queue: Arc<Queue>, jobs: u64, moved: Arc<Mutex<Vec<[f64; 4]
     }
 }
 
-/// One simulated slot: claims, waits, commits, until it is stopped.
+/// Simulates a slot, which claims, sleeps and commits until all jobs are committed.
 async fn run_slot(
     queue: Arc<Queue>,
     measured: Arc<Measured>,
@@ -188,7 +188,7 @@ async fn run_slot(
     let mut rng = ChaCha8Rng::seed_from_u64(u64::from(slot));
     let worker = worker_id(slot / arguments.slots_per_worker);
     let span = Duration::from_millis(arguments.rollout_millis);
-    // Slots that start together would claim together.
+    // Random start delay, so that the slots do not claim in lockstep.
     tokio::time::sleep(span.mul_f64(share(&mut rng))).await;
     let mut warm_task: Option<String> = None;
     while measured.committed.load(Ordering::Relaxed) < jobs {
@@ -225,7 +225,7 @@ async fn run_slot(
     Ok(())
 }
 
-/// A worker's heartbeats. They carry no lease: rollouts are shorter than one.
+/// Sends a worker's heartbeats. They renew no leases, since rollouts are shorter than a lease.
 async fn beat(queue: Arc<Queue>, worker: u32) -> Result<()> {
     loop {
         tokio::time::sleep(queue.timing().heartbeat).await;
@@ -233,7 +233,7 @@ async fn beat(queue: Arc<Queue>, worker: u32) -> Result<()> {
     }
 }
 
-/// The first failure of a slot; waits for ever if all end well.
+/// Waits for the first failure of a slot; never returns if all succeed.
 async fn first_trouble(slots: &mut JoinSet<Result<()>>) -> anyhow::Error {
     while let Some(ended) = slots.join_next().await {
         if let Err(error) = ended.map_err(Into::into).and_then(|ended| ended) {
@@ -243,7 +243,7 @@ async fn first_trouble(slots: &mut JoinSet<Result<()>>) -> anyhow::Error {
     std::future::pending().await
 }
 
-/// Rollouts committed in every second until all are.
+/// Counts the rollouts committed in each second until all are.
 async fn watch(measured: &Measured, jobs: u64) -> Vec<u64> {
     let mut seconds = Vec::new();
     let mut before = 0;
@@ -265,7 +265,7 @@ fn report(
     expand_secs: f64,
     folder: &Path,
 ) -> Result<Value> {
-    // The first seconds fill the slots, the last ones empty them.
+    // Leaves out the ramp-up of the first seconds and the tail of the last ones.
     let inner = &seconds[2.min(seconds.len())..seconds.len().saturating_sub(3).max(2)];
     let mut sorted = inner.to_vec();
     sorted.sort_unstable();
@@ -313,7 +313,7 @@ fn note(micros: &Mutex<Vec<u64>>, began: Instant) {
     micros.lock().expect("no slot panicked").push(span);
 }
 
-/// The most memory that this process ever had.
+/// Returns the peak resident memory of this process, MiB.
 fn memory_peak_mib() -> Result<f64> {
     let status = std::fs::read_to_string("/proc/self/status").context("read /proc/self/status")?;
     let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
@@ -321,11 +321,11 @@ fn memory_peak_mib() -> Result<f64> {
     Ok(kib.context("find VmHWM")?.parse::<f64>()? / 1024.0)
 }
 
-/// Processor time that this process took, expansion included.
+/// Returns the CPU time of this process, including the campaign's expansion, seconds.
 fn cpu_secs() -> Result<f64> {
     let stat = std::fs::read_to_string("/proc/self/stat").context("read /proc/self/stat")?;
-    // The name, which may hold spaces, ends with the last parenthesis; user and
-    // system time are the 12th and 13th field after it, in hundredths.
+    // The process name, which may contain spaces, ends with the last parenthesis. User and system
+    // time are the 12th and 13th field after it, in hundredths of a second.
     let fields = stat.rsplit_once(')').map_or("", |(_, fields)| fields);
     let ticks = fields.split_whitespace().skip(11).take(2);
     let ticks = ticks.map(|field| field.parse::<f64>().context("read a processor time"));
@@ -361,8 +361,8 @@ fn pin() -> Pin {
     }
 }
 
-/// A result as the slot's rollout would have: by chance, with the digests and
-/// realised values that its siblings have.
+/// Returns the report of a rollout with a random outcome, and with the digests and realised values
+/// of its sibling rollouts.
 fn outcome(
     worker: &WorkerId,
     job: &Assigned,
@@ -373,12 +373,12 @@ fn outcome(
     let mut realised = Realised::default();
     for axis in row.perturbation.axes() {
         let parameters = row.perturbation.values(axis);
-        // As many as four lights have.
+        // The number of elements of four lights.
         realised.add(axis, parameters, vec![0.1; 48]);
     }
     CommitReport {
         attempt: job.attempt,
-        // A rollout of eleven seconds.
+        // A path of 220 control steps, 11 s.
         motion: Motion {
             path: vec![1; 6 * 221],
             actions: Vec::new(),
@@ -395,7 +395,7 @@ fn outcome(
             goal: None,
         },
         provenance: Provenance {
-            // Every worker runs on a machine of its own.
+            // One machine per worker.
             host: worker.0.clone(),
             pin: pin(),
             fingerprint: digest("fingerprint"),

@@ -1,17 +1,17 @@
-//! The coordinator's table of access: whether a path is a call's or a page's, and the roles that
-//! may have it. A call that is not named here takes an operator's token, so that a new one is
-//! closed until it is named.
+//! Access table of the coordinator: maps each path to a gRPC call or a page, and to the roles that
+//! may access it. Calls not listed here require the operator role, so that new calls are closed by
+//! default.
 
 use transport::{Allowed, Resource, Role};
 
-/// The roles that may read everything.
+/// Roles that may read everything.
 pub(crate) const READERS: [Role; 2] = [Role::Viewer, Role::Operator];
-/// Address of the log-in page.
+/// Path of the login page.
 pub(crate) const LOG_IN: &str = "/login";
 
-/// Everything that a worker calls.
+/// Path prefix of the calls for workers.
 const WORKER_SERVICE: &str = "/rollout.coordinator.v1.WorkerService/";
-/// The calls of the operator service that change nothing.
+/// Read-only calls of the operator service.
 const READING: [&str; 8] = [
     "/rollout.coordinator.v1.OperatorService/ListCampaigns",
     "/rollout.coordinator.v1.OperatorService/GetCampaign",
@@ -23,11 +23,10 @@ const READING: [&str; 8] = [
     "/rollout.coordinator.v1.OperatorService/Forecast",
 ];
 
-/// Paths that a browser loads before its person has logged in, or to log out: they reveal nothing
-/// of any campaign.
+/// Pages and files that need no login. They reveal nothing about campaigns.
 const OPEN: [&str; 5] = [LOG_IN, "/logout", "/style.css", "/page.js", "/icon.svg"];
 
-/// Returns the kind of resource at a path, with the roles that may have it.
+/// Returns the kind of resource at a path and the roles that may access it.
 pub(crate) fn resource(path: &str) -> Resource {
     if path.starts_with(WORKER_SERVICE) {
         Resource::Call(Allowed::OneOf(&[Role::Worker]))
@@ -42,7 +41,7 @@ pub(crate) fn resource(path: &str) -> Resource {
     }
 }
 
-/// Returns true if a path is a call's: its first segment is a service, whose name has a dot, as
+/// Returns true if a path is that of a gRPC call, whose first segment is a dotted service name as
 /// in `/rollout.coordinator.v1.OperatorService/Report`.
 pub(crate) fn is_call(path: &str) -> bool {
     let service = path.strip_prefix('/').and_then(|path| path.split_once('/'));

@@ -1,15 +1,15 @@
-//! Archive of a campaign in one file, to be kept or imported by another coordinator: a compressed
-//! tar of a data folder with this campaign alone. It begins with a table of contents, the
+//! Archive of a campaign in one file, for storage or for import by another coordinator: a gzipped
+//! tar of a data folder with this campaign alone, preceded by a table of contents, the
 //! specification, the provenance and the report.
 //!
-//! | member | what it is |
+//! | member | content |
 //! | --- | --- |
-//! | `archive.json` | the list of the others, with their sizes and SHA-256 |
+//! | `archive.json` | table of contents: the other members with their sizes and SHA-256 |
 //! | `specification.json` | the campaign's specification |
-//! | `provenance.json` | where its results came from, and its policy's seeds |
-//! | `report.json` | its report, as `coordinator report --json` prints it |
-//! | `coordinator.sqlite` | its rows, in a database of the coordinator's schema |
-//! | `artifacts/NAME/…` | its films |
+//! | `provenance.json` | provenance of the results, and the policy seeds |
+//! | `report.json` | the campaign's report, as printed by `coordinator report --json` |
+//! | `coordinator.sqlite` | the campaign's rows, in a database of the coordinator's schema |
+//! | `artifacts/NAME/…` | the campaign's films |
 
 mod derived;
 mod pack;
@@ -28,59 +28,59 @@ use crate::reading::ReadError;
 pub use pack::{Package, package};
 pub use unpack::{Unpacked, unpack};
 
-/// The version of this form. A newer one is not read.
+/// Version of the archive format; archives with a newer one are rejected.
 const FORMAT: u32 = 1;
-/// The member that lists the others.
+/// Member that holds the table of contents.
 const LIST: &str = "archive.json";
-/// Prefix of folders and files that hold a campaign on its way in or out.
+/// Prefix of temporary folders for campaigns being exported or imported.
 pub const MOVING_PREFIX: &str = queue::MOVING_PREFIX;
 
 /// Table of contents of an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Contents {
-    /// The version of the form.
+    /// Version of the archive format.
     pub format: u32,
-    /// The program that wrote it.
+    /// Name and version of the program that wrote the archive.
     pub program: String,
-    /// The version of the database's schema.
+    /// Version of the database's schema.
     pub schema: i64,
     /// Name of the campaign.
     pub campaign: String,
-    /// SHA-256 of its specification, hex.
+    /// SHA-256 of the specification, hex.
     pub spec_digest: String,
-    /// Outcomes that it follows from, if it follows from another campaign.
+    /// Outcomes of the source campaign, if this campaign is derived from one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<SourceOutcomes>,
-    /// The halves that it was merged from, if it was.
+    /// Archives that were merged into this one; empty unless merged.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub merged_from: Vec<Half>,
     /// The other members, in order.
     pub members: Vec<Member>,
 }
 
-/// An archive that was merged into another.
+/// Archive that was merged into another one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Half {
-    /// Name of its campaign.
+    /// Name of the archive's campaign.
     pub campaign: String,
-    /// The program that wrote it.
+    /// Name and version of the program that wrote the archive.
     pub program: String,
-    /// SHA-256 of its database, hex.
+    /// SHA-256 of the archive's database, hex.
     pub database: String,
 }
 
-/// A file in an archive.
+/// File in an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Member {
-    /// Its path in the archive.
+    /// Path in the archive.
     pub name: String,
-    /// Its size.
+    /// Size, bytes.
     pub bytes: u64,
-    /// Its SHA-256, hex.
+    /// SHA-256, hex.
     pub sha256: String,
 }
 
-/// An archive that cannot be written or used. `archive` is its file.
+/// Error of writing or reading an archive. `archive` names its file.
 #[derive(Debug, thiserror::Error)]
 pub enum ArchiveError {
     /// The file cannot be read.
@@ -98,10 +98,10 @@ pub enum ArchiveError {
     Foreign {
         /// The file.
         archive: String,
-        /// Evidence that the file is something else.
+        /// Evidence that the file is not an archive.
         problem: String,
     },
-    /// A newer program wrote it.
+    /// A newer program wrote the archive.
     #[error(
         "read archive {archive}: {program} wrote it, with {what} {found}, and this program knows up to {known}; use a release as new as that one"
     )]
@@ -110,14 +110,14 @@ pub enum ArchiveError {
         archive: String,
         /// The program that wrote it.
         program: String,
-        /// The form's version, or the schema's.
+        /// Kind of version: `form` or `schema version`.
         what: &'static str,
-        /// The version that was found.
+        /// Version of the archive.
         found: i64,
-        /// The newest that this program knows.
+        /// Newest version that this program supports.
         known: i64,
     },
-    /// It ends early, or its compression is damaged.
+    /// The archive is truncated or its compression is damaged.
     #[error("read archive {archive}: it is cut off or damaged in member {member}; copy it again")]
     Damaged {
         /// The file.
@@ -125,7 +125,7 @@ pub enum ArchiveError {
         /// The damaged member.
         member: String,
     },
-    /// A member is not what the list says.
+    /// A member does not match the table of contents.
     #[error(
         "read archive {archive}: member {member} is not what {LIST} says ({problem}); copy it again, or archive the campaign again"
     )]
@@ -137,7 +137,7 @@ pub enum ArchiveError {
         /// The difference.
         problem: String,
     },
-    /// Its database does not hold what it should.
+    /// The database cannot be opened, violates an invariant or holds another number of campaigns.
     #[error("use member {member} of archive {archive}: archive the campaign again")]
     Content {
         /// The file.
@@ -156,7 +156,7 @@ pub enum ArchiveError {
         archive: String,
         /// The member that differs.
         member: &'static str,
-        /// Place of the difference, as a path of names.
+        /// JSON path of the first difference, such as `.a[1].b`.
         place: String,
         /// The program that wrote it.
         program: String,
@@ -164,15 +164,15 @@ pub enum ArchiveError {
     /// The results cannot be read.
     #[error(transparent)]
     Results(#[from] ReadError),
-    /// The report cannot be made.
+    /// The report cannot be computed.
     #[error(transparent)]
     Report(#[from] DocumentError),
-    /// Something cannot be written as JSON.
+    /// A member cannot be serialized as JSON.
     #[error("write {member} of the archive")]
     Json {
         /// The member.
         member: &'static str,
-        /// Why not.
+        /// Error of the serialization.
         source: JsonError,
     },
     /// A file cannot be written.
@@ -183,7 +183,7 @@ pub enum ArchiveError {
         /// Error of the system.
         source: io::Error,
     },
-    /// A file that goes into the archive cannot be read, or is another one now.
+    /// A file to be archived cannot be read or has changed since it was listed.
     #[error("archive {}: it changed or cannot be read; archive the campaign again", path.display())]
     Input {
         /// The file.
@@ -191,7 +191,7 @@ pub enum ArchiveError {
         /// Error of the system.
         source: io::Error,
     },
-    /// The disk lacks space for the content that the archive declares.
+    /// The disk lacks space for the contents declared by the archive.
     #[error(
         "unpack archive {archive}: that takes {needed_mib} MiB and the disk of {} has {free_mib} \
          left; make room",
@@ -200,17 +200,17 @@ pub enum ArchiveError {
     NoRoom {
         /// The file.
         archive: String,
-        /// Folder that it was to be unpacked into.
+        /// Target folder.
         folder: PathBuf,
         /// Space that the archive needs, with the reserve that must stay free, MiB.
         needed_mib: u64,
         /// Free space, MiB.
         free_mib: u64,
     },
-    /// A thread that packs, unpacks or computes ended.
+    /// A packing, unpacking or computing thread panicked.
     #[error("go on with archive {archive}: a thread panicked; the log says where")]
     Panicked {
-        /// The file, or the campaign.
+        /// Name of the archive's file or of its campaign.
         archive: String,
     },
 }

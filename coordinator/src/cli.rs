@@ -1,5 +1,5 @@
-//! The command line of `coordinator`: reads the arguments and reports the outcome. Exit code 2 is
-//! for a command that is wrong, 1 for one that failed.
+//! The command line of `coordinator`: parses the arguments and reports the outcome. The exit code
+//! is 2 for an invalid command and 1 for a command that failed.
 
 mod alter;
 mod backup;
@@ -54,15 +54,15 @@ pub(crate) struct Arguments {
 }
 
 impl Arguments {
-    /// The command line, with the variables of what serves.
+    /// Returns the clap command, with the environment variables of `serve` in its help.
     fn of_this_program() -> clap::Command {
         Self::command().mut_subcommand("serve", terminal::with_variables)
     }
 
-    /// Reads a command line, its program's name included, and the environment.
+    /// Parses a command line, program name included, and the environment.
     ///
     /// # Errors
-    /// If it asks for nothing that there is, or for help.
+    /// If the arguments are invalid or help or the version was requested.
     pub(crate) fn read(words: Vec<OsString>) -> Result<Self, clap::Error> {
         let matches = terminal::parse(Self::of_this_program(), words)?;
         let read = Self::from_arg_matches(&matches);
@@ -155,7 +155,7 @@ enum CampaignCommand {
     Delete(operate::DeleteArguments),
 }
 
-/// Runs a command. Its errors are printed to standard error.
+/// Runs a command and prints its error, if any, to standard error.
 pub(crate) fn run(arguments: Arguments) -> ExitCode {
     let default_level = match &arguments.command {
         Command::Serve(_) => "info",
@@ -229,10 +229,10 @@ async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
 mod tests {
     use super::*;
 
-    /// Longest help that `-h` prints, lines.
+    /// Most lines that `-h` may print.
     const MAX_SHORT_LINES: usize = 45;
 
-    /// The commands without commands of their own, each with its words.
+    /// Collects the commands without subcommands, each with its full invocation.
     fn leaves(command: &clap::Command, words: &str, found: &mut Vec<(String, clap::Command)>) {
         let visible = |it: &&clap::Command| !it.is_hide_set() && it.get_name() != "help";
         let mut commands = command.get_subcommands().filter(visible).peekable();
@@ -244,7 +244,7 @@ mod tests {
         }
     }
 
-    /// `campaign create --help` had 61 lines in one heap, and `-h` as many.
+    /// Regression: `campaign create` printed 61 ungrouped lines for `-h` and `--help` alike.
     #[test]
     fn short_help_fits_a_screen_and_groups_what_every_command_has() {
         let mut found = Vec::new();

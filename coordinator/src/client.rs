@@ -1,5 +1,5 @@
-//! Talking to a running coordinator as an operator: connecting, retrying while
-//! it cannot be reached, and telling a refusal from a failure.
+//! Client of the operator service: connects, retries while the coordinator is unreachable, and
+//! distinguishes invalid requests from refused ones.
 
 use std::time::Duration;
 
@@ -14,15 +14,15 @@ use transport::{
     parse_endpoint,
 };
 
-/// Time for which a command tries to reach a coordinator.
+/// Default time for which a command retries an unreachable coordinator.
 pub const RETRY_FOR: Duration = Duration::from_secs(30);
-/// Pauses between tries, doubling.
+/// First and longest pause between retries; each pause doubles the one before.
 const FIRST_PAUSE: Duration = Duration::from_millis(250);
 const LONGEST_PAUSE: Duration = Duration::from_secs(4);
-/// Longest time of one connection attempt.
+/// Timeout of one connection attempt.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Flags by which an operator names the coordinator.
+/// Flags and URL prefixes that error messages name.
 const SETTINGS: Settings = Settings {
     address: "--connect",
     authority: "--ca",
@@ -30,10 +30,10 @@ const SETTINGS: Settings = Settings {
     encrypted: "https://",
 };
 
-/// The calls of an operator, as [`Client::call`] takes them.
+/// Generated client of the operator service, whose methods [`Client::call`] takes.
 pub type Service = OperatorServiceClient<Connection>;
 
-/// A connection to a coordinator, made when it is first needed.
+/// Client of a coordinator, which connects lazily.
 #[derive(Clone, Debug)]
 pub struct Client {
     url: String,
@@ -42,13 +42,13 @@ pub struct Client {
     peer: Peer,
 }
 
-/// A request that came to nothing.
+/// Error of a request to the coordinator.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     /// Not a URL.
     #[error(transparent)]
     Url(#[from] EndpointError),
-    /// No URL to call over TLS.
+    /// TLS access cannot be set up, for example because the URL's host is no valid TLS name.
     #[error(transparent)]
     Access(#[from] AccessError),
     /// No coordinator answers.
@@ -56,28 +56,28 @@ pub enum ClientError {
     Unreachable {
         /// URL of the coordinator.
         url: String,
-        /// Trouble of the last attempt.
+        /// Problem found at the last attempt.
         trouble: Box<Trouble>,
     },
-    /// The coordinator says that the request is wrong.
+    /// The coordinator rejected the request as invalid.
     #[error("{message}")]
     Invalid {
-        /// Its words.
+        /// Message of the coordinator.
         message: String,
     },
-    /// The coordinator cannot do it.
+    /// The coordinator could not fulfil the request.
     #[error("{message}")]
     Refused {
-        /// Its words.
+        /// Message of the coordinator.
         message: String,
     },
 }
 
 impl Client {
-    /// A client of the coordinator at `url`, that keeps trying for `retry_for`.
+    /// Creates a client of the coordinator at `url` that retries calls for `retry_for`.
     ///
     /// # Errors
-    /// When `url` is none.
+    /// If `url` is invalid or its host cannot be called over TLS.
     pub fn new(url: &str, access: &Access, retry_for: Duration) -> Result<Client, ClientError> {
         let endpoint = parse_endpoint(url)?;
         let endpoint = endpoint.connect_timeout(CONNECT_TIMEOUT).tcp_nodelay(true);
@@ -93,7 +93,7 @@ impl Client {
         })
     }
 
-    /// All campaigns, oldest first.
+    /// Returns the status of all campaigns, oldest first.
     ///
     /// # Errors
     /// See [`ClientError`].
@@ -114,7 +114,7 @@ impl Client {
         Ok(response.await?.status.unwrap_or_default())
     }
 
-    /// A campaign as it stands, for a report.
+    /// Returns the current results of a campaign for a report.
     ///
     /// # Errors
     /// See [`ClientError`].
@@ -137,7 +137,7 @@ impl Client {
         })
     }
 
-    /// The next piece of an answer that comes in pieces; none after the last.
+    /// Returns the next message of a streamed response; `None` after the last.
     ///
     /// # Errors
     /// See [`ClientError`].
@@ -148,8 +148,8 @@ impl Client {
         }
     }
 
-    /// Calls until the coordinator answers or the time for trying is over. All
-    /// of its operator's calls may be repeated safely.
+    /// Sends a request, and retries it until the coordinator responds or the retry time is over.
+    /// All operator calls are safe to repeat.
     ///
     /// # Errors
     /// See [`ClientError`].

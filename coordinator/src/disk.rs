@@ -1,24 +1,24 @@
-//! Room on the disk of the data folder: while there is little, nothing is
-//! leased, so that what is under way can still be written down.
+//! Free space of the data folder's disk. While it is low, no jobs are leased, so that running
+//! rollouts can still be committed.
 
 use std::path::Path;
 
-/// Free space that leasing jobs requires, unless the operator says otherwise, MiB: the outcomes
-/// and the videos of some dozen rollouts.
+/// Default of the free space that leasing requires, MiB: enough for the outcomes and videos of a
+/// few dozen rollouts.
 pub const DEFAULT_MIN_FREE_MIB: u64 = 256;
 
-/// Free space of a disk, and the space that leasing needs.
+/// Free space of a disk, and the space that leasing requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Room {
-    /// Free for this user, bytes.
+    /// Free space available to this user, bytes.
     pub free_bytes: u64,
-    /// Needed for leasing, bytes.
+    /// Space that leasing requires, bytes.
     pub needed_bytes: u64,
 }
 
 impl Room {
-    /// Looks at the disk of a folder. A disk that cannot be looked at is taken
-    /// to be full: it can hardly be written.
+    /// Measures the free space of a folder's disk. If that fails, the disk counts as full, since
+    /// writing to it would probably fail, too.
     pub fn look(folder: &Path, needed_bytes: u64) -> Room {
         let free_bytes = rustix::fs::statvfs(folder)
             .map(|disk| disk.f_bavail.saturating_mul(disk.f_frsize))
@@ -29,7 +29,7 @@ impl Room {
         }
     }
 
-    /// Why nothing may be leased, if that is so.
+    /// Returns the message for a disk without enough space for leasing; `None` if there is enough.
     pub fn shortage(self, folder: &Path) -> Option<String> {
         (self.free_bytes < self.needed_bytes).then(|| {
             format!(

@@ -1,5 +1,5 @@
-//! Committed results as the reference's result rows, one JSON object a line, in
-//! a stable order: by rollout id, then replicate.
+//! Export of committed results in the reference's row format: one JSON object per line, ordered by
+//! rollout id, then replicate.
 
 use std::sync::Arc;
 
@@ -12,11 +12,11 @@ use serde::Serialize;
 
 use crate::reading::ReadError;
 
-/// Results read at a time.
+/// Rows per database query.
 const PAGE_ROWS: u32 = 1_000;
 
-/// The reference's columns, in its order; then, where there is anything to say, the
-/// replicate that is not the first, the radius of a placebo, and how much of the goal held.
+/// Exported row: the reference's columns in its order, then optional columns: the replicate unless
+/// it is the first, the radius of a placebo, and the goal's progress if the worker reported it.
 #[derive(Serialize)]
 struct ExportRow<'a> {
     rollout_id: RolloutId,
@@ -44,23 +44,23 @@ struct ExportRow<'a> {
     goal_at_most: Option<u32>,
 }
 
-/// The lines of one campaign, read page by page while they are taken.
+/// Returns the exported lines of a campaign as a stream that reads page by page on demand.
 ///
 /// # Errors
-/// When there is no such campaign or the database fails.
+/// If the campaign does not exist or the database fails.
 pub async fn lines(
     queue: Arc<Queue>,
     name: &CampaignName,
 ) -> Result<impl Stream<Item = Result<String, ReadError>> + Send + use<>, QueueError> {
     let campaign = queue.view().await?.campaign(name).await?;
-    // The last row of the page before; none when the last page was read.
+    // Last row of the previous page; `None` once the last page was read.
     let first: Option<(String, u32)> = Some((String::new(), 0));
     let pages = stream::try_unfold((queue, first), move |(queue, last)| async move {
         let Some((rollout_id, replicate)) = last else {
             return Ok::<_, ReadError>(None);
         };
-        // A view per page: one that lived as long as a slow reader would keep
-        // the write-ahead log from being moved.
+        // A new view per page: a view held open by a slow reader would keep SQLite from
+        // checkpointing the write-ahead log.
         let after = (!rollout_id.is_empty()).then_some((rollout_id.as_str(), replicate));
         let mut view = queue.view().await?;
         let rows = view.exported(campaign.id, after, PAGE_ROWS).await?;

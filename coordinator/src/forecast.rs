@@ -1,5 +1,5 @@
-//! How long rollouts take, what their time goes into and what would make them
-//! faster, in words: the same on a terminal and on the page.
+//! Text of forecasts, for terminal and page alike: duration of a campaign, time of a rollout by
+//! phase, and the bottleneck.
 
 use proto::coordinator::speed::Bottleneck;
 use proto::coordinator::{ForecastResponse, Speed};
@@ -8,10 +8,10 @@ use terminal::{counted, wrapped};
 
 use crate::words::duration_text;
 
-/// Of a rollout, percent: more of it wants to be explained.
+/// Share of waiting in a rollout's time from which the text explains it, percent.
 const MUCH_WAITING: f64 = 20.0;
 
-/// A forecast as it is sent.
+/// Converts a forecast to its message.
 pub fn message(forecast: Forecast) -> ForecastResponse {
     ForecastResponse {
         workers: forecast.workers,
@@ -46,7 +46,7 @@ fn speed(speed: read::Speed) -> Speed {
     }
 }
 
-/// How long a policy's campaign would take, in lines for a terminal.
+/// Describes the duration of a policy's campaign, wrapped for a terminal.
 pub fn in_words(forecast: &ForecastResponse, policy: &str) -> String {
     let workers = counted(forecast.workers.into(), "worker");
     let Some(secs) = forecast.secs else {
@@ -97,7 +97,7 @@ pub fn in_words(forecast: &ForecastResponse, policy: &str) -> String {
     all.join("\n")
 }
 
-/// Describes the parts of the time of one rollout.
+/// Describes the mean time of a rollout and its share by phase.
 pub fn parts(speed: &Speed) -> String {
     let spans = [
         ("physics", speed.physics_secs),
@@ -131,8 +131,8 @@ pub fn parts(speed: &Speed) -> String {
     )
 }
 
-/// Describes the bottleneck of rollouts on so many slots, and what more slots would change; none
-/// where that is not known.
+/// Describes the bottleneck of rollouts on `slots` slots and the effect of more slots; `None` if
+/// unknown.
 pub fn bottleneck(speed: &Speed, slots: u32) -> Option<String> {
     let enough = speed.enough_slots?;
     let then = duration_text(speed.enough_slots_secs?);

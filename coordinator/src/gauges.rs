@@ -1,25 +1,25 @@
-//! Gauges for the metrics, counted as calls come and go.
+//! In-process gauges for `/metrics`.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Gauges for the metrics.
+/// Counts of calls in progress.
 #[derive(Debug, Default)]
 pub(crate) struct Gauges {
     claims: AtomicUsize,
 }
 
-/// A claim that is in flight until this is dropped.
+/// Guard of a claim in progress, which is counted until the guard is dropped.
 #[derive(Debug)]
 pub(crate) struct ClaimInFlight<'a>(&'a Gauges);
 
 impl Gauges {
-    /// Counts a claim for as long as what is returned lives.
+    /// Counts a claim until the returned guard is dropped.
     pub(crate) fn claim(&self) -> ClaimInFlight<'_> {
         self.claims.fetch_add(1, Ordering::Relaxed);
         ClaimInFlight(self)
     }
 
-    /// Claims in flight.
+    /// Returns the number of claims in progress.
     pub(crate) fn claims(&self) -> usize {
         self.claims.load(Ordering::Relaxed)
     }

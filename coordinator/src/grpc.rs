@@ -1,5 +1,5 @@
-//! The wire: checks messages, calls the queue, and turns its answers and errors
-//! into messages. Nothing is decided here.
+//! gRPC services: validate requests, call the queue, and convert its results and errors to messages
+//! and statuses. Scheduling decisions are the queue's.
 
 mod backup;
 mod detached;
@@ -24,11 +24,11 @@ use detached::Detached;
 use operator::OperatorApi;
 use worker::WorkerApi;
 
-/// Largest message of a worker, bytes: a piece of a video takes a quarter of a
-/// megabyte, everything else far less.
+/// Largest accepted message of a worker, bytes. A video chunk takes a quarter of a megabyte, all
+/// other messages far less.
 const MAX_WORKER_MESSAGE_BYTES: usize = 2 << 20;
 
-/// The services for workers and operators, on a queue.
+/// Returns the router with the worker service and the operator service of a queue.
 pub(crate) fn services(
     queue: &Arc<Queue>,
     gauges: &Arc<Gauges>,

@@ -1,7 +1,7 @@
-//! Serves the queue: workers and operators call it (`grpc`), browsers show it
-//! (`page`), reports and exports read it. What is leased, stored and decided is
-//! the business of [`queue`]. It knows no simulator and no policy. The command
-//! line is the program's business.
+//! Server of the rollout queue: gRPC services for workers and operators (`grpc`), pages for
+//! browsers (`page`), reports, exports and archives. Leasing, storage and scheduling decisions are
+//! in [`queue`], the command line is in the binary. This crate depends on no simulator and no
+//! policy.
 
 #![forbid(unsafe_code)]
 

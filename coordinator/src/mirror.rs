@@ -1,5 +1,5 @@
-//! Moves films from the data folder to the storage that an operator chose, as it has
-//! time: what cannot be stored stays where it is, and is tried again.
+//! Background task that moves films from the data folder to the storage given by `--artifacts`. A
+//! film that cannot be stored stays in the data folder and is retried.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,14 +11,14 @@ use queue::{FilmHere, Forgotten, Queue};
 
 use crate::storage::{Storage, StorageError};
 
-/// Between two looks for films.
+/// Interval between two scans for films.
 const PAUSE: Duration = Duration::from_secs(2);
-/// Films that are moved at a time: the storage's answer takes longer than a film's bytes.
+/// Concurrent uploads: the storage's latency exceeds the transfer time of a film.
 const AT_ONCE: usize = 8;
-/// Longest pause while the storage fails.
+/// Longest pause between retries while the storage fails.
 const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 
-/// Moves films until it is dropped.
+/// Moves films until the future is dropped.
 pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
     let mut pause = PAUSE;
     loop {
@@ -29,7 +29,7 @@ pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
             }
             Ok(()) => {}
             Err(problem) => {
-                // Once for each outage.
+                // Logged once per outage.
                 if pause == PAUSE {
                     tracing::error!(
                         "failed to {problem}; films stay in the data folder until then"
@@ -42,12 +42,12 @@ pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
     }
 }
 
-/// Moves what is there now.
+/// Moves the films that are in the data folder now.
 async fn look(queue: &Queue, storage: &Storage) -> Result<(), String> {
     let in_words = |error: &(dyn std::error::Error + 'static)| transport::chain(error);
     let films = queue.films_here().await.map_err(|error| in_words(&error))?;
-    // A transfer that has begun is ended, so that the storage keeps no half of one; after a
-    // failure of the storage none is begun.
+    // Started transfers run to their end, so that the storage keeps no partial upload; after a
+    // failure of the storage no further transfer starts.
     let is_down = AtomicBool::new(false);
     let moves = stream::iter(films).map(|film| {
         let is_down = &is_down;
@@ -56,7 +56,7 @@ async fn look(queue: &Queue, storage: &Storage) -> Result<(), String> {
                 return Ok(());
             }
             let moved = move_film(queue, storage, &film).await;
-            // One bad file does not keep the others here.
+            // A failure of one file does not stop the other transfers; one of the storage does.
             if let Err(MoveError::Storage(_)) = moved {
                 is_down.store(true, Ordering::Relaxed);
             }
@@ -71,17 +71,17 @@ async fn look(queue: &Queue, storage: &Storage) -> Result<(), String> {
     {
         return Err(failed.swap_remove(down).into_words());
     }
-    // Folders of deleted campaigns that could not be removed there.
+    // Retries the removal of deleted campaigns' folders from the storage.
     let removed = queue.finish_removals().await;
     removed.map_err(|error| in_words(&error))?;
     failed.pop().map_or(Ok(()), |it| Err(it.into_words()))
 }
 
-/// A film that is not moved, in words.
+/// Error of moving a film.
 enum MoveError {
-    /// Because of its file.
+    /// The film's file failed; other films can still be moved.
     File(String),
-    /// Because of the storage: no other is moved either.
+    /// The storage failed, so no other film can be moved either.
     Storage(String),
 }
 

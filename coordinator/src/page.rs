@@ -1,10 +1,9 @@
-//! The live page: what the coordinator knows, for browsers, on the port that
-//! its calls are on. Responsible for addresses, words and pictures; not for who
-//! may look (`transport`), nor for what is true (`queue`, `report`). It reads
-//! only: whatever changes a campaign is a call.
+//! The live page: read-only HTML views of the coordinator, on the same port as gRPC. This module
+//! owns routes and rendering. Access control is in `transport`, the data in `queue` and `report`;
+//! campaigns are changed through gRPC only.
 //!
-//! However many look, a page is made at most once a second, and the statistics
-//! of a campaign only when its results changed.
+//! A page is rendered at most once a second, however many browsers request it, and a campaign's
+//! statistics are computed only after its results changed.
 
 mod answer;
 mod bar;
@@ -43,7 +42,7 @@ use problem::Problem;
 use state::Asked;
 pub(crate) use state::Page;
 
-/// Adds the pages to the calls.
+/// Merges the page routes into the gRPC router.
 pub(crate) fn beside(page: Arc<Page>, calls: Router) -> Router {
     let pages = routes().into_iter();
     let pages = pages.fold(Router::new(), |pages, (path, answer)| {
@@ -52,7 +51,7 @@ pub(crate) fn beside(page: Arc<Page>, calls: Router) -> Router {
     calls.merge(pages.with_state(page)).fallback(unknown)
 }
 
-/// All pages and the files that they load, by their paths.
+/// Returns the routes of all pages and of their static files.
 pub(crate) fn routes() -> [(&'static str, MethodRouter<Arc<Page>>); 16] {
     [
         ("/", get(all_campaigns)),
@@ -78,7 +77,7 @@ pub(crate) fn routes() -> [(&'static str, MethodRouter<Arc<Page>>); 16] {
 }
 
 type At = State<Arc<Page>>;
-/// A campaign's name and a rollout's id.
+/// Path parameters: campaign name and rollout id.
 type Of = (String, String);
 
 async fn all_campaigns(State(page): At, asked: Asked) -> Response {
@@ -129,7 +128,7 @@ async fn events(State(page): At) -> Response {
         .unwrap_or_else(IntoResponse::into_response)
 }
 
-/// Answers for paths that nothing is at: a call that this server does not have, or no page.
+/// Fallback for unknown paths: gRPC `UNIMPLEMENTED` for calls, a 404 page for everything else.
 async fn unknown(request: Request) -> Response {
     match access::is_call(request.uri().path()) {
         true => Status::unimplemented("").into_http(),

@@ -1,16 +1,16 @@
-//! Errors of reading a campaign's results.
+//! Errors from reading a campaign's stored results.
 
 use libero_ctrl::{JsonError, SpecError, UnknownName};
 use queue::ids::CampaignName;
 use queue::{QueueError, StoreError};
 
-/// Results that cannot be read.
+/// Error from reading a campaign's stored results.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// The campaign or the database.
+    /// The campaign does not exist, or the database failed.
     #[error(transparent)]
     Queue(#[from] QueueError),
-    /// The stored specification does not read back.
+    /// The stored specification cannot be parsed.
     #[error("read the stored specification of campaign `{campaign}`")]
     Spec {
         /// The campaign.
@@ -18,10 +18,10 @@ pub enum ReadError {
         /// Error of the specification.
         source: SpecError,
     },
-    /// A stored rollout id or realisation does not read back.
+    /// A stored rollout id or realisation cannot be parsed.
     #[error("read a stored name of a result")]
     Name(#[from] UnknownName),
-    /// A stored manifest row does not read back.
+    /// A stored manifest row cannot be parsed.
     #[error("read the stored manifest row of `{rollout_id}`")]
     Row {
         /// Id of the rollout.

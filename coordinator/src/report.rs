@@ -1,7 +1,6 @@
-//! Reading a campaign as it stands, for a report: what is committed, missing
-//! and quarantined, and how it was made. What is said about it is the crate
-//! `report`'s business. The same results give the same subject, however many
-//! attempts they took.
+//! Reads a campaign's committed, missing and quarantined rollouts and their provenance as input of
+//! a report, which the `report` crate computes. The same results give the same subject, however
+//! many attempts they took.
 
 use libero_ctrl::{CampaignSpec, Directions, ManifestRow, RolloutId, Rollouts, UnknownName};
 use paired::{Outcome, Record};
@@ -14,12 +13,12 @@ use sha2::{Digest, Sha256};
 
 use crate::reading::ReadError;
 
-/// A campaign as it stands. Results of another realisation mode than the
-/// campaign's, which a commit refuses, are missing from it and counted in
-/// `left_out`: two modes perturb differently and are never pooled.
+/// Reads the current results of a campaign. Results of another realisation mode than the
+/// campaign's, which a commit refuses, are treated as missing and counted in `left_out`: the modes
+/// perturb differently and must not be pooled.
 ///
 /// # Errors
-/// When the database fails.
+/// If the database fails or holds a value that cannot be parsed.
 pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, ReadError> {
     let spec = view.spec(campaign).await?;
     let spec = CampaignSpec::from_json(&spec).map_err(|source| ReadError::Spec {
@@ -30,7 +29,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
     let rows = view.records(campaign.id).await?;
     let records: Result<Vec<Record>, _> = rows.iter().map(|row| read_record(row, own)).collect();
     let mut provenances = view.provenances(campaign.id).await?;
-    // By their content: which came first depends on the workers.
+    // Sorted by content, since their order of arrival depends on the workers.
     provenances.sort();
     let quarantined = view
         .quarantine(Some(campaign.id), u32::MAX)
@@ -73,7 +72,8 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
     })
 }
 
-/// Returns the purpose of a campaign that follows from another, and the records of that one.
+/// Returns the purpose of a derived campaign and the records of its source; `None` for other
+/// campaigns.
 async fn derived(
     view: &mut View,
     campaign: &Campaign,
@@ -97,7 +97,7 @@ async fn derived(
     }))
 }
 
-/// Returns the rule by which a campaign may end early, and whether it did.
+/// Returns a campaign's stop rule and whether it has stopped; `None` without a rule.
 async fn early_stop(view: &mut View, campaign: &Campaign) -> Result<Option<EarlyStop>, ReadError> {
     let early = view.early_stop(campaign).await?;
     Ok(early.map(|early| EarlyStop {
@@ -115,11 +115,11 @@ async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRang
     })
 }
 
-/// Returns the setups of the campaign's rollouts, by which they are told from those of the same
-/// names in another campaign.
+/// Returns digests of the setups of a campaign's rollouts. They reveal whether rollouts of the same
+/// id in two campaigns are comparable.
 ///
 /// # Errors
-/// If the database fails.
+/// If the database fails or holds a manifest row that cannot be parsed.
 pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, ReadError> {
     let mut setups = Setups::default();
     for row in view.setups(campaign.id).await? {
@@ -141,8 +141,8 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
         if let (Some(scene), Some(state_bytes)) = (scene_digest, init_state_digest) {
             setups.scenes.insert(state, digest(&[&scene, &state_bytes]));
         }
-        // Neither the state's place in the design nor the name of a paraphrase
-        // is met by the policy.
+        // The digest leaves out the state's slot in the design and the paraphrase's name, which the
+        // policy never observes.
         let met = ManifestRow {
             init_slot: 0,
             variant_id: None,
@@ -155,7 +155,7 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
     Ok(setups)
 }
 
-/// As many digits of a SHA-256 as tell a campaign's rollouts apart.
+/// Returns 16 hex digits of a SHA-256, enough to distinguish the rollouts of a campaign.
 fn digest(texts: &[&str]) -> String {
     let digest = Sha256::digest(texts.concat());
     digest[..8]

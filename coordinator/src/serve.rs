@@ -1,4 +1,4 @@
-//! The coordinator as a process: the server, the tasks beside it and the shutdown.
+//! Coordinator process: the server, its background tasks and the shutdown.
 
 use std::future::Future;
 use std::io;
@@ -27,10 +27,10 @@ use crate::mirror;
 use crate::page::{self, Page};
 use crate::storage::Storage;
 
-/// Time for requests to finish once the coordinator was asked to stop.
+/// Time that requests in progress have to finish at shutdown.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
-/// HTTP/2 flow-control windows: a video arrives in pieces of a megabyte, and
-/// 64 KiB, the default, would stop it at every sixteenth of one.
+/// HTTP/2 flow-control windows. With the default of 64 KiB, video uploads in chunks of a megabyte
+/// would stall 16 times per chunk.
 const STREAM_WINDOW_BYTES: u32 = 4 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
 /// Configuration of a coordinator.
@@ -39,43 +39,43 @@ pub struct Config {
     pub data: PathBuf,
     /// Durations of leases, heartbeats and timeouts.
     pub timing: Timing,
-    /// Source of instants.
+    /// Clock; tests inject their own.
     pub clock: Arc<dyn Clock>,
-    /// Random generator for names of attempts and jitter of back-offs.
+    /// Random generator of attempt ids and backoff jitter.
     pub rng: ChaCha8Rng,
     /// Access: TLS and tokens.
     pub security: Security,
-    /// Free on the data folder's disk, or nothing is leased, bytes.
+    /// Free space on the data folder's disk below which no jobs are leased, bytes.
     pub min_free_bytes: u64,
-    /// Storage that films are moved to; none to keep them in the data folder.
+    /// Storage to which films are moved; `None` keeps them in the data folder.
     pub storage: Option<Arc<Storage>>,
 }
 
-/// A coordinator that cannot go on.
+/// Error that stops a coordinator or keeps it from starting.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// Its data folder cannot be used.
+    /// The data folder cannot be used.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// Its database fails.
+    /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// Its socket fails.
+    /// The listening socket failed.
     #[error("go on serving: the listening socket failed ({problem})")]
     Socket {
         /// Error of the system.
         problem: String,
     },
-    /// Its certificate is no use.
+    /// The certificate or key is invalid.
     #[error(transparent)]
     Security(#[from] SecurityError),
-    /// Something that must not end ended.
+    /// A background task ended.
     #[error("go on serving: {what} panicked (the log says where); start the coordinator again")]
     Panicked {
         /// The task that ended.
         what: &'static str,
     },
-    /// Its data folder holds an earlier run's leftovers that cannot be removed.
+    /// Partial files of an earlier run cannot be removed from the data folder.
     #[error("tidy the artifacts in {}", folder.display())]
     Tidy {
         /// The data folder.
@@ -95,11 +95,11 @@ pub struct Coordinator {
 }
 
 impl Coordinator {
-    /// Opens the data folder.
+    /// Opens the data folder and starts the queue.
     ///
     /// # Errors
-    /// If the data folder cannot be used: another coordinator has it, a newer program wrote it,
-    /// the disk refuses.
+    /// If the data folder cannot be used, for example because another coordinator holds its lock or
+    /// a newer program wrote it.
     pub async fn open(config: Config) -> Result<Coordinator, ServeError> {
         let store = Store::open(&config.data).await?;
         remove_partial_files(&config.data).map_err(|source| ServeError::Tidy {
@@ -118,12 +118,12 @@ impl Coordinator {
         })
     }
 
-    /// The queue, to be served or driven beside the socket.
+    /// Returns the queue, for tests and benchmarks that call it directly.
     pub fn queue(&self) -> &Arc<Queue> {
         &self.queue
     }
 
-    /// The services that workers and operators call, to be called without a socket.
+    /// Returns the gRPC services, to be called without a socket.
     pub fn services(&self) -> Routes {
         Routes::from(grpc::services(
             &self.queue,
@@ -132,12 +132,11 @@ impl Coordinator {
         ))
     }
 
-    /// Serves workers, operators and browsers on `listener` until `shutdown` is ready;
-    /// then leases nothing more, finishes what is under way and closes the
-    /// database.
+    /// Serves workers, operators and browsers on `listener` until `shutdown` is ready; then stops
+    /// leasing, finishes requests in progress and closes the database.
     ///
     /// # Errors
-    /// When the socket or the database fails.
+    /// If the socket or the database fails, or a background task ends.
     pub async fn serve(
         self,
         listener: TcpListener,
@@ -146,8 +145,8 @@ impl Coordinator {
         self.serve_boxed(listener, Box::pin(shutdown)).await
     }
 
-    /// Serves as [`Coordinator::serve`] does. Boxed, so that the server is compiled in this
-    /// crate once, and not again in every program and test that starts one.
+    /// Boxes the future of [`Coordinator::serve`], so that the server is compiled once in this
+    /// crate instead of in every program and test that starts one.
     fn serve_boxed(
         self,
         listener: TcpListener,
@@ -166,7 +165,7 @@ impl Coordinator {
         let gauges = Arc::new(Gauges::default());
         let storage = self.storage;
         let page = Page::new(&queue, &self.security, &gauges, storage.clone());
-        // They end with this function.
+        // Background tasks, aborted when this function returns.
         let mut beside = JoinSet::new();
         beside.spawn({
             let page = page.clone();
@@ -176,11 +175,12 @@ impl Coordinator {
         if let Some(storage) = storage {
             beside.spawn(mirror::run(queue.clone(), storage));
         }
-        // A sweep waits for the writer; connections and signals must not.
+        // A task of its own, since a sweep waits for the database writer while connections and
+        // signals must not.
         beside.spawn(sweep(queue.clone(), self.min_free_bytes));
         let routes = Routes::from(page::beside(page.clone(), calls));
         let server = server(routes, &self.security, listener, async {
-            // A sender that was dropped stops the server just as well.
+            // A dropped sender stops the server, too.
             let _ = stopped.await;
         });
         let mut server = std::pin::pin!(server);
@@ -209,8 +209,8 @@ impl Coordinator {
     }
 }
 
-/// Takes back leases that expired, again and again, and leases nothing while the disk is full or
-/// the database cannot be written.
+/// Periodically takes back expired leases, and suspends leasing while the disk is full or the
+/// database cannot be written.
 async fn sweep(queue: Arc<Queue>, min_free_bytes: u64) {
     let mut due = tokio::time::interval(queue.timing().sweep);
     due.set_missed_tick_behavior(MissedTickBehavior::Delay);

@@ -1,8 +1,8 @@
-//! Storage of films and archives beyond the data folder: another folder, or a bucket of
-//! S3-compatible storage.
+//! Artifact storage for films and archives outside the data folder: another folder, or a bucket of
+//! S3-compatible object storage.
 //!
-//! Films always come into the data folder first, so that no trouble of the storage
-//! touches a rollout; `mirror` moves them on.
+//! Films are always received into the data folder first, so that an outage of the storage affects
+//! no rollout; `mirror` then moves them.
 
 use std::io;
 use std::ops::Range;
@@ -21,36 +21,35 @@ use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt, RetryConfi
 use queue::ids::shortened;
 use tokio::io::AsyncWriteExt;
 
-/// Prefix of an address of S3.
 const S3: &str = "s3://";
-/// Tries of one request, and how long they may take together.
+/// Retries of one request, and the time limit for all of them.
 const RETRIES: usize = 3;
 const RETRY_FOR: Duration = Duration::from_secs(20);
-/// Bytes of the storage's error message that are quoted: an answer may have any length.
+/// Longest quotation of the storage's error message, bytes; responses may have any length.
 const QUOTED_BYTES: usize = 500;
 
-/// A folder or a bucket, or a part of it.
+/// Folder, or bucket with a key prefix.
 #[derive(Clone, Debug)]
 pub struct Storage {
     store: Arc<dyn ObjectStore>,
     /// Prefix of all keys.
     prefix: Key,
-    /// Address of the storage as it was given.
+    /// Address of the storage as given by the operator, for messages.
     location: String,
 }
 
-/// A piece of a film.
+/// Object, or a range of one, being read.
 #[derive(Debug)]
 pub struct Piece {
-    /// Range of its bytes within the film.
+    /// Byte range within the object.
     pub range: Range<u64>,
-    /// Size of the whole film, bytes.
+    /// Size of the whole object, bytes.
     pub size_bytes: u64,
     /// The bytes of the range.
     pub bytes: BoxedBytes,
 }
 
-/// Bytes as they come.
+/// Stream of an object's bytes.
 pub struct BoxedBytes(pub BoxStream<'static, Result<axum::body::Bytes, StorageError>>);
 
 impl std::fmt::Debug for BoxedBytes {
@@ -59,10 +58,10 @@ impl std::fmt::Debug for BoxedBytes {
     }
 }
 
-/// Storage that cannot be used.
+/// Error of the artifact storage.
 #[derive(Debug, thiserror::Error)]
 pub enum StorageError {
-    /// The address is none.
+    /// Not a valid storage address.
     #[error(
         "use storage {location}: write a folder, or s3://BUCKET/FOLDER with the bucket's region and credentials in AWS_REGION, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for a server of one's own"
     )]
@@ -70,7 +69,7 @@ pub enum StorageError {
         /// The given address.
         location: String,
     },
-    /// A folder cannot be made.
+    /// The folder cannot be created.
     #[error("make folder {}: may this user write there?", path.display())]
     Folder {
         /// The folder.
@@ -78,19 +77,19 @@ pub enum StorageError {
         /// Error of the system.
         source: io::Error,
     },
-    /// It does not answer, or refuses.
+    /// The storage does not respond or refuses the request.
     #[error("{doing} {key} at storage {location}: {problem}")]
     Remote {
-        /// The action that failed.
+        /// Verb of the failed action, such as `fetch`.
         doing: &'static str,
         /// Key of the object.
         key: String,
         /// Address of the storage.
         location: String,
-        /// Error of the storage, in its own words.
+        /// Error message of the storage.
         problem: String,
     },
-    /// A file on this machine fails.
+    /// A local file cannot be read or written.
     #[error("copy {}: is there room on the disk, and may this user read and write there?", path.display())]
     File {
         /// The file.
@@ -101,17 +100,16 @@ pub enum StorageError {
 }
 
 impl Storage {
-    /// Whether something that was given is an address of storage, rather than a path.
+    /// Returns true if the argument is an `s3://` address rather than a local path.
     pub fn is_remote(location: &str) -> bool {
         location.starts_with(S3)
     }
 
-    /// Opens storage: `s3://BUCKET/FOLDER`, or a folder, which is made if it is not there.
-    /// Nothing is asked of a bucket yet. Its credentials, region and endpoint are those
-    /// of the usual variables, `AWS_…`.
+    /// Opens `s3://BUCKET/FOLDER`, or a local folder, which is created if missing. Does not contact
+    /// the bucket. Credentials, region and endpoint come from the usual `AWS_…` variables.
     ///
     /// # Errors
-    /// If the address is invalid, or the folder cannot be made.
+    /// If the address is invalid, or the folder cannot be created.
     pub fn open(location: &str) -> Result<Storage, StorageError> {
         let unusable = || StorageError::Location {
             location: location.to_owned(),
@@ -137,7 +135,8 @@ impl Storage {
         if bucket.is_empty() {
             return Err(unusable());
         }
-        // The TLS provider that tonic uses, too. An earlier choice is the same.
+        // Installs the crypto provider that tonic uses, too; an error means that it is installed
+        // already.
         let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
         let retry = RetryConfig {
             max_retries: RETRIES,
@@ -156,10 +155,10 @@ impl Storage {
         })
     }
 
-    /// Opens the storage that an object's address is in.
+    /// Opens the storage of an object's address; returns it with the object's key.
     ///
     /// # Errors
-    /// When the address names no object.
+    /// If the address is invalid or names no object.
     pub fn of_object(address: &str) -> Result<(Storage, String), StorageError> {
         let unusable = || StorageError::Location {
             location: address.to_owned(),
@@ -171,15 +170,15 @@ impl Storage {
         Ok((Storage::open(folder)?, name.to_owned()))
     }
 
-    /// Returns the address of the storage as it was given.
+    /// Returns the address of the storage as given by the operator.
     pub fn location(&self) -> &str {
         &self.location
     }
 
-    /// Stores a file, whole or not at all, and looks whether it is there.
+    /// Uploads a file atomically and verifies the size of the stored object.
     ///
     /// # Errors
-    /// When the storage fails or the file cannot be read.
+    /// If the storage fails or the file cannot be read.
     pub async fn put(&self, key: &str, file: &Path) -> Result<(), StorageError> {
         let unreadable = |source| StorageError::File {
             path: file.to_owned(),
@@ -192,7 +191,7 @@ impl Storage {
         let copied = match copied {
             Ok(bytes) => to.shutdown().await.map(|()| bytes),
             Err(error) => {
-                // The first error is the one to tell.
+                // An error of the abort is ignored; the copy's error is reported.
                 let _ = to.abort().await;
                 Err(error)
             }
@@ -209,12 +208,12 @@ impl Storage {
         }
     }
 
-    /// Fetches an object into a file; returns false if there is none. An object that is not of
-    /// `size_bytes`, if given, is refused before any of it is written, since storage may send
-    /// more than the disk holds.
+    /// Downloads an object into a file; returns false if the object does not exist. If `size_bytes`
+    /// is given, an object of another size is refused before anything is written, since it might
+    /// fill the disk.
     ///
     /// # Errors
-    /// When the storage fails, the object has another size, or the file cannot be written.
+    /// If the storage fails, the object has another size, or the file cannot be written.
     pub async fn fetch(
         &self,
         key: &str,
@@ -241,10 +240,10 @@ impl Storage {
         Ok(true)
     }
 
-    /// Reads an object, or a range of it; none if it is not there.
+    /// Reads an object, or a range of it; `None` if the object does not exist.
     ///
     /// # Errors
-    /// When the storage fails.
+    /// If the storage fails.
     pub async fn read(
         &self,
         key: &str,
@@ -271,10 +270,10 @@ impl Storage {
         }))
     }
 
-    /// Removes whatever is below a folder.
+    /// Removes all objects below a folder.
     ///
     /// # Errors
-    /// When the storage fails.
+    /// If the storage fails.
     pub async fn remove(&self, folder: &str) -> Result<(), StorageError> {
         let at = self.key(folder);
         let all = self.store.list(Some(&at)).map_ok(|it| it.location).boxed();
@@ -288,10 +287,10 @@ impl Storage {
         }
     }
 
-    /// Removes an object.
+    /// Removes an object; a missing one is no error.
     ///
     /// # Errors
-    /// When the storage fails.
+    /// If the storage fails.
     pub async fn delete(&self, key: &str) -> Result<(), StorageError> {
         match self.store.delete(&self.key(key)).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),

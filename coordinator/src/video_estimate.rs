@@ -4,22 +4,21 @@ use queue::expand::NewCampaign;
 
 use crate::words::duration_text;
 
-/// A control step of a video, bytes: 1.2 to 2.3 thousand in four rollouts of 78
-/// to 111 steps (two tasks, the real assets and the built-in ones).
+/// Video size per control step, bytes. Measured: 1.2 to 2.3 thousand in four rollouts of 78 to 111
+/// steps (two tasks, the real assets and the built-in ones).
 const VIDEO_BYTES_PER_STEP: f64 = 2_300.0;
-/// Simulating a control step of a video again, drawing and compressing it, on one
-/// core, s: 0.04 to 0.07, and up to 0.12 where the sensor's corruption is in the
-/// pictures (docs/PERFORMANCE.md, "What a film costs").
+/// Time to simulate, draw and encode a control step of a video on one core, s. Measured: 0.04 to
+/// 0.07, and up to 0.12 with sensor corruption (docs/PERFORMANCE.md, "What a film costs").
 const FILMING_SECS_PER_STEP: f64 = 0.12;
-/// A control step's action as it is kept, bytes: seven 32-bit numbers.
+/// Size of a stored action, bytes: seven 32-bit numbers.
 const ACTION_BYTES_PER_STEP: f64 = 28.0;
-/// Configurations that simultaneous perturbation changed in the paper: 1,417 of 8,400,
-/// over seven policies and three levels (table of paired outcomes, b + c).
+/// Fraction of configurations whose outcome simultaneous perturbation changed in the paper: 1,417
+/// of 8,400 over seven policies and three levels (table of paired outcomes, b + c).
 const CHANGED_IN_THE_PAPER: f64 = 0.17;
-/// The most of one policy at one level: 134 of 400.
+/// Largest such fraction of one policy at one level: 134 of 400.
 const MOST_CHANGED_IN_THE_PAPER: f64 = 0.34;
 
-/// Describes the disk space and time of a campaign's videos; none if there are none.
+/// Describes the disk space and time of a campaign's videos; `None` if it records none.
 pub fn in_words(campaign: &NewCampaign) -> Option<String> {
     let steps = campaign.step_budget as f64;
     let videos = |share: f64| {
@@ -45,7 +44,7 @@ pub fn in_words(campaign: &NewCampaign) -> Option<String> {
     }
 }
 
-/// Bytes, for people.
+/// Formats a size in MB or GB.
 fn size(bytes: f64) -> String {
     match bytes {
         1e9.. => format!("{:.1} GB", bytes / 1e9),

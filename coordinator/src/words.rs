@@ -1,11 +1,10 @@
-//! How spans, instants, rates and sizes are written for people, the same on a
-//! terminal and on the page.
+//! Formatting of durations, instants, rates and sizes, for terminal and page alike.
 
 use queue::clock::UnixMillis;
 use time::OffsetDateTime;
 
-/// Rollouts per second, minute or hour, whichever gives a number above one:
-/// `2.1/s`, `25.2/min`.
+/// Formats a rate per second, minute or hour, in the shortest of these units in which it is at
+/// least one: `2.1/s`, `25.2/min`.
 pub fn rate_text(per_sec: f64) -> String {
     if per_sec >= 1.0 {
         format!("{per_sec:.1}/s")
@@ -16,7 +15,7 @@ pub fn rate_text(per_sec: f64) -> String {
     }
 }
 
-/// A span in its two largest units: `42s`, `4m28s`, `3h05m`, `2d01h`.
+/// Formats a duration in its two largest units: `42s`, `4m28s`, `3h05m`, `2d01h`.
 pub fn duration_text(secs: f64) -> String {
     let secs = secs.round() as u64;
     match (secs / 86_400, secs / 3_600 % 24, secs / 60 % 60, secs % 60) {
@@ -27,8 +26,8 @@ pub fn duration_text(secs: f64) -> String {
     }
 }
 
-/// An instant to the second: `2026-11-21 15:36:09 UTC`. One beyond the year
-/// 9999 is told in milliseconds since 1970.
+/// Formats an instant to the second: `2026-11-21 15:36:09 UTC`; beyond the year 9999, in
+/// milliseconds since 1970.
 pub fn utc_text(at: UnixMillis) -> String {
     match OffsetDateTime::from_unix_timestamp(at.0.div_euclid(1_000)) {
         Ok(instant) => {
@@ -39,8 +38,8 @@ pub fn utc_text(at: UnixMillis) -> String {
     }
 }
 
-/// An instant in RFC 3339, to the millisecond: `2026-11-21T15:36:09.123Z`. One
-/// beyond the year 9999 is the last that can be written so.
+/// Formats an instant in RFC 3339 to the millisecond: `2026-11-21T15:36:09.123Z`. Later instants
+/// are clamped to the last second of the year 9999, earlier ones to 1970.
 pub fn rfc3339(at: UnixMillis) -> String {
     const LAST_SECS: i64 = 253_402_300_799;
     let secs = at.0.div_euclid(1_000).clamp(0, LAST_SECS);
@@ -51,8 +50,7 @@ pub fn rfc3339(at: UnixMillis) -> String {
     format!("{}T{h:02}:{m:02}:{s:02}.{millis:03}Z", instant.date())
 }
 
-/// Describes the assets, simulator, renderer and program of a worker; a version that it did not
-/// name is left out.
+/// Describes the assets, simulator, renderer and program of a worker; empty values are left out.
 pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, program: &str) -> String {
     let named = |prefix: &str, version: &str| match version {
         "" => String::new(),
@@ -64,7 +62,7 @@ pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, program: &str) -> Strin
     told.join(", ")
 }
 
-/// A size: `812 B`, `3.4 MiB`.
+/// Formats a size in binary units: `812 B`, `3.4 MiB`.
 pub fn size_text(bytes: u64) -> String {
     let units = ["KiB", "MiB", "GiB", "TiB"];
     let mut size = bytes as f64 / 1024.0;
@@ -110,7 +108,7 @@ mod tests {
         assert_eq!(sizes, ["812 B", "3.4 MiB", "16777216.0 TiB"]);
     }
 
-    /// A worker of schema 1 names no renderer.
+    /// Workers stored under schema 1 have no renderer.
     #[test]
     fn what_a_worker_did_not_name_leaves_no_gap() {
         assert_eq!(

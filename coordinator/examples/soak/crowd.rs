@@ -1,6 +1,6 @@
-//! The workers: tasks of this process, each worker with a connection of its own. A slot claims,
-//! waits as long as a rollout takes, and reports an outcome that follows from the rollout's
-//! name; whatever the coordinator does not answer is asked again.
+//! Simulated workers: tasks of this process, with one connection per worker. A slot claims, sleeps
+//! for the duration of a rollout, and commits an outcome that is a hash of the rollout's
+//! configuration. Failed calls are retried.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -19,30 +19,30 @@ use transport::Connection;
 use super::server::Reached;
 use super::{Arguments, Shared, drawn};
 
-/// Between two heartbeats of a worker.
+/// Heartbeat interval of a worker.
 const HEARTBEAT: Duration = Duration::from_secs(5);
-/// Longest wait for the answer to a call.
+/// Timeout of a call.
 const CALL_TIMEOUT: Duration = Duration::from_secs(60);
-/// After a claim that found nothing, and after a call that failed.
+/// Pause after an empty claim or a failed call.
 const PAUSE: Duration = Duration::from_secs(1);
-/// Nothing was leased or running for so long, which is longer than a lease that a restored
-/// backup brings back: everything is done.
+/// Time without running rollouts after which the campaigns count as finished. Longer than a lease,
+/// since a restored backup brings leases back.
 const QUIET: Duration = Duration::from_secs(45);
-/// Tasks that film, and the size of what they send.
+/// Number of filming tasks, and the size of the films that they upload.
 const FILMERS: u32 = 8;
 const FILM_BYTES: usize = 16 << 10;
-/// The share of configurations that all axes together make fail.
+/// Share of configurations with an emergent failure.
 const EMERGENT: f64 = 0.02;
 const PACK: &str = "primitives";
 const MUJOCO: &str = "3.3.7";
 
 type Client = WorkerServiceClient<Connection>;
 
-/// The workers, and what became of their calls.
+/// Simulated workers and the counts of their calls.
 pub(crate) struct Crowd {
     reached: Reached,
     rollout: Duration,
-    /// Latencies of claims since they were last taken, seconds.
+    /// Latencies of claims since the last [`Crowd::take_claims`], seconds.
     claims: Shared<Vec<f64>>,
     accepted: AtomicU64,
     refused: AtomicU64,
@@ -54,14 +54,14 @@ pub(crate) struct Crowd {
     tasks: tokio::sync::Mutex<JoinSet<()>>,
 }
 
-/// A worker, which is started again where it must stop.
+/// Simulated worker, which restarts when the coordinator tells it to stop.
 struct Worker {
     number: u32,
     slots: u32,
     starts: AtomicU32,
     is_registered: AtomicBool,
     client: Client,
-    /// The leases that are to be renewed.
+    /// Attempt ids of the leases that heartbeats renew.
     held: Shared<BTreeSet<String>>,
 }
 
@@ -70,8 +70,7 @@ impl Worker {
         format!("worker-{:04}.{start}", self.number)
     }
 
-    /// Starts again, unless another slot has seen to that. A worker that is started again has
-    /// another id.
+    /// Restarts the worker under a new id, unless another slot has already done so since `start`.
     fn start_again(&self, start: u32) {
         let order = Ordering::SeqCst;
         let started = self.starts.compare_exchange(start, start + 1, order, order);
@@ -129,7 +128,7 @@ impl Crowd {
         WorkerServiceClient::new(connection.expect("a host"))
     }
 
-    /// Latencies of claims since this was last asked, seconds.
+    /// Takes the latencies of the claims since the last call, seconds.
     pub(crate) fn take_claims(&self) -> Vec<f64> {
         std::mem::take(&mut *self.claims.lock().expect("no panic"))
     }
@@ -138,12 +137,12 @@ impl Crowd {
         self.accepted.load(Ordering::Relaxed)
     }
 
-    /// Results that were refused, calls that failed, and films that were stored.
+    /// Returns the numbers of refused results, failed calls and stored films.
     pub(crate) fn others(&self) -> [u64; 3] {
         [&self.refused, &self.failed, &self.films].map(|it| it.load(Ordering::Relaxed))
     }
 
-    /// Nothing is running, and has not been for a while.
+    /// Returns true if no rollout has been running for [`QUIET`].
     pub(crate) fn is_finished(&self) -> bool {
         let quiet = self.busy.lock().expect("no panic").elapsed();
         self.running.load(Ordering::Relaxed) == 0 && quiet > QUIET
@@ -158,7 +157,7 @@ impl Crowd {
         self.is_stopped.load(Ordering::Relaxed)
     }
 
-    /// A call that failed; the coordinator may be down.
+    /// Counts a failed call and pauses, since the coordinator may be down.
     async fn failed(&self, _: &Status) {
         self.failed.fetch_add(1, Ordering::Relaxed);
         *self.busy.lock().expect("no panic") = Instant::now();
@@ -213,7 +212,7 @@ impl Crowd {
     async fn run_slot(self: Arc<Self>, worker: Arc<Worker>, slot: u32) {
         let mut client = worker.client.clone();
         let held = &worker.held;
-        // Workers of a cluster start one after the other.
+        // Staggered start, as in a cluster.
         let name = format!("{} {slot}", worker.number);
         tokio::time::sleep(self.rollout.mul_f64(drawn(&name))).await;
         let mut claims = 0_u64;
@@ -262,10 +261,11 @@ impl Crowd {
         }
     }
 
-    /// Runs a rollout and reports it until that is answered. Returns its task.
+    /// Simulates a rollout and commits it, with retries until the coordinator responds; returns the
+    /// rollout's task.
     async fn roll_out(&self, client: &mut Client, lease: &wire::Lease) -> String {
         let row: ManifestRow = serde_json::from_str(&lease.manifest_row).expect("a row");
-        // Half as long to half as long again.
+        // 0.5 to 1.5 times the mean duration.
         let share = 0.5 + drawn(&lease.attempt_id);
         tokio::time::sleep(self.rollout.mul_f64(share)).await;
         let report = report(lease, &row);
@@ -279,7 +279,7 @@ impl Crowd {
                     count.fetch_add(1, Ordering::Relaxed);
                     break;
                 }
-                // It was granted after the backup that was restored.
+                // The lease was granted after the backup that has been restored since.
                 Err(status) if status.code() == Code::NotFound => {
                     self.refused.fetch_add(1, Ordering::Relaxed);
                     break;
@@ -321,8 +321,8 @@ impl Crowd {
     }
 }
 
-/// Returns true if the worker is unknown, or may lease no more: after a restored backup, leases
-/// of before count as lost.
+/// Returns true if the coordinator does not know the worker or no longer leases to it, as after a
+/// restored backup, when the worker's leases count as lost.
 fn is_refused(status: &Status) -> bool {
     matches!(status.code(), Code::NotFound | Code::FailedPrecondition)
 }
@@ -343,7 +343,8 @@ fn registration(id: &str, slots: u32) -> wire::RegisterRequest {
     }
 }
 
-/// Configurations that are emergent fail where camera and sensor are perturbed together.
+/// Returns the outcome of a rollout. A share of [`EMERGENT`] configurations fails if camera and
+/// sensor are both perturbed; everything else succeeds.
 fn succeeds(row: &ManifestRow) -> bool {
     let Some(config) = row.id.config() else {
         return true;
@@ -390,7 +391,7 @@ fn report(lease: &wire::Lease, row: &ManifestRow) -> wire::CommitRequest {
     }
 }
 
-/// The parameters of each perturbed axis, and one element that is always the same.
+/// Returns the parameters of each perturbed axis, with one constant element.
 fn realised(row: &str) -> Vec<wire::RealisedAxis> {
     let row: serde_json::Value = serde_json::from_str(row).expect("a row");
     let parameters = &row["perturb"];

@@ -1,4 +1,4 @@
-//! The samples as a figure: a panel for each quantity, over the minutes, with the events.
+//! Draws the samples as an SVG figure: one panel per quantity over time, with the events marked.
 
 use std::fmt::Write;
 
@@ -11,10 +11,10 @@ const RIGHT: f64 = 20.0;
 const GAP: f64 = 26.0;
 const COLOURS: [&str; 3] = ["#1f5fa8", "#c4511d", "#3a7d44"];
 
-/// Label of a line, and the quantity of a sample that it shows; None where it was not measured.
+/// Label and value of a curve; `None` for samples without a measurement.
 type Line = (&'static str, fn(&Sample) -> Option<f64>);
 
-/// A panel: what it shows, with its unit, and its lines.
+/// Panels: title with unit, and curves.
 const PANELS: [(&str, &[Line]); 6] = [
     (
         "claims, ms",
@@ -50,7 +50,7 @@ const PANELS: [(&str, &[Line]); 6] = [
     ),
 ];
 
-/// The figure, SVG.
+/// Returns the figure as SVG.
 pub(crate) fn draw(samples: &[Sample]) -> String {
     let height = PANELS.len() as f64 * (PANEL + GAP) + 2.0 * GAP;
     let until = samples.last().map_or(1.0, |it| it.at).max(1.0);

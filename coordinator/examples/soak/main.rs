@@ -1,13 +1,13 @@
-//! A crowd of slots at one coordinator for as long as it takes: whether anything grows that
-//! should not. Slots are tasks of this process that claim, wait and report; everything between
-//! them and the database is real: gRPC, TLS, tokens, sockets, the coordinator's process.
+//! Soak test of one coordinator under thousands of slots, which detects leaks: memory, files, logs
+//! or latencies that keep growing. Slots are simulated by tasks of this process that claim, sleep
+//! and commit; gRPC, TLS, tokens, sockets and the coordinator process are real.
 //!
-//! Four campaigns share the jobs: one that is only measured, one that may stop early, one that
-//! films what its perturbations change, and one that explains the third. Page, metrics and
-//! status are asked for all the while. On the way the coordinator is killed once, and once its
-//! database is lost and the backup restored.
+//! Four campaigns share the jobs: one is only measured, one may stop early, one films the
+//! configurations whose outcome changes, and one explains the third. Page, metrics and status are
+//! requested throughout. The coordinator is killed once, and its database is once replaced by a
+//! backup.
 //!
-//! Prints a line every few seconds, draws a figure, and exits with 1 if something grew, or a
+//! Prints a line every few seconds, draws a figure, and exits with code 1 if something grew or a
 //! rollout was lost.
 
 mod crowd;
@@ -30,11 +30,11 @@ use watch::Watch;
 
 /// Rollouts of one replicate of the whole design.
 const DESIGN: u64 = 10_400;
-/// When the coordinator is killed, backed up, and given the backup back: shares of the time.
+/// Times of the kill, the backup and its restoration, as fractions of the planned duration.
 const KILL: f64 = 0.4;
 const BACK_UP: f64 = 0.6;
 const RESTORE: f64 = 0.7;
-/// The crowd may take so many times as long as planned before that is a failure.
+/// Longest duration of the test, as a multiple of the planned one.
 const PATIENCE: f64 = 3.0;
 
 /// Keep a crowd of slots at one coordinator, and watch what grows.
@@ -62,7 +62,7 @@ impl Arguments {
         Duration::from_secs_f64(self.minutes * 60.0)
     }
 
-    /// Returns the mean duration of a rollout by which all of them take as long as planned.
+    /// Returns the mean duration of a rollout with which all jobs take as long as planned.
     fn rollout(&self) -> Duration {
         self.planned()
             .mul_f64(f64::from(self.slots) / self.jobs as f64)
@@ -138,12 +138,12 @@ async fn run(arguments: &Arguments) -> Result<()> {
     watch::judge(&samples)
 }
 
-/// Creates the campaigns: 55 % of the jobs are only measured, 30 % filmed, 15 % of the one that
-/// may stop early, which takes no replicates.
+/// Creates the campaigns: 55 % of the jobs are only measured, 30 % are filmed, and 15 % belong to
+/// the campaign that may stop early, which has no replicates.
 fn create(server: &Server, arguments: &Arguments) -> Result<()> {
     let spec = |name: &str, share: f64| {
         let designs = (arguments.jobs as f64 * share / DESIGN as f64).round();
-        // Less than one design takes fewer tasks.
+        // Two tasks suffice for less than one full design.
         let tasks = match designs {
             0.0 => json!(["libero_object/0", "libero_object/1"]),
             _ => json!([
@@ -185,7 +185,7 @@ fn create(server: &Server, arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// A number that is the same for the same text, in [0, 1).
+/// Hashes a text to a number in [0, 1).
 pub(crate) fn drawn(text: &str) -> f64 {
     use sha2::{Digest, Sha256};
     let digest = Sha256::digest(text.as_bytes());

@@ -1,4 +1,4 @@
-//! The coordinator's process, guarded by TLS and tokens, and its operator's commands.
+//! Coordinator process with TLS and tokens, and the operator commands against it.
 
 use std::fs::{File, Permissions};
 use std::net::{SocketAddr, TcpListener};
@@ -12,10 +12,10 @@ use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair}
 use serde_json::Value;
 use transport::{Access, Role};
 
-/// Longest time that it may take to start, or to end.
+/// Time limit for the coordinator to start or to exit.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A coordinator; killed when it goes out of scope.
+/// Running coordinator, killed on drop.
 pub(crate) struct Server {
     folder: PathBuf,
     address: SocketAddr,
@@ -23,7 +23,7 @@ pub(crate) struct Server {
     starts: u32,
 }
 
-/// Address and access that its clients need.
+/// Address and credentials for clients of the coordinator.
 #[derive(Clone)]
 pub(crate) struct Reached {
     /// `https://localhost:PORT`.
@@ -53,7 +53,7 @@ impl Server {
         let certificate = certificate.signed_by(&key, &issuer)?;
         std::fs::write(folder.join("cert.pem"), certificate.pem())?;
         write_private(&folder.join("key.pem"), &key.serialize_pem())?;
-        // It comes back at the same port.
+        // Reserves a port, since restarts must listen on the same one.
         let address = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
         let folder = folder.to_owned();
         let mut server = Server {
@@ -85,7 +85,7 @@ impl Server {
         self.child.id()
     }
 
-    /// The log of the process that runs now.
+    /// Returns the log file of the current process.
     pub(crate) fn log(&self) -> PathBuf {
         self.folder.join(format!("log.{}", self.starts - 1))
     }
@@ -103,13 +103,13 @@ impl Server {
         Ok(backup)
     }
 
-    /// Loses the database and puts the backup in its place.
+    /// Kills the coordinator, replaces the database by the backup and starts again.
     pub(crate) fn restore(&mut self, backup: &Path) -> Result<()> {
         self.child.kill().context("kill the coordinator")?;
         self.child.wait()?;
         let database = self.folder.join("data/coordinator.sqlite");
         for beside in ["", "-wal", "-shm"] {
-            // There is a log only if the process died.
+            // The WAL files exist only because the process was killed.
             let _ = std::fs::remove_file(format!("{}{beside}", database.display()));
         }
         std::fs::copy(backup, &database).context("restore the backup")?;
@@ -138,7 +138,7 @@ impl Server {
         Ok(unfinished)
     }
 
-    /// Asks it to end, and waits until it has.
+    /// Sends SIGTERM and waits for the coordinator to exit.
     pub(crate) fn stop(&mut self) -> Result<()> {
         let id = self.child.id().to_string();
         Command::new("kill").args(["-TERM", &id]).status()?;
@@ -153,7 +153,7 @@ impl Server {
         Ok(())
     }
 
-    /// Every invariant of the database at rest.
+    /// Runs `coordinator check` on the database and returns its output.
     pub(crate) fn check(&self) -> Result<String> {
         let data = self.folder.join("data");
         let output = Command::new(program()?).arg("check").arg(data).output()?;
@@ -210,7 +210,7 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The process may have exited already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -234,7 +234,7 @@ fn spawn(folder: &Path, address: SocketAddr, number: u32) -> Result<Child> {
         .context("start the coordinator")
 }
 
-/// The coordinator that was built with this program: an example lies in a folder beside it.
+/// Returns the path of the coordinator program, one folder above the examples' in `target`.
 fn program() -> Result<PathBuf> {
     let own = std::env::current_exe()?;
     let folder = own
@@ -247,7 +247,7 @@ fn program() -> Result<PathBuf> {
     Ok(program)
 }
 
-/// Writes a file that only this user may read.
+/// Writes a file that only its owner may read.
 fn write_private(path: &Path, text: &str) -> Result<()> {
     std::fs::write(path, text)?;
     Ok(std::fs::set_permissions(

@@ -1,5 +1,5 @@
-//! Samples of whatever may grow, every few seconds: the coordinator's memory, descriptors, log and
-//! database, and how long calls take.
+//! Samples quantities that must not keep growing: the coordinator's memory, file descriptors, log
+//! and database, and the latencies of calls.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -17,25 +17,25 @@ use super::Shared;
 use super::crowd::Crowd;
 use super::server::Reached;
 
-/// Between two samples.
+/// Interval between two samples.
 const INTERVAL: Duration = Duration::from_secs(5);
-/// Between two requests of one kind: people and Prometheus ask seldom, many people often.
+/// Interval between two requests of one kind, as from many browsers together.
 const ASKED_EVERY: Duration = Duration::from_millis(500);
-/// Pages that people open, besides the metrics.
+/// Pages that are requested in turn.
 const PAGES: [&str; 4] = ["/", "/campaigns/measured", "/campaigns/filmed", "/workers"];
 
-/// The coordinator and its calls at one moment.
+/// Measurements of the coordinator and of the calls since the previous sample.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Sample {
-    /// Seconds since the beginning.
+    /// Time since the start, seconds.
     pub(crate) at: f64,
-    /// Event since the sample before.
+    /// Event since the previous sample.
     pub(crate) event: Option<&'static str>,
     pub(crate) accepted: u64,
-    /// Median latency of the claims since the sample before, seconds; none where there were none.
+    /// Median latency of the claims since the previous sample, seconds; `None` without claims.
     pub(crate) claim_p50: Option<f64>,
     pub(crate) claim_p99: Option<f64>,
-    /// The longest of page, metrics and status since the sample before, seconds.
+    /// Longest latencies of page, metrics and status since the previous sample, seconds.
     pub(crate) page: Option<f64>,
     pub(crate) metrics: Option<f64>,
     pub(crate) status: Option<f64>,
@@ -50,12 +50,12 @@ pub(crate) struct Sample {
 struct Followed {
     process: u32,
     log: PathBuf,
-    /// Bytes of the logs of processes that have ended.
+    /// Total size of the logs of earlier processes, bytes.
     earlier_logs: u64,
     event: Option<&'static str>,
 }
 
-/// Longest answers since the last sample, by kind, seconds.
+/// Longest latencies of page, metrics and status since the last sample, seconds.
 type Longest = Shared<[Option<f64>; 3]>;
 
 pub(crate) struct Watch {
@@ -93,7 +93,7 @@ impl Watch {
         }
     }
 
-    /// Looks at this process from now on.
+    /// Switches the sampling to a restarted process.
     pub(crate) fn follow(&self, process: u32, log: &Path) {
         let mut followed = self.followed.lock().expect("no panic");
         followed.earlier_logs += size(&followed.log);
@@ -189,7 +189,7 @@ fn note(longest: &Longest, kind: usize, took: Duration) {
     *longest = Some(longest.unwrap_or_default().max(took.as_secs_f64()));
 }
 
-/// Opens pages (kind 0), or the metrics (kind 1), one after the other.
+/// Requests the pages in turn (kind 0) or the metrics (kind 1).
 async fn ask_pages(reached: Reached, longest: Longest, kind: usize) {
     for turn in 0_usize.. {
         tokio::time::sleep(ASKED_EVERY).await;
@@ -198,7 +198,7 @@ async fn ask_pages(reached: Reached, longest: Longest, kind: usize) {
             _ => "/metrics",
         };
         let asked = Instant::now();
-        // While the coordinator is down nobody answers.
+        // Failed requests are not counted, since the coordinator is down at times.
         if get(&reached, path).await.is_ok() {
             note(&longest, kind, asked.elapsed());
         }
@@ -220,7 +220,7 @@ async fn get(reached: &Reached, path: &str) -> Result<()> {
     );
     stream.write_all(request.as_bytes()).await?;
     let mut answer = Vec::new();
-    // A server that closes at once may leave out the end of TLS.
+    // A server that closes immediately may omit TLS's close_notify, which is an error here.
     let _ = stream.read_to_end(&mut answer).await;
     match answer.starts_with(b"HTTP/1.1 200") {
         true => Ok(()),
@@ -247,8 +247,11 @@ async fn ask_status(reached: Reached, longest: Longest) {
     }
 }
 
-/// Compares the last third of the samples with the one before: what is left to grow then grows
-/// for ever.
+/// Compares the last third of the samples with the second: a quantity that still grows then is
+/// taken to grow without bound.
+///
+/// # Errors
+/// If a quantity grew beyond its tolerance.
 pub(crate) fn judge(samples: &[Sample]) -> Result<()> {
     let third = samples.len() / 3;
     if third < 3 {
@@ -267,7 +270,7 @@ pub(crate) fn judge(samples: &[Sample]) -> Result<()> {
         let of_results = results(&of[of.len() - 1]) - results(&of[0]);
         (value(&of[of.len() - 1]) - value(&of[0])) / of_results.max(1.0)
     };
-    // Name, before, at the end, and what is allowed.
+    // Rows of name, value before, value at the end, and tolerance: a factor and an addend.
     let (memory, files) = (
         |it: &Sample| it.resident_mib,
         |it: &Sample| it.descriptors as f64,

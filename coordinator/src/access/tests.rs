@@ -1,6 +1,6 @@
-//! Every path of every service and every page, asked for in every way that programs, this
-//! server's pages and strangers' pages could, with every token: what comes through the gate is
-//! what the table below says.
+//! Exhaustive access test: every path of every service and page is requested with every combination
+//! of sender, credentials, method and content type, and the gate must admit exactly the requests
+//! that the tables below allow.
 
 use std::convert::Infallible;
 use std::future::{Ready, ready};
@@ -40,7 +40,7 @@ impl Service<Request<()>> for Reached {
     }
 }
 
-/// Sender of a request, as its headers say.
+/// Sender of a request, as inferred from its headers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sender {
     /// `coordinator`, a worker, curl.
@@ -53,7 +53,7 @@ enum Sender {
     Link,
     /// A page of another port of this machine.
     OtherPort,
-    /// Another site's page, with what browsers say of it.
+    /// Another site's page, in a browser that sends `Sec-Fetch-Site`.
     Stranger,
     /// Another site's page in a browser that sends no `Sec-Fetch-Site`.
     OldStranger,
@@ -121,7 +121,7 @@ enum Shown {
     Token(Role),
     /// The cookie of a browser in which an operator logged in.
     Session,
-    /// A token in place of a session's name.
+    /// An operator's token in place of the session id in the cookie.
     TokenInCookie,
 }
 
@@ -147,7 +147,7 @@ const CONTENTS: [Option<&str>; 7] = [
     Some("application/grpc-web-text+proto"),
 ];
 
-/// All calls, and the roles that may make them.
+/// Returns all calls with the roles that may make them, from the proto file and unknown services.
 fn calls() -> Vec<(String, Vec<Role>)> {
     let proto = include_str!("../../../proto/rollout/coordinator/v1/coordinator.proto");
     let mut service = "";
@@ -212,14 +212,15 @@ fn credentials(shown: Shown, cookie: Option<&str>) -> Option<(&'static str, Stri
     }
 }
 
-/// Sends a request for a path in every way. Compares what comes through with the table.
+/// Requests a path with every combination of headers and asserts that the gate admits exactly the
+/// requests for which `expected` returns true. Returns the number of requests.
 async fn walk(
     path: &str,
     security: &Security,
     cookie: Option<&str>,
     expected: impl Fn(&Request<()>, Sender, Option<&str>, Shown) -> bool,
 ) -> usize {
-    // Each gate counts the requests of a connection for itself.
+    // A new gate for each path, since a gate counts the requests of its connection.
     let mut gate = security.gate(resource, Some(LOG_IN)).layer(Reached);
     let mut asked = 0;
     for version in [Version::HTTP_11, Version::HTTP_2] {
@@ -266,7 +267,7 @@ async fn no_combination_of_headers_opens_more_than_the_table_says() {
     let (_file, guarded) = guarded();
     let cookie = guarded.log_in(OPERATOR, &READERS).expect("an operator");
     let cookie = cookie.split(';').next().expect("a pair").to_owned();
-    // These requests come over no connection that could tell whose they are.
+    // Without a real connection, the peer's user cannot be checked.
     let open = ServerArguments {
         insecure_loopback: true,
         ..ServerArguments::default()

@@ -1,4 +1,4 @@
-//! The members that are made from a campaign's rows, and where two of them differ.
+//! Members derived from a campaign's rows, and the comparison of an archived one with a fresh one.
 
 use std::collections::BTreeMap;
 
@@ -11,26 +11,26 @@ use serde_json::Value;
 use super::ArchiveError;
 use crate::report;
 
-/// A campaign's specification.
+/// Member with the campaign's specification.
 pub(super) const SPECIFICATION: &str = "specification.json";
-/// Origins of its results.
+/// Member with the provenance of the results.
 pub(super) const PROVENANCE: &str = "provenance.json";
-/// Its report.
+/// Member with the campaign's report.
 pub(super) const REPORT: &str = "report.json";
 
-/// Members made from rows, by name.
+/// Names and contents of the derived members.
 pub(super) type Derived = [(&'static str, String); 3];
 
-/// Origins of results, and the policy seeds that results depend on, too.
+/// Content of [`PROVENANCE`].
 #[derive(Serialize)]
 struct Origins {
-    /// The circumstances of the results: machines, programs, assets, policies.
+    /// Machines, programs, assets and policies of the results.
     origins: Vec<Provenance>,
-    /// The seeds that the policy is given, by rollout, one for each replicate.
+    /// Policy seeds by rollout, one for each replicate.
     policy_seeds: BTreeMap<String, Vec<u64>>,
 }
 
-/// Makes them.
+/// Computes the derived members of a campaign.
 pub(super) async fn derive(from: &Portable) -> Result<Derived, ArchiveError> {
     let mut view = from.view().await?;
     let mut subject = report::subject(&mut view, &from.campaign).await?;
@@ -48,7 +48,7 @@ pub(super) async fn derive(from: &Portable) -> Result<Derived, ArchiveError> {
         member: PROVENANCE,
         source: error.into(),
     })?;
-    // Thousands of resamplings.
+    // Runs on a blocking thread, since it takes thousands of bootstrap resamplings.
     let computed = tokio::task::spawn_blocking(|| Document::new(vec![subject])?.json()).await;
     let report = computed.map_err(|_| ArchiveError::Panicked {
         archive: from.campaign.name.to_string(),
@@ -60,8 +60,8 @@ pub(super) async fn derive(from: &Portable) -> Result<Derived, ArchiveError> {
     ])
 }
 
-/// The first place where an archived text, JSON, is not what was made now. What a later
-/// release says in addition is no difference.
+/// Returns the path of the first difference between an archived JSON text and a fresh one; `None`
+/// if they agree. Keys that only the fresh one has are ignored, since a later release may add some.
 pub(super) fn difference(archived: &str, now: &str) -> Option<String> {
     let read = |text| serde_json::from_str::<Value>(text);
     match (read(archived), read(now)) {

@@ -1,4 +1,4 @@
-//! Writing an archive.
+//! Writes archives.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -13,7 +13,7 @@ use tar::{Builder, EntryType, Header};
 use super::derived::{self, Derived};
 use super::{ArchiveError, Contents, FORMAT, Half, LIST, Member};
 
-/// Everything that goes into an archive, ready to be written.
+/// Archive ready to be written: its table of contents and the files of its members.
 #[derive(Debug)]
 pub struct Package {
     contents: Contents,
@@ -21,12 +21,11 @@ pub struct Package {
     files: Vec<PathBuf>,
 }
 
-/// Makes a campaign ready to be written: what is made from its rows, and the list. Its
-/// database is closed. A film is read at the path that `film` gives for its name; one
-/// that is not there is left out.
+/// Prepares a campaign's archive: derives members from its rows, closes its database and lists all
+/// files. `film` maps a film's name to its path; films whose files are missing are left out.
 ///
 /// # Errors
-/// When its results cannot be read, or a file cannot be read or written.
+/// If the results cannot be read, or a file cannot be read or written.
 pub async fn package(
     campaign: Portable,
     film: impl Fn(&str) -> PathBuf,
@@ -70,7 +69,7 @@ pub async fn package(
     Ok(Package { contents, files })
 }
 
-/// Writes what is made from rows beside the database, and reads every file once.
+/// Writes the derived members beside the database and computes size and digest of every file.
 fn list(
     folder: &Path,
     made: Derived,
@@ -101,21 +100,22 @@ fn list(
 }
 
 impl Package {
-    /// Returns its table of contents.
+    /// Returns the table of contents.
     pub fn contents(&self) -> &Contents {
         &self.contents
     }
 
-    /// Writes it. The same campaign in the same state gives the same bytes.
+    /// Writes the archive. The output is reproducible: the same campaign in the same state gives
+    /// the same bytes.
     ///
     /// # Errors
-    /// When `out` fails, or a file is not what it was when it was listed.
+    /// If `out` fails, or a file has changed since it was listed.
     pub fn write(&self, out: impl Write, archive: &Path) -> Result<(), ArchiveError> {
         let failed = |source| ArchiveError::Write {
             path: archive.to_owned(),
             source,
         };
-        // Films are compressed already, and rows compress well at any level.
+        // Fast compression, since films are compressed already and rows compress well at any level.
         let mut tar = Builder::new(GzEncoder::new(out, Compression::fast()));
         let list = serde_json::to_vec_pretty(&self.contents);
         let list = list.map_err(|error| ArchiveError::Json {
@@ -141,7 +141,7 @@ impl Package {
     }
 }
 
-/// Of a member, whoever wrote it and whenever.
+/// Returns a tar header without owner and modification time, for reproducible archives.
 fn header(bytes: u64) -> Header {
     let mut header = Header::new_gnu();
     header.set_entry_type(EntryType::Regular);
@@ -156,7 +156,7 @@ fn input(path: &Path) -> impl FnOnce(io::Error) -> ArchiveError {
     move |source| ArchiveError::Input { path, source }
 }
 
-/// A reader that notes what passes.
+/// Reader that counts and hashes the bytes read through it.
 pub(super) struct Digesting<R> {
     of: R,
     bytes: u64,
@@ -172,7 +172,7 @@ impl<R: Read> Digesting<R> {
         }
     }
 
-    /// How much passed, and its SHA-256, hex.
+    /// Returns the number of bytes read and their SHA-256, hex.
     pub(super) fn finish(self) -> (u64, String) {
         let digest = self.digest.finalize();
         let hex = digest.iter().map(|byte| format!("{byte:02x}")).collect();
@@ -189,7 +189,7 @@ impl<R: Read> Read for Digesting<R> {
     }
 }
 
-/// Copies everything. Returns how much it was, and its SHA-256, hex.
+/// Copies all bytes; returns their number and their SHA-256, hex.
 pub(super) fn copy_digesting(from: impl Read, mut to: impl Write) -> io::Result<(u64, String)> {
     let mut from = Digesting::of(from);
     io::copy(&mut from, &mut to)?;

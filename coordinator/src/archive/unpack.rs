@@ -1,7 +1,7 @@
-//! Reading an archive, which may come from anybody. Nothing is written before the list of members
-//! has said how much it will be and that there is room for it, and no member may be larger than the
-//! list says. Headers are read one by one, as they are in the file: a library that resolves long
-//! names and extended headers by itself holds them in memory, however long they claim to be.
+//! Reads and verifies archives from untrusted sources. Nothing is written before the table of
+//! contents has declared all sizes and the disk has room for them, and no member may exceed its
+//! declared size. Entries are read raw: the `tar` crate would otherwise resolve long names and
+//! extended headers in memory, whatever size they claim.
 
 use std::fs::File;
 use std::io::{self, BufReader, ErrorKind, Read};
@@ -18,28 +18,27 @@ use super::pack::copy_digesting;
 use super::{ArchiveError, Contents, FORMAT, LIST, Member};
 use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
 
-/// Largest list, bytes: of three hundred thousand films.
+/// Largest table of contents, bytes: enough for three hundred thousand films.
 const MAX_LIST_BYTES: u64 = 64 << 20;
-/// Members may be so many times as large as their archive. Films do not compress, and a database
-/// of repetitive rows comes to a twentieth.
+/// Highest compression ratio, against decompression bombs. Films do not compress, and a database of
+/// repetitive rows compresses to a twentieth.
 const MAX_RATIO: u64 = 100;
-/// Members of so many bytes in all may have any ratio.
+/// Total size of the members up to which any compression ratio is accepted, bytes.
 const SMALL_BYTES: u64 = 64 << 20;
-/// Most zeros behind the last member, bytes. Programs fill archives up to some kilobytes.
+/// Most padding after the last member, bytes. Programs pad archives to a few kilobytes.
 const MAX_PADDING_BYTES: u64 = 1 << 20;
-/// Suffix of a film's name.
 const FILM_SUFFIX: &str = ".mp4";
 
-/// Description of a file that is something else altogether.
+/// Problem reported for a file that is not an archive at all.
 const NO_TAR: &str = "it is no compressed tar";
 
-/// The members that every archive has, in order.
+/// Members that every archive has, in order.
 const MEMBERS: [&str; 4] = [SPECIFICATION, PROVENANCE, REPORT, DATABASE_FILE];
 
-/// A campaign from an archive, verified.
+/// Verified campaign from an archive.
 #[derive(Debug)]
 pub struct Unpacked {
-    /// Its rows, in a data folder of their own, with its films.
+    /// Rows and films of the campaign, in a data folder of their own.
     pub campaign: Portable,
     /// Table of contents of the archive.
     pub contents: Contents,
@@ -48,13 +47,12 @@ pub struct Unpacked {
 type Compressed = GzDecoder<BufReader<File>>;
 type Members<'a> = Entries<'a, Compressed>;
 
-/// Unpacks an archive into an empty folder and verifies it: every member's size and
-/// SHA-256, the versions of its form and its schema, the specification's digest, every
-/// invariant of its database, and that report and provenance follow from its rows.
-/// `name` is the file's name in messages.
+/// Unpacks an archive into an empty folder and verifies size and SHA-256 of every member, the
+/// versions of format and schema, the specification's digest, all database invariants, and that
+/// report and provenance follow from the rows. `name` is the file's name in messages.
 ///
 /// # Errors
-/// See [`ArchiveError`]. Whatever was unpacked is in `into`.
+/// See [`ArchiveError`]. Members unpacked before the error remain in `into`.
 pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, ArchiveError> {
     let (path, archive, folder) = (file.to_owned(), name.to_owned(), into.to_owned());
     let read = move || Reading { archive: &archive }.members(&path, &folder);
@@ -102,13 +100,13 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     Ok(Unpacked { campaign, contents })
 }
 
-/// An archive that is being read.
+/// Reader of one archive; `archive` is its name in messages.
 struct Reading<'a> {
     archive: &'a str,
 }
 
 impl Reading<'_> {
-    /// Unpacks every member, as the list says.
+    /// Unpacks every member and checks it against the table of contents.
     fn members(&self, file: &Path, into: &Path) -> Result<Contents, ArchiveError> {
         let unreadable = |source| ArchiveError::Read {
             archive: self.archive.to_owned(),
@@ -128,7 +126,7 @@ impl Reading<'_> {
             next.map_err(|error| self.broken("its end", error))?;
             return Err(self.altered("its end", "there are members that it does not name"));
         }
-        // Only at its very end does the compression say whether it is whole.
+        // The gzip trailer holds the checksum, so the stream must be read to its very end.
         let mut rest = tar.into_inner().take(MAX_PADDING_BYTES);
         let read = io::copy(&mut rest, &mut io::sink());
         read.map_err(|error| self.broken("its end", error))?;
@@ -144,9 +142,9 @@ impl Reading<'_> {
         }
     }
 
-    /// Reads the list, which comes first.
+    /// Reads the table of contents, which is the first member.
     fn list(&self, entries: &mut Members<'_>) -> Result<Contents, ArchiveError> {
-        /// Fields that are read before anything else.
+        /// Version fields, parsed first so that a newer format is reported as such.
         #[derive(Deserialize)]
         struct Versions {
             format: u32,
@@ -196,7 +194,7 @@ impl Reading<'_> {
         Ok(contents)
     }
 
-    /// The members are those that an archive has, and none leads out of its folder.
+    /// Checks that the members are those of an archive and that no path leads out of the folder.
     fn check_names(&self, contents: &Contents) -> Result<(), ArchiveError> {
         let refused = |problem: String| Err(self.altered(LIST, &problem));
         if let Err(error) = CampaignName::parse(&contents.campaign) {
@@ -219,7 +217,7 @@ impl Reading<'_> {
         Ok(())
     }
 
-    /// There is room for everything that the list names, and it is no bomb.
+    /// Checks that the disk has room for all members and that the archive is no decompression bomb.
     fn check_room(
         &self,
         contents: &Contents,
@@ -241,7 +239,7 @@ impl Reading<'_> {
             path: into.to_owned(),
             source,
         })?;
-        // Its rows are copied from there into another database.
+        // The database counts twice, since its rows are copied into the coordinator's database.
         let databases = contents
             .members
             .iter()
@@ -272,7 +270,7 @@ impl Reading<'_> {
         let another = || self.altered(name, "another one is in its place");
         let mut entry = self.next(entries, name)?;
         let mut found = entry.path_bytes().into_owned();
-        // A name that is too long for a header comes before it, in an entry of its own.
+        // GNU tar stores a name that is too long for the header in a preceding entry.
         if entry.header().entry_type() == EntryType::GNULongName {
             if entry.size() > member.name.len() as u64 + 1 {
                 return Err(another());
@@ -307,7 +305,7 @@ impl Reading<'_> {
         Ok(())
     }
 
-    /// The next entry, as it is in the file.
+    /// Returns the next raw entry.
     fn next<'a>(
         &self,
         entries: &mut Members<'a>,
@@ -336,7 +334,7 @@ impl Reading<'_> {
         }
     }
 
-    /// A failure to read: of the file itself, or of what is in it.
+    /// Classifies a read error: an OS error concerns the file, any other its content.
     fn broken(&self, member: &str, error: io::Error) -> ArchiveError {
         let archive = self.archive.to_owned();
         match error.raw_os_error() {
@@ -357,7 +355,7 @@ enum Failed {
     Writing(io::Error),
 }
 
-/// Writes a file. Returns its size and SHA-256, hex.
+/// Writes a file; returns its size and SHA-256, hex.
 fn write(path: &Path, from: impl Read) -> Result<(u64, String), Failed> {
     let folder = path.parent().unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder).map_err(Failed::Writing)?;
@@ -370,14 +368,14 @@ fn write(path: &Path, from: impl Read) -> Result<(u64, String), Failed> {
     Ok(copied)
 }
 
-/// Returns true if this program could have called a film so. A browser takes a file with another
-/// ending for a page, and a name with other characters leads elsewhere.
+/// Returns true if this program could have generated the film name. Another extension could make a
+/// browser render the file as a page, and other characters could form a path.
 fn is_film(file: &str) -> bool {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
     file.ends_with(FILM_SUFFIX) && !file.starts_with('.') && file.bytes().all(is_plain)
 }
 
-/// A name in a message.
+/// Shortens a name for a message.
 fn shown(name: &str) -> &str {
     queue::ids::shortened(name, 120)
 }

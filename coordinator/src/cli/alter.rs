@@ -79,7 +79,7 @@ pub(super) async fn set_endpoint(arguments: EndpointArguments) -> Result<(), Com
     tell_endpoint(&arguments.campaign, altered)
 }
 
-/// Campaigns that are finished stay as they are.
+/// Moves every unfinished campaign from one policy endpoint to another.
 pub(super) async fn move_endpoint(arguments: MoveArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let campaigns = client.list_campaigns().await?;

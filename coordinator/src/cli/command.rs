@@ -1,4 +1,4 @@
-//! Helpers that commands share: reaching the coordinator, failing and printing.
+//! Helpers shared by all commands: coordinator client, error classes and output.
 
 use std::path::Path;
 use std::time::Duration;
@@ -29,13 +29,13 @@ pub(super) struct Connection {
     access: ClientArguments,
 }
 
-/// A command that did not do what it should.
+/// Error of a command; the variant determines the exit code.
 pub(super) enum CommandError {
-    /// The command is wrong.
+    /// The arguments are invalid; exit code 2.
     Usage(anyhow::Error),
-    /// It failed.
+    /// The command failed; exit code 1.
     Failure(anyhow::Error),
-    /// It judged something, and printed what is wrong with it.
+    /// A check found faults and has printed them already; exit code 1 without a further message.
     Judged,
 }
 
@@ -44,28 +44,28 @@ pub(super) fn print_line(text: &str) -> anyhow::Result<()> {
     print(&format!("{text}\n"))
 }
 
-/// Prints to standard output.
+/// Prints text to standard output without a final newline.
 pub(super) fn print(text: &str) -> anyhow::Result<()> {
     terminal::print(text).context("print to standard output")
 }
 
-/// A command that is wrong.
+/// Wraps the error of an invalid command.
 pub(super) fn usage(error: impl Into<anyhow::Error>) -> CommandError {
     CommandError::Usage(error.into())
 }
 
-/// A command that failed.
+/// Wraps the error of a command that failed.
 pub(super) fn failure(error: impl Into<anyhow::Error>) -> CommandError {
     CommandError::Failure(error.into())
 }
 
 impl Connection {
-    /// A client of this coordinator.
+    /// Returns a client that retries for `--retry-secs`.
     pub(super) fn client(&self) -> Result<Client, CommandError> {
         self.patient_client(Duration::from_secs(self.retry_secs))
     }
 
-    /// The flags and files that give access, for a program that calls the same servers.
+    /// Returns the access flags that were given, with their files, to pass to a child process.
     pub(super) fn access_files(&self) -> impl Iterator<Item = (&'static str, &Path)> {
         let files = [
             ("--token-file", &self.access.token_file),
@@ -76,9 +76,9 @@ impl Connection {
             .filter_map(|(flag, file)| Some((flag, file.as_deref()?)))
     }
 
-    /// A client of this coordinator that keeps trying for so long.
+    /// Returns a client that retries an unreachable coordinator for `retry_for`.
     pub(super) fn patient_client(&self, retry_for: Duration) -> Result<Client, CommandError> {
-        // Operators may read everything, too.
+        // The operator role includes everything that a viewer may read.
         let access = self.access.access(&[Role::Operator, Role::Viewer]);
         let access = access.map_err(failure)?;
         Ok(Client::new(&self.connect, &access, retry_for)?)

@@ -1,5 +1,4 @@
-//! `coordinator compare`: two policies against each other, over the rollouts
-//! that both have.
+//! `coordinator compare`: paired comparison of two policies over the rollouts that both have run.
 
 use std::path::PathBuf;
 
@@ -37,8 +36,8 @@ enum Source {
     Folder(PathBuf),
 }
 
-/// Campaigns and folders in the order in which they stand on the command line,
-/// which says which of them is A: of derived arguments it would be lost.
+/// Campaigns and folders in command-line order: the first is A. Implements clap's `Args` by hand,
+/// since derived arguments would lose the order between `CAMPAIGN` and `--from`.
 #[derive(Clone, Debug)]
 struct Sources(Vec<Source>);
 

@@ -11,7 +11,7 @@ pub(super) struct CompletionsArguments {
     shell: Shell,
 }
 
-/// Prints the script for `command`, which is this program's.
+/// Prints the shell completion script of `command`, the whole command line of this program.
 pub(super) fn completions(
     arguments: CompletionsArguments,
     mut command: Command,

@@ -25,8 +25,7 @@ use super::files::{read_manifest, read_spec};
 use super::planning::{self, Planning};
 use super::{forecast, stopping};
 
-/// The flags that say what a manifest says, and the others that say what a
-/// specification says: an error names those of them that were given.
+/// Flags that conflict with `--manifest` (the first list) and with `--spec` (both lists).
 #[rustfmt::skip]
 const DESIGN_FLAGS: [&str; 9] = [
     "axes", "subsets", "levels", "configs", "nominal", "design_seed", "directions",
@@ -37,7 +36,7 @@ const SPEC_FLAGS: [&str; 12] = [
     "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
     "renderer", "stop", "stop_seed", "stop_strata",
 ];
-/// Names of what is filmed, of nominal rollouts and of what draws.
+/// Valid values of `--record`, `--nominal`, `--renderer`, `--directions` and `--stop-strata`.
 pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
 const NOMINALS: [&str; 3] = ["eval", "all", "none"];
 const RENDERERS: [&str; 2] = ["software", "gl"];
@@ -223,7 +222,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         Some(path) => read_spec(path)?,
         None => spec_of_flags(&arguments)?,
     };
-    // Expanding here finds every mistake before anybody is asked.
+    // Expanding the specification here reports its errors before the coordinator is contacted.
     let campaign = NewCampaign::from_spec(&spec).map_err(usage)?;
     let name = &campaign.name;
     if arguments.print_spec {
@@ -270,7 +269,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     tell_size(&campaign)
 }
 
-/// Prints how many rollouts the noise floor takes.
+/// Prints the number of rollouts at the placebo level, which measure the noise floor.
 fn tell_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
     let placebo = campaign.jobs.iter().filter(|job| job.is_placebo()).count();
     if placebo > 0 {
@@ -336,7 +335,7 @@ fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
         "none" => Vec::new(),
         _ => parsed(&arguments.design.axes)?,
     };
-    // Without axes there is nothing to have a level.
+    // A design without axes has no perturbation to which a level could apply.
     let levels: Vec<Level> = match axes.is_empty() {
         true => Vec::new(),
         false => parsed(&arguments.design.levels)?,
@@ -368,7 +367,7 @@ fn placebo(flags: &DesignFlags) -> anyhow::Result<Placebo> {
     })
 }
 
-/// Sets of axes, of `axes` where they are not named one by one.
+/// Parses `--subsets`; `pairs` and `all` stand for the subsets of `axes` with several axes.
 fn subsets(given: &[String], axes: AxisSet) -> Result<Vec<AxisSet>, UnknownName> {
     let several = |set: &AxisSet| set.len() > 1 && *set != axes;
     let all = axes.subsets().into_iter().filter(several);
@@ -379,7 +378,7 @@ fn subsets(given: &[String], axes: AxisSet) -> Result<Vec<AxisSet>, UnknownName>
     }
 }
 
-/// Tasks as [`select_tasks`] reads them, and ranges of a suite's tasks.
+/// Parses `--tasks`: what [`select_tasks`] accepts, and ranges such as `libero_object/0-3`.
 fn tasks(given: &[String]) -> anyhow::Result<Vec<TaskRef>> {
     let mut tasks = Vec::new();
     for text in given {
@@ -408,14 +407,14 @@ fn configs(given: &[String]) -> anyhow::Result<Vec<u16>> {
     Ok(configs)
 }
 
-/// "3" or "0-9", at most as many as a design may have.
+/// Parses `3` or `0-9`; `None` if the range is malformed or exceeds [`MAX_CONFIGS`].
 fn range(text: &str) -> Option<(u16, u16)> {
     let (first, last) = text.split_once('-').unwrap_or((text, text));
     let (first, last) = (first.parse().ok()?, last.parse().ok()?);
     (first <= last && last <= MAX_CONFIGS).then_some((first, last))
 }
 
-/// A value by its name in a specification, one of these.
+/// Returns a parser of an enum by its name in a specification; `names` lists the valid values.
 pub(super) fn one_of<T>(names: impl Into<PossibleValuesParser>) -> impl TypedValueParser<Value = T>
 where
     T: DeserializeOwned + Clone + Send + Sync + 'static,

@@ -1,5 +1,5 @@
-//! Helpers of commands that find something out by a campaign of their own, whose rollouts follow
-//! from the outcomes of another: finding it, creating it, following it.
+//! Derived campaigns, whose rollouts follow from the outcomes of another campaign: lookup,
+//! creation and progress, shared by `explain` and `thresholds`.
 
 use std::time::Duration;
 
@@ -15,10 +15,11 @@ use terminal::counted;
 use super::command::{CommandError, failure, usage};
 use super::forecast;
 
-/// Between two looks at what was found.
+/// Interval between two fetches of the findings.
 const LOOK_AGAIN: Duration = Duration::from_secs(2);
 
-/// The rollouts of the campaign of this name, if there is one.
+/// Returns the rollouts that a campaign's specification defines; `None` if the campaign does not
+/// exist.
 pub(super) async fn rollouts(
     client: &Client,
     name: &str,
@@ -30,7 +31,7 @@ pub(super) async fn rollouts(
     Ok(Some(spec(client, name).await?.rollouts))
 }
 
-/// The specification of a campaign.
+/// Returns the specification of a campaign.
 pub(super) async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
     let request = GetCampaignRequest {
         campaign: name.to_owned(),
@@ -39,8 +40,8 @@ pub(super) async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, Co
     CampaignSpec::from_json(&answer.spec).map_err(usage)
 }
 
-/// Creates a campaign whose rollouts follow from those of `source`, unless it is there as
-/// it would be created.
+/// Creates a campaign whose rollouts follow from those of `source`, unless it exists with the same
+/// specification.
 pub(super) async fn create(
     client: &Client,
     source: &CampaignStatus,
@@ -89,20 +90,20 @@ pub(super) struct CreateFlags {
     dry_run: bool,
 }
 
-/// Action on a campaign that follows from another.
+/// Action on a derived campaign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Action {
-    /// Create it, unless it is there as it would be created.
+    /// Create the campaign, unless it exists with the same specification.
     Create,
-    /// Print what it would take.
+    /// Print the number of rollouts and the forecast, and create nothing.
     Propose,
-    /// Show what it has found.
+    /// Show the findings of the existing campaign.
     Show,
 }
 
 impl CreateFlags {
-    /// Returns the action that the flags ask for. `has_how_flags` says whether flags were given
-    /// that only make sense for a campaign to be created; `needs_it` whether it must be there.
+    /// Returns the action that the flags request. `has_how_flags` is true if flags were given that
+    /// apply only to a campaign to be created, `needs_it` if the campaign must exist already.
     pub(super) fn action(
         self,
         is_there: bool,
@@ -127,17 +128,17 @@ impl CreateFlags {
     }
 }
 
-/// A campaign that may be created, and what it would take.
+/// Campaign that may be created, and the rollouts that it would take.
 pub(super) struct Proposal<'a> {
     pub(super) name: &'a str,
     pub(super) source: &'a CampaignStatus,
-    /// Of what it would have to find out: transitions, thresholds.
+    /// Singular noun for a subject of the campaign: `transition` or `threshold`.
     pub(super) subject: &'a str,
     pub(super) prospect: &'a Prospect,
 }
 
 impl Proposal<'_> {
-    /// The rollouts that the campaign takes, and how long they do.
+    /// Describes the number of rollouts and a forecast of their duration.
     pub(super) async fn in_words(&self, client: &Client) -> String {
         let Self {
             name,
@@ -166,8 +167,8 @@ impl Proposal<'_> {
     }
 }
 
-/// Looks at what was found: once, or until it is complete. Meanwhile it says on standard
-/// error how things stand: the first line of the text.
+/// Fetches the findings once or, with `until_complete`, polls until they are complete. Prints the
+/// first line of their text to standard error whenever it changes.
 pub(super) async fn look<T>(
     until_complete: bool,
     found: impl AsyncFn() -> Result<T, CommandError>,

@@ -1,4 +1,4 @@
-//! `coordinator explain`: which axes it takes to change an outcome.
+//! `coordinator explain`: minimal subsets of the axes that change an outcome.
 
 use anyhow::anyhow;
 use clap::Args;

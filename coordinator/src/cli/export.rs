@@ -1,4 +1,4 @@
-//! `coordinator export`: committed results as the reference's rows.
+//! `coordinator export`: committed results as result rows in the reference's format.
 
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
@@ -37,7 +37,7 @@ pub(super) struct ExportArguments {
     connection: Connection,
 }
 
-/// Forms of an export.
+/// Output formats of an export.
 #[derive(Clone, Copy, Debug)]
 enum Format {
     Jsonl,

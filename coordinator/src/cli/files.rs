@@ -1,5 +1,4 @@
-//! The files that people name on the command line: read up to a bound, written
-//! whole or not at all.
+//! Files named on the command line: size-limited reads and atomic writes.
 
 use std::fs::File;
 use std::io::{BufWriter, Read, Write};
@@ -12,12 +11,14 @@ use terminal::counted;
 
 use super::command::{CommandError, usage};
 
-/// Largest specification or manifest that is read, bytes. It must fit into a
-/// message to the coordinator.
+/// Largest accepted specification or manifest, bytes: it must fit into one gRPC message to the
+/// coordinator.
 const MAX_INPUT_BYTES: u64 = 24 << 20;
 
-/// Reads a text; `-` is standard input. A file that cannot be read is a wrong
-/// command.
+/// Reads a text file; `-` is standard input.
+///
+/// # Errors
+/// A usage error if the file cannot be read or is larger than [`MAX_INPUT_BYTES`].
 fn read_text(path: &Path) -> Result<String, CommandError> {
     let mut text = String::new();
     let read = match is_standard_input(path) {
@@ -35,21 +36,21 @@ fn read_text(path: &Path) -> Result<String, CommandError> {
     checked.map_err(|error| usage(error.context(format!("read {}", name_of(path)))))
 }
 
-/// Reads a specification. One that is refused is a wrong command.
+/// Reads a specification; an invalid one is a usage error.
 pub(super) fn read_spec(path: &Path) -> Result<CampaignSpec, CommandError> {
     let spec = CampaignSpec::from_json(&read_text(path)?);
     spec.with_context(|| format!("use {}", name_of(path)))
         .map_err(usage)
 }
 
-/// Reads a manifest. One that is refused is a failure: the command was right.
+/// Reads a manifest. An invalid one is a failure, not a usage error, since the command was valid.
 pub(super) fn read_manifest(path: &Path) -> Result<Vec<ManifestRow>, CommandError> {
     let text = read_text(path)?;
     let rows = manifest::parse(&text).with_context(|| format!("use {}", name_of(path)));
     Ok(rows?)
 }
 
-/// How a path is called in messages.
+/// Name of a path in messages.
 pub(super) fn name_of(path: &Path) -> String {
     match is_standard_input(path) {
         true => "standard input".to_owned(),
@@ -57,7 +58,7 @@ pub(super) fn name_of(path: &Path) -> String {
     }
 }
 
-/// Writes a file, whole or not at all.
+/// Writes a file atomically.
 pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let mut file = WholeFile::create(path)?;
     let written = file.writer().write_all(bytes);
@@ -65,7 +66,7 @@ pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     file.finish()
 }
 
-/// Writes figures as SVG files into a folder, which is made if it is not there.
+/// Writes figures as SVG files into a folder, which is created if missing.
 pub(super) fn write_figures(figures: &[Figure], folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
     for figure in figures {
@@ -77,8 +78,8 @@ pub(super) fn write_figures(figures: &[Figure], folder: &Path) -> anyhow::Result
     Ok(())
 }
 
-/// A file under another name until it is whole; nothing is left of one that is
-/// not finished.
+/// Atomic writer: the data goes to `<path>.partial`, which [`WholeFile::finish`] renames to the
+/// path. Dropping an unfinished writer deletes the partial file.
 pub(super) struct WholeFile {
     path: PathBuf,
     partial: PathBuf,
@@ -103,7 +104,7 @@ impl WholeFile {
         self.file.as_mut().expect("taken only when finished")
     }
 
-    /// Gives the file its name, once it is on the disk.
+    /// Syncs the partial file to disk and renames it to its final path.
     pub(super) fn finish(mut self) -> anyhow::Result<()> {
         let (path, partial) = (self.path.display(), self.partial.display());
         let file = self.file.take().expect("finished once");
@@ -118,8 +119,8 @@ impl WholeFile {
 
 impl Drop for WholeFile {
     fn drop(&mut self) {
-        // After `finish` there is none; before, the first error is the one to
-        // tell.
+        // After `finish` no partial file exists; before it, the earlier error matters more than a
+        // failed deletion.
         let _ = std::fs::remove_file(&self.partial);
     }
 }

@@ -1,5 +1,5 @@
-//! How long a campaign would take, from what a running coordinator's workers have
-//! measured: part of `coordinator campaign create --dry-run`.
+//! Forecast of a campaign's duration for `coordinator campaign create --dry-run`, from the speeds
+//! that the workers of a running coordinator have measured.
 
 use std::collections::BTreeMap;
 
@@ -14,8 +14,8 @@ use super::command::CommandError;
 use super::json;
 use super::planning::Planning;
 
-/// Asks for the forecast of a campaign; returns the reason if there is none, since the rest of a
-/// dry run needs no coordinator.
+/// Requests the forecast of a campaign. The error is a text that the dry run prints in place of the
+/// forecast, since the rest of a dry run needs no coordinator.
 pub(super) async fn ask(
     client: &Client,
     campaign: &NewCampaign,
@@ -29,7 +29,7 @@ pub(super) async fn ask(
     ask_of(client, &campaign.policy, rollouts, policy_rate).await
 }
 
-/// The forecast of so many rollouts of each suite, or why there is none.
+/// Requests a forecast for the given number of rollouts of each suite.
 pub(super) async fn ask_of(
     client: &Client,
     policy: &str,
@@ -49,7 +49,7 @@ pub(super) async fn ask_of(
     answer.map_err(|error| format!("failed to {error}"))
 }
 
-/// Describes a forecast, or the reason why there is none, for a terminal.
+/// Describes a forecast, or the error that prevented it, for a terminal.
 pub(super) fn in_words(answer: &Result<ForecastResponse, String>, policy: &str) -> String {
     match answer {
         Ok(forecast) => forecast::in_words(forecast, policy),
@@ -104,7 +104,7 @@ struct Speed {
 }
 
 impl<'a> DryRun<'a> {
-    /// Describes a campaign for a dry run, with its forecast or the reason why there is none.
+    /// Describes a campaign for a dry run, with its forecast or the error that prevented it.
     fn of(
         campaign: &NewCampaign,
         answer: Result<wire::ForecastResponse, String>,

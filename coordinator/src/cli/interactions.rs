@@ -1,5 +1,5 @@
-//! `coordinator interactions`: what the axes do alone and together, where every subset
-//! of them was run.
+//! `coordinator interactions`: effects of the axes alone and in combination, for campaigns that run
+//! every subset of the axes.
 
 use clap::Args;
 use report::AxisInteractions;

@@ -15,7 +15,7 @@ use terminal::number_from;
 use super::command::{CommandError, Connection, print_line, usage};
 use super::json;
 
-/// Jobs asked for at a time.
+/// Page size of `ListJobs` requests, jobs.
 const PAGE_JOBS: u32 = 500;
 /// Longest error in a line of the list, bytes.
 const ERROR_BYTES: usize = 60;
@@ -135,7 +135,7 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
         is_truncated: false,
     };
     loop {
-        // One more than is shown tells whether there are more.
+        // The request asks for one job more than is shown, to detect whether further jobs exist.
         request.limit = left.min(PAGE_JOBS) + 1;
         let page = client.call(request.clone(), Service::list_jobs);
         let page = page.await?.jobs;
@@ -202,13 +202,13 @@ async fn skip(arguments: SkipArguments) -> Result<(), CommandError> {
     Ok(print_line(&format!("{} skipped", skipped.jobs))?)
 }
 
-/// "spatial/t0/camera/L2/c03" or "spatial/t0/camera/L2/c03#r1".
+/// Parses `spatial/t0/camera/L2/c03`, or with a replicate `spatial/t0/camera/L2/c03#r1`.
 fn job_name(text: &str) -> Result<JobName, CommandError> {
     let (rollout_id, replicate) = match text.split_once("#r") {
         None => (text, Some(0)),
         Some((id, replicate)) => (id, replicate.parse().ok()),
     };
-    // The paper's words are read as the released ones.
+    // Parsing maps the paper's spellings of an id to the released ones.
     let known: Result<RolloutId, _> = rollout_id.parse();
     let rollout_id = known.map_or_else(|_| rollout_id.to_owned(), |id| id.to_string());
     let replicate = replicate.ok_or_else(|| {
@@ -225,7 +225,7 @@ fn name(job: &Job) -> String {
     rollout_name(&job.rollout_id, job.replicate)
 }
 
-/// How a job stands, in words.
+/// Describes the state of a job, such as its lease, backoff or outcome.
 fn standing(job: &Job) -> String {
     match (job.state.as_str(), job.success) {
         ("leased", _) => format!(

@@ -1,5 +1,5 @@
-//! Output of `--json`. The schema is documented in docs/JSON.md, and a test compares the two: a
-//! field may be added, none may change or go. Absent values are `null`; every key is always
+//! Output of `--json`. The schema is documented in docs/JSON.md, and a test compares the two.
+//! Fields may be added but never changed or removed. Absent values are `null`; every key is always
 //! present.
 
 use coordinator::words::rfc3339;
@@ -22,7 +22,7 @@ pub(super) struct Campaigns {
 #[derive(Serialize)]
 pub(super) struct Jobs {
     pub(super) jobs: Vec<Job>,
-    /// Whether there are more than `--limit` lets through.
+    /// True if `--limit` cut the list off.
     pub(super) is_truncated: bool,
 }
 
@@ -149,7 +149,7 @@ struct Worker {
     last_call_at: String,
 }
 
-/// Prints an answer.
+/// Prints an answer as indented JSON.
 pub(super) fn print(answer: &impl Serialize) -> Result<(), CommandError> {
     let text = serde_json::to_string_pretty(answer).map_err(failure)?;
     Ok(print_line(&text)?)
@@ -241,7 +241,8 @@ impl Job {
 }
 
 impl JobDetails {
-    /// Fails if the manifest row is no JSON.
+    /// # Errors
+    /// If the manifest row is not valid JSON.
     pub(super) fn of(details: &wire::GetJobResponse) -> Result<JobDetails, CommandError> {
         let failures = details.failures.iter().map(|failure| Failure {
             attempt: failure.attempt,

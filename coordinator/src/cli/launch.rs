@@ -1,6 +1,5 @@
-//! `coordinator launch`: what a cluster's scheduler needs to run workers, and a policy
-//! server, for a coordinator. The scripts are `deploy`'s, with what was asked for
-//! filled in.
+//! `coordinator launch`: scripts with which a cluster's scheduler runs workers and a policy server
+//! for a coordinator, filled in from the templates in `deploy/`.
 
 mod checked;
 mod scripts;

@@ -1,25 +1,26 @@
-//! How a campaign stands, in a line that fits 80 columns, and what wants to be
-//! looked at.
+//! Status of a campaign in one line of at most 80 columns, and notes on faults that need the
+//! operator.
 
 use coordinator::words::{duration_text, rate_text};
 use proto::coordinator::CampaignStatus;
 use proto::coordinator::campaign_status::State;
 use queue::ids::shortened;
 
-/// Width of a line, and of its progress bar where there is room, columns.
+/// Width of a line, and greatest width of its progress bar, columns.
 const LINE_COLUMNS: usize = 79;
 const BAR_COLUMNS: usize = 16;
 /// Longest campaign name in a line, bytes.
 const NAME_BYTES: usize = 18;
 
-/// Whether nothing more will happen by itself.
+/// Returns true if the campaign is cancelled or stopped early, or if every rollout is committed or
+/// in quarantine and none can be added.
 pub(super) fn is_finished(status: &CampaignStatus) -> bool {
     let is_over = matches!(status.state(), State::Cancelled | State::Stopped);
     is_over || (!status.may_grow && status.committed + status.quarantined >= status.total)
 }
 
-/// One line: name, bar, counts, rate, ETA. The bar gets what the rest leaves.
-/// Done is what has a result; what is in quarantine is not.
+/// Formats name, progress bar, counts, rate and ETA in one line. The bar takes the columns that are
+/// left. Progress counts committed rollouts; rollouts in quarantine do not count.
 pub(super) fn line(status: &CampaignStatus) -> String {
     let done = status.committed;
     let percent = (done * 100).checked_div(status.total).unwrap_or(0);
@@ -51,7 +52,7 @@ pub(super) fn line(status: &CampaignStatus) -> String {
     format!("{name} {bar} {counts}")
 }
 
-/// That it stopped early, and what that saved.
+/// Describes an early stop and the rollouts that it saved; `None` if none happened.
 fn stopped(status: &CampaignStatus) -> Option<String> {
     let early = status.early_stop.as_ref()?;
     let configurations = [early.used?.into(), early.configurations.into()];
@@ -63,7 +64,7 @@ fn stopped(status: &CampaignStatus) -> Option<String> {
     ))
 }
 
-/// Describes obstacles of a campaign, and faults that need its operator.
+/// Describes what keeps a campaign from progressing and faults that need its operator.
 pub(super) fn attention(status: &CampaignStatus) -> Option<String> {
     let mut notes = Vec::new();
     if status.policy_paused {
@@ -159,7 +160,7 @@ mod tests {
         );
     }
 
-    /// It was "0/0 0%  finished" before it began.
+    /// Regression: such a campaign read "0/0 0%  finished" before its first rollout.
     #[test]
     fn a_campaign_that_follows_from_another_waits_for_it_and_is_not_finished() {
         let mut waiting = CampaignStatus {
@@ -174,7 +175,7 @@ mod tests {
         assert!(is_finished(&waiting) && line(&waiting).ends_with("finished"));
     }
 
-    /// 137 of 140 and three in quarantine were "140/140 100%  finished".
+    /// Regression: 137 of 140 with three in quarantine read "140/140 100%  finished".
     #[test]
     fn what_is_in_quarantine_is_not_done_and_the_end_says_so() {
         let status = CampaignStatus {

@@ -1,5 +1,5 @@
-//! `coordinator manifest`: manifests as files. Needs no coordinator. What a
-//! manifest may say, and in what two of them differ, is the protocol's business.
+//! `coordinator manifest`: expands, checks and compares manifest files without a coordinator. The
+//! manifest format and the comparison are implemented in `libero_ctrl`.
 
 use std::path::{Path, PathBuf};
 

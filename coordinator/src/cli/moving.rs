@@ -21,7 +21,7 @@ use tonic::{Response, Status};
 use super::command::{CommandError, Connection, failure, print_line, usage};
 use super::files::WholeFile;
 
-/// Size of a piece, bytes.
+/// Chunk size of an uploaded archive, bytes.
 const CHUNK_BYTES: usize = 1 << 20;
 
 /// Writes a campaign with its results, films and report into one file, as it is now,
@@ -109,7 +109,7 @@ pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandErro
         }
     }
     let path = stored.as_ref().map_or(&arguments.file, |it| &it.file);
-    // A file that cannot be read is a wrong command.
+    // An unreadable file is a usage error; it is detected before the coordinator is contacted.
     File::open(path).await.map_err(|error| {
         usage(ArchiveError::Read {
             archive: path.display().to_string(),
@@ -136,7 +136,7 @@ pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandErro
 
 pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError> {
     let output = &arguments.output;
-    // Beside what is written: there is room for it there.
+    // The halves are unpacked beside the output file, on whose disk there must be room anyway.
     let beside = match output.parent() {
         Some(parent) if parent != Path::new("") => parent,
         _ => Path::new("."),
@@ -190,7 +190,7 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
     ))?)
 }
 
-/// Sends an archive, from its beginning whenever it is tried again.
+/// Uploads an archive; every retry of the call starts from the beginning of the file.
 async fn send(
     service: &mut Service,
     path: &Path,
@@ -198,7 +198,7 @@ async fn send(
 ) -> Result<Response<ImportCampaignResponse>, Status> {
     let file = File::open(path).await?;
     let pieces = ReaderStream::with_capacity(file, CHUNK_BYTES);
-    // A file that cannot be read on ends early, which the coordinator sees.
+    // A read error ends the stream early; the coordinator then rejects the archive as truncated.
     let pieces = pieces.map_while(Result::ok).map(|data| ImportChunk {
         data: data.into(),
         ..ImportChunk::default()
@@ -207,8 +207,8 @@ async fn send(
     service.import_campaign(chunks).await
 }
 
-/// An object of some storage, and the file on this machine that is on its way there or
-/// back.
+/// Object in remote storage, with the local temporary file that is uploaded to it or downloaded
+/// from it.
 struct Stored {
     storage: Storage,
     name: String,
@@ -217,7 +217,7 @@ struct Stored {
 }
 
 impl Stored {
-    /// Returns the stored object that an argument names; none for a file of this machine.
+    /// Returns the remote object that an argument names; `None` if it names a local file.
     fn of(given: &Path) -> Result<Option<Stored>, CommandError> {
         let address = given.to_string_lossy();
         if !Storage::is_remote(&address) {
@@ -254,7 +254,7 @@ fn half(of: &Unpacked) -> Half {
     }
 }
 
-/// Moves the films of the halves to where the merged campaign has them.
+/// Moves the halves' films to their paths in the merged campaign.
 async fn films_into(
     into: &Path,
     campaign: &queue::Portable,

@@ -71,7 +71,7 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
     ))?)
 }
 
-/// Asks for the name of what is to be deleted.
+/// Prompts the operator to type the campaign's name as confirmation.
 fn ask(name: &str) -> Result<String, CommandError> {
     if !std::io::stdin().is_terminal() {
         let error = anyhow!("pass --confirm {name} to delete its results and files for good");

@@ -1,5 +1,5 @@
-//! The smallest differences that a campaign can show: part of `coordinator campaign create
-//! --dry-run`. The arithmetic is `paired`'s.
+//! Smallest detectable differences of a campaign, for `coordinator campaign create --dry-run`. The
+//! power calculation is in `paired`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -13,36 +13,37 @@ use terminal::{counted, wrapped};
 
 use super::command::{CommandError, Connection, usage};
 
-/// The assumed outcomes where none are named.
+/// Description of the outcomes assumed without `--planning-from`.
 const STUDENT: &str = "the student's published ones (examples/student)";
-/// The R_d of a placebo level that was not run: the student's (`examples/student_floor`), a fraction.
+/// R_d assumed for a placebo level without outcomes: the student's (`examples/student_floor`), a
+/// fraction.
 const ASSUMED_FLOOR: f64 = 0.115;
 
-/// The smallest differences that a campaign can show, as `--json` has them.
+/// Smallest detectable differences of a campaign, as printed by `--json`.
 #[derive(Debug, Serialize)]
 pub(super) struct Planning {
-    /// The outcomes that it is planned from.
+    /// Description of the outcomes on which the planning is based.
     assumed_from: String,
     levels: Vec<PlannedLevel>,
 }
 
-/// Those of a level. Differences are fractions; none are found where they are absent.
+/// Smallest detectable differences at one level, as fractions; absent ones are not detectable.
 #[derive(Debug, Serialize)]
 struct PlannedLevel {
     level: Level,
-    /// The level that the assumed outcomes are of.
+    /// Level at which the assumed outcomes were measured.
     assumed_level: Level,
     tasks: u32,
     configurations: u32,
     new_tasks: Found,
     these_tasks: Found,
-    /// R_d of the placebo level, as assumed; absent where the campaign has none, and R_d is
-    /// compared with another policy's.
+    /// Assumed R_d of the placebo level; `None` if the campaign has no placebo level, in which case
+    /// R_d is compared with another policy's.
     floor: Option<f64>,
     floor_configurations: Option<u32>,
 }
 
-/// The smallest differences for one target of inference.
+/// Smallest detectable differences for one target of inference, new tasks or these tasks.
 #[derive(Debug, Serialize)]
 struct Found {
     difference: Option<f64>,
@@ -61,8 +62,8 @@ impl From<Detectable> for Found {
 }
 
 impl Planning {
-    /// Plans a campaign from the outcomes of `earlier`, a campaign or a folder of result rows.
-    /// Without it, from the student's published ones.
+    /// Plans a campaign from the outcomes of `earlier`, a campaign or a folder of result rows, or
+    /// from the student's published outcomes if `earlier` is `None`.
     pub(super) async fn of(
         campaign: &NewCampaign,
         earlier: Option<&str>,
@@ -119,7 +120,7 @@ fn levels(campaign: &NewCampaign, assumed: &[Assumed]) -> Vec<PlannedLevel> {
     perturbed.filter_map(of_level).collect()
 }
 
-/// The configurations of each level that run under several axes, each alone and at once.
+/// Counts, for each level, the tasks and configurations that run under several axes at once.
 fn configurations(campaign: &NewCampaign) -> BTreeMap<Level, Planned> {
     let mut units: BTreeMap<Level, BTreeSet<(TaskRef, u16)>> = BTreeMap::new();
     let ids = campaign.jobs.iter().filter(|job| job.replicate == 0);
@@ -144,7 +145,7 @@ fn configurations(campaign: &NewCampaign) -> BTreeMap<Level, Planned> {
         .collect()
 }
 
-/// The same for a terminal; none of a campaign without simultaneous perturbation.
+/// Formats the planning for a terminal; `None` if the campaign has no simultaneous perturbation.
 pub(super) fn in_words(planning: &Planning) -> Option<String> {
     if planning.levels.is_empty() {
         return None;
@@ -202,7 +203,7 @@ fn of_level(of: &PlannedLevel) -> String {
     )
 }
 
-/// A difference in points.
+/// Formats a fraction in percentage points.
 fn points(fraction: Option<f64>) -> String {
     fraction.map_or("none".to_owned(), |it| format!("{:.1}", 100.0 * it))
 }

@@ -1,5 +1,5 @@
-//! `coordinator report`: campaigns of a coordinator and files of result rows,
-//! measured and written in the forms that were asked for.
+//! `coordinator report`: measures campaigns and files of result rows, and writes text, JSON, HTML,
+//! figures and tables.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -52,17 +52,17 @@ pub(super) struct ReportArguments {
     connection: Connection,
 }
 
-/// A success rate that somebody published.
+/// Published nominal success rate of a policy, from `--published`.
 #[derive(Clone, Debug)]
 struct Published {
-    /// The suite that it is of; all of them if none.
+    /// Suite of the rate; `None` if it was published over all suites.
     suite: Option<Suite>,
     policy: String,
-    /// A fraction.
+    /// Success rate, a fraction.
     rate: f64,
 }
 
-/// Forms of the table.
+/// File formats of the outcome table.
 #[derive(Clone, Copy, Debug)]
 enum TableForm {
     Csv,
@@ -81,7 +81,7 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
         subjects.push(report::import(path).map_err(usage)?);
     }
     add_published(&mut subjects, &arguments.published).map_err(usage)?;
-    // Thousands of resamplings, but nobody else waits for this thread.
+    // Thousands of bootstrap resamplings block this thread, but no other task of the command runs.
     let document = Document::new(subjects).map_err(anyhow::Error::from)?;
     for (path, form) in &arguments.table {
         write_table(&document, path, *form)?;

@@ -21,7 +21,7 @@ use transport::{Security, SecurityError, ServerArguments};
 
 use super::command::{CommandError, failure, print_line, usage};
 
-/// Heartbeats that fit into a lease: a few may be lost before it is.
+/// Heartbeats per lease duration, so that a lease survives a few lost heartbeats.
 const HEARTBEATS_PER_LEASE: u32 = 6;
 
 #[derive(Args, Debug)]
@@ -70,8 +70,8 @@ pub(super) async fn serve(arguments: ServeArguments) -> Result<(), CommandError>
 }
 
 async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()> {
-    // Listening for signals begins before the first line is printed: who reads
-    // it may send one.
+    // Signal handlers are installed before the first line is printed, since a reader of that line
+    // may send a signal at once.
     let mut terminate = signal(SignalKind::terminate()).context("listen for SIGTERM")?;
     let mut interrupt = signal(SignalKind::interrupt()).context("listen for SIGINT")?;
     transport::raise_file_limit();
@@ -100,7 +100,7 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     let told = print_line(&format!(
         "listening on {address}{over}, page at {page}, data in {data}"
     ));
-    // Whoever started this may have gone.
+    // A closed standard output is no error: the parent process may have exited.
     if let Err(error) = told
         && !reader_is_gone(&*error)
     {
@@ -113,13 +113,13 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
         }
     };
     coordinator.serve(listener, shutdown).await?;
-    // Whoever started this may have gone; it ended well all the same.
+    // A closed standard output does not turn a clean shutdown into a failure.
     let _ = print_line("stopped");
     Ok(())
 }
 
-/// Returns the address of the page for a browser, which can open no address that stands for all of
-/// a machine's.
+/// Returns the page's URL. An unspecified address such as 0.0.0.0 is replaced by `HOST`, since a
+/// browser cannot open it.
 fn page(scheme: &str, address: SocketAddr) -> String {
     match (address.ip().is_unspecified(), address.port()) {
         (true, port) => format!("{scheme}://HOST:{port}/ where HOST is this machine's name"),
@@ -140,8 +140,8 @@ fn config(arguments: &ServeArguments, security: Security) -> anyhow::Result<Conf
             progress_timeout: Duration::from_secs(arguments.progress_timeout_secs.into()),
             ceiling_per_step: Duration::from_secs(arguments.step_ceiling_secs.into()),
             worker_alive: lease,
-            // So often that a coordinator never takes itself for having slept through half
-            // a lease.
+            // Sweeps are frequent enough that a coordinator never concludes that it was suspended
+            // for half a lease.
             sweep: heartbeat.min(Timing::default().sweep),
         },
         clock: Arc::new(SystemClock::start()),
@@ -152,8 +152,8 @@ fn config(arguments: &ServeArguments, security: Security) -> anyhow::Result<Conf
     })
 }
 
-/// The system's randomness: attempts are named by what follows from it, and no
-/// two coordinators may name one alike.
+/// Returns a seed from the operating system. Attempt ids derive from it, so no two coordinators may
+/// share a seed.
 fn random_seed() -> anyhow::Result<[u8; 32]> {
     let mut seed = [0; 32];
     let read = rustix::rand::getrandom(&mut seed, rustix::rand::GetRandomFlags::empty());

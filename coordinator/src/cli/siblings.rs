@@ -1,10 +1,13 @@
-//! The other programs of a release, which lie in the folder of this one.
+//! Paths of the release's other programs, which are installed in the same folder as this one.
 
 use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
 
-/// The path of a program beside this one.
+/// Returns the path of a program in this program's folder.
+///
+/// # Errors
+/// If the program is not there.
 pub(super) fn sibling(name: &str) -> anyhow::Result<PathBuf> {
     let own = std::env::current_exe().context("find this program's own file")?;
     let path = own.with_file_name(name);

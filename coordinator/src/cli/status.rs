@@ -1,6 +1,5 @@
-//! `coordinator campaign list` and `coordinator campaign status`: how campaigns
-//! stand, in words and bars. Every line fits 80 columns. Following them live is
-//! `watch`'s business.
+//! `coordinator campaign list` and `coordinator campaign status`: progress of campaigns in lines of
+//! at most 80 columns. `--watch` is implemented in `watch`.
 
 use clap::Args;
 use coordinator::words::duration_text;
@@ -74,7 +73,7 @@ pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandErro
     Ok(print_line(&text.join("\n"))?)
 }
 
-/// The whole of it, line by line.
+/// Formats the full status of a campaign, one line per quantity.
 fn details(status: &CampaignStatus) -> String {
     let mut lines = vec![
         line(status),

@@ -1,11 +1,11 @@
-//! The meaning of an early end, in words: the configurations that a rule is about, and those
-//! about which it says nothing.
+//! Explanation of a stop rule: the conclusion that an early end supports, and the configurations to
+//! which it does not extend.
 
 use libero_ctrl::{Clause, Measure, StopRule};
 use terminal::counted;
 
-/// A line for each clause, and one for what all of them are about. `configurations` is how
-/// many the campaign has at each level.
+/// Returns one line per clause and a closing line on the scope of the rule. `configurations` is the
+/// campaign's number of configurations at each level.
 pub(super) fn in_words(rule: &StopRule, configurations: usize) -> Vec<String> {
     let these = counted(configurations as u64, "configuration");
     let mut lines: Vec<String> = rule
@@ -52,7 +52,8 @@ fn shown(clause: Clause, these: &str) -> String {
     }
 }
 
-/// Whether a census decides it without chance: whether two counts are equal.
+/// Returns true if a complete run decides the clause for certain: `I excludes 0` compares two
+/// counts for equality.
 fn is_certain_at_the_end(clause: &Clause) -> bool {
     matches!(clause, Clause::Excludes(Measure::I, 0.0))
 }

@@ -1,4 +1,4 @@
-//! `coordinator thresholds`: how far a policy goes before success turns to failure.
+//! `coordinator thresholds`: perturbation radii at which a policy's success turns to failure.
 
 use std::path::PathBuf;
 
@@ -158,7 +158,7 @@ fn condition(text: &str) -> Result<Condition, &'static str> {
     }
 }
 
-/// A reader of radii in a range.
+/// Returns a parser of radii within a range.
 fn radius([low, high]: [f64; 2]) -> impl Fn(&str) -> Result<f64, String> + Clone {
     move |text| match text.parse() {
         Ok(radius) if (low..=high).contains(&radius) => Ok(radius),

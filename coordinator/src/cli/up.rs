@@ -1,13 +1,12 @@
 //! `coordinator up`: coordinator, gateway and worker of one machine in one terminal.
 //!
-//! Each is the ordinary program, found beside this one and started in a process group of
-//! its own, so that Ctrl-C reaches this process alone. It ends them in the order in which
-//! none loses its server: the worker first, which finishes its rollouts or gives them back
-//! at a second signal, then the gateway, then the coordinator. If it is killed itself, the
-//! kernel kills them.
+//! Each child is the ordinary program from this program's folder, in a process group of its own, so
+//! that Ctrl-C reaches this process alone. Children are stopped so that none loses its server: the
+//! worker first, which finishes its rollouts or, at a second signal, gives them back; then the
+//! gateway; then the coordinator. If this process is killed, the kernel kills its children.
 //!
-//! It is a command of this program because this one is what an operator has at hand:
-//! completions, manual pages and the release archive know it already.
+//! `up` belongs to `coordinator` because operators already have it: completions, manual pages and
+//! the release archive include it.
 
 use std::io::Write;
 use std::net::SocketAddr;
@@ -28,11 +27,11 @@ use tokio::task::JoinSet;
 use super::command::{CommandError, print_line, usage};
 use super::siblings::sibling;
 
-/// Between two looks at whether a program has ended.
+/// Interval between two polls for an exited child process.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// Width of a program's name before the lines that it prints, columns.
+/// Width of the program name that prefixes each output line, columns.
 const NAME_COLUMNS: usize = 11;
-/// The policies that come with the gateway.
+/// Default routes: the policies built into the gateway.
 const BUILT_IN: [&str; 2] = ["student=builtin:student", "expert=builtin:expert"];
 
 /// Printed below the long help.
@@ -89,8 +88,10 @@ pub(super) async fn up(arguments: UpArguments) -> Result<(), CommandError> {
     Ok(ended?)
 }
 
-/// Starts the programs in order and watches them until the user asks for their end. An
-/// error if one of them ends by itself.
+/// Starts the programs in order and waits for SIGINT or SIGTERM.
+///
+/// # Errors
+/// If a program cannot be started or exits by itself.
 async fn run(
     arguments: &UpArguments,
     programs: &mut Programs,
@@ -133,7 +134,7 @@ async fn run(
     }
 }
 
-/// The addresses, and commands that can be pasted into another terminal.
+/// Returns the startup message: the addresses, and example commands for another terminal.
 fn ready(arguments: &UpArguments, coordinator: &str, gateway: &str) -> String {
     let first = arguments.routes.first().map(String::as_str);
     let policy = first.and_then(|route| route.split('=').next());
@@ -155,7 +156,7 @@ fn ready(arguments: &UpArguments, coordinator: &str, gateway: &str) -> String {
     )
 }
 
-/// Requests to end: SIGINT, as Ctrl-C sends it, and SIGTERM.
+/// Shutdown requests: SIGINT (Ctrl-C) and SIGTERM.
 struct Requests {
     interrupt: Signal,
     terminate: Signal,
@@ -177,14 +178,14 @@ impl Requests {
     }
 }
 
-/// A program that was started, and the lines that it prints to standard output.
+/// Running child process and the lines of its standard output.
 struct Program {
     name: &'static str,
     child: Child,
     lines: mpsc::UnboundedReceiver<String>,
 }
 
-/// The programs that were started, in that order.
+/// Child processes in the order in which they were started.
 #[derive(Default)]
 struct Programs {
     started: Vec<Program>,
@@ -192,8 +193,8 @@ struct Programs {
 }
 
 impl Programs {
-    /// Starts a server; the address that it says it listens on, or none if the user asks
-    /// for the end before that.
+    /// Starts a server and returns the address that it reports to listen on; `None` if a shutdown
+    /// was requested before that.
     async fn serve(
         &mut self,
         name: &'static str,
@@ -226,8 +227,8 @@ impl Programs {
         Ok(())
     }
 
-    /// The rest of the first line of the newest program that begins so; none if the user
-    /// asks for the end before it comes.
+    /// Waits for a line of the newest program that begins with `start` and returns the rest of it;
+    /// `None` if a shutdown was requested first.
     async fn first_line(
         &mut self,
         start: &str,
@@ -245,13 +246,13 @@ impl Programs {
                         return Ok(Some(rest.to_owned()));
                     }
                 }
-                // Its standard output is closed: it has ended, or is about to.
+                // The program closed its standard output: it has exited or is about to.
                 None => return Err(self.one_ends().await),
             }
         }
     }
 
-    /// Waits until one of the programs ends, and says which.
+    /// Waits until one of the programs exits and returns an error that names it.
     async fn one_ends(&mut self) -> anyhow::Error {
         loop {
             for program in &mut self.started {
@@ -269,8 +270,8 @@ impl Programs {
         }
     }
 
-    /// Ends the programs, the newest first. A further request while one of them ends is
-    /// passed on to it: a worker then gives its rollouts back.
+    /// Stops the programs, the newest first. A further shutdown request is forwarded to the program
+    /// that is stopping; a worker then gives its rollouts back.
     async fn stop(mut self, requests: &mut Requests) {
         while let Some(mut program) = self.started.pop() {
             if matches!(program.child.try_wait(), Ok(Some(_))) {
@@ -292,18 +293,18 @@ impl Programs {
                 self.say(&format!("`{}` {}", program.name, in_words(status)));
             }
         }
-        // The last lines of the programs are still on their way.
+        // The relays print the programs' last lines before they finish.
         while self.relays.join_next().await.is_some() {}
         self.say("stopped");
     }
 
-    /// Says something of this program's own, in the form of the others' lines.
+    /// Prints a message of `up` itself, prefixed like the output of its children.
     fn say(&self, text: &str) {
         print_prefixed("up", text);
     }
 }
 
-/// Sends SIGTERM. A program that has ended meanwhile needs none.
+/// Sends SIGTERM; a child that has exited is ignored.
 fn terminate(child: &Child) {
     let pid = child.id().and_then(|id| Pid::from_raw(id.cast_signed()));
     if let Some(pid) = pid {
@@ -311,7 +312,7 @@ fn terminate(child: &Child) {
     }
 }
 
-/// Reads after "it".
+/// Describes an exit status as a predicate, to follow "it" or a program name.
 fn in_words(status: ExitStatus) -> String {
     match status.code() {
         Some(code) => format!("ended with exit code {code}"),
@@ -319,7 +320,7 @@ fn in_words(status: ExitStatus) -> String {
     }
 }
 
-/// Prints what a program prints, line by line, behind its name, and passes it on.
+/// Prints each output line of a program, prefixed with its name, and sends the line to `lines`.
 async fn relay(
     output: Option<impl AsyncRead + Unpin>,
     name: &'static str,
@@ -332,7 +333,7 @@ async fn relay(
         let text = String::from_utf8_lossy(line.trim_ascii_end()).into_owned();
         print_prefixed(name, &text);
         if let Some(lines) = &lines {
-            // Nobody waits for a line any more once the program is known to run.
+            // The receiver may be gone; its lines matter only during startup.
             let _ = lines.send(text);
         }
         line.clear();
@@ -340,7 +341,7 @@ async fn relay(
 }
 
 fn print_prefixed(name: &str, text: &str) {
-    // `eprintln` would panic where nobody reads any more.
+    // `eprintln!` would panic if standard error is closed.
     let name = name.strip_prefix("policy-").unwrap_or(name);
     let _ = writeln!(std::io::stderr(), "{name:<NAME_COLUMNS$} | {text}");
 }

@@ -1,5 +1,5 @@
-//! `coordinator campaign status --watch`: campaigns followed live, with a bar,
-//! a rate and an ETA for each, and for each policy that several of them measure.
+//! `coordinator campaign status --watch`: live progress bar, rate and ETA of each campaign, and of
+//! each policy that several campaigns measure.
 
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
@@ -15,13 +15,12 @@ use super::command::{CommandError, print_line};
 use super::line::{attention, is_finished, line};
 use super::workers::{filming, filming_in_words};
 
-/// Between two looks on a terminal, where the table rewrites itself, and
-/// elsewhere, where every look adds lines to a log.
+/// Refresh intervals: on a terminal, where the table is redrawn in place, and in a log, to which
+/// every refresh adds lines.
 const TERMINAL_PERIOD: Duration = Duration::from_secs(1);
 const LOG_PERIOD: Duration = Duration::from_secs(5);
 
-/// Follows one campaign, or all, until nothing more will happen by itself.
-/// Returns how they stand then.
+/// Follows one campaign, or all, until they are finished; returns their final status.
 pub(super) async fn watch(
     client: &Client,
     name: Option<&str>,
@@ -53,18 +52,18 @@ pub(super) async fn watch(
     }
 }
 
-/// Display of the followed campaigns: on a terminal a table that rewrites itself, else lines per
-/// look.
+/// Display of the followed campaigns: a table redrawn in place on a terminal, otherwise further
+/// lines at each refresh.
 #[derive(Default)]
 struct Screen {
     is_terminal: bool,
-    /// Lines that the next look rewrites.
+    /// Number of table lines that the next refresh overwrites.
     lines: usize,
     attention: Vec<String>,
 }
 
 impl Screen {
-    /// Prints lines that stay, above the table.
+    /// Prints permanent lines in place of the table, which is drawn again below them.
     fn say(&mut self, text: &str) -> anyhow::Result<()> {
         if self.is_terminal && self.lines > 0 {
             terminal::clear_lines(self.lines).context("print to standard output")?;
@@ -73,8 +72,7 @@ impl Screen {
         print_line(text)
     }
 
-    /// Shows how the campaigns stand, and, when it changes, what needs looking
-    /// after.
+    /// Draws the table, preceded by notes that need the operator's attention and are new.
     fn show(&mut self, campaigns: &[CampaignStatus], filming: u32) -> anyhow::Result<()> {
         let notes: Vec<String> = campaigns.iter().filter_map(attention).collect();
         let known = std::mem::replace(&mut self.attention, notes.clone());
@@ -89,10 +87,10 @@ impl Screen {
     }
 }
 
-/// A line per campaign, and one per policy that several of them measure.
+/// Returns a line per campaign, then one per policy that several campaigns measure.
 fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
     let mut policies: BTreeMap<(&str, &str), Vec<&CampaignStatus>> = BTreeMap::new();
-    // Cancelled and stopped campaigns never go on.
+    // Cancelled and stopped campaigns never continue, so a policy's total leaves them out.
     let going_on =
         |status: &&CampaignStatus| !matches!(status.state(), State::Cancelled | State::Stopped);
     for status in campaigns.iter().filter(going_on) {
@@ -104,8 +102,8 @@ fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
     campaigns.iter().map(line).chain(totals).collect()
 }
 
-/// The campaigns of a policy, none of them cancelled or stopped, as if they were one. What a
-/// paused campaign has left is in no forecast.
+/// Sums the campaigns of a policy, none of them cancelled or stopped. The queued rollouts of paused
+/// campaigns are left out of the ETA.
 fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
     let mut sum = CampaignStatus::default();
     for status in campaigns {
@@ -127,7 +125,7 @@ fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
     }
     let left = sum.queued + sum.leased;
     if left == 0 {
-        // All that is left waits to be resumed, if anything is.
+        // Any rollouts left belong to paused campaigns.
         sum.set_state(State::Paused);
     } else {
         sum.eta_secs = sum.rate_per_sec.map(|rate| left as f64 / rate);
@@ -167,8 +165,8 @@ mod tests {
         );
     }
 
-    /// "all of expert 2176/13875 … ETA 0s" while everything that was left was of
-    /// cancelled campaigns.
+    /// Regression: "all of expert 2176/13875 … ETA 0s" while only cancelled campaigns had rollouts
+    /// left.
     #[test]
     fn what_is_cancelled_is_in_no_line_of_a_policy() {
         let in_state = |name: &str, state: State| CampaignStatus {

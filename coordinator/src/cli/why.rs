@@ -1,6 +1,5 @@
-//! `coordinator why`: what is wrong with a policy whose campaign scores nothing. The
-//! examination is `policy-gateway doctor`, run on the very policy, endpoint and suite of
-//! the campaign.
+//! `coordinator why`: diagnosis of a policy whose campaign never succeeds. Runs
+//! `policy-gateway doctor` on the policy, endpoint and suite of the campaign.
 
 use std::path::PathBuf;
 use std::process::Stdio;
@@ -34,7 +33,7 @@ pub(super) struct WhyArguments {
     connection: Connection,
 }
 
-/// Runs the examination. Its exit code is the command's: 1 if something is wrong.
+/// Runs `policy-gateway doctor`; the command exits with code 1 if that finds faults.
 pub(super) async fn why(arguments: WhyArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let status = client.campaign_status(&arguments.campaign).await?;
@@ -66,9 +65,9 @@ pub(super) async fn why(arguments: WhyArguments) -> Result<(), CommandError> {
     }
 }
 
-/// Success so far, nominal and perturbed, in a sentence.
+/// Describes the nominal and perturbed success so far in one sentence, with advice.
 fn standing(subject: &Subject) -> String {
-    // Successes, and rollouts with an outcome.
+    // Returns the numbers of successes and of rollouts with an outcome.
     let count = |is_nominal: bool| {
         let of = |condition: Condition| (condition == Condition::Clean) == is_nominal;
         let records = subject.records.iter().filter(|it| of(it.id.condition()));
@@ -92,7 +91,8 @@ fn standing(subject: &Subject) -> String {
     )
 }
 
-/// A campaign's endpoint as the gateway's commands write it: `grpc://HOST:PORT/POLICY`.
+/// Returns a campaign's policy address in the syntax of `policy-gateway`, such as
+/// `grpc://HOST:PORT/POLICY`.
 fn policy_url(endpoint: &str, policy: &str) -> String {
     let endpoint = endpoint.trim_end_matches('/');
     match endpoint.strip_prefix("http://") {

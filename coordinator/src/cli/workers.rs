@@ -11,7 +11,7 @@ use terminal::counted;
 use super::command::{CommandError, Connection, print_line};
 use super::json;
 
-/// How long a worker that has gone is listed.
+/// Time for which `--all` lists a worker after its last call.
 const REMEMBERED: Duration = Duration::from_secs(7 * 86_400);
 
 #[derive(Args, Debug)]
@@ -57,7 +57,7 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     Ok(print_line(&lines.join("\n"))?)
 }
 
-/// Rollouts that are over and of which workers make videos, or have still to send them.
+/// Counts finished rollouts whose videos live workers are still rendering or uploading.
 pub(super) async fn filming(client: &Client) -> Result<u32, CommandError> {
     let listed = client.call(ListWorkersRequest {}, Service::list_workers);
     let workers = listed.await?.workers;
@@ -65,7 +65,7 @@ pub(super) async fn filming(client: &Client) -> Result<u32, CommandError> {
     Ok(alive.map(|worker| worker.filming).sum())
 }
 
-/// Describes in one line how many rollouts the slots are filming; None if there are none.
+/// Describes the number of rollouts being filmed in one line; `None` if it is zero.
 pub(super) fn filming_in_words(rollouts: u32) -> Option<String> {
     (rollouts > 0).then(|| {
         let rollouts = counted(rollouts.into(), "rollout");

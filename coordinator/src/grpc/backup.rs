@@ -1,4 +1,4 @@
-//! A copy of the database as a stream of pieces.
+//! Streams a database backup in chunks.
 
 use std::pin::Pin;
 
@@ -9,11 +9,11 @@ use tokio_stream::{Stream, StreamExt};
 use tokio_util::io::ReaderStream;
 use tonic::Status;
 
-/// Size of a piece, bytes.
+/// Size of a chunk, bytes.
 const CHUNK_BYTES: usize = 1 << 20;
 
-/// The pieces of a backup, which is removed when the last one was sent or the
-/// reader has gone.
+/// Chunks of a backup. The backup file is deleted when the stream is dropped: after the last chunk
+/// or when the client disconnects.
 pub(super) type Chunks = Pin<Box<dyn Stream<Item = Result<wire::BackupChunk, Status>> + Send>>;
 
 pub(super) async fn chunks(backup: Backup) -> Result<Chunks, Status> {

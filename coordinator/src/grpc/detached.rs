@@ -1,8 +1,8 @@
-//! Changes of campaigns, which run to their end even if the client disconnects meanwhile.
+//! Runs campaign changes to completion even if the client disconnects.
 //!
-//! tonic drops a call's future when its client goes away. Dropped between the database's COMMIT
-//! and the notifications after it, a change would be stored and nobody would be woken: a campaign
-//! that follows from another would have no rollouts until something else settles.
+//! tonic drops a call's future when its client disconnects. If a change were dropped between the
+//! database's COMMIT and the notifications after it, it would be stored but wake no task: a
+//! derived campaign would get no rollouts until another job settles.
 
 use std::future::Future;
 use std::sync::{Mutex, PoisonError};
@@ -11,7 +11,7 @@ use tokio::sync::oneshot;
 use tokio::task::JoinSet;
 use tonic::Status;
 
-/// The changes that are under way.
+/// Tasks of the changes in progress.
 #[derive(Debug, Default)]
 pub(super) struct Detached(Mutex<JoinSet<()>>);
 
@@ -24,7 +24,7 @@ impl Detached {
         let (sender, result) = oneshot::channel();
         {
             let mut tasks = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            // Ended tasks are removed: a panic among them was in the answer of its call.
+            // Reaps finished tasks. The panic of a task was reported as the status of its call.
             while tasks.try_join_next().is_some() {}
             tasks.spawn(async move {
                 // The client may have disconnected.

@@ -1,4 +1,4 @@
-//! Errors as statuses: their words, and the code that says what to do.
+//! Conversion of errors to gRPC statuses; the code tells the client whether to retry.
 
 use queue::{ArtifactError, QueueError, StoreError};
 use tonic::{Code, Response, Status};
@@ -6,7 +6,7 @@ use transport::chain;
 
 use crate::reading::ReadError;
 
-/// Result of a call.
+/// Result of a gRPC handler.
 pub(super) type Answer<T> = Result<Response<T>, Status>;
 
 pub(super) fn failed(error: impl Into<ReadError>) -> Status {
@@ -16,7 +16,7 @@ pub(super) fn failed(error: impl Into<ReadError>) -> Status {
         _ => Code::Internal,
     };
     if let ReadError::Queue(QueueError::Store(error)) = &error {
-        // The client may retry; the operator must know.
+        // The client may retry; the log informs the operator.
         tracing::error!("failed to {}", chain(error));
     }
     Status::new(code, chain(&error))
@@ -24,8 +24,8 @@ pub(super) fn failed(error: impl Into<ReadError>) -> Status {
 
 fn code(error: &QueueError) -> Code {
     match error {
-        // A worker that is not found registers again; one that fails the
-        // precondition must stop.
+        // Workers react to the code: on NotFound they register again, on FailedPrecondition they
+        // stop.
         QueueError::UnknownWorker { .. }
         | QueueError::UnknownAttempt { .. }
         | QueueError::UnknownCampaign { .. }
@@ -45,8 +45,8 @@ fn code(error: &QueueError) -> Code {
         | QueueError::Unmatched { .. }
         | QueueError::NoThresholds { .. }
         | QueueError::OtherPolicy { .. } => Code::InvalidArgument,
-        // Waiting does not bring the data folder back. A worker tries again all the same, and
-        // keeps its outcome meanwhile.
+        // The data folder does not come back by waiting, so clients should not retry. Workers retry
+        // anyway, to keep their outcomes.
         QueueError::Store(StoreError::Gone { .. }) => Code::Internal,
         QueueError::ShuttingDown | QueueError::Store(StoreError::Statement { .. }) => {
             Code::Unavailable
@@ -67,7 +67,7 @@ pub(super) fn artifact_failed(error: ArtifactError) -> Status {
     Status::new(code, chain(&error))
 }
 
-/// A request that is refused as it stands.
+/// Returns the status of an invalid request.
 pub(super) fn invalid(error: impl std::fmt::Display) -> Status {
     Status::invalid_argument(error.to_string())
 }

@@ -1,5 +1,5 @@
-//! Campaigns, jobs and workers as messages. Spans are taken here: the reader's
-//! clock may go wrong.
+//! Conversion of campaigns, jobs and workers to messages. Durations such as the age of a result are
+//! computed here, since a client's clock may be wrong.
 
 use proto::coordinator as wire;
 use queue::clock::UnixMillis;

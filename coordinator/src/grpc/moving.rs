@@ -1,4 +1,4 @@
-//! Campaigns on their way to and from other coordinators: archives as streams of pieces.
+//! Export and import of campaigns as archives, streamed in chunks.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -22,19 +22,19 @@ use crate::archive::{ArchiveError, Package, package, unpack};
 use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
 use crate::storage::Storage;
 
-/// Size of a piece, bytes.
+/// Size of a chunk, bytes.
 const CHUNK_BYTES: usize = 1 << 20;
-/// Pieces that wait for a slow reader.
+/// Most chunks buffered for a slow reader.
 const MAX_WAITING: usize = 4;
-/// Longest silence within an upload.
+/// Longest wait for the next chunk of an upload.
 const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
-/// Longest name of a file in a message, bytes.
+/// Longest file name quoted in a message, bytes.
 const MAX_FILE_NAME_BYTES: usize = 200;
 
-/// The pieces of an archive.
+/// Chunks of an archive.
 pub(super) type Chunks = Pin<Box<dyn Stream<Item = Result<wire::ArchiveChunk, Status>> + Send>>;
 
-/// Packs a campaign.
+/// Packs a campaign and returns the archive as a stream.
 pub(super) async fn archive(
     queue: &Arc<Queue>,
     storage: Option<&Storage>,
@@ -61,7 +61,7 @@ pub(super) async fn archive(
     Ok(chunks(package, folder, name))
 }
 
-/// Fetches the films of a campaign that are no longer in the data folder.
+/// Downloads the films of a campaign that were moved from the data folder to the storage.
 async fn fetch(
     storage: &Storage,
     campaign: &Portable,
@@ -77,19 +77,19 @@ async fn fetch(
             let fetched = storage
                 .fetch(&key, Some(film.size_bytes), &into.join(name))
                 .await;
-            // It is left out only where it is known to be gone.
+            // A film missing from the storage is left out; any other error fails the export.
             fetched.map_err(|error| unavailable(&error))?;
         }
     }
     Ok(())
 }
 
-/// Writes an archive on a thread of its own, as fast as it is read.
+/// Streams an archive, which a blocking thread writes as fast as the client reads.
 fn chunks(package: Package, folder: TempDir, name: &CampaignName) -> Chunks {
     let (pieces, waiting) = mpsc::channel(MAX_WAITING);
     let archive = format!("of campaign {name}");
     let writing = tokio::task::spawn_blocking(move || {
-        // Files are read until the last piece is sent.
+        // Keeps the temporary folder until the last chunk is sent.
         let _until_written = &folder;
         let mut out = Pieces {
             piece: Vec::with_capacity(CHUNK_BYTES),
@@ -104,7 +104,8 @@ fn chunks(package: Package, folder: TempDir, name: &CampaignName) -> Chunks {
             if let Some(data) = waiting.recv().await {
                 return Some((Ok(wire::ArchiveChunk { data }), (waiting, writing)));
             }
-            // Without its last word, a reader would take an archive for whole.
+            // The writer's result is awaited: a failure must end the stream with an error, or the
+            // client would take a truncated archive for complete.
             let status = match writing?.await {
                 Ok(Ok(())) => return None,
                 Ok(Err(error)) => archive_failed(error),
@@ -115,7 +116,7 @@ fn chunks(package: Package, folder: TempDir, name: &CampaignName) -> Chunks {
     ))
 }
 
-/// A writer whose pieces go into a channel.
+/// Writer that sends its data into a channel in chunks.
 struct Pieces {
     piece: Vec<u8>,
     to: mpsc::Sender<Vec<u8>>,
@@ -143,7 +144,7 @@ impl Write for Pieces {
     }
 }
 
-/// Receives an archive, verifies it and adds its campaign.
+/// Receives an uploaded archive, verifies it and adds its campaign to the queue.
 pub(super) async fn import(
     queue: &Arc<Queue>,
     changes: &Detached,
@@ -168,7 +169,7 @@ pub(super) async fn import(
     let films = unpacked.campaign.films().await.map_err(failed)?.len() as u64;
     let queue = queue.clone();
     let adopted = async move {
-        // Its films are moved out of it.
+        // Keeps the temporary folder until the films have been moved out of it.
         let _until_adopted = folder;
         let source = unpacked.contents.source.as_ref();
         queue.adopt(&unpacked.campaign, source, name.as_ref()).await
@@ -198,7 +199,7 @@ async fn receive(
     let mut file = tokio::fs::File::create(path).await.map_err(unwritable)?;
     file.write_all(first).await.map_err(unwritable)?;
     while let Some(chunk) = next_chunk(chunks).await? {
-        // Results need the room that is left more than an archive.
+        // Running campaigns need the remaining space for their results.
         let room = Room::look(folder, DEFAULT_MIN_FREE_MIB << 20);
         if room.free_bytes < room.needed_bytes {
             return Err(Status::resource_exhausted(format!(
@@ -223,8 +224,8 @@ async fn next_chunk(
     }
 }
 
-/// A folder in the data folder, which is removed when it is dropped, or at the next start:
-/// on one disk with it, so that films are moved and not copied.
+/// Creates a temporary folder in the data folder, deleted on drop or, after a crash, at the next
+/// start. It is on the data folder's disk, so that films can be renamed instead of copied.
 fn moving_folder(data: &Path) -> Result<TempDir, Status> {
     let folder = tempfile::Builder::new()
         .prefix(MOVING_PREFIX)
@@ -269,13 +270,13 @@ fn archive_failed(error: ArchiveError) -> Status {
             invalid(chain(&error))
         }
         ArchiveError::Results(error) => failed(error),
-        // A client tries again what is only unavailable.
+        // Not Unavailable, since clients retry that.
         ArchiveError::NoRoom { .. } => Status::resource_exhausted(chain(&error)),
         error => unavailable(&error),
     }
 }
 
-/// The client may try again; the operator must know.
+/// Logs the error for the operator and returns a status upon which the client retries.
 fn unavailable(error: &(dyn std::error::Error + 'static)) -> Status {
     tracing::error!("failed to {}", chain(error));
     Status::unavailable(chain(error))

@@ -30,10 +30,10 @@ use crate::forecast;
 use crate::report;
 use crate::storage::Storage;
 
-/// Bytes of a report that go into one message.
+/// Size of a report's message parts, bytes.
 const REPORT_PART_BYTES: usize = 1 << 20;
 
-/// The operator service on a queue.
+/// Operator service of a queue.
 #[derive(Debug)]
 pub(super) struct OperatorApi {
     pub(super) queue: Arc<Queue>,
@@ -46,7 +46,7 @@ impl OperatorApi {
         self.queue.view().await.map_err(failed)
     }
 
-    /// A campaign by its name, in the view that the answer is read from.
+    /// Looks a campaign up by name; the rest of the response reads from the returned view.
     async fn campaign(&self, name: &str) -> Result<(View, Campaign), Status> {
         let name = campaign_name(name)?;
         let mut view = self.view().await?;

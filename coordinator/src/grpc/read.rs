@@ -1,5 +1,5 @@
-//! Reading messages: every string is bounded and holds nothing that a terminal obeys, every number
-//! is in range, every digest a digest, before it goes any further.
+//! Validation of request messages: strings are bounded and free of terminal control sequences,
+//! numbers are within range, and digests are well-formed.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -20,20 +20,21 @@ use tonic::Status;
 
 use super::failure::invalid;
 
-/// Longest name or version that is kept, bytes.
+/// Longest accepted name or version, bytes.
 const MAX_TEXT_BYTES: usize = 512;
-/// Longest rollout id that is looked for, bytes.
+/// Longest accepted rollout id, bytes.
 const MAX_ROLLOUT_ID_BYTES: usize = 128;
-/// Longest error message that is kept, bytes; the rest is cut off.
+/// Longest stored error message, bytes; longer ones are truncated.
 const MAX_ERROR_BYTES: usize = 4_096;
-/// Longest path and actions of a motion, bytes.
+/// Longest path and actions of a motion, bytes: 6 per position and 28 per action.
 const MAX_PATH_BYTES: usize = (MAX_MOTION_STEPS + 1) * 6;
 const MAX_ACTIONS_BYTES: usize = MAX_MOTION_STEPS * 28;
-/// Most slots or cores of a worker. They are summed over workers.
+/// Most slots or cores of a worker; bounded so that sums over workers do not overflow.
 const MAX_SLOTS: u32 = 1 << 16;
-/// Largest measured number of a result: seconds, millimetres or degrees. Sums of them stay finite.
+/// Largest measurement of a result, in seconds, millimetres or degrees; bounded so that sums stay
+/// finite.
 const MAX_MEASURED: f64 = 1e9;
-/// Most values of one realised axis: an axis has some dozen.
+/// Most values of one realised axis; actual axes have a few dozen.
 const MAX_REALISED_VALUES: usize = 1_024;
 
 pub(super) fn worker_id(id: &str) -> Result<WorkerId, Status> {
@@ -44,12 +45,12 @@ pub(super) fn attempt(id: &str) -> Result<AttemptId, Status> {
     id.parse().map_err(invalid)
 }
 
-/// Number of films that a worker says it makes: no more than it can have slots.
+/// Clamps the reported number of films in progress to the most slots that a worker can have.
 pub(super) fn filming(count: u32) -> u32 {
     count.min(MAX_SLOTS)
 }
 
-/// A claim's name has the form of an attempt's.
+/// Accepts a claim id, which has the format of an attempt id.
 pub(super) fn claim_id(id: String) -> Result<String, Status> {
     let read = id.parse::<AttemptId>().map(|_| id);
     read.map_err(|_| invalid("`claim_id` is not 32 digits of lower-case hex"))
@@ -82,8 +83,8 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
     })
 }
 
-/// Reads the assets and the simulator that a film is made with. The pack's name says nothing here,
-/// nor does the renderer: a film is to look at, and in no comparison.
+/// Reads the asset pack digest and simulator version of a film worker. The pack's name and the
+/// renderer do not matter, since films are for viewing and never compared.
 pub(super) fn pin(request: wire::NextFilmRequest) -> Result<Pin, Status> {
     Ok(Pin {
         asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
@@ -141,7 +142,7 @@ pub(super) fn change(change: i32) -> Result<Change, Status> {
     }
 }
 
-/// One of the priorities that there are.
+/// Accepts a priority within [`PRIORITIES`].
 pub(super) fn priority(priority: i32) -> Result<i32, Status> {
     if PRIORITIES.contains(&priority) {
         return Ok(priority);
@@ -152,7 +153,7 @@ pub(super) fn priority(priority: i32) -> Result<i32, Status> {
     )))
 }
 
-/// Reads the change of a campaign.
+/// Reads the fields of a campaign to alter.
 pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alteration, Status> {
     let name = request.name.map(|name| CampaignName::parse(&name));
     let endpoint = request.policy_endpoint;
@@ -180,7 +181,7 @@ pub(super) fn rollouts_by_suite(
     Ok(rollouts)
 }
 
-/// Reads the highest rate of a policy's server, if it is given, queries per second.
+/// Reads the optional maximum rate of the policy server, queries per second.
 pub(super) fn policy_rate(given: Option<f64>) -> Result<Option<f64>, Status> {
     match given {
         Some(rate) if !rate.is_finite() || rate <= 0.0 => Err(invalid(format!(
@@ -190,7 +191,7 @@ pub(super) fn policy_rate(given: Option<f64>) -> Result<Option<f64>, Status> {
     }
 }
 
-/// Reads the selection of jobs.
+/// Reads the filters of `ListJobs`.
 pub(super) fn job_filter(request: &wire::ListJobsRequest) -> Result<JobFilter<'_>, Status> {
     let given = |text: &'_ str| (!text.is_empty()).then(|| text.to_owned());
     let condition = given(&request.condition).map(|name| name.parse());
@@ -220,7 +221,7 @@ pub(super) fn job_filter(request: &wire::ListJobsRequest) -> Result<JobFilter<'_
     })
 }
 
-/// The name of a job's state; none where all are wanted.
+/// Reads a job state; the empty string selects all states.
 fn job_state(state: &str) -> Result<Option<&str>, Status> {
     match state {
         "" => Ok(None),
@@ -257,7 +258,7 @@ pub(super) fn retry(jobs: Vec<wire::JobName>, all: bool) -> Result<Retry, Status
     }
 }
 
-/// The jobs that a call names.
+/// Reads the names of 1 to [`MAX_JOBS_RETRIED`] jobs.
 pub(super) fn job_names(jobs: Vec<wire::JobName>) -> Result<Vec<JobName>, Status> {
     match jobs.len() {
         1..=MAX_JOBS_RETRIED => jobs.into_iter().map(job_name).collect(),
@@ -281,8 +282,8 @@ pub(super) fn failure_reason(reason: i32) -> Result<FailureReason, Status> {
     }
 }
 
-/// An error message, cut to what is kept; never empty, because a quarantined
-/// job must say something.
+/// Truncates an error message and makes it printable. An empty one is replaced by a placeholder,
+/// since a quarantined job must show a reason.
 pub(super) fn error_text(error: &str) -> Cow<'_, str> {
     match shortened(error, MAX_ERROR_BYTES).trim() {
         "" => "no reason was given".into(),
@@ -290,7 +291,7 @@ pub(super) fn error_text(error: &str) -> Cow<'_, str> {
     }
 }
 
-/// Seconds of a wait; what is not a sensible number waits not at all.
+/// Converts seconds to a duration; zero if negative, not finite or too large.
 pub(super) fn wait(secs: f64) -> std::time::Duration {
     std::time::Duration::try_from_secs_f64(secs).unwrap_or_default()
 }
@@ -394,7 +395,7 @@ fn text(field: &str, value: String) -> Result<String, Status> {
 }
 
 fn settings(given: BTreeMap<String, String>) -> Result<BTreeMap<String, String>, Status> {
-    // A worker adds two to those of the policy.
+    // The worker adds two settings to the policy's.
     if given.len() > proto::MAX_SETTINGS + 2 {
         let count = given.len();
         return Err(invalid(format!(

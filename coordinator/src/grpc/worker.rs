@@ -19,16 +19,16 @@ use crate::gauges::Gauges;
 
 /// Most leases that one heartbeat renews.
 const MAX_PROGRESS: usize = 1_024;
-/// Longest silence within an upload.
+/// Longest wait for the next chunk of an upload.
 const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
-/// Longest warm task's name that is looked at, bytes.
+/// Longest task name of a claim, bytes; longer ones are ignored.
 const MAX_TASK_BYTES: usize = 80;
-/// Most tasks that a worker may say it lacks; LIBERO has 130.
+/// Most tasks accepted in a claim's `lacking_tasks`; LIBERO has 130.
 const MAX_TASKS: usize = 256;
-/// The only kind of file that is kept.
+/// Name of the only accepted artifact.
 const VIDEO: &str = "video.mp4";
 
-/// The worker service on a queue.
+/// Worker service of a queue.
 #[derive(Debug)]
 pub(super) struct WorkerApi {
     pub(super) queue: Arc<Queue>,

@@ -1,5 +1,5 @@
-//! Answers to browsers: a page with its headers, and the few files that pages need. No page may
-//! load anything from elsewhere, or run a script that is not this program's.
+//! HTTP responses: pages with their security headers, and static files. The content security policy
+//! forbids loading anything from other origins and running other scripts than `page.js`.
 
 use std::sync::LazyLock;
 
@@ -8,12 +8,12 @@ use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use sha2::{Digest, Sha256};
 
-/// The pages' style, after the report's.
+/// Style sheet of the pages, appended to the report's.
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("page.js");
 const ICON: &str = include_str!("icon.svg");
 
-/// Sources that a page may load from, and targets of its forms.
+/// Content security policy of every page.
 const CONTENT_POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; \
     img-src 'self'; media-src 'self'; connect-src 'self'; form-action 'self'; base-uri 'none'; \
     frame-ancestors 'none'";
@@ -27,18 +27,18 @@ const HEADERS: [(HeaderName, &str); 5] = [
     (header::CACHE_CONTROL, "no-store"),
 ];
 
-/// Changes with this program's style and script, so that browsers may keep them
-/// for long and never mix two versions.
+/// Digest of the static files, part of their URLs: browsers may cache them for a year and never mix
+/// two versions.
 pub(super) static FILES_VERSION: LazyLock<String> =
     LazyLock::new(|| short_digest(&[report::STYLE, STYLE, SCRIPT, ICON].concat()));
 
-/// A page that was made.
+/// Rendered page.
 #[derive(Debug)]
 pub(super) struct Rendered {
     html: Bytes,
-    /// Its digest, as an entity tag.
+    /// Entity tag: the quoted digest of the HTML.
     tag: String,
-    /// The edition of everything that it was made from.
+    /// Change counter (`Changes::version`) at the time of rendering.
     pub(super) version: u64,
 }
 
@@ -51,7 +51,7 @@ impl Rendered {
         }
     }
 
-    /// The page, unless the browser has it already.
+    /// Returns the page, or 304 Not Modified if the browser has the same entity tag.
     pub(super) fn answer(&self, headers: &HeaderMap) -> Response {
         let known = headers.get(header::IF_NONE_MATCH);
         if known.is_some_and(|known| known.as_bytes() == self.tag.as_bytes()) {
@@ -62,7 +62,7 @@ impl Rendered {
     }
 }
 
-/// A page that is made for one browser.
+/// Returns a page that is rendered for one request and not cached.
 pub(super) fn page(code: StatusCode, html: String) -> Response {
     (code, HEADERS, html).into_response()
 }
@@ -88,7 +88,7 @@ fn file(kind: &'static str, text: String) -> Response {
     (headers, text).into_response()
 }
 
-/// The first 16 hex digits of a text's SHA-256.
+/// Returns the first 16 hex digits of a text's SHA-256.
 fn short_digest(text: &str) -> String {
     let digest = Sha256::digest(text);
     digest[..8]
@@ -107,7 +107,7 @@ mod tests {
         heads.flat_map(|(selectors, _)| selectors.split(','))
     }
 
-    /// A page's `.bar{width:100%}` once drew every bar of the figures from edge to edge.
+    /// Regression: the page's `.bar{width:100%}` stretched every bar of the report's figures.
     #[test]
     fn no_rule_of_the_pages_reaches_into_a_figure() {
         let of_figures = |class: &str| {

@@ -1,12 +1,12 @@
-//! A campaign's jobs as a bar, one piece for each state, and in words.
+//! Progress bar of job counts with one segment per state, its legend and its text alternative.
 
 use maud::{Markup, html};
 use queue::read::Counts;
 
-/// Width of a bar in its own units.
+/// Width of a bar in SVG user units.
 const WIDTH: f64 = 1_000.0;
 
-/// The pieces of a bar, by class, count and name.
+/// Segments of a bar: CSS class, count and label.
 fn pieces(counts: &Counts) -> [(&'static str, u64, &'static str); 5] {
     let failed = counts.committed.saturating_sub(counts.succeeded);
     [
@@ -18,7 +18,7 @@ fn pieces(counts: &Counts) -> [(&'static str, u64, &'static str); 5] {
     ]
 }
 
-/// The bar of some jobs; what waits stays empty.
+/// Renders a bar; waiting jobs leave it empty.
 pub(super) fn bar(counts: &Counts, words: &str) -> Markup {
     let scale = WIDTH / (counts.total().max(1) as f64);
     let mut end = 0.0;
@@ -40,7 +40,7 @@ pub(super) fn bar(counts: &Counts, words: &str) -> Markup {
     }
 }
 
-/// The counts behind the bar, with the colours' meaning.
+/// Renders the legend: colour, count and label of each segment.
 pub(super) fn legend(counts: &Counts) -> Markup {
     html! {
         ul.legend {
@@ -51,7 +51,7 @@ pub(super) fn legend(counts: &Counts) -> Markup {
     }
 }
 
-/// The bar in words.
+/// Describes the bar for screen readers.
 pub(super) fn words(counts: &Counts) -> String {
     format!(
         "{} of {} rollouts have a result, {} of them succeeded; {} are running, {} wait, {} are \

@@ -1,5 +1,4 @@
-//! One campaign: how far it is, condition by condition, and its report filling
-//! in.
+//! Page of one campaign: progress, progress by condition, and the report so far.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,7 +15,7 @@ use super::speed::speed;
 use super::state::Page;
 use crate::forecast::message;
 
-/// The page.
+/// Renders the page.
 pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let (campaign, mut view) = page.campaign(name).await?;
     let document = page.document(&campaign, &mut view).await?;
@@ -25,7 +24,7 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let is_over = status.counts.queued == 0;
     let name = &status.campaign.name;
     let records = document.analyses.iter().flat_map(|a| &a.subject.records);
-    // Configurations whose transition is explained are shown where that was measured.
+    // Links of an explaining campaign lead to the campaign that measured the transitions.
     let explained = document.analyses.iter().find_map(|it| it.findings.as_ref());
     let of = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
     let link = |id: RolloutId, replicate: u32| address(of, id, replicate);
@@ -52,7 +51,7 @@ pub(super) fn address(campaign: &str, rollout: RolloutId, replicate: u32) -> Str
     }
 }
 
-/// A rollout by its name, with a link to where it is shown.
+/// Renders the name of a rollout, linked to the page of its configuration.
 pub(super) fn rollout(campaign: &str, id: &str, replicate: u32) -> Markup {
     let name = ::report::rollout_name(id, replicate);
     html! {
@@ -63,7 +62,7 @@ pub(super) fn rollout(campaign: &str, id: &str, replicate: u32) -> Markup {
     }
 }
 
-/// A table of conditions × levels with what is there of each.
+/// Renders a table of conditions × levels with the progress in each cell.
 fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -> Markup {
     let mut tallies: BTreeMap<(Condition, Level), Counts> = BTreeMap::new();
     for record in records {
@@ -132,7 +131,7 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
     }
 }
 
-/// A cell's bar and words.
+/// Renders a cell: the bar and its counts.
 fn tally(counts: &Counts) -> Markup {
     let Counts {
         committed: done,

@@ -1,4 +1,4 @@
-//! The first page: every campaign, how far it is, and what keeps it.
+//! Start page: every campaign with its progress and any obstacle to it.
 
 use maud::{Markup, html};
 use queue::read::{CampaignStatus, Source};
@@ -11,10 +11,10 @@ use super::problem::Problem;
 use super::state::Page;
 use crate::words::{duration_text, rate_text};
 
-/// The page.
+/// Renders the page.
 pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
     let mut campaigns = page.queue.view().await?.statuses().await?;
-    // Newest first: people come for the campaign that began last.
+    // Newest first, since visitors usually want the campaign that was created last.
     campaigns.reverse();
     let names = campaigns.iter().map(|it| it.campaign.name.to_string());
     let names: Vec<String> = names.collect();
@@ -37,7 +37,7 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
     Ok(Sheet::new(Place::Campaigns, "Campaigns", main))
 }
 
-/// How one campaign stands: words, bar, counts, and what keeps it.
+/// Renders the progress of one campaign: pace, bar, counts and notes on obstacles.
 pub(super) fn progress(status: &CampaignStatus) -> Markup {
     let counts = &status.counts;
     let done = counts.committed;
@@ -54,13 +54,13 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
             "Policy " strong { (status.campaign.policy) } " at " code { (status.campaign.endpoint) }
             @if left(status) > 0 { " · " (workers(status.live_workers)) }
         }
-        // Told to those who listen, at every tenth only.
+        // Live region for screen readers, which changes at every tenth only.
         p.unseen role="status" { (status.campaign.name) ": " (percent / 10 * 10) " % done" }
         (notes(status))
     }
 }
 
-/// Obstacles of a campaign, and faults that need its operator.
+/// Renders notes on obstacles and on faults that need the operator.
 fn notes(status: &CampaignStatus) -> Markup {
     let aside = status.counts.quarantined;
     let is_over = status.campaign.state.is_over();
@@ -128,13 +128,13 @@ fn pace(status: &CampaignStatus) -> String {
     }
 }
 
-/// The campaign that must be through before anything more follows from it.
+/// Returns the source campaign while some of its rollouts lack an outcome, unless it is cancelled.
 fn awaited(status: &CampaignStatus) -> Option<&Source> {
     let source = status.source.as_ref();
     source.filter(|source| source.awaited > 0 && !source.is_cancelled)
 }
 
-/// That it stopped early, and what that saved.
+/// Describes an early stop and the rollouts that it saved.
 fn stopped(status: &CampaignStatus) -> String {
     let early = status.stop.as_ref();
     let Some((early, used)) = early.and_then(|early| Some((early, early.used?))) else {
@@ -145,7 +145,7 @@ fn stopped(status: &CampaignStatus) -> String {
     ::report::stopped_in_words(configurations, &early.stop.rule.to_string(), rollouts)
 }
 
-/// Rollouts that are still to come to something.
+/// Returns the number of queued and leased rollouts.
 fn left(status: &CampaignStatus) -> u64 {
     status.counts.queued + status.counts.leased
 }

@@ -1,5 +1,5 @@
-//! One rollout among its siblings: what it came to, what was perturbed, its
-//! video, and where it all came from.
+//! Card of one rollout on a configuration's page: outcome, video, perturbation, failed attempts and
+//! provenance.
 
 use libero_ctrl::{Axis, ManifestRow, RolloutId, seeds};
 use maud::{Markup, html};
@@ -11,26 +11,26 @@ use super::perturbation;
 use super::trace::Path;
 use crate::words::{duration_text, size_text, utc_text};
 
-/// One of the rollouts side by side.
+/// Rollout shown as a card.
 pub(super) struct Shown {
     pub(super) id: RolloutId,
     pub(super) row: ManifestRow,
     pub(super) line: RolloutLine,
     pub(super) result: Option<ResultLine>,
     pub(super) failures: Vec<FailureLine>,
-    /// Motion of the hand; empty if it is not known.
+    /// Positions of the hand; empty if the result has none.
     pub(super) path: Path,
 }
 
 impl Shown {
-    /// Size of its video, if it has one.
+    /// Returns the size of the rollout's video, bytes; `None` without a video.
     pub(super) fn video_bytes(&self) -> Option<u64> {
         let bytes = self.result.as_ref()?.video_bytes?;
         Some(bytes.unsigned_abs())
     }
 }
 
-/// The card, with a picture of how the hand moved if there is one.
+/// Renders the card. `trace` is the plot of the hand's path, if any.
 pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<Markup>) -> Markup {
     let title = shown.id.condition().label();
     let (class, word, detail) = standing(shown);
@@ -55,7 +55,7 @@ pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<
     }
 }
 
-/// Control of all videos of a page; its script shows it.
+/// Renders the shared controls of all videos on a page; hidden until `page.js` shows them.
 pub(super) fn video_controls() -> Markup {
     html! {
         div.player #player hidden role="group" aria-label="All videos" {
@@ -74,7 +74,7 @@ pub(super) fn video_controls() -> Markup {
     }
 }
 
-/// Class, word and what else is to be said of how a rollout stands.
+/// Returns CSS class, label and detail of a rollout's state.
 fn standing(shown: &Shown) -> (&'static str, &'static str, String) {
     let budget = shown.row.max_steps;
     let line = &shown.line;
@@ -115,7 +115,7 @@ fn video(campaign: &str, shown: &Shown, replicate: u32, bytes: u64) -> Markup {
     }
 }
 
-/// The video of a rollout.
+/// Renders the video element of a rollout.
 pub(super) fn player(campaign: &str, id: RolloutId, replicate: u32) -> Markup {
     html! {
         video data-keep controls muted playsinline preload="auto"
@@ -128,7 +128,7 @@ fn video_address(campaign: &str, id: RolloutId, replicate: u32) -> String {
     format!("/campaigns/{campaign}/videos/{id}?replicate={replicate}")
 }
 
-/// Perturbation of a rollout, in words.
+/// Renders the instruction, if it differs, and the perturbation of each axis.
 fn perturbed(shown: &Shown) -> Markup {
     let mut combined = shown.row.perturbation.axes();
     combined.extend(shown.row.variant_id.is_some().then_some(Axis::Language));
@@ -144,7 +144,7 @@ fn perturbed(shown: &Shown) -> Markup {
         @match axes.as_slice() {
             [] => p.muted { "Nothing is perturbed." },
             [axis] => (values(*axis)),
-            // The cards of the axes alone beside it say the same.
+            // Collapsed, since the cards of the single axes show the same values.
             axes => details {
                 summary { (axes.len()) " axes perturbed" }
                 @for axis in axes { h3 { (axis) } (values(*axis)) }
@@ -153,7 +153,7 @@ fn perturbed(shown: &Shown) -> Markup {
     }
 }
 
-/// Attempts that brought no result.
+/// Renders the attempts that ended without a result.
 fn failures(shown: &Shown) -> Markup {
     let count = shown.failures.len();
     html! {
@@ -175,7 +175,7 @@ fn failures(shown: &Shown) -> Markup {
     }
 }
 
-/// Everything that the outcome came from.
+/// Renders seeds, worker, policy, assets and the other provenance of the outcome.
 fn origin(shown: &Shown, replicate: u32) -> Markup {
     let line = &shown.line;
     let seed = seeds::rollout_seed(&shown.id);
@@ -207,7 +207,7 @@ fn origin(shown: &Shown, replicate: u32) -> Markup {
     }
 }
 
-/// Describes the part of the goal that held; empty where its worker did not say.
+/// Describes how many goal predicates held; empty if the worker did not report them.
 fn goal(result: &ResultLine) -> String {
     let words = |goal: GoalProgress| {
         let GoalProgress {
@@ -264,7 +264,7 @@ fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
     ]
 }
 
-/// The first digits of a digest.
+/// Truncates a digest to its first 16 characters.
 fn short(digest: &str) -> String {
     match digest.is_ascii() && digest.len() > 16 {
         true => format!("{}…", &digest[..16]),

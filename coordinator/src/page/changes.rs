@@ -1,5 +1,6 @@
-//! Telling browsers that something changed, by server-sent events: one look at
-//! the database a second for all of them. What changed is for the page to ask.
+//! Change notifications for browsers by server-sent events. The database is polled once a second
+//! for all streams together. An event carries only the change counter; the page then fetches its
+//! new content.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,26 +16,26 @@ use tokio_stream::wrappers::WatchStream;
 
 use super::problem::Problem;
 
-/// Streams at a time; who comes later looks again by itself now and then.
+/// Most streams at a time; further browsers poll instead.
 pub(super) const MAX_STREAMS: usize = 128;
-/// Between two looks at the database.
+/// Interval between two polls of the database.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// Something is told at least so often: ages grow while nothing happens, and a
-/// browser that is gone is only noticed when something is sent to it.
+/// Longest interval between two events. Displayed ages grow even without changes, and a browser's
+/// disconnection is noticed only when something is sent to it.
 const TELL_EVERY: Duration = Duration::from_secs(5);
-/// Wait of a browser before it connects again, milliseconds.
+/// Reconnection delay of a browser, milliseconds.
 const RECONNECT_MS: u32 = 1_000;
 
-/// An event of the streams.
+/// Event of the streams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum News {
-    /// The edition of everything; it only rises while the coordinator runs.
+    /// Change counter; only increases while the coordinator runs.
     Version(u64),
-    /// The coordinator stops.
+    /// The coordinator is shutting down.
     Closed,
 }
 
-/// The streams, and what they are told.
+/// Broadcast of changes to all open streams.
 #[derive(Debug)]
 pub(super) struct Changes {
     news: watch::Sender<News>,
@@ -51,7 +52,7 @@ impl Changes {
         }
     }
 
-    /// The edition that a page made now is of.
+    /// Returns the change counter, which a page rendered now carries as its version.
     pub(super) fn version(&self) -> u64 {
         match *self.news.borrow() {
             News::Version(version) => version,
@@ -59,15 +60,15 @@ impl Changes {
         }
     }
 
-    /// Streams that are open.
+    /// Returns the number of open streams.
     pub(super) fn streams(&self) -> usize {
         MAX_STREAMS - self.seats.available_permits()
     }
 
-    /// A new stream.
+    /// Opens a stream.
     ///
     /// # Errors
-    /// When there are too many.
+    /// If [`MAX_STREAMS`] streams are open.
     pub(super) fn stream(&self) -> Result<Response, Problem> {
         let seat = self.seats.clone().try_acquire_owned();
         let seat = seat.map_err(|_| Problem::TooManyStreams)?;
@@ -75,7 +76,7 @@ impl Changes {
         let news = WatchStream::new(self.news.subscribe());
         let news = news.take_while(|news| *news != News::Closed);
         let lines = news.map(move |news| {
-            // The seat is taken for as long as the stream lives.
+            // The closure owns the permit, so the seat is freed when the stream is dropped.
             let _taken = &seat;
             let News::Version(version) = news else {
                 return Ok(Bytes::new());
@@ -90,14 +91,14 @@ impl Changes {
         Ok((headers, Body::from_stream(lines)).into_response())
     }
 
-    /// Looks for changes while anybody is there, for ever.
+    /// Polls for changes while streams are open; never returns.
     pub(super) async fn tell(&self, queue: &Queue) {
         loop {
             if self.streams() == 0 {
                 self.arrived.notified().await;
             }
             if let Err(error) = self.tell_while_watched(queue).await {
-                // The pages say what is wrong with the database.
+                // Logged at debug level only: the pages themselves show database errors.
                 tracing::debug!("failed to {error}");
                 self.rise();
                 sleep(TELL_EVERY).await;

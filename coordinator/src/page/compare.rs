@@ -1,4 +1,4 @@
-//! Two campaigns against each other, over the rollouts that both have.
+//! Page of the paired comparison of two campaigns.
 
 use maud::{Markup, html};
 use queue::ids::{CampaignName, shortened};
@@ -8,10 +8,10 @@ use super::layout::{Place, Sheet};
 use super::problem::Problem;
 use super::state::Page;
 
-/// Address of the page.
+/// Path of the page.
 pub(super) const ADDRESS: &str = "/compare";
 
-/// The page; without two campaigns in its query, the form that asks for them.
+/// Renders the page, or the selection form alone if the query does not name two campaigns.
 pub(super) async fn sheet(page: &Page, query: &str) -> Result<Sheet, Problem> {
     let of = |wanted: &str| {
         let mut pairs = form_urlencoded::parse(query.as_bytes());
@@ -53,7 +53,7 @@ pub(super) async fn sheet(page: &Page, query: &str) -> Result<Sheet, Problem> {
     Ok(Sheet::new(Place::Campaigns, title, main))
 }
 
-/// Asks for two campaigns; nothing where there is no choice.
+/// Renders the selection form; empty if there are fewer than two campaigns.
 pub(super) fn form(names: &[String], chosen: [Option<&str>; 2]) -> Markup {
     let select = |id: &str, chosen: Option<&str>, otherwise: usize| {
         let chosen = chosen.or_else(|| names.get(otherwise).map(String::as_str));
@@ -82,7 +82,7 @@ fn crumbs() -> Markup {
     html! { p.crumbs { a href="/" { "Campaigns" } } }
 }
 
-/// The campaigns, the newest first.
+/// Returns the campaigns' names, newest first.
 async fn names(view: &mut View) -> Result<Vec<String>, Problem> {
     let statuses = view.statuses().await?;
     let names = statuses.iter().rev();

@@ -1,5 +1,4 @@
-//! One configuration: its nominal rollout, each axis alone, and simultaneous,
-//! side by side.
+//! Page of one configuration: its nominal, simultaneous and single-axis rollouts side by side.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +17,7 @@ use super::state::Page;
 use super::subsets;
 use super::trace::{self, Extent};
 
-/// The page.
+/// Renders the page.
 pub(super) async fn sheet(
     page: &Page,
     name: &str,
@@ -77,7 +76,7 @@ pub(super) async fn sheet(
     Ok(Sheet::new(Place::Campaigns, title, main))
 }
 
-/// The replicate that a query names; 0 where it names none.
+/// Parses the `replicate` parameter of a query; 0 if absent.
 pub(super) fn replicate(query: &str) -> Result<u32, Problem> {
     let mut pairs = form_urlencoded::parse(query.as_bytes());
     match pairs.find(|(name, _)| name == "replicate") {
@@ -88,7 +87,7 @@ pub(super) fn replicate(query: &str) -> Result<u32, Problem> {
     }
 }
 
-/// The rollouts of a configuration that the campaign has, nominal first.
+/// Reads the campaign's rollouts of a configuration, nominal first.
 async fn rollouts(
     view: &mut View,
     campaign: &Campaign,
@@ -131,13 +130,14 @@ fn read(line: &RolloutLine) -> Result<ManifestRow, Problem> {
     serde_json::from_str(&line.manifest_row).map_err(|error| Problem::failed(&error))
 }
 
-/// The ids of what is compared with a rollout, itself among them, in the order
-/// in which they are shown.
+/// Returns the ids of all conditions of a rollout's configuration, itself included, in display
+/// order.
 fn siblings(asked: RolloutId) -> Vec<String> {
     let Some(config) = asked.config() else {
         return vec![asked.to_string()];
     };
-    // The simultaneous one beside the nominal, which it is looked at together with most.
+    // The simultaneous rollout comes first, beside the nominal one, since the two are usually
+    // compared.
     let several = AxisSet::ALL.subsets().into_iter().map(Condition::of);
     let conditions = [Condition::Combination].into_iter().chain(several);
     let id = |condition| RolloutId::perturbed(asked.task(), condition, asked.level(), config);
@@ -145,7 +145,7 @@ fn siblings(asked: RolloutId) -> Vec<String> {
     ids.map(|id| id.to_string()).collect()
 }
 
-/// The rollouts of the same task and condition, by level and configuration.
+/// Returns the rollout ids of the same task and condition, sorted.
 async fn neighbours(
     view: &mut View,
     campaign: &Campaign,
@@ -159,7 +159,7 @@ async fn neighbours(
     Ok(ids)
 }
 
-/// Links to other replicates, levels and configurations.
+/// Renders links to other replicates, levels and configurations.
 fn ways(
     campaign: &str,
     asked: RolloutId,
@@ -187,7 +187,7 @@ fn ways(
     }
 }
 
-/// Links to what one can choose from, by name and address, if there is a choice.
+/// Renders links, given as name and address; empty if there is only one.
 fn choice(label: &str, links: Vec<(String, String)>, here: &str) -> Markup {
     html! {
         @if links.len() > 1 {
@@ -221,7 +221,7 @@ fn heading(asked: RolloutId) -> String {
     format!("{}, task {}, {which}", task.suite().name(), task.index())
 }
 
-/// Returns the effect of simultaneous perturbation, in words, once it is known.
+/// Describes the effect of simultaneous perturbation; `None` while outcomes are missing.
 fn transition(shown: &[Shown], replicate: u32) -> Option<&'static str> {
     let records: Vec<Record> = shown
         .iter()

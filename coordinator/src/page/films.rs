@@ -1,5 +1,5 @@
-//! Explanation of an outcome by axes, in words, and in films side by side: the minimal subset, and
-//! the largest subsets of it that do not change the outcome.
+//! Explanation of an outcome as text and as films side by side: the minimal subset of axes that
+//! changes it, and the largest proper subsets that do not.
 
 use lattice::{Answer, Explanation, MinimalSubset};
 use libero_ctrl::{AxisSet, RolloutId};
@@ -10,14 +10,14 @@ use super::card::player;
 use super::known::{Lattice, Source};
 use super::layout::breakable;
 
-/// Films side by side.
+/// Rendered films and their number.
 #[derive(Default)]
 pub(super) struct Films {
     pub(super) markup: Markup,
     pub(super) count: usize,
 }
 
-/// The minimal subsets found from one start, as entries of a list.
+/// Renders the minimal subsets found from one start as list items.
 pub(super) fn in_words(answer: &Answer, transition: Transition) -> Markup {
     let (does, does_not) = verbs(transition);
     html! {
@@ -25,7 +25,7 @@ pub(super) fn in_words(answer: &Answer, transition: Transition) -> Markup {
             li {
                 @if !answer.start.is_empty() { "Under " (named(answer.start)) " it fails. " }
                 "Under " strong { (named(it.set)) } " it " (does)
-                // Of a start it is said that it fails.
+                // The first sentence says already that the rollout fails under the start.
                 @if answer.start.is_empty() || it.below != [answer.start] {
                     ", and " (does_not) " under " (list(&it.below))
                 }
@@ -47,8 +47,7 @@ pub(super) fn in_words(answer: &Answer, transition: Transition) -> Markup {
     }
 }
 
-/// The films of each answer: of its smallest minimal subset, an established one if there is
-/// one.
+/// Renders the films of each answer's smallest minimal subset, preferring established ones.
 pub(super) fn films(lattice: &Lattice, explanation: &Explanation) -> Films {
     let mut films = Films::default();
     let mut parts = Vec::new();
@@ -64,7 +63,7 @@ pub(super) fn films(lattice: &Lattice, explanation: &Explanation) -> Films {
     films
 }
 
-/// A rollout that is shown.
+/// Rollout that shows the outcome under one subset; `is_filmed` if its video exists.
 struct Film<'a> {
     source: &'a Source,
     id: RolloutId,
@@ -101,7 +100,7 @@ fn side_by_side(
     (filmed.len(), markup)
 }
 
-/// The rollout that shows what is known of a subset: a filmed one, if there is one.
+/// Returns a rollout with the known outcome of a subset, preferably a filmed one.
 fn film(lattice: &Lattice, set: AxisSet) -> Option<Film<'_>> {
     let success = lattice.known.verdict(set).success()?;
     let full = lattice.known.full();
@@ -143,7 +142,7 @@ fn card(film: &Film) -> Markup {
     }
 }
 
-/// The commands that make the films that are not there.
+/// Renders the commands that produce the missing films.
 fn remedies(lattice: &Lattice, shown: &[Film]) -> Markup {
     let mut missing: Vec<&Source> = Vec::new();
     for film in shown.iter().filter(|film| !film.is_filmed) {
@@ -157,7 +156,7 @@ fn remedies(lattice: &Lattice, shown: &[Film]) -> Markup {
         by.is_some_and(|by| by.campaign.id == source.campaign.id)
     };
     let measured = &lattice.measured.campaign.name;
-    // One command films all that kept their actions.
+    // A single `worker film` command covers all campaigns that kept their actions.
     let films = |source: &&&Source| source.campaign.record == "transitions" || explains(source);
     let to_film = missing.iter().find(films);
     let pack = to_film.and_then(|source| source.campaign.pin.as_ref());
@@ -189,15 +188,14 @@ fn remedies(lattice: &Lattice, shown: &[Film]) -> Markup {
         @if to_film.is_some() {
             p.muted {
                 "This makes the films from the actions that were kept: "
-                // The script of the page puts the address in its place.
+                // `page.js` replaces the address with the one that the browser uses.
                 code { "worker film --connect " span data-origin { "http://127.0.0.1:7411" } " --assets " (pack) }
             }
         }
     }
 }
 
-/// Returns the verb for a rollout whose outcome is flipped, and the verb for one whose outcome is
-/// not.
+/// Returns the verbs for a rollout whose outcome is changed and for one whose outcome is not.
 const fn verbs(transition: Transition) -> (&'static str, &'static str) {
     match transition {
         Transition::Compensated => ("succeeds", "fails"),
@@ -205,7 +203,7 @@ const fn verbs(transition: Transition) -> (&'static str, &'static str) {
     }
 }
 
-/// `camera and robot together`, `camera alone`, `no perturbation`.
+/// Names a subset: `camera and robot together`, `camera alone`, `no perturbation`.
 fn named(set: AxisSet) -> String {
     let names: Vec<&str> = set.axes().map(libero_ctrl::Axis::name).collect();
     match names.as_slice() {
@@ -215,7 +213,7 @@ fn named(set: AxisSet) -> String {
     }
 }
 
-/// Several subsets: `camera alone; robot alone`.
+/// Joins several subsets: `camera alone; under robot alone`.
 fn list(sets: &[AxisSet]) -> String {
     let names: Vec<String> = sets.iter().map(|set| named(*set)).collect();
     names.join("; under ")

@@ -1,10 +1,9 @@
-//! Things that cost something to make and that many ask for at once: one of
-//! them makes it, the others wait and share it. What is fresh enough is for the
-//! caller to say.
+//! Single-flight cache: of several concurrent requests for a key, one computes the value and the
+//! others wait for it. The caller decides whether a cached value is fresh enough.
 //!
-//! A computation outlives those who asked for it, since a thread cannot be stopped. Its key
-//! stays taken until it has ended, so that a page that is loaded again and again waits for
-//! the computation that runs and begins no other.
+//! A computation outlives its cancelled callers, since a thread cannot be stopped. Its key stays
+//! locked until it ends, so that reloading a page waits for the running computation and starts no
+//! second one.
 
 use std::collections::HashMap;
 use std::future::Future;
@@ -15,10 +14,10 @@ use tokio::sync::Semaphore;
 use tokio::task::JoinError;
 use tokio::time::Instant;
 
-/// Computations of all keys at a time.
+/// Most concurrent computations over all keys.
 const COMPUTATIONS: usize = 2;
 
-/// The newest value of every key, at most so many.
+/// Cache of the newest value of each key, for at most `most` keys.
 #[derive(Debug)]
 pub(super) struct Kept<V> {
     places: Mutex<HashMap<String, Place<V>>>,
@@ -26,10 +25,10 @@ pub(super) struct Kept<V> {
     computing: Arc<Semaphore>,
 }
 
-/// Held while its value is being made.
+/// Entry of a key; its lock is held while the value is being computed.
 type Place<V> = Arc<tokio::sync::Mutex<Option<Made<V>>>>;
 
-/// A value, when it was begun, and how long making it took.
+/// Cached value with the start and duration of its computation.
 #[derive(Clone, Debug)]
 pub(super) struct Made<V> {
     pub(super) value: V,
@@ -38,7 +37,7 @@ pub(super) struct Made<V> {
 }
 
 impl<V: Clone + Send + 'static> Kept<V> {
-    /// Nothing yet; later at most `most` values.
+    /// Creates an empty cache for at most `most` keys.
     pub(super) fn new(most: usize) -> Kept<V> {
         Kept {
             places: Mutex::default(),
@@ -47,10 +46,10 @@ impl<V: Clone + Send + 'static> Kept<V> {
         }
     }
 
-    /// The value of a key: the one that is there, if it is fresh, or a new one.
+    /// Returns the cached value of a key if it is fresh, otherwise the result of `make`.
     ///
     /// # Errors
-    /// Those of `make`, to its caller alone.
+    /// If `make` fails; waiting callers then run their own `make`.
     pub(super) async fn get<E>(
         &self,
         key: &str,
@@ -73,13 +72,13 @@ impl<V: Clone + Send + 'static> Kept<V> {
         Ok(value)
     }
 
-    /// The value of a key: the one that is there, if it is fresh, or one that is computed on
-    /// a thread that answers nobody. `read` returns the computation and ends with its caller;
-    /// the computation does not.
+    /// Returns the cached value of a key if it is fresh, otherwise one computed on a blocking
+    /// thread. `read` prepares the computation and is cancelled with its caller; the computation
+    /// itself runs to its end.
     ///
     /// # Errors
-    /// Those of `read` and of the computation, to its caller alone; of one that panicked, what
-    /// `panicked` makes of it.
+    /// If `read` or the computation fails, or, as converted by `panicked`, if the computation
+    /// panics. Waiting callers then start their own computation.
     pub(super) async fn compute<E, C>(
         &self,
         key: &str,
@@ -112,13 +111,13 @@ impl<V: Clone + Send + 'static> Kept<V> {
     }
 
     fn place(&self, key: &str) -> Place<V> {
-        // Nothing panics while it holds this.
+        // No code panics while holding this lock, so the map is never left inconsistent.
         let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(place) = places.get(key) {
             return place.clone();
         }
         if places.len() >= self.most {
-            // Values that are being made stay. Another that is still wanted is made again, once.
+            // Evicts every entry that no caller holds; values being computed stay.
             places.retain(|_, place| Arc::strong_count(place) > 1);
         }
         places.entry(key.to_owned()).or_default().clone()
@@ -148,8 +147,8 @@ mod tests {
         assert_eq!(again.await, Ok(7));
     }
 
-    /// Finding B12: a page that was loaded again while its statistics were computed began
-    /// another computation.
+    /// Regression B12: reloading a page while its statistics were computed started another
+    /// computation.
     #[tokio::test]
     async fn a_computation_that_nobody_waits_for_any_more_is_not_begun_again() {
         let kept = Kept::new(2);
@@ -171,7 +170,7 @@ mod tests {
             let given_up = tokio::time::timeout(Duration::from_millis(20), ask()).await;
             assert!(given_up.is_err(), "the computation waits");
         }
-        // Enough for each of them, if there were several.
+        // Enough signals for every computation, had several been started.
         (0..6).for_each(|_| go_on.send(()).expect("the gate is there"));
         assert_eq!(ask().await, Ok(0));
         assert_eq!(begun.load(Ordering::Relaxed), 1);

@@ -1,5 +1,5 @@
-//! Known outcomes of a configuration under every subset of the axes, from the campaign that
-//! measures it and the one that explains that.
+//! Known outcomes of a configuration under every subset of the axes, from the measuring campaign
+//! and the campaign that explains it.
 
 use lattice::{Known, configurations, own_configurations};
 use libero_ctrl::{AxisSet, CampaignSpec, Condition, Explanation, RolloutId, Rollouts};
@@ -10,7 +10,7 @@ use super::campaign::address;
 use super::problem::Problem;
 use crate::reading::ReadError;
 
-/// A campaign with what it has of one configuration.
+/// Campaign and its rows for one configuration.
 pub(super) struct Source {
     pub(super) campaign: Campaign,
     pub(super) rows: Vec<SubsetRow>,
@@ -27,8 +27,8 @@ pub(super) struct Lattice {
     pub(super) explaining: Option<Source>,
 }
 
-/// Reads the known outcomes of a configuration; none of a nominal rollout by itself, or with fewer
-/// than two axes.
+/// Reads the known outcomes of a configuration; `None` if `asked` is a nominal rollout or the
+/// configuration has fewer than two axes.
 pub(super) async fn read(
     view: &mut View,
     campaign: &Campaign,
@@ -40,7 +40,7 @@ pub(super) async fn read(
     let Some(configuration) = asked.config().and_then(simultaneous) else {
         return Ok(None);
     };
-    // Thresholds are measured along one condition: no lattice is known of them.
+    // A thresholds campaign has its rollouts along one condition and so yields no lattice.
     let (measured, by) = match explanation(view, campaign).await? {
         None => (campaign.clone(), view.following(campaign.id).await?),
         Some(_) => match view.source(campaign.id).await? {
@@ -49,7 +49,7 @@ pub(super) async fn read(
         },
     };
     let measured = source(view, measured, asked).await?;
-    // Of several that explain it, the one that looked into this configuration most.
+    // Of several explaining campaigns, uses the one with the most rollouts of this configuration.
     let mut explaining: Option<(Source, Explanation)> = None;
     for by in by {
         let Some(explanation) = explanation(view, &by).await? else {
@@ -78,7 +78,7 @@ pub(super) async fn read(
     }))
 }
 
-/// Reads a campaign's rollouts of a configuration, its nominal rollout included.
+/// Reads a campaign's rollouts of a configuration under all subsets of the axes, nominal included.
 async fn source(view: &mut View, campaign: Campaign, asked: RolloutId) -> Result<Source, Problem> {
     let conditions = AxisSet::ALL.subsets().into_iter().map(Condition::of);
     let id =
@@ -122,7 +122,7 @@ fn records(rows: &[SubsetRow]) -> Result<Vec<Record>, Problem> {
 }
 
 impl Source {
-    /// Its rollouts under a subset of the axes `full`.
+    /// Returns the rollouts under the subset `set` of the axes `full`.
     pub(super) fn of(
         &self,
         set: AxisSet,
@@ -135,12 +135,12 @@ impl Source {
 }
 
 impl Lattice {
-    /// Both campaigns, the explaining one first.
+    /// Iterates over the campaigns, the explaining one first.
     pub(super) fn both(&self) -> impl Iterator<Item = &Source> {
         self.explaining.iter().chain([&self.measured])
     }
 
-    /// Whether anything was run under several axes but not all.
+    /// Returns true if a rollout exists under several, but not all, axes.
     pub(super) fn has_subsets(&self) -> bool {
         let rows = self.both().flat_map(|source| &source.rows);
         let mut ids = rows.filter_map(|row| row.rollout_id.parse::<RolloutId>().ok());
@@ -152,7 +152,7 @@ impl Lattice {
         let full = self.known.full();
         self.both().find_map(|source| {
             let (id, row) = source.of(set, full).next()?;
-            // The card of the nominal rollout is on its configurations' pages.
+            // A nominal rollout has its card on the pages of its configurations.
             let page = match id.config() {
                 Some(_) => id,
                 None => self.configuration,

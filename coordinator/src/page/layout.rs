@@ -1,13 +1,13 @@
-//! Parts that all pages share: head, navigation, the line that says whether the page is live.
+//! Shared layout of all pages: head, navigation and connection status.
 
 use maud::{DOCTYPE, Markup, html};
 
 use super::answer::FILES_VERSION;
 
-/// A page without what all pages share.
+/// Content of a page without the shared layout.
 pub(super) struct Sheet {
     pub(super) title: String,
-    /// Entry of the navigation that it belongs to.
+    /// Navigation entry that is highlighted.
     pub(super) place: Place,
     pub(super) main: Markup,
 }
@@ -31,7 +31,7 @@ pub(super) enum Place {
     Quarantine,
 }
 
-/// Seconds between two looks of a browser that runs no script.
+/// Reload interval of browsers without JavaScript, seconds.
 const RELOAD_SECS: u32 = 10;
 
 const NAVIGATION: [(Place, &str, &str); 4] = [
@@ -41,7 +41,7 @@ const NAVIGATION: [(Place, &str, &str); 4] = [
     (Place::Quarantine, "/quarantine", "Quarantine"),
 ];
 
-/// A page that keeps itself up to date.
+/// Renders a live page, which updates itself.
 pub(super) fn whole(sheet: &Sheet, may_log_out: bool) -> Markup {
     let top = html! {
         nav aria-label="Pages" {
@@ -58,13 +58,13 @@ pub(super) fn whole(sheet: &Sheet, may_log_out: bool) -> Markup {
     frame(&sheet.title, true, top, &sheet.main)
 }
 
-/// A page that stands still.
+/// Renders a static page, such as an error.
 pub(super) fn still(title: &str, main: &Markup) -> Markup {
     let top = html! { nav aria-label="Pages" { a href="/" { "Campaigns" } } };
     frame(title, false, top, main)
 }
 
-/// A name such as `camera+robot`, that may be broken behind each axis.
+/// Renders a name such as `camera+robot` with a line-break opportunity after each `+`.
 pub(super) fn breakable(name: &str) -> Markup {
     let mut axes = name.split('+');
     html! {
@@ -73,8 +73,8 @@ pub(super) fn breakable(name: &str) -> Markup {
     }
 }
 
-/// A table that scrolls by itself where it is too wide: what it is called, its
-/// columns, those of words beginning with a `.`, and its rows.
+/// Renders a horizontally scrollable table. A column heading that begins with `.` marks a column of
+/// text.
 pub(super) fn table(name: &str, columns: &[impl AsRef<str>], rows: &Markup) -> Markup {
     html! {
         div.scroll tabindex="0" role="region" aria-label=(name) {
@@ -95,7 +95,7 @@ pub(super) fn table(name: &str, columns: &[impl AsRef<str>], rows: &Markup) -> M
     }
 }
 
-/// The way back from a page of a campaign.
+/// Renders the breadcrumbs of a page below a campaign.
 pub(super) fn crumbs(campaign: &str) -> Markup {
     html! {
         p.crumbs {

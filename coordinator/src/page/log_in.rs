@@ -1,5 +1,5 @@
-//! Logging in and out: a token begins a session, whose name the browser keeps in a cookie. What a
-//! session opens is the gate's business.
+//! Login and logout: a valid token starts a session, whose id the browser keeps in a cookie. The
+//! gate in `transport` decides which pages a session may read.
 
 use std::sync::Arc;
 
@@ -13,10 +13,10 @@ use super::state::Page;
 use super::{answer, layout};
 use crate::access::{LOG_IN, READERS};
 
-/// Longest form that is read, bytes.
+/// Longest accepted form, bytes.
 const MAX_FORM_BYTES: usize = 4_096;
 
-/// The form.
+/// Serves the login form, or redirects if the server requires no tokens.
 pub(super) async fn form(State(page): State<Arc<Page>>, uri: Uri) -> Response {
     let next = next(uri.query().unwrap_or_default().as_bytes());
     match page.security.asks_for_tokens() {
@@ -25,7 +25,7 @@ pub(super) async fn form(State(page): State<Arc<Page>>, uri: Uri) -> Response {
     }
 }
 
-/// Takes the token and leads to where the browser wanted to go.
+/// Checks the token and redirects to the page that was requested before the login.
 pub(super) async fn submit(State(page): State<Arc<Page>>, body: Bytes) -> Response {
     if body.len() > MAX_FORM_BYTES {
         let why = "That is longer than any token.";
@@ -75,8 +75,8 @@ fn to(address: &str, cookie: Option<String>) -> Response {
     (StatusCode::SEE_OTHER, headers, cookie, ()).into_response()
 }
 
-/// Returns the address that a form or a query wants to go on to: one of this server, or else its
-/// first page.
+/// Returns the `next` address of a form or query, or `/` unless it is a path on this server; this
+/// prevents open redirects.
 fn next(form: &[u8]) -> String {
     let next = field(form, "next");
     let mut bytes = next.bytes();
@@ -86,7 +86,7 @@ fn next(form: &[u8]) -> String {
     if is_own { next } else { "/".to_owned() }
 }
 
-/// A field of a form, empty if it has none of that name.
+/// Returns a form field; empty if absent.
 fn field(form: &[u8], name: &str) -> String {
     let mut fields = form_urlencoded::parse(form);
     let found = fields.find(|(found, _)| found == name);

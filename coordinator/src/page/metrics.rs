@@ -1,6 +1,5 @@
-//! The state of everything in Prometheus' text format, version 0.0.4. However
-//! many ask, it is read from the database at most once a second. No series is
-//! for a job: campaigns and policies are the finest there is, and bounded.
+//! Metrics in Prometheus' text format, version 0.0.4, read from the database at most once a second.
+//! Series are per campaign or policy, never per job, so that their number stays bounded.
 
 use std::fmt::Write;
 use std::sync::Arc;
@@ -15,16 +14,16 @@ use super::problem::Problem;
 use super::state::{PAGE_AGE, Page};
 use crate::disk::Room;
 
-/// Campaigns with series of their own: those that were created last.
+/// Most campaigns with series of their own; the newest are kept.
 pub(super) const MAX_CAMPAIGNS: usize = 200;
-/// Policies with series of their own.
+/// Most policies with series of their own.
 const MAX_POLICIES: usize = 200;
 
-/// Kinds of series.
+/// Metric types.
 const GAUGE: &str = "gauge";
 const COUNTER: &str = "counter";
 
-/// The metrics.
+/// Serves `/metrics`.
 pub(super) async fn get(State(page): State<Arc<Page>>) -> Response {
     let made = page
         .metrics
@@ -67,7 +66,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     let waiting = page.gauges.claims() as f64;
     let is_held = f64::from(queue.held().is_some());
     let streams = page.changes.streams() as f64;
-    // A row each.
+    // One gauge per line.
     #[rustfmt::skip]
     let gauges = [
         ("rollout_leases_held", "Rollouts that workers hold.", leased),
@@ -97,7 +96,7 @@ fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
     text.family(jobs, GAUGE, "Rollouts of a campaign, by state.");
     for status in shown {
         let (name, counts) = (status.campaign.name.as_str(), &status.counts);
-        // A campaign that is over has no work for anybody.
+        // The queued jobs of a finished campaign will never run; they are not pending work.
         let (queued, not_run) = match status.campaign.state.is_over() {
             true => (0, counts.queued),
             false => (counts.queued, 0),
@@ -145,12 +144,12 @@ fn of_policies(text: &mut Exposition, policies: &[PolicyLine]) {
     }
 }
 
-/// The text, family by family.
+/// Exposition text; each family's header precedes its samples.
 #[derive(Default)]
 struct Exposition(String);
 
 impl Exposition {
-    /// Begins a family; its samples follow.
+    /// Writes the header of a metric family; its samples must follow.
     fn family(&mut self, name: &str, kind: &str, help: &str) {
         // Writing to a string cannot fail.
         let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
@@ -166,14 +165,14 @@ impl Exposition {
         let _ = writeln!(self.0, "{after} {value}");
     }
 
-    /// A gauge with one sample.
+    /// Writes a gauge with a single sample.
     fn alone(&mut self, name: &str, help: &str, value: f64) {
         self.family(name, GAUGE, help);
         self.sample(name, &[], value);
     }
 }
 
-/// The value of a label.
+/// Escapes a label value.
 fn escaped(text: &str) -> String {
     text.replace('\\', "\\\\")
         .replace('"', "\\\"")

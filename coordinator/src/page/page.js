@@ -1,5 +1,5 @@
-// Keeps a page up to date, lets arrow keys walk its matrices, and plays its
-// videos together. Everything on a page can be read without this.
+// Live updates, arrow-key navigation in matrices, and synchronous playback of
+// all videos. Pages are readable without JavaScript.
 "use strict";
 
 const CUT_OFF = "Cut off from the coordinator; trying again by itself.";
@@ -7,8 +7,8 @@ const LIVE = "Live";
 const CROWDED_MS = 15000;
 const RETRY_MS = 2000;
 
-// What changed, put into the page as it stands: nodes that are the same are
-// left alone, so that focus, scrolling, opened details and running videos stay.
+// Merges a fresh copy into the page. Equal nodes are left alone, so that focus,
+// scroll positions, opened details and running videos survive.
 function merge(mine, theirs) {
   const olds = [...mine.childNodes];
   const news = [...theirs.childNodes];
@@ -28,7 +28,7 @@ function merge(mine, theirs) {
 }
 
 function mergeElement(old, fresh) {
-  // What the reader or this script has set on these is theirs.
+  // Attributes set by the reader or by this script, which the merge keeps.
   const owned = { DETAILS: ["open"], A: ["tabindex"], DIV: ["hidden"] }[old.tagName.toUpperCase()] || [];
   if (old.hasAttribute("data-keep") && old.getAttribute("src") === fresh.getAttribute("src")) return;
   if (old.matches("input, select, #player")) return;
@@ -41,8 +41,8 @@ function mergeElement(old, fresh) {
   merge(old, fresh);
 }
 
-// Refreshing: one request at a time, none for what is here already, and over a
-// slow network not all the time.
+// Refresh: one request at a time, conditional on the entity tag, and followed by
+// a pause in proportion to its duration, to spare slow networks.
 const PAUSE_PER_REQUEST = 5;
 let tag = "";
 let busy = false;
@@ -81,13 +81,13 @@ async function refresh() {
   }, PAUSE_PER_REQUEST * (performance.now() - start));
 }
 
-// Commands on the page name the coordinator by the address that the reader has it at.
+// Commands shown on the page name the coordinator by the browser's origin.
 function showOrigin() {
   for (const name of document.querySelectorAll("[data-origin]")) name.textContent = location.origin;
 }
 
-// A picture that is wider than the screen first shows its middle, where the nominal
-// rollout is, and then what the reader has scrolled to.
+// Scrolls a picture wider than the screen to its middle, where the nominal rollout is,
+// once; later scrolling by the reader is kept.
 const centred = new WeakSet();
 
 function centre() {
@@ -104,8 +104,8 @@ function say(text, isCut) {
   if (line.textContent !== text) line.textContent = text;
 }
 
-// Following: the coordinator says when something changed. A page that nobody
-// sees follows nothing, because browsers open few connections to one server.
+// Change events from the coordinator. Hidden pages close their stream, because
+// browsers limit the connections to one server.
 let stream = null;
 let later = 0;
 
@@ -151,7 +151,7 @@ document.addEventListener("visibilitychange", () => {
   }
 });
 
-// Matrices: one stop of the tab key each, and arrow keys within.
+// Matrices: one tab stop each, with arrow keys inside (roving tabindex).
 function walkMatrices() {
   for (const panel of document.querySelectorAll("svg.panel[role=group]")) {
     const squares = [...panel.querySelectorAll("a")];
@@ -189,15 +189,15 @@ document.addEventListener("keydown", (event) => {
   }
 });
 
-// Videos: one control for all. The longest sets the length; a shorter one
-// stands still at its end.
+// Videos: shared controls. The longest video sets the length; shorter ones hold
+// their last frame.
 const player = () => document.getElementById("player");
 const videos = () => [...document.querySelectorAll("video")];
 const longest = () => videos().reduce((a, b) => ((b.duration || 0) > (a.duration || 0) ? b : a));
 
 function watchVideos() {
   if (!player()) return;
-  // Videos arrive after their outcomes: some may be new.
+  // Videos are uploaded after their outcomes, so a refresh may add some.
   const speed = document.getElementById("speed");
   for (const video of videos()) {
     video.removeAttribute("controls");

@@ -1,12 +1,12 @@
-//! A rollout's perturbation in words, with units. What the values do is the
-//! simulator's business; `libero_ctrl::Perturbation` says what they mean.
+//! Text description of a rollout's perturbation, with units. The parameters are defined in
+//! `libero_ctrl::Perturbation`.
 
 use libero_ctrl::{Axis, ManifestRow};
 
-/// One parameter in words.
+/// Formatter of one parameter.
 type Phrase = fn(f64) -> String;
 
-/// Describes the effect of an axis in a rollout: a line for each of its parameters.
+/// Describes the perturbation of a rollout along an axis, one line per parameter.
 pub(super) fn lines(row: &ManifestRow, axis: Axis) -> Vec<String> {
     let phrases: &[Phrase] = match axis {
         Axis::Camera => &CAMERA,
@@ -25,12 +25,12 @@ pub(super) fn lines(row: &ManifestRow, axis: Axis) -> Vec<String> {
     let values = row.perturbation.values(axis);
     let pairs = phrases.iter().zip(values);
     let lines = pairs.map(|(phrase, value)| phrase(value));
-    // A minus sign stands before a number, a hyphen within a word.
+    // Typographic minus before numbers; hyphens within words stay.
     lines.map(|line| line.replace(" -", " −")).collect()
 }
 
-// The parameters of each axis, in the order of its keys. A sign is shown
-// where it matters.
+// Parameters of each axis in the order of its keys. Parameters that act by magnitude are shown
+// without a sign.
 
 const CAMERA: [Phrase; 5] = [
     |degrees| format!("azimuth {degrees:+.1}°"),

@@ -1,4 +1,4 @@
-//! Failures of a request, as a page that says what to do.
+//! Errors of a page request, rendered as a page with a remedy.
 
 use std::error::Error;
 
@@ -11,41 +11,40 @@ use transport::chain;
 use super::{answer, layout};
 use crate::reading::ReadError;
 
-/// A request that is not met.
+/// Error of a page request.
 #[derive(Debug)]
 pub(super) enum Problem {
     /// No page has this address.
     Page,
     /// The address is too long to be one of this program's.
     Address,
-    /// A part of the query is no value that it can have.
+    /// A query parameter is invalid.
     Query(&'static str),
-    /// There is no such campaign, or no longer.
+    /// The campaign does not exist or was deleted.
     Campaign(String),
-    /// The campaign has another name by now.
+    /// The campaign was renamed.
     Renamed {
-        /// The name that was asked for.
+        /// The requested name.
         former: String,
-        /// The present name.
+        /// The current name.
         now: String,
     },
     /// The campaign has no such rollout.
     Rollout {
-        /// The campaign.
         campaign: String,
-        /// The id that was asked for.
+        /// The requested id.
         rollout: String,
     },
-    /// No video is kept of the rollout.
+    /// The rollout has no video.
     Video,
     /// Too many pages are open.
     TooManyStreams,
-    /// The database, or something that should not fail, failed; in words.
+    /// Internal error, such as of the database; the text is shown and logged.
     Failed(String),
 }
 
 impl Problem {
-    /// Something failed that the operator must know of.
+    /// Logs an internal error and wraps its text.
     pub(super) fn failed(error: &(dyn Error + 'static)) -> Problem {
         let text = chain(error);
         tracing::error!("failed to {text}");

@@ -1,4 +1,4 @@
-//! The rollouts of a campaign, one by one, by state or outcome.
+//! Page listing the rollouts of a campaign, filtered by state or outcome.
 
 use libero_ctrl::RolloutId;
 use maud::{Markup, html};
@@ -14,7 +14,7 @@ use super::state::Page;
 /// Rollouts on a page.
 const PAGE_JOBS: u32 = 200;
 
-/// Choices of the page: the query of each, and its label.
+/// Filters of the page: query parameter and label.
 const CHOICES: [(&str, &str); 6] = [
     ("state=leased", "running"),
     ("state=queued", "waiting"),
@@ -24,17 +24,17 @@ const CHOICES: [(&str, &str); 6] = [
     ("state=quarantined", "quarantined"),
 ];
 
-/// Selection that a query asks for.
+/// Filter and position parsed from a query.
 #[derive(Default)]
 struct Wanted {
-    /// One of [`CHOICES`]; all without it.
+    /// Query of one of [`CHOICES`]; `None` lists all rollouts.
     choice: Option<&'static str>,
     after: i64,
     /// One rollout by its id, if any.
     id: Option<String>,
 }
 
-/// The page.
+/// Renders the page.
 pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet, Problem> {
     let wanted = Wanted::read(query)?;
     let (of, mut view) = page.campaign(name).await?;
@@ -114,7 +114,7 @@ impl Wanted {
     }
 }
 
-/// A rollout id as it was released, from one that may have the paper's words.
+/// Converts a rollout id in the paper's spelling to the released one.
 fn released(id: &str) -> String {
     let known: Result<RolloutId, _> = id.parse();
     known.map_or_else(|_| id.to_owned(), |id| id.to_string())

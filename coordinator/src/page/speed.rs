@@ -1,12 +1,12 @@
-//! Time of a campaign's rollouts, and what would make them faster, in two lines.
+//! Average time of a campaign's rollouts by phase, and its bottleneck, in two lines.
 
 use maud::{Markup, html};
 use proto::coordinator::ForecastResponse;
 
 use crate::forecast::{bottleneck, parts};
 
-/// The lines; nothing before a rollout that says where its time went. `is_over`
-/// once nothing is left to become faster.
+/// Renders the lines; empty until a result reports its time by phase. The bottleneck is left out if
+/// `is_over`.
 pub(super) fn speed(pace: &ForecastResponse, is_over: bool) -> Markup {
     let bound = |speed| bottleneck(speed, pace.slots).filter(|_| !is_over);
     html! {
@@ -19,7 +19,7 @@ pub(super) fn speed(pace: &ForecastResponse, is_over: bool) -> Markup {
     }
 }
 
-/// Words as a sentence.
+/// Capitalizes the first letter and appends a full stop.
 fn sentence(words: &str) -> String {
     let mut letters = words.chars();
     let first = letters

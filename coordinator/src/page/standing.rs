@@ -1,5 +1,4 @@
-//! Pages of the workers, the policies and their health, and the quarantine, on which campaigns
-//! depend.
+//! Pages of the workers, of the policies and their health, and of the quarantine.
 
 use maud::{Markup, html};
 use queue::clock::UnixMillis;
@@ -13,12 +12,12 @@ use super::problem::Problem;
 use super::state::Page;
 use crate::words::{duration_text, runs_on};
 
-/// Quarantined rollouts that are shown.
+/// Most quarantined rollouts shown.
 const MAX_QUARANTINED: u32 = 500;
-/// Workers that have gone and are still shown.
+/// Most departed workers shown.
 const MAX_GONE: usize = 20;
 
-/// The workers.
+/// Renders the page of the workers.
 pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     let mut view = page.queue.view().await?;
     let (workers, now) = (view.workers().await?, view.now);
@@ -42,7 +41,7 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     Ok(Sheet::new(Place::Workers, "Workers", main))
 }
 
-/// The policies.
+/// Renders the page of the policies.
 pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
     let mut view = page.queue.view().await?;
     let (policies, now) = (view.policies().await?, view.now);
@@ -54,7 +53,7 @@ pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
     Ok(Sheet::new(Place::Policies, "Policies", main))
 }
 
-/// Quarantined rollouts of all campaigns.
+/// Renders the page of the quarantined rollouts of all campaigns.
 pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
     let quarantined = page
         .queue
@@ -169,8 +168,8 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
     }
 }
 
-/// The attempts of a paused policy that were charged. `misbehaved` counts those in which it
-/// answered nonsense since its last result.
+/// Describes the attempts charged to a paused policy's rollouts. `misbehaved` counts the attempts
+/// since its last result in which the policy broke the protocol.
 fn charges(misbehaved: u32) -> String {
     match misbehaved {
         0 => "An attempt that cannot reach it is not charged.".to_owned(),

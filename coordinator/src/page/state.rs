@@ -1,5 +1,5 @@
-//! State that all pages are made from, and how a page is made: once for everybody who asks within
-//! a second.
+//! Shared state of all pages, and their caches: a page is rendered once for all requests within a
+//! second.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -22,30 +22,29 @@ use crate::gauges::Gauges;
 use crate::report;
 use crate::storage::Storage;
 
-/// Longest address that is looked at, path and query, bytes.
+/// Longest accepted path and query, bytes.
 const MAX_ADDRESS_BYTES: usize = 1_024;
-/// A page is shown again for so long before it is made anew.
+/// Time for which a rendered page is served from the cache.
 pub(super) const PAGE_AGE: Duration = Duration::from_secs(1);
-/// Pages that are kept at a time, one for each address.
+/// Most cached pages, one per address.
 const MAX_PAGES: usize = 256;
-/// Campaigns whose statistics are kept at a time.
+/// Most campaigns whose statistics are cached.
 const MAX_DOCUMENTS: usize = 16;
-/// Statistics that took long are shown again for so many times as long, so that
-/// a large campaign with many eyes on it takes no more than a twentieth of a
-/// core.
+/// Cache time of statistics as a multiple of their computation time: recomputing the statistics of
+/// a large, much-watched campaign takes at most a twentieth of a core.
 const DOCUMENT_AGE_PER_COST: u32 = 20;
 
-/// Two campaigns, compared if they can be.
+/// Comparison of two campaigns, or the reasons why they cannot be paired.
 pub(super) type Compared = Result<Comparison, Unpairable>;
 
-/// Editions that a campaign's statistics depend on: its own, and that of the campaign that it
-/// follows from.
+/// Editions on which a campaign's statistics depend: its own, and that of its source campaign, if
+/// any.
 type Editions = (Edition, Option<Edition>);
 
-/// The address that a browser asks for, and its headers.
+/// Requested address and headers.
 pub(super) type Asked = (Uri, HeaderMap);
 
-/// Everything that the pages are made from.
+/// Shared state of the pages' handlers.
 #[derive(Debug)]
 pub(crate) struct Page {
     pub(super) queue: Arc<Queue>,
@@ -59,13 +58,13 @@ pub(crate) struct Page {
     pub(super) metrics: Kept<Arc<str>>,
 }
 
-/// How long statistics are shown again that took so long.
+/// Returns the cache time of statistics whose computation took `cost`.
 fn patience(cost: Duration) -> Duration {
     (cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE)
 }
 
 impl Page {
-    /// The pages on a queue.
+    /// Creates the pages of a queue, with empty caches.
     pub(crate) fn new(
         queue: &Arc<Queue>,
         security: &Security,
@@ -85,18 +84,18 @@ impl Page {
         })
     }
 
-    /// Tells those who look what changed, until it is dropped.
+    /// Notifies open streams of changes until the future is dropped.
     pub(crate) async fn tell_changes(&self) {
         self.changes.tell(&self.queue).await;
     }
 
-    /// Ends the streams of those who look, so that the server can end.
+    /// Closes all event streams, so that the server can shut down.
     pub(crate) fn close(&self) {
         self.changes.close();
     }
 
-    /// Makes a page, or shows again what was made for this address a moment
-    /// ago. A browser that has the same already is told so.
+    /// Renders a page or serves the cached one of the same address and version; 304 Not Modified if
+    /// the browser has the same.
     pub(super) async fn show(
         &self,
         (uri, headers): Asked,
@@ -117,7 +116,7 @@ impl Page {
         };
         match self.pages.get(address, is_fresh, make).await {
             Ok(rendered) => rendered.answer(&headers),
-            // A bookmark of before.
+            // Redirects bookmarks with the campaign's former name.
             Err(Problem::Renamed { former, now }) => {
                 let (old, new) = (format!("/campaigns/{former}"), format!("/campaigns/{now}"));
                 Redirect::temporary(&address.replacen(&old, &new, 1)).into_response()
@@ -126,8 +125,8 @@ impl Page {
         }
     }
 
-    /// A campaign's statistics, from results as they are or as they were a
-    /// moment ago.
+    /// Returns a campaign's statistics. They may lag behind its results by the cache time, see
+    /// [`patience`].
     pub(super) async fn document(
         &self,
         campaign: &Campaign,
@@ -161,8 +160,8 @@ impl Page {
         Ok(document)
     }
 
-    /// Two campaigns against each other, from results as they are or as they
-    /// were a moment ago.
+    /// Returns the comparison of two campaigns, which may lag behind their results like
+    /// [`Page::document`].
     pub(super) async fn comparison(
         &self,
         [a, b]: [&Campaign; 2],
@@ -188,7 +187,7 @@ impl Page {
                 Ok((wanted, Arc::new(compared)))
             })
         };
-        // No name has a space.
+        // Campaign names contain no spaces, so the key is unambiguous.
         let key = format!("{} {}", a.name, b.name);
         let compared = self
             .comparisons
@@ -197,8 +196,8 @@ impl Page {
         Ok(compared)
     }
 
-    /// A campaign by the name in an address, in the view that all of the page
-    /// is read from: a page takes one connection, however much it shows.
+    /// Looks a campaign up by the name in an address. The whole page reads from the returned view,
+    /// so that it takes only one database connection.
     pub(super) async fn campaign(&self, name: &str) -> Result<(Campaign, View), Problem> {
         let unknown = || Problem::Campaign(shortened(name, 80).to_owned());
         let name = CampaignName::parse(name).map_err(|_| unknown())?;

@@ -1,5 +1,5 @@
-//! A configuration under every subset of the axes: the picture of its lattice, which
-//! axes it takes to change its outcome, and the films that show it.
+//! Section on a configuration under every subset of the axes: the lattice figure, the minimal
+//! subsets that change its outcome, and their films.
 
 use ::report::figures;
 use lattice::Explained;
@@ -12,11 +12,11 @@ use super::films;
 use super::known::{Lattice, read};
 use super::problem::Problem;
 
-/// The section of a configuration's page.
+/// Rendered section of a configuration's page.
 #[derive(Default)]
 pub(super) struct Section {
     pub(super) markup: Markup,
-    /// Films in it.
+    /// Number of films in the section.
     pub(super) films: usize,
 }
 
@@ -26,7 +26,8 @@ impl Section {
     }
 }
 
-/// The section; empty where no subset of the configuration was run.
+/// Renders the section. If no subset of the configuration was run, it is empty or, for a
+/// transition, suggests `coordinator explain`.
 pub(super) async fn section(
     view: &mut View,
     campaign: &Campaign,
@@ -90,7 +91,7 @@ pub(super) async fn section(
     })
 }
 
-/// Names the campaigns that the outcomes are from, if the page belongs to one of them.
+/// Renders a link between the measuring and the explaining campaign, if both exist.
 fn sources(lattice: &Lattice, shown: &Campaign) -> Markup {
     let to = |campaign: &Campaign| {
         let name = campaign.name.as_str();

@@ -1,6 +1,6 @@
-//! How the hand moved in a rollout, as a small picture: its path from above, and
-//! its height over the control steps. All rollouts of a configuration have one
-//! scale, and the nominal path lies under each.
+//! Plot of the hand's motion in a rollout: its path from above, and its height over the control
+//! steps. All rollouts of a configuration share one scale, and the nominal path is drawn beneath
+//! each.
 
 use maud::{Markup, html};
 use rollout_types::Motion;
@@ -11,7 +11,7 @@ pub(super) type Path = Vec<[f64; 3]>;
 
 /// Unit of a stored position, m.
 const UNIT_M: f64 = 1e-4;
-/// Size of the picture, CSS pixels where it is not scaled.
+/// Size of the plot in SVG user units, CSS pixels when unscaled.
 const WIDTH: f64 = 248.0;
 const HEIGHT: f64 = 136.0;
 /// Side of the square that shows the path from above.
@@ -22,7 +22,7 @@ const TOP: f64 = 16.0;
 const LEFT: f64 = 138.0;
 /// The scale bar, m.
 const BAR_M: f64 = 0.1;
-/// Least extent of a scale, m: a hand that rests is not blown up.
+/// Least extent of a scale, m, so that the jitter of a resting hand is not magnified.
 const LEAST_M: f64 = 0.1;
 
 /// The scale that several paths share.
@@ -31,18 +31,18 @@ pub(super) struct Extent {
     /// Least and greatest x, y and z, m.
     low: [f64; 3],
     high: [f64; 3],
-    /// Control steps of the longest.
+    /// Control steps of the longest path.
     steps: usize,
 }
 
-/// The positions of a motion, m.
+/// Converts a stored motion to positions in metres.
 pub(super) fn read(motion: &Motion) -> Path {
     let metres = |position: [i16; 3]| position.map(|units| f64::from(units) * UNIT_M);
     motion.path().into_iter().map(metres).collect()
 }
 
 impl Extent {
-    /// The extent of several paths; none where there is no position.
+    /// Returns the extent of several paths; `None` if all are empty.
     pub(super) fn of<'a>(paths: impl Iterator<Item = &'a Path>) -> Option<Extent> {
         let mut extent: Option<Extent> = None;
         for path in paths {
@@ -62,13 +62,14 @@ impl Extent {
         extent
     }
 
-    /// Pixels per metre in the square.
+    /// Returns the scale of the view from above, user units per metre.
     fn scale(&self) -> f64 {
         let [x, y] = [0, 1].map(|axis| self.high[axis] - self.low[axis]);
         ABOVE / x.max(y).max(LEAST_M)
     }
 
-    /// From above, the robot at the top: world x downwards, y to the right.
+    /// Projects a position to the view from above, the robot at the top: world x points down, y to
+    /// the right.
     fn seen_above(&self, [x, y, _]: [f64; 3]) -> [f64; 2] {
         let scale = self.scale();
         let middle = |axis: usize| f64::midpoint(self.low[axis], self.high[axis]);
@@ -89,7 +90,7 @@ impl Extent {
     }
 }
 
-/// The picture of a path, over the nominal one where that is another.
+/// Renders the plot of a path, with the nominal path beneath it if given.
 pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Markup {
     let (above, height) = lines(path, extent);
     let under = nominal.map(|nominal| lines(nominal, extent));
@@ -118,7 +119,7 @@ pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Mark
     }
 }
 
-/// The points of a path from above and of its height.
+/// Returns the SVG points of a path's view from above and of its height.
 fn lines(path: &Path, extent: &Extent) -> (String, String) {
     let point = |[x, y]: [f64; 2]| format!("{},{}", px(x), px(y));
     let above = path
@@ -132,7 +133,7 @@ fn lines(path: &Path, extent: &Extent) -> (String, String) {
     )
 }
 
-/// The picture in words.
+/// Describes the plot for screen readers.
 fn said(path: &Path) -> String {
     let centimetres = |[x, y, z]: &[f64; 3]| {
         let [x, y, z] = [x, y, z].map(|metres| format!("{:.1}", 100.0 * metres).replace('-', "−"));
@@ -155,7 +156,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// A coordinate with one decimal.
+/// Formats a coordinate with one decimal.
 fn px(value: f64) -> String {
     format!("{value:.1}")
 }
@@ -192,7 +193,7 @@ mod tests {
         for path in &paths {
             for (step, position) in path.iter().enumerate() {
                 let within = |range: [f64; 2], value: f64| {
-                    // A position on an edge may be rounded across it.
+                    // A position on an edge may exceed it by a rounding error.
                     assert!(
                         range[0] - 1e-6 <= value && value <= range[1] + 1e-6,
                         "{value}"

@@ -1,6 +1,6 @@
-//! Videos, whole or in ranges: a browser that seeks asks for the middle. A video may have come with
-//! somebody else's archive. So it is served as a video whatever it is called and holds, and a browser
-//! that opens it as a page gives it no script and no origin.
+//! Videos, with range requests for seeking. A video may stem from an untrusted archive, so it is
+//! always served as `video/mp4` without content sniffing, and sandboxed: a browser that opens it as
+//! a page gives it neither scripts nor an origin.
 
 use std::path::{Component, Path};
 
@@ -18,11 +18,11 @@ use super::problem::Problem;
 use super::state::Page;
 use crate::storage::Storage;
 
-/// Rights of a video that is opened as a page: it may show itself.
+/// Content security policy for a video opened as a page: it may only play itself.
 const CONTENT_POLICY: &str =
     "sandbox; default-src 'none'; media-src 'self'; style-src 'unsafe-inline'";
 
-/// The video of a rollout.
+/// Serves the video of a rollout from the data folder or the artifact storage.
 pub(super) async fn answer(
     page: &Page,
     name: &str,
@@ -35,8 +35,8 @@ pub(super) async fn answer(
     drop(view);
     let video = video.ok_or(Problem::Video)?;
     let path = Path::new(&video);
-    // Stored paths were made by this program; a database from elsewhere must not lead out of its
-    // folder all the same.
+    // This program only stores paths below the artifacts folder, but a database from another source
+    // could hold a path traversal.
     let mut parts = path.components();
     let is_below = parts.next() == Some(Component::Normal(ARTIFACTS_FOLDER.as_ref()))
         && parts.all(|part| matches!(part, Component::Normal(_)));
@@ -71,7 +71,7 @@ pub(super) async fn answer(
     Ok(response)
 }
 
-/// A video that was moved to the storage, or the range of it that is asked for.
+/// Serves a video from the artifact storage, or the requested range of it.
 async fn stored(storage: &Storage, video: &str, headers: &HeaderMap) -> Result<Response, Problem> {
     let range = headers.get(header::RANGE).and_then(asked_range);
     let is_part = range.is_some();
@@ -94,7 +94,7 @@ async fn stored(storage: &Storage, video: &str, headers: &HeaderMap) -> Result<R
     answer.map_err(|error| Problem::failed(&error))
 }
 
-/// Returns the one range that a browser asks for; of several, it gets the whole.
+/// Returns the requested range; `None`, which serves the whole video, if several are requested.
 fn asked_range(header: &HeaderValue) -> Option<GetRange> {
     let ranges = parse_range_header(header.to_str().ok()?).ok()?.ranges;
     let [range] = ranges.as_slice() else {

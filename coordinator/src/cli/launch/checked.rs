@@ -1,4 +1,4 @@
-//! Values that may stand in a script, or a complaint that names the flag.
+//! Validation of values that are written into a script; errors name the flag.
 
 use std::path::{Path, PathBuf, absolute};
 
@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow};
 
 use super::super::command::{CommandError, usage};
 
-/// A path from the root: the jobs run in a folder of their own.
+/// Returns the absolute path, since the jobs run in another working directory.
 pub(super) fn whole(path: &Path) -> Result<PathBuf, CommandError> {
     let whole = absolute(path).with_context(|| format!("find {}", path.display()));
     whole.map_err(usage)
@@ -17,7 +17,7 @@ pub(super) fn text(path: &Path) -> Result<String, CommandError> {
     text.ok_or_else(|| usage(anyhow!("use {}: its name is no UTF-8", path.display())))
 }
 
-/// A value that stays in its line of the script.
+/// Accepts a value without control characters, so that it cannot break its line of the script.
 pub(super) fn line(flag: &str, value: String) -> Result<String, CommandError> {
     match value.chars().any(char::is_control) {
         true => Err(usage(anyhow!("use {flag} {value:?}: write it in one line"))),
@@ -25,7 +25,7 @@ pub(super) fn line(flag: &str, value: String) -> Result<String, CommandError> {
     }
 }
 
-/// A name or a number of Slurm's.
+/// Accepts a name or number for Slurm, such as a partition or a memory size.
 pub(super) fn word(flag: &str, value: Option<&String>) -> Result<Option<String>, CommandError> {
     let Some(value) = value else { return Ok(None) };
     let plain = |c: char| c.is_alphanumeric() || "_-+.,:=@/".contains(c);
@@ -37,7 +37,7 @@ pub(super) fn word(flag: &str, value: Option<&String>) -> Result<Option<String>,
     }
 }
 
-/// More options of sbatch.
+/// Accepts extra `sbatch` options; each must begin with a dash.
 pub(super) fn options(flag: &str, given: &[String]) -> Result<Vec<String>, CommandError> {
     let option = |option: &String| match option.starts_with('-') {
         true => line(flag, option.clone()),

@@ -1,4 +1,4 @@
-//! Scripts on the disk, and in Slurm's queue.
+//! Writes the filled-in scripts to disk and submits them to Slurm.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -8,13 +8,17 @@ use anyhow::{Context, ensure};
 use super::super::command::print_line;
 use super::super::files::write_whole;
 
-/// A script, filled in.
+/// Script with all placeholders filled in.
 pub(super) struct Script {
     pub(super) path: PathBuf,
     pub(super) text: String,
 }
 
-/// Writes what is not there; nothing if one of them is there and differs.
+/// Writes the scripts.
+///
+/// # Errors
+/// If one of the files exists with other content, in which case nothing is written, or if writing
+/// fails.
 pub(super) fn write(scripts: &[Script]) -> anyhow::Result<()> {
     for Script { path, text } in scripts {
         let there = std::fs::read(path);
@@ -33,8 +37,8 @@ pub(super) fn write(scripts: &[Script]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Submits all but the coordinator, in order: workers have no work before their
-/// gateway's job has begun.
+/// Submits all scripts but the coordinator's. Each job depends on the start of the one before it,
+/// since workers have no work until their gateway runs.
 pub(super) fn submit(scripts: &[Script]) -> anyhow::Result<()> {
     let mut before: Option<String> = None;
     for Script { path, .. } in scripts.iter().skip(1) {
@@ -51,7 +55,7 @@ pub(super) fn submit(scripts: &[Script]) -> anyhow::Result<()> {
             complaint.trim()
         );
         let told = String::from_utf8_lossy(&output.stdout);
-        // The cluster's name follows where there are several.
+        // With several clusters, `sbatch --parsable` prints `JOB;CLUSTER`.
         let job = told.trim().split(';').next().unwrap_or_default().to_owned();
         print_line(&format!("submitted {} as job {job}", path.display()))?;
         before = Some(job);

@@ -14,7 +14,7 @@ use super::scripts::{Script, submit, write};
 use super::template::{Values, fill, for_shell};
 use super::time_limit::TimeLimit;
 
-/// The built-in asset pack; any other is a folder.
+/// Asset packs selected by name; any other value of `--assets` is a folder.
 const PRIMITIVES: &str = "primitives";
 const LIBERO: &str = "libero";
 
@@ -168,7 +168,7 @@ struct GatewayArguments {
     gateway_sbatch: Vec<String>,
 }
 
-/// Shows, writes or submits the scripts.
+/// Prints the scripts or, with `--into`, writes them and with `--submit` submits them.
 pub(super) fn slurm(arguments: &SlurmArguments) -> Result<(), CommandError> {
     let scripts = arguments.scripts()?;
     if arguments.into.is_none() {
@@ -201,7 +201,7 @@ pub(super) fn slurm(arguments: &SlurmArguments) -> Result<(), CommandError> {
 }
 
 impl SlurmArguments {
-    /// The scripts, the coordinator's first, in the order in which they are submitted.
+    /// Returns the scripts in order of submission, the coordinator's first.
     fn scripts(&self) -> Result<Vec<Script>, CommandError> {
         let values = self.values()?;
         let folder = whole(self.into.as_deref().unwrap_or(Path::new(".")))?;
@@ -274,7 +274,7 @@ impl SlurmArguments {
         Ok(values)
     }
 
-    /// Sets the listening addresses of the servers, and their access.
+    /// Sets the addresses of the servers, their TLS files and their tokens.
     fn set_servers(&self, values: &mut Values) -> Result<(), CommandError> {
         let endpoint = parse_endpoint(&self.connect).context("use --connect");
         let endpoint = endpoint.map_err(usage)?;
@@ -339,8 +339,8 @@ impl SlurmArguments {
         Ok(())
     }
 
-    /// The token file of the workers' jobs. Whoever gets into a job finds what is in it: not an
-    /// operator's token, which deletes campaigns.
+    /// Returns the token file of the worker jobs. Anyone with access to a job can read the file, so
+    /// it must hold a worker token only; an operator token could delete campaigns.
     fn worker_token_file(&self) -> Result<Option<PathBuf>, CommandError> {
         let own = self.worker_token_file.as_deref();
         let Some(file) = own.or(self.security.token_file.as_deref()) else {

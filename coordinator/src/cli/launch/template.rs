@@ -1,4 +1,4 @@
-//! Scripts with `{{NAME}}` where a value goes.
+//! Script templates with `{{NAME}}` placeholders.
 //!
 //! A line with a placeholder that has no value is left out. Values are quoted for the reader of
 //! the line: Slurm if the line begins with `#SBATCH`, else the shell. A placeholder with several
@@ -30,7 +30,7 @@ impl Values {
 /// Fills a template in.
 ///
 /// # Panics
-/// If it names what was never set.
+/// If the template names a placeholder that was never set.
 pub(super) fn fill(template: &str, values: &Values) -> String {
     let lines = template.lines().flat_map(|line| {
         let names = placeholders(line);
@@ -78,7 +78,7 @@ fn replace(line: &str, value: &dyn Fn(&str) -> String) -> String {
     filled
 }
 
-/// A word of the shell's.
+/// Quotes a value as one word of the shell.
 pub(super) fn for_shell(value: &str) -> String {
     match is_plain(value) {
         true => value.to_owned(),

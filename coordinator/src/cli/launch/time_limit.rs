@@ -1,18 +1,18 @@
-//! A time limit as Slurm writes it.
+//! Time limit of a job in Slurm's format.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// How long a job may run.
+/// Time limit of a job, such as `4:00:00`; keeps the text as it was given.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct TimeLimit {
     text: String,
-    /// None where there is no limit.
+    /// `None` if unlimited.
     secs: Option<u64>,
 }
 
 impl TimeLimit {
-    /// Its seconds; none where there is no limit.
+    /// Returns the limit in seconds; `None` if unlimited.
     pub(super) fn secs(&self) -> Option<u64> {
         self.secs
     }
@@ -42,7 +42,7 @@ impl FromStr for TimeLimit {
     }
 }
 
-/// `m`, `m:s`, `h:m:s`, `d-h`, `d-h:m` or `d-h:m:s`.
+/// Parses `m`, `m:s`, `h:m:s`, `d-h`, `d-h:m` or `d-h:m:s` into seconds.
 fn seconds(text: &str) -> Option<u64> {
     let (days, rest) = match text.split_once('-') {
         Some((days, rest)) => (Some(number(days)?), rest),
@@ -60,7 +60,7 @@ fn seconds(text: &str) -> Option<u64> {
     Some(((days.unwrap_or(0) * 24 + h) * 60 + m) * 60 + s)
 }
 
-/// Short enough that nothing overflows.
+/// Parses at most six digits, so that the sum of seconds cannot overflow.
 fn number(text: &str) -> Option<u64> {
     let digits = (1..=6).contains(&text.len()) && text.bytes().all(|it| it.is_ascii_digit());
     digits.then(|| text.parse().ok()).flatten()
