@@ -168,7 +168,11 @@ fn print(measured: &[Vec<Vec<Value>>]) -> Result<()> {
         for (name, unit) in MEASURES {
             println!("{scenario}: {unit}");
             let mut first = None;
-            for (arm, runs) in arms.iter().zip(measured).filter(|(_, runs)| !runs.is_empty()) {
+            for (arm, runs) in arms
+                .iter()
+                .zip(measured)
+                .filter(|(_, runs)| !runs.is_empty())
+            {
                 let values = runs.iter().map(|run| number(&run[name], name));
                 let (middle, least, most) = spread(&values.collect::<Result<Vec<_>>>()?);
                 let ratio = middle / *first.get_or_insert(middle);
