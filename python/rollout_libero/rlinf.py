@@ -61,7 +61,13 @@ def together(base: Any) -> Any:
                     f"env.init_params has {', '.join(sorted(unknown))}, which rollout_libero.rlinf "
                     "does not know: leave it out, or unset RLINF_EXT_MODULE"
                 )
-            self.env = Rows(parameters, threads=_threads(), draws_all=_is_recorded(self.cfg))
+            draws_all = _is_recorded(self.cfg)
+            if draws_all:
+                print(
+                    "rollout_libero.rlinf: videos are saved or data is collected, so every step is "
+                    "drawn: set video_cfg.save_video to False to be fast"
+                )
+            self.env = Rows(parameters, threads=_threads(), draws_all=draws_all)
 
         def chunk_step(self, chunk_actions: Any) -> Any:
             with self.env.chunk(_as_array(chunk_actions)):

@@ -6,6 +6,7 @@
 mod bench;
 mod bench_build;
 mod bench_python;
+mod bench_training;
 mod cargo;
 mod check;
 mod clients;
@@ -120,6 +121,8 @@ enum Bench {
     Compare(bench::Compare),
     /// Environments in Python, here and in the original, in turn.
     Python(bench_python::Options),
+    /// Rollouts for reinforcement learning, here and in the original, in turn.
+    Training(bench_training::Options),
     /// A whole machine: runs `worker bench`.
     Machine {
         /// Passed on: [--assets PACK_OR_PATH] [--task SUITE/N] [--execute K]
@@ -179,6 +182,7 @@ fn main() -> ExitCode {
         }
         Command::Bench(Bench::Compare(options)) => bench::compare(&root(), &options),
         Command::Bench(Bench::Python(options)) => bench_python::run(&root(), &options),
+        Command::Bench(Bench::Training(options)) => bench_training::run(&root(), &options),
         Command::Bench(Bench::Machine { arguments }) => test::worker_bench(&root(), &arguments),
         Command::Bench(Bench::Queue { arguments }) => bench_queue(&arguments),
         Command::Bench(Bench::Soak { arguments }) => bench_soak(&arguments),

@@ -120,7 +120,8 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
         for _ in range(2):
             chunk = torch.from_numpy(chance.uniform(-1, 1, (2, 8, 7)).astype(np.float32))
             *results, infos = env.chunk_step(chunk)
-            seen.append([results[0][-1], *results[1:], infos[-1].get("episode")])
+            looked = results[0] if cfg.video_cfg.save_video else results[0][-1]
+            seen.append([looked, *results[1:], infos[-1].get("episode")])
             seen.append(len(results[0]))
         env.update_reset_state_ids()
     took = time.perf_counter() - begun
@@ -271,6 +272,14 @@ def ript_vla() -> Rollouts:
     return {"seen": as_arrays(seen), "tasks": [], "seconds": took}
 
 
+def rlinf_recorded() -> Rollouts:
+    return rlinf(video_cfg={"save_video": True})
+
+
+def rlinf_recorded_together() -> Rollouts:
+    return rlinf(together=True, video_cfg={"save_video": True})
+
+
 def as_arrays(value: Any) -> Any:
     if hasattr(value, "detach"):
         return value.detach().cpu().numpy()
@@ -291,6 +300,8 @@ FRAMEWORKS: dict[str, Callable[[], Rollouts]] = {
         rlinf_auto_reset_together,
         rlinf_evaluated,
         rlinf_evaluated_together,
+        rlinf_recorded,
+        rlinf_recorded_together,
         simplevla_rl,
         verl_vla,
         vlarl,

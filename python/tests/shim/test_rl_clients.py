@@ -93,7 +93,7 @@ def assert_same(ours: Any, theirs: Any, what: str) -> None:
 
 
 @pytest.mark.parametrize("which", ["package", "checkout"])
-@pytest.mark.parametrize("kind", ["rlinf", "rlinf_auto_reset", "rlinf_evaluated"])
+@pytest.mark.parametrize("kind", ["rlinf", "rlinf_auto_reset", "rlinf_evaluated", "rlinf_recorded"])
 def test_rlinf_in_one_process_is_rlinf(
     kind: str, which: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
