@@ -1,5 +1,4 @@
-//! Interface between the gateway and the back-end of a route. Responsible for
-//! the trait and for the errors of a back-end; one module per kind of back-end.
+//! The trait and the errors of a route's back-end; one module per kind of back-end.
 
 use std::{fmt, time::Duration};
 
@@ -22,8 +21,7 @@ mod shown;
 pub mod vla_eval;
 pub mod websocket;
 
-/// Names, in messages, of the settings with which a gateway's user addresses a
-/// policy server.
+/// Names, in messages, of the settings with which a gateway's user addresses a policy server.
 pub(crate) const SETTINGS: Settings = Settings {
     address: "its route",
     authority: "`ca` of the policy",
@@ -31,38 +29,37 @@ pub(crate) const SETTINGS: Settings = Settings {
     encrypted: "https://",
 };
 
-/// Something that answers for a policy. The `policy` field of requests is the
-/// caller's name of the route and means nothing to a back-end.
+/// A back-end that answers for a policy. Back-ends ignore the `policy` field of requests, which is
+/// the caller's name of the route.
 #[tonic::async_trait]
 pub trait Backend: fmt::Display + Send + Sync {
     /// Describes the policy and its inputs, with the checkpoint for `suite` if
     /// it has several. Speaks [`proto::PROTOCOL_VERSION`].
     ///
     /// # Errors
-    /// As every method here: [`BackendError`].
+    /// See [`BackendError`], as for every method here.
     async fn describe(&self, suite: &str) -> Result<DescribeResponse, BackendError>;
 
-    /// Starts an episode; one that is open is started anew.
+    /// Starts an episode; restarts one that is open.
     ///
     /// # Errors
-    /// [`BackendError`].
+    /// See [`BackendError`].
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError>;
 
-    /// Notes that an episode is over. Nothing happens in those that keep nothing
-    /// of one; what goes wrong is nobody's loss.
+    /// Ends an episode. Back-ends without state per episode do nothing; errors are ignored.
     async fn end(&self, _session: &str) {}
 
-    /// Answers one observation, unchecked.
+    /// Answers one observation. The answer is not checked.
     ///
     /// # Errors
-    /// [`BackendError`].
+    /// See [`BackendError`].
     async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError>;
 
-    /// Answers several independent observations at once, each unchecked, in
-    /// their order; one after the other where a policy knows no batches.
+    /// Answers several independent observations, in their order, or one after the other if the
+    /// policy takes no batches. The answers are not checked.
     ///
     /// # Errors
-    /// [`BackendError`], if none of them was answered.
+    /// See [`BackendError`], if no observation was answered.
     async fn infer_batch(
         &self,
         requests: Vec<InferRequest>,
@@ -75,12 +72,12 @@ pub trait Backend: fmt::Display + Send + Sync {
     }
 }
 
-/// Why a back-end did not answer. Each has one gRPC code, which says to a worker
-/// whether the infrastructure failed (`UNAVAILABLE`, `DEADLINE_EXCEEDED`,
-/// `RESOURCE_EXHAUSTED`: not charged to the rollout) or the policy did.
+/// Reason why a back-end did not answer. Its gRPC code tells a worker whether the infrastructure
+/// failed (`UNAVAILABLE`, `DEADLINE_EXCEEDED`, `RESOURCE_EXHAUSTED`: not charged to the rollout)
+/// or the policy.
 #[derive(Clone, Debug, Error)]
 pub enum BackendError {
-    /// No connection, or it broke, or to something else.
+    /// The connection failed or broke, or leads to another service.
     #[error("cannot reach the policy server at {address}: {trouble}")]
     Unreachable {
         /// host:port.
@@ -88,7 +85,7 @@ pub enum BackendError {
         /// Cause found at that address.
         trouble: Box<Trouble>,
     },
-    /// It does not let this gateway in.
+    /// The server rejected the gateway's credentials.
     #[error(
         "the policy server at {address} does not let this gateway in: {reason}; put a token that \
          it knows into the `token_file` of the policy, then reload the configuration (SIGHUP)"
@@ -96,36 +93,36 @@ pub enum BackendError {
     Barred {
         /// host:port.
         address: String,
-        /// Answer of the server.
+        /// Reason that the server gave.
         reason: String,
     },
-    /// It is out, and only a probe goes through.
+    /// The server is out; only a probe is let through until it answers.
     #[error("{backend} {cause}; it is tried again in {:.1} s", retry_in.as_secs_f64())]
     Out {
         /// Back-end as configured.
         backend: String,
-        /// Reason for which it is out.
+        /// Reason why the server is out.
         cause: Cause,
         /// Time until the next attempt.
         retry_in: Duration,
     },
-    /// Connected, but silent.
+    /// The server did not answer within the limit.
     #[error("{backend} did not answer within {:.1} s", limit.as_secs_f64())]
     TimedOut {
         /// Back-end as configured.
         backend: String,
-        /// Longest silence.
+        /// Longest time without an answer.
         limit: Duration,
     },
-    /// An error that says more of the server than of the query.
+    /// The server's error shows that the server is broken, not the query.
     #[error("{backend} is out, because it {cause}")]
     Sick {
         /// Back-end as configured.
         backend: String,
-        /// Reason for which it is out.
+        /// Reason why the server is out.
         cause: Cause,
     },
-    /// It describes itself as nothing that can be run.
+    /// The policy's description cannot be used.
     #[error("policy {policy:?} describes itself wrongly: {fault}")]
     Description {
         /// The policy's own name.
@@ -133,28 +130,28 @@ pub enum BackendError {
         /// Fault of the description.
         fault: DescriptionFault,
     },
-    /// It describes itself otherwise than before, or than its replicas.
+    /// The description differs from the earlier one, or from that of the other replicas.
     #[error(
         "it {difference}; put the same weights everywhere, then reload the gateway's \
          configuration (SIGHUP)"
     )]
     Disagrees {
-        /// Difference, and the description that it is measured by.
+        /// The difference, and the description compared with.
         difference: String,
     },
-    /// It answered nonsense.
+    /// The answer is not a valid chunk of actions.
     #[error("{fault}")]
     Nonsense {
         /// Fault of the answer.
         fault: ActionFault,
     },
-    /// Too many queries wait for it.
+    /// The queue of the policy's server is full.
     #[error("{queued} queries wait for their batch already; try again later")]
     QueueFull {
-        /// Queries that wait.
+        /// Number of queries in the queue.
         queued: usize,
     },
-    /// A query that waited in vain for its turn at a server that is at work.
+    /// The query timed out in the queue of a busy server.
     #[error(
         "{backend} has more queries before it than it answers within {:.0} s; run fewer slots, or \
          give its route more replicas",
@@ -163,21 +160,21 @@ pub enum BackendError {
     Crowded {
         /// Back-end as configured.
         backend: String,
-        /// Time in the queue.
+        /// Time spent in the queue.
         waited: Duration,
     },
-    /// A batch that came to nothing, through no fault of its queries.
+    /// The batch ended unanswered, through no fault of its queries.
     #[error("the batch ended without an answer to this query")]
     BatchLost,
-    /// An answer to a batch that does not fit it.
+    /// The number of answers differs from that of the batch's queries.
     #[error("it answered a batch of {asked} with {answered} results")]
     BatchSize {
-        /// Queries sent.
+        /// Number of queries sent.
         asked: usize,
-        /// Results that came.
+        /// Number of results received.
         answered: usize,
     },
-    /// It answered with an error of its own.
+    /// The server answered with an error of its own.
     #[error("the policy server at {address} answered: {}", answer(status))]
     Refused {
         /// host:port.
@@ -185,7 +182,7 @@ pub enum BackendError {
         /// Answer of the server.
         status: Box<Status>,
     },
-    /// It serves something that cannot be run as it is meant.
+    /// The server's policy cannot be run under LIBERO-CTRL's conventions.
     #[error("the policy server at {address} cannot be run here: {reason}")]
     Unsuited {
         /// host:port.
@@ -193,30 +190,29 @@ pub enum BackendError {
         /// Reason, with the remedy.
         reason: String,
     },
-    /// A session that is not open, because it never was, or because the
-    /// gateway restarted or forgot it since: the episode is lost, through no
-    /// fault of the policy.
+    /// The session is not open: it was never reset, or the gateway restarted or discarded it. The
+    /// episode is lost, through no fault of the policy.
     #[error(
         "the session is not open here (the gateway may have restarted since its Reset); start \
          the rollout again"
     )]
     SessionLost,
-    /// A stateful policy was not asked in order.
+    /// A query to a stateful policy came out of order.
     #[error("a stateful policy answers its queries in order, and query {expected} is next")]
     OutOfOrder {
-        /// The query index that it waits for.
+        /// Query index that the policy expects.
         expected: u32,
     },
-    /// A built-in policy could not answer.
+    /// The policy could not answer.
     #[error("the policy failed: {message}")]
     Policy {
-        /// In the policy's words.
+        /// Message of the policy.
         message: String,
     },
 }
 
 impl BackendError {
-    /// The gRPC code that says it to a worker.
+    /// Returns the gRPC code to answer a worker with.
     pub fn code(&self) -> Code {
         match self {
             Self::Unreachable { .. }
@@ -228,7 +224,7 @@ impl BackendError {
             | Self::SessionLost => Code::Unavailable,
             Self::QueueFull { .. } | Self::Crowded { .. } => Code::ResourceExhausted,
             Self::TimedOut { .. } => Code::DeadlineExceeded,
-            // An exception that a server let through, in most languages.
+            // Servers in most languages report an uncaught exception as `UNKNOWN`.
             Self::Refused { status, .. } if status.code() == Code::Unknown => Code::Internal,
             Self::Refused { status, .. } => status.code(),
             Self::Unsuited { .. }
@@ -244,7 +240,7 @@ impl BackendError {
         }
     }
 
-    /// Returns true if the infrastructure failed, not this query.
+    /// Returns true if the infrastructure failed rather than this query.
     pub fn is_outage(&self) -> bool {
         is_outage_code(self.code())
     }

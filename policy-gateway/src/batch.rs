@@ -1,8 +1,8 @@
-//! Selection of the queries that go to a server together, and of the time.
-//! Pure: the time is passed in. [`batcher`] carries it out.
+//! Queue that decides which queries form a batch, and when the batch is sent. Pure: callers pass
+//! in the time. [`batcher`] carries out the decisions.
 //!
-//! A full batch goes as soon as the server has room for one more; a smaller one
-//! goes when the server has nothing to do and its oldest query has waited.
+//! A full batch is sent as soon as the server can take one more; a partial one when the server is
+//! idle and its oldest query has waited [`MAX_WAIT`].
 
 use std::{
     collections::VecDeque,
@@ -11,16 +11,15 @@ use std::{
 
 pub mod batcher;
 
-/// Longest wait of a query for companions while its server has nothing to do.
+/// Longest wait of a query for companions while its server is idle.
 pub const MAX_WAIT: Duration = Duration::from_millis(5);
-/// Queries of one replica that may wait; more are refused, so that a worker
-/// waits and not the memory grows.
+/// Queries in the queue of one replica. Further ones are refused, so that workers wait instead of
+/// the gateway's memory growing.
 pub const MAX_QUEUED: usize = 256;
-/// Batches at a server at once: the second travels while the first is
-/// computed.
+/// Concurrent batches per server: the second is in transit while the first is computed.
 pub const MAX_UNDER_WAY: usize = 2;
 
-/// Queries that wait for their batch, in the order in which they came.
+/// Queries waiting for a batch, in order of arrival.
 #[derive(Debug)]
 pub struct Queue<T> {
     waiting: VecDeque<(Instant, T)>,
@@ -30,9 +29,9 @@ pub struct Queue<T> {
 /// Next action of a batcher.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Next<T> {
-    /// Send these, and say [`Queue::done`] when they are answered.
+    /// Send this batch, and call [`Queue::done`] when it is answered.
     Send(Vec<T>),
-    /// Ask again then, or when something changes.
+    /// Ask again at this time, or earlier if something changes.
     WaitUntil(Instant),
     /// Ask again when something changes.
     Nothing,
@@ -48,10 +47,10 @@ impl<T> Default for Queue<T> {
 }
 
 impl<T> Queue<T> {
-    /// Takes one more query.
+    /// Adds a query.
     ///
     /// # Errors
-    /// With the query, if [`MAX_QUEUED`] wait already.
+    /// Returns the query if [`MAX_QUEUED`] are waiting already.
     pub fn push(&mut self, query: T, now: Instant) -> Result<(), T> {
         if self.waiting.len() >= MAX_QUEUED {
             return Err(query);
@@ -60,12 +59,12 @@ impl<T> Queue<T> {
         Ok(())
     }
 
-    /// Drops the queries whose callers stopped waiting.
+    /// Removes the queries whose callers stopped waiting.
     pub fn forget(&mut self, is_left: impl Fn(&T) -> bool) {
         self.waiting.retain(|(_, query)| !is_left(query));
     }
 
-    /// Takes all queries that wait.
+    /// Removes and returns all waiting queries.
     pub fn drain(&mut self) -> Vec<T> {
         self.waiting.drain(..).map(|(_, query)| query).collect()
     }
@@ -89,7 +88,7 @@ impl<T> Queue<T> {
         Next::Send(batch.map(|(_, query)| query).collect())
     }
 
-    /// Notes that a batch is answered, or never will be.
+    /// Records that a batch has ended, answered or not.
     pub fn done(&mut self) {
         self.under_way = self.under_way.saturating_sub(1);
     }
@@ -151,8 +150,8 @@ mod tests {
                 prop_assert!(taken.len() - sent.len() <= MAX_QUEUED);
                 prop_assert_eq!(&taken[..sent.len()], &sent[..]);
             }
-            // Nobody is left behind: when the server is free, all that wait go,
-            // each lot after one wait at most.
+            // When the server is free, all waiting queries are sent, each batch after one wait at
+            // most.
             while under_way > 0 {
                 queue.done();
                 under_way -= 1;

@@ -1,6 +1,5 @@
-//! The policies that run inside the gateway. Responsible for what they are and for
-//! starting one per session; sessions themselves, retries and the checks of their
-//! answers are the gateway's.
+//! Policies that run inside the gateway. Lists them and starts an instance per session; the
+//! gateway manages sessions and retries, and checks the answers.
 
 use std::{fmt, str::FromStr};
 
@@ -19,11 +18,11 @@ pub use student::Weights;
 /// Built-in policy by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Builtin {
-    /// Stands still: see [`noop`].
+    /// Does nothing: see [`noop`].
     Noop,
-    /// Picks and places, by looking at the simulator's state: see [`expert`].
+    /// Scripted pick-and-place from the simulator's state: see [`expert`].
     Expert,
-    /// Looks, reads and acts as it has learned: see [`student`].
+    /// Learned policy with cameras and instruction: see [`student`].
     Student(Weights),
 }
 
@@ -37,7 +36,7 @@ impl Builtin {
         Self::Student(Weights::BoxesRandomised),
     ];
 
-    /// The name after `builtin:`.
+    /// Returns the name after `builtin:`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Noop => "noop",
@@ -46,7 +45,7 @@ impl Builtin {
         }
     }
 
-    /// The policy itself.
+    /// Returns the policy's description and constructor.
     pub(crate) fn policy(self) -> Policy {
         match self {
             Self::Noop => Policy {
@@ -84,10 +83,10 @@ impl FromStr for Builtin {
     }
 }
 
-/// A built-in policy that does not exist.
+/// The built-in policy does not exist.
 #[derive(Debug, Error)]
 #[error("find the built-in policy {name:?}: there are {}", Builtin::ALL.map(Builtin::name).join(", "))]
 pub struct UnknownBuiltin {
-    /// The name asked for.
+    /// Name as written.
     pub name: String,
 }

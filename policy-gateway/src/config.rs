@@ -1,5 +1,5 @@
-//! A gateway's configuration: its routes. Responsible for refusing what cannot be
-//! meant, before anything is opened; [`file`] reads them from TOML.
+//! A gateway's configuration, which consists of routes. Invalid configurations are refused before
+//! anything is opened; [`file`] reads them from TOML.
 
 use std::{collections::BTreeMap, fmt, path::PathBuf, str::FromStr, time::Duration};
 
@@ -25,21 +25,21 @@ mod name;
 pub use error::{ConfigError, MAX_REPLICAS};
 pub use name::{MAX_ROUTE_NAME_BYTES, RouteName, RouteNameError};
 
-/// Longest wait for an answer, unless a route says otherwise: shorter than a
-/// worker's, so that it is the gateway that notices a silent server.
+/// Default of the longest wait for an answer: shorter than a worker's, so that the gateway detects
+/// a silent server first.
 pub const DEFAULT_ANSWER_WITHIN: Duration = Duration::from_secs(50);
 
-/// The routes of a gateway: at least one, each name once.
+/// Routes of a gateway: at least one, with distinct names.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Config {
     routes: Vec<RouteSpec>,
 }
 
 impl Config {
-    /// Checks the routes against each other.
+    /// Checks the routes individually and against each other.
     ///
     /// # Errors
-    /// If there is no route, or a name occurs twice.
+    /// If there is no route, a name occurs twice, or a route's replicas are invalid.
     pub fn new(routes: Vec<RouteSpec>) -> Result<Self, ConfigError> {
         if routes.is_empty() {
             return Err(ConfigError::NoRoute);
@@ -58,37 +58,35 @@ impl Config {
         Ok(Self { routes })
     }
 
-    /// In the order given.
+    /// Returns the routes in the given order.
     pub fn routes(&self) -> &[RouteSpec] {
         &self.routes
     }
 }
 
-/// One route. As a flag: `NAME=BACKEND`, or `NAME=BACKEND,BACKEND` for
-/// replicas.
+/// Route of a gateway. As a flag: `NAME=BACKEND`, or `NAME=BACKEND,BACKEND` for replicas.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RouteSpec {
     /// Name of the route, as in the `policy` of requests.
     pub name: RouteName,
-    /// Servers that answer, by checkpoint.
+    /// Servers of the policy, by checkpoint.
     pub checkpoints: CheckpointSpecs,
-    /// Grouping of queries to a server.
+    /// Batching and distribution of queries.
     pub batching: Batching,
     /// Longest wait for an answer.
     pub answer_within: Duration,
-    /// Files for access to its servers.
+    /// Certificate authority and token for its servers.
     pub access: AccessFiles,
-    /// Destination for recordings of the queries and answers of its only
-    /// server.
+    /// Destination of recordings, for a route with a single server.
     pub record: Option<RecordInto>,
 }
 
 /// Files that authenticate a policy's servers and the gateway to each other.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct AccessFiles {
-    /// Certificate authority of servers over TLS, PEM.
+    /// Certificate authority of the TLS servers, PEM.
     pub ca: Option<PathBuf>,
-    /// File with the token for them, as `worker TOKEN`.
+    /// File with the token for the servers, in the form `worker TOKEN`.
     pub token_file: Option<PathBuf>,
 }
 
@@ -103,30 +101,30 @@ impl AccessFiles {
     }
 }
 
-/// Reason for which a back-end cannot be made. Reads after "failed to …".
+/// Reason why a back-end cannot be created. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum UnusableBackend {
-    /// Certificate authority or token cannot be read.
+    /// The certificate authority or the token cannot be read.
     #[error(transparent)]
     Access(#[from] AccessError),
-    /// Recordings that are no use.
+    /// The recordings cannot be replayed.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// Weights that are no use.
+    /// The weights cannot be used.
     #[error(transparent)]
     Weights(#[from] WeightsFileError),
-    /// An address that is none.
+    /// The gRPC address is invalid.
     #[error(transparent)]
     Address(#[from] AddressError),
-    /// An openpi server's address that is none.
+    /// The openpi server's address is invalid.
     #[error(transparent)]
     Openpi(#[from] OpenpiAddressError),
-    /// A vla-eval model server's address that is none.
+    /// The vla-eval model server's address is invalid.
     #[error(transparent)]
     VlaEval(#[from] VlaEvalAddressError),
 }
 
-/// The replicas that answer for a route.
+/// Replicas of a route, by checkpoint.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CheckpointSpecs {
     /// One checkpoint for all suites.
@@ -135,24 +133,24 @@ pub enum CheckpointSpecs {
     PerSuite(BTreeMap<String, Vec<BackendSpec>>),
 }
 
-/// Grouping of queries to a server.
+/// Batching of queries and choice of the replica.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Batching {
-    /// Together with others, at servers that declare batches; one by one at
-    /// others. At the replica with the least to do.
+    /// Batches queries if the server declares batches, else sends them one by one. Takes the
+    /// replica with the least load.
     #[default]
     Dynamic,
-    /// One by one, at the replica with the least to do.
+    /// Sends queries one by one, to the replica with the least load.
     Single,
-    /// One by one, and all sessions of a seed at the same replica: for policies
-    /// whose low-order bits depend on either.
+    /// Sends queries one by one, and all sessions of a seed to the same replica: for policies
+    /// whose low-order bits depend on batch or replica.
     Deterministic,
 }
 
 impl Batching {
-    /// Returns the batch mode that goes with every result of a policy that
-    /// takes batches of `batch_size`.
+    /// Returns the batch mode, as recorded with every result of a policy with batches of
+    /// `batch_size`.
     pub fn describe(self, batch_size: usize) -> String {
         match self {
             Self::Deterministic => "deterministic".to_owned(),
@@ -163,7 +161,7 @@ impl Batching {
 }
 
 impl RouteSpec {
-    /// A route of one server, and of its usual settings.
+    /// Creates a route with one server and default settings.
     pub fn new(name: RouteName, backend: BackendSpec) -> Self {
         Self {
             name,
@@ -227,23 +225,22 @@ impl FromStr for RouteSpec {
     }
 }
 
-/// Back-end of a route: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]`, the same
-/// with `https://` over TLS, `ws://HOST:PORT` (`wss://` over TLS),
-/// `vla-eval://HOST:PORT` (`vla-evals://` over TLS), `student:FILE`, or
-/// `replay:FOLDER`.
+/// Back-end of a route: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]` (`https://` over TLS),
+/// `ws://HOST:PORT` (`wss://` over TLS), `vla-eval://HOST:PORT` (`vla-evals://` over TLS),
+/// `student:FILE`, or `replay:FOLDER`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BackendSpec {
     /// A policy inside the gateway.
     Builtin(Builtin),
     /// The built-in student with the weights of a file.
     Student(PathBuf),
-    /// A policy server elsewhere.
+    /// Remote policy server.
     Grpc(GrpcAddress),
-    /// A policy server of openpi's.
+    /// openpi policy server.
     Openpi(OpenpiAddress),
-    /// A model server of vla-eval's.
+    /// vla-eval model server.
     VlaEval(VlaEvalAddress),
-    /// A folder of recordings.
+    /// Folder of recordings.
     Replay(PathBuf),
 }
 

@@ -1,17 +1,16 @@
-//! Bound on the workers' observations that a gateway holds at once, so that a
-//! stalled server does not fill the memory with frames. Responsible for that
-//! bound only.
+//! Limits the memory of observations in flight, so that a stalled server does not fill the
+//! gateway's memory with frames.
 
 use proto::policy::InferRequest;
 use tokio::sync::{Semaphore, SemaphorePermit};
 
-/// Observations held at once, bytes: 682 of two 256 × 256 frames, which is more
-/// than ten machines of 64 slots ask about together.
+/// Limit of observations in flight, bytes: 682 pairs of 256 × 256 frames, more than ten machines
+/// of 64 slots send at a time.
 pub const MAX_HELD_BYTES: usize = 256 << 20;
-/// Bytes that a query counts at least: many without frames are limited, too.
+/// Least size that a query counts with, bytes, so that queries without frames are limited too.
 pub const MIN_QUERY_BYTES: usize = 64 << 10;
 
-/// Counts the observations of queries that wait for their answers.
+/// Memory budget of the observations whose queries are unanswered.
 #[derive(Debug)]
 pub struct Held(Semaphore);
 
@@ -22,12 +21,12 @@ impl Default for Held {
 }
 
 impl Held {
-    /// Counts a query's observation until the permit is dropped; None if it is
-    /// one too many.
+    /// Reserves memory for a query's observation until the permit is dropped; `None` if the budget
+    /// is exhausted.
     pub fn hold(&self, query: &InferRequest) -> Option<SemaphorePermit<'_>> {
         let frames = query.observation.iter().flat_map(|it| &it.images);
         let bytes = frames.map(|frame| frame.rgb.len()).sum::<usize>();
-        // A message has an upper bound far below the type's.
+        // Messages are far smaller than 4 GiB.
         let bytes = u32::try_from(bytes.max(MIN_QUERY_BYTES)).ok()?;
         self.0.try_acquire_many(bytes).ok()
     }

@@ -1,7 +1,6 @@
-//! Between workers and policy servers: routes a worker's queries to the policy
-//! it names and checks every answer before an action reaches a robot. To a
-//! worker a gateway looks like a policy. Not responsible for simulating,
-//! perturbing or clipping anything.
+//! Gateway between workers and policy servers: routes a worker's queries to the policy that it
+//! names, and checks every answer before an action reaches a robot. To a worker it looks like a
+//! policy. It does not simulate, perturb or clip.
 
 #![forbid(unsafe_code)]
 
@@ -33,23 +32,22 @@ pub mod route;
 pub mod service;
 pub mod sessions;
 
-/// Time that queries under way may take after the signal to stop.
+/// Time limit for queries in flight at shutdown.
 pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 
-/// Serves `rollout.policy.v1` and `grpc.health.v1` on `listener` until
-/// `shutdown` is ready, then lets the queries under way finish, for at most
-/// [`SHUTDOWN_GRACE`]. Back-ends are first asked when a query comes: a gateway
-/// starts, and stays, whether they are up or not.
+/// Serves `rollout.policy.v1` and `grpc.health.v1` on `listener` until `shutdown` resolves, then
+/// lets queries in flight finish for at most [`SHUTDOWN_GRACE`]. Back-ends are first called for a
+/// query, so the gateway starts and runs regardless of their state.
 ///
 /// # Errors
-/// If an address cannot be used or the listener fails.
+/// If the TLS settings are invalid or the listener fails.
 pub async fn run(
     gateway: Gateway,
     security: &Security,
     listener: TcpListener,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), RunError> {
-    // Boxed, so that the server is compiled once and not for every caller's future.
+    // Boxed, so that the server is compiled once instead of once per caller's future type.
     serve(gateway, security, listener, Box::pin(shutdown)).await
 }
 
@@ -79,7 +77,7 @@ async fn serve(
             drop(stopping);
         });
     let out_of_patience = async {
-        // Ends when the sender is dropped, which is all that it can do.
+        // The sender never sends; its drop ends this wait.
         let _ = stopped.await;
         tokio::time::sleep(SHUTDOWN_GRACE).await;
     };
@@ -94,8 +92,8 @@ async fn serve(
     }
 }
 
-/// Everything is a call: workers ask policies, and operators check that they can. Whether a gateway
-/// is up is no secret: health checks often come from outside this system.
+/// Maps request paths to permissions: workers query policies, operators check them. Health checks
+/// need no token, because they often come from outside this system.
 fn resource(path: &str) -> Resource {
     Resource::Call(match path.starts_with("/grpc.health.v1.Health/") {
         true => Allowed::Everybody,
@@ -103,16 +101,16 @@ fn resource(path: &str) -> Resource {
     })
 }
 
-/// Reason for which a gateway cannot serve.
+/// Reason why a gateway cannot serve.
 #[derive(Debug, Error)]
 pub enum RunError {
-    /// An address that cannot be used, or a listener that failed.
+    /// The listener failed.
     #[error("serve policies: the listening socket failed ({problem})")]
     Socket {
-        /// Error of the system.
+        /// Error of the system, as text.
         problem: String,
     },
-    /// A certificate that is no use.
+    /// The TLS certificate or the tokens cannot be used.
     #[error(transparent)]
     Security(#[from] SecurityError),
 }

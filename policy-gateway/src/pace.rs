@@ -1,11 +1,9 @@
-//! Pace at which a policy server answers queries, and the time since which it
-//! has been silent. [`Pace`] is pure: the time is passed in. [`Watch`] applies
-//! it to calls.
+//! Measures the pace at which a policy server answers queries, and detects silence. [`Pace`] is
+//! pure: callers pass in the time. [`Watch`] applies it to calls.
 //!
-//! A server that has many queries before it takes long for each of them and is not
-//! silent: it answers others meanwhile. So a call has failed only once the server
-//! has answered no query at all for as long as one may take, counted from when the
-//! call was sent. The time that a query waits in this gateway counts toward nothing.
+//! A server with a long queue takes long for each query without being silent, because it answers
+//! others meanwhile. So a call has failed only if the server answered no query at all for the
+//! longest allowed time since the call was sent. Time in the gateway's own queue does not count.
 
 use std::{
     collections::VecDeque,
@@ -13,26 +11,25 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Answers over which the pace is taken.
+/// Number of recent answers in the average.
 const SAMPLES: usize = 32;
-/// Answers without which nothing is known of a server's pace.
+/// Least number of answers for an average.
 const MIN_SAMPLES: usize = 8;
 
-/// Recent answers of a server.
+/// Recent answers of a server, and its calls in flight.
 #[derive(Debug, Default)]
 pub struct Pace {
-    /// Calls with queries that are sent and not ended.
+    /// Number of calls with queries in flight.
     under_way: usize,
-    /// Time at which the first of the calls under way was sent to an idle
-    /// server.
+    /// Time at which the server last became busy.
     busy_since: Option<Instant>,
     last_answer: Option<Instant>,
-    /// Time that the server took for each answer, and the queries answered.
+    /// Duration of each answer since the one before, with the number of queries answered.
     samples: VecDeque<(Duration, u32)>,
 }
 
 impl Pace {
-    /// Notes that a call with queries is sent.
+    /// Records that a call with queries was sent.
     pub fn sent(&mut self, now: Instant) {
         if self.under_way == 0 {
             self.busy_since = Some(now);
@@ -40,7 +37,7 @@ impl Pace {
         self.under_way += 1;
     }
 
-    /// Notes that so many queries of a call were answered.
+    /// Records that a call's queries were answered.
     pub fn answered(&mut self, queries: u32, now: Instant) {
         if let Some(began) = self.busy_since.max(self.last_answer) {
             if self.samples.len() == SAMPLES {
@@ -52,20 +49,20 @@ impl Pace {
         self.last_answer = Some(now);
     }
 
-    /// Notes that a call is over, answered or not.
+    /// Records that a call has ended, answered or not.
     pub fn ended(&mut self) {
         self.under_way = self.under_way.saturating_sub(1);
     }
 
-    /// Returns when a call that was sent at `sent` has met with silence for `limit`,
-    /// as far as is known now.
+    /// Returns the time at which a call sent at `sent` will have met `limit` of silence, unless
+    /// the server answers before.
     pub fn silent_at(&self, sent: Instant, limit: Duration) -> Instant {
         Some(sent).max(self.last_answer).unwrap_or(sent) + limit
     }
 
-    /// Returns how long the server takes for each query while it is busy, with
-    /// however many it answers at a time. The longest time is left out: it may be
-    /// that of a model being compiled. None until enough is known.
+    /// Returns the average time per answered query while the server is busy, with batches counted
+    /// by their queries. Leaves out the longest answer, which may include a model's compilation.
+    /// `None` until there are enough answers.
     pub fn per_query(&self) -> Option<Duration> {
         if self.samples.len() < MIN_SAMPLES {
             return None;
@@ -77,11 +74,11 @@ impl Pace {
     }
 }
 
-/// The pace of one server, which all calls to it share.
+/// Pace of one server, shared by all calls to it.
 #[derive(Debug, Default)]
 pub struct Watch(Mutex<Pace>);
 
-/// A call with queries under way; over when dropped, however it ends.
+/// Guard of a call with queries in flight; dropping it ends the call's count.
 struct Sent<'a>(&'a Watch);
 
 impl Drop for Sent<'_> {
@@ -90,12 +87,12 @@ impl Drop for Sent<'_> {
     }
 }
 
-/// The server has answered nothing for as long as an answer may take.
+/// The server has answered no query within the limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Silent;
 
 impl Watch {
-    /// Waits for the answer to a call that has no queries in it.
+    /// Waits for the answer to a call without queries.
     ///
     /// # Errors
     /// If the server is silent for `limit`.
@@ -118,8 +115,8 @@ impl Watch {
         }
     }
 
-    /// Waits for the answer to a call with queries; `answered` says how many of them
-    /// got one, so that the server is at work.
+    /// Waits for the answer to a call with queries. `answered` returns how many of them succeeded,
+    /// which counts as a sign of life.
     ///
     /// # Errors
     /// If the server is silent for `limit`.

@@ -1,5 +1,5 @@
-//! Recorded sessions: one file each, with everything that went to a policy server
-//! and what it answered. Responsible for the form of the files:
+//! Recordings of sessions: one file each, with all requests to a policy server and its answers.
+//! Format:
 //!
 //! ```text
 //! the line "rollout recording 1\n", and then messages of rollout.policy.v1, each
@@ -9,8 +9,8 @@
 //!   InferRequest, InferResponse   … one pair per query, as asked
 //! ```
 //!
-//! A file that is written bears the suffix `.partial` and gets its name when its
-//! session has ended, so that a file with the right name is whole.
+//! A file in progress has the suffix `.partial`, and is renamed when its session ends, so that a
+//! file with the final name is complete.
 
 use std::{
     fs::File,
@@ -25,21 +25,21 @@ use thiserror::Error;
 
 /// First line of a file.
 const FIRST_LINE: &[u8] = b"rollout recording 1\n";
-/// Suffix of whole recordings.
+/// Extension of complete recordings.
 pub const SUFFIX: &str = "recording";
-/// Recordings that a folder may hold.
+/// Most recordings in a folder.
 pub const MAX_FILES: usize = 100_000;
 
-/// A query and its answer.
+/// Query with its answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pair {
-    /// Query as asked.
+    /// Query as sent.
     pub query: InferRequest,
-    /// Answer as given.
+    /// Answer as received.
     pub answer: InferResponse,
 }
 
-/// A recording that is being written.
+/// Recording in progress.
 #[derive(Debug)]
 pub struct Writer {
     file: BufWriter<File>,
@@ -48,11 +48,11 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Begins the recording of a session. One of the same session is replaced
-    /// when this one is finished.
+    /// Starts the recording of a session. An existing one of the same session is replaced when
+    /// this one is finished.
     ///
     /// # Errors
-    /// If nothing can be written to the folder.
+    /// If the file cannot be written.
     pub fn begin(
         folder: &Path,
         described: &DescribeResponse,
@@ -72,7 +72,7 @@ impl Writer {
         Ok(writer)
     }
 
-    /// Adds a pair; returns the bytes that it took.
+    /// Adds a pair; returns its size in bytes.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -80,10 +80,10 @@ impl Writer {
         Ok(self.message(&pair.query)? + self.message(&pair.answer)?)
     }
 
-    /// Gives the file its name.
+    /// Completes the recording and returns its path.
     ///
     /// # Errors
-    /// If not everything is on the disk; the file then has no final name.
+    /// If the file cannot be written completely; it then keeps the suffix `.partial`.
     pub fn finish(mut self) -> io::Result<PathBuf> {
         self.file.flush()?;
         self.file.get_ref().sync_all()?;
@@ -92,10 +92,9 @@ impl Writer {
         Ok(whole)
     }
 
-    /// Removes what was written.
+    /// Removes the unfinished recording.
     pub fn discard(self) {
-        // A file that cannot be removed keeps its name, which says that it is
-        // partial.
+        // If the removal fails, the suffix still marks the file as partial.
         drop(std::fs::remove_file(self.partial()));
     }
 
@@ -110,14 +109,14 @@ impl Writer {
     }
 }
 
-/// A recording that is read, message by message.
+/// Reads a recording, message by message.
 #[derive(Debug)]
 pub struct Reader {
     path: PathBuf,
     file: BufReader<File>,
-    /// Policy's description of itself.
+    /// Description of the policy.
     pub described: DescribeResponse,
-    /// The episode.
+    /// Reset that started the episode.
     pub reset: ResetRequest,
 }
 
@@ -125,7 +124,7 @@ impl Reader {
     /// Opens a recording.
     ///
     /// # Errors
-    /// If the file cannot be read, or is no recording.
+    /// If the file cannot be read, or is not a recording.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let mut reader = Self {
             path: path.to_owned(),
@@ -143,10 +142,10 @@ impl Reader {
         Ok(reader)
     }
 
-    /// The next pair; None at the end.
+    /// Reads the next pair; `None` at the end.
     ///
     /// # Errors
-    /// If the next messages are no pair.
+    /// If the file is damaged.
     pub fn pair(&mut self) -> Result<Option<Pair>, RecordingError> {
         let Some(query) = self.message()? else {
             return Ok(None);
@@ -167,7 +166,7 @@ impl Reader {
         message.map(Some).map_err(|_| self.broken())
     }
 
-    /// The varint before a message; None at the end of the file.
+    /// Reads a message's length; `None` at the end of the file.
     fn length(&mut self) -> Result<Option<usize>, RecordingError> {
         let mut length = 0_usize;
         for place in 0..5 {
@@ -194,11 +193,10 @@ impl Reader {
     }
 }
 
-/// The recordings of a folder, by name.
+/// Returns the recordings of a folder, sorted by name.
 ///
 /// # Errors
-/// If the folder cannot be read, holds no recording, or more than
-/// [`MAX_FILES`].
+/// If the folder cannot be read, or holds no recording, or more than [`MAX_FILES`].
 pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     let entries = std::fs::read_dir(folder).map_err(|source| io_error(folder, source))?;
     let mut files = vec![];
@@ -222,49 +220,49 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     }
 }
 
-/// A recording that is no use. Reads after "failed to …".
+/// Reason why recordings cannot be used. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum RecordingError {
-    /// It cannot be read.
+    /// The file or folder cannot be read.
     #[error("read {path:?}")]
     Io {
-        /// The file or folder.
+        /// Path of the file or folder.
         path: PathBuf,
         /// Error of the system.
         source: io::Error,
     },
-    /// It is not one.
+    /// The file is damaged or not a recording.
     #[error("read {path:?} as a recording: it is none, or damaged; record the session again")]
     Broken {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// A folder without any.
+    /// The folder has no recordings.
     #[error(
         "find a recording in {folder:?}: `policy-gateway record --output` makes them, one \
          .{SUFFIX} file per session that has ended"
     )]
     None {
-        /// The folder.
+        /// Path of the folder.
         folder: PathBuf,
     },
-    /// A folder with more recordings than the limit.
+    /// The folder has more recordings than the limit.
     #[error("take more than {MAX_FILES} recordings from {folder:?}: put some elsewhere")]
     TooMany {
-        /// The folder.
+        /// Path of the folder.
         folder: PathBuf,
     },
-    /// Recordings of two policies.
+    /// The recordings are of different policies.
     #[error(
         "replay {one:?} and {other:?} as one policy: {difference}; give each policy a folder of \
          its own"
     )]
     Policies {
-        /// The first recording.
+        /// Path of the first recording.
         one: PathBuf,
-        /// One that differs.
+        /// Path of one that differs.
         other: PathBuf,
-        /// In what.
+        /// Description of the difference.
         difference: String,
     },
 }

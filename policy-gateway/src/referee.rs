@@ -1,13 +1,11 @@
-//! Comparison and diagnosis of policy servers that keep the protocol and score
-//! nothing: the commands `policy-gateway compare` and `policy-gateway doctor`. Both
-//! ask servers about situations, made up or recorded, and judge by the answers alone:
-//! [`compare`] finds the differences between two servers' pipelines, [`doctor`] the
-//! usual mistakes of one.
+//! Comparison and diagnosis of policy servers that conform to the protocol but score nothing: the
+//! commands `policy-gateway compare` and `policy-gateway doctor`. Both query servers in synthetic
+//! or recorded situations, and judge by the answers alone: [`compare`] finds the differences
+//! between two servers' pipelines, [`doctor`] the usual mistakes of one.
 //!
-//! [`situation`] is what is shown, [`made_up`] and [`recorded`] are where it comes
-//! from, [`variant`], [`filter`] and [`layout`] how it can be shown otherwise; [`server`] and
-//! [`panel`] ask; [`fit`] and [`search`] explain; [`difference`] and [`report`] are
-//! the words.
+//! [`situation`] is the input of a query, from [`made_up`] or [`recorded`]; [`variant`],
+//! [`filter`] and [`layout`] modify it; [`server`] and [`panel`] send queries; [`fit`] and
+//! [`search`] explain differences; [`difference`] and [`report`] put them into words.
 
 pub mod answers;
 pub mod chance;

@@ -1,8 +1,6 @@
-//! One route: a name, the checkpoints behind it, and the sessions that it has
-//! open. Responsible for what is the same whatever answers: a session stays
-//! with the pool it was opened in, retries of its last query get the same
-//! answer, a query whose replica is lost goes to another where the policy
-//! allows it, and what waiting queries hold is bounded.
+//! Route of a gateway: its name, checkpoints and open sessions. A session stays with the pool in
+//! which it was opened, a retry of its last query gets the same answer, a query whose replica
+//! fails moves to another if the policy allows it, and the memory of waiting queries is limited.
 
 use std::{
     sync::{
@@ -34,13 +32,13 @@ pub mod replica;
 
 pub use error::RouteError;
 
-/// Time after which a session without a call no longer counts among those that wait
-/// for answers: its worker is gone, or simulates long stretches between its queries.
+/// Time without a call after which a session no longer counts towards the capacity: its worker is
+/// gone, or simulates for long between queries.
 const SESSION_IDLE: Duration = Duration::from_secs(120);
-/// Time between two looks for a session that has ended.
+/// Interval at which a waiting Reset checks for a free place.
 const RESET_LOOK: Duration = Duration::from_millis(100);
 
-/// A name and what answers for it.
+/// Name, checkpoints and open sessions of a route.
 pub struct Route {
     name: RouteName,
     checkpoints: RwLock<Arc<Checkpoints>>,
@@ -49,23 +47,23 @@ pub struct Route {
     retired: AtomicBool,
 }
 
-/// An open episode.
+/// Open session.
 struct Session {
-    /// The pool it was opened in. A reload that makes another one leaves this
-    /// to its sessions.
+    /// Pool in which the session was opened. A reload that replaces the pool leaves it to its
+    /// sessions.
     pool: Arc<Pool>,
-    /// None: the gateway restarted since, and the only replica may know it.
+    /// Reset of the session; `None` for a session adopted after a restart of the gateway.
     reset: Option<ResetRequest>,
-    /// Time of its last call.
+    /// Time of the last call.
     used: Mutex<Instant>,
-    /// Locked while a query is under way, so that a retry which overtakes its
-    /// first attempt waits for that one's answer.
+    /// Locked during a query, so that a retry that overtakes the first attempt waits for its
+    /// answer.
     state: tokio::sync::Mutex<SessionState>,
 }
 
 struct SessionState {
     described: Arc<DescribeResponse>,
-    /// The replicas that had its Reset.
+    /// Replicas that have received the session's Reset.
     open_on: Vec<Arc<Replica>>,
     last: Option<Answer>,
 }
@@ -91,8 +89,8 @@ impl Session {
 }
 
 impl Route {
-    /// A route whose back-ends have not been asked anything yet. What its
-    /// queries hold counts in `held`, which all routes of a gateway share.
+    /// Creates a route without calling its back-ends. The observations of its queries count in
+    /// `held`, which all routes of a gateway share.
     ///
     /// # Errors
     /// See [`UnusableBackend`].
@@ -106,7 +104,7 @@ impl Route {
         })
     }
 
-    /// Name of the route, as in the `policy` of requests.
+    /// Returns the route's name, as in the `policy` of requests.
     pub fn name(&self) -> &RouteName {
         &self.name
     }
@@ -116,16 +114,16 @@ impl Route {
         self.retired.load(Ordering::Relaxed)
     }
 
-    /// Takes no new sessions from now on; those that are open go on.
+    /// Refuses new sessions from now on; open ones continue.
     pub fn retire(&self) {
         self.retired.store(true, Ordering::Relaxed);
     }
 
-    /// Applies `spec` to new sessions. Replicas that stay keep their
-    /// connections; the checkpoints agreed on are forgotten.
+    /// Applies `spec` to new sessions. Unchanged replicas keep their connections; the agreed
+    /// descriptions are discarded.
     ///
     /// # Errors
-    /// See [`UnusableBackend`]; then nothing changes.
+    /// See [`UnusableBackend`]; the route is then unchanged.
     pub fn reload(&self, spec: &RouteSpec) -> Result<(), UnusableBackend> {
         let known = self.checkpoints().replicas();
         let renewed = Arc::new(Checkpoints::new(spec, &known)?);
@@ -137,10 +135,10 @@ impl Route {
         Ok(())
     }
 
-    /// Asks what the policy is that answers for `suite`.
+    /// Returns the description of the policy for `suite`.
     ///
     /// # Errors
-    /// If no replica answers, or the answer cannot be used.
+    /// If no replica answers, or the description cannot be used.
     pub async fn describe(&self, suite: &str) -> Result<Arc<DescribeResponse>, RouteError> {
         let pool = self.pool(suite)?;
         let mut tried = vec![];
@@ -158,12 +156,11 @@ impl Route {
         Err(self.no_answer(failure, ""))
     }
 
-    /// Starts an episode. Where as many are open as the replicas can answer in time, it
-    /// waits for one of them to end.
+    /// Starts an episode. If the replicas are at capacity, waits for another session to end.
     ///
     /// # Errors
-    /// If the session has no usable name, its suite no checkpoint, none of the others
-    /// ends, or no replica answers.
+    /// If the session's name is invalid, its suite has no checkpoint, no place becomes free in
+    /// time, or no replica answers.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), RouteError> {
         check_session(&request.session)?;
         if self.is_retired() {
@@ -201,12 +198,11 @@ impl Route {
         Err(self.no_answer(failure, session))
     }
 
-    /// Answers one observation; a retry of a session's last query gets the
-    /// answer that was given.
+    /// Answers one observation. A retry of a session's last query gets the same answer.
     ///
     /// # Errors
-    /// If no replica answers, or the answer is no chunk of actions (see
-    /// [`crate::check::actions`]).
+    /// If no replica answers, or the answer is not a valid chunk of actions (see
+    /// [`policy_protocol::actions`]).
     pub async fn infer(&self, request: InferRequest) -> Result<InferResponse, RouteError> {
         check_session(&request.session)?;
         let _held = self.held.hold(&request).ok_or(RouteError::Overloaded)?;
@@ -229,8 +225,8 @@ impl Route {
         Ok(response)
     }
 
-    /// Closes a session, if it is open, and tells every replica that had its
-    /// Reset, once a query under way is answered.
+    /// Closes a session after its query in flight, if it is open, and ends it at every replica
+    /// that received its Reset.
     pub async fn end(&self, session: &str) {
         let Some(open) = self.sessions().close(session) else {
             return;
@@ -241,7 +237,7 @@ impl Route {
         }
     }
 
-    /// Asks one replica after the other, as far as the policy allows it.
+    /// Queries one replica after another, as far as the policy allows sessions to move.
     async fn ask(
         &self,
         session: &Session,
@@ -270,7 +266,7 @@ impl Route {
                 Err(error) => error,
             };
             let is_outage = error.is_outage();
-            // After a timeout the caller is gone.
+            // After a timeout the caller has given up.
             let is_late = matches!(error, BackendError::TimedOut { .. });
             let error = self.failed_query(request.query_index, &replica, error);
             if !is_outage || is_late {
@@ -284,8 +280,8 @@ impl Route {
         }
     }
 
-    /// An open session. A gateway that restarted does not know a session that
-    /// its back-end may still hold: if there is but one that could, it judges.
+    /// Returns an open session. After a restart of the gateway, the back-end may still hold a
+    /// session that is unknown here: if the route has a single replica, it is asked.
     async fn session(&self, name: &str) -> Result<Arc<Session>, RouteError> {
         if let Some(open) = self.sessions().get(name) {
             return Ok(Arc::clone(open));
@@ -304,15 +300,15 @@ impl Route {
         };
         let adopted = Session::new(pool, None, state);
         let mut sessions = self.sessions();
-        // Another query of the session may have been faster.
+        // Another query of the session may have adopted it meanwhile.
         Ok(match sessions.get(name) {
             Some(open) => Arc::clone(open),
             None => Arc::clone(sessions.open(name, adopted)),
         })
     }
 
-    /// Waits for a place among the sessions that the replicas can answer in time. A
-    /// session that is open has one.
+    /// Waits until the replicas have capacity for one more session. An open session already has
+    /// its place.
     async fn place(&self, pool: &Arc<Pool>, session: &str) -> Result<Option<Opening>, RouteError> {
         let until = Instant::now() + pool.reset_patience();
         loop {
@@ -395,7 +391,7 @@ impl Route {
     }
 }
 
-/// Opens a session on a replica, which must be what the pool agreed on.
+/// Opens a session at a replica, after checking its description.
 async fn open(
     pool: &Pool,
     replica: &Replica,
@@ -406,7 +402,7 @@ async fn open(
     Ok(described)
 }
 
-/// Asks one replica, after the session's Reset if it has not had that.
+/// Queries one replica, after opening the session there if necessary.
 async fn ask_one(
     session: &Session,
     state: &mut SessionState,
@@ -424,8 +420,8 @@ async fn ask_one(
     replica.infer(request.clone(), horizon, task).await
 }
 
-/// Of two failures of one call, the one to tell: that a replica was out already
-/// says less than why another failed now.
+/// Selects the failure of a call to report: a replica that was already out tells less than
+/// another's new failure.
 fn first_worth_telling(earlier: Option<RouteError>, now: RouteError) -> RouteError {
     let was_out = |error: &RouteError| {
         matches!(error, RouteError::Replica { source, .. }

@@ -1,5 +1,5 @@
-//! `rollout.policy.v1` as the gateway offers it. Responsible for choosing the
-//! route and for the version handshake; everything else is the route's.
+//! The gateway's implementation of `rollout.policy.v1`: chooses the route and negotiates the
+//! version; the route does the rest.
 
 use std::{
     fmt,
@@ -22,11 +22,11 @@ use crate::{
     route::{Route, RouteError},
 };
 
-/// Routes that the configuration no longer names and that are kept for their
-/// open sessions; the one retired first is dropped for one more.
+/// Most routes kept for their open sessions after they were removed from the configuration; beyond
+/// that, the one first in order is dropped.
 pub const MAX_RETIRED_ROUTES: usize = 64;
 
-/// The policies of a gateway, by route. Clones are the same gateway.
+/// Policies of a gateway, by route. Clones share their state.
 #[derive(Clone)]
 pub struct Gateway {
     routes: Arc<RwLock<Vec<Arc<Route>>>>,
@@ -34,7 +34,7 @@ pub struct Gateway {
 }
 
 impl Gateway {
-    /// A gateway whose back-ends have not been asked anything yet.
+    /// Creates a gateway without calling its back-ends.
     ///
     /// # Errors
     /// See [`UnusableBackend`].
@@ -51,10 +51,10 @@ impl Gateway {
         })
     }
 
-    /// Applies `config` to new sessions; open sessions go on where they are.
+    /// Applies `config` to new sessions; open sessions stay where they are.
     ///
     /// # Errors
-    /// See [`UnusableBackend`]; then routes before it may have changed already.
+    /// See [`UnusableBackend`]; earlier routes may then have changed already.
     pub fn reload(&self, config: &Config) -> Result<(), UnusableBackend> {
         let mut routes = self.routes.write().unwrap_or_else(PoisonError::into_inner);
         for spec in config.routes() {
@@ -78,8 +78,7 @@ impl Gateway {
         Ok(())
     }
 
-    /// The route of a policy; the only one that takes sessions if none is
-    /// named.
+    /// Returns the route of a policy; if no policy is named, the only route that takes sessions.
     fn route(&self, policy: &str) -> Result<Arc<Route>, Status> {
         let routes = self.routes.read().unwrap_or_else(PoisonError::into_inner);
         if !policy.is_empty() {
@@ -104,7 +103,7 @@ impl Gateway {
     }
 }
 
-/// Writes the names of routes as a list.
+/// Formats the names of routes as a list.
 struct Names<'a>(&'a [Arc<Route>]);
 
 impl fmt::Display for Names<'_> {
@@ -165,9 +164,9 @@ impl Policy for Gateway {
         ))
     }
 
-    /// Queries go to their back-ends side by side, each as if it had come
-    /// alone. A back-end that is down fails the whole call, because the text
-    /// of a single result could not say that it is not charged.
+    /// Queries are sent to their back-ends concurrently, each as if it had come alone. If a
+    /// back-end is down, the whole call fails, because the text of a single result cannot mark the
+    /// query as uncharged.
     async fn infer_batch(
         &self,
         request: Request<InferBatchRequest>,

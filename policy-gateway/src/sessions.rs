@@ -1,11 +1,10 @@
-//! A bounded table of open sessions. Not every session is ended by its caller, so
-//! the table forgets the one idle for longest when it is full. Responsible for
-//! that bound only; what is kept per session is the owner's.
+//! Bounded table of open sessions. Callers do not end every session, so the table discards the one
+//! idle for longest when it is full.
 
 use std::collections::HashMap;
 
-/// Sessions remembered per route: twice the 2,000 slots that one coordinator
-/// is meant to carry, so that a forgotten session is one that has ended.
+/// Sessions kept per route: twice the 2,000 slots that a coordinator is designed for, so that a
+/// discarded session has usually ended.
 pub const MAX_SESSIONS: usize = 4096;
 /// Longest session name accepted, bytes.
 pub const MAX_SESSION_BYTES: usize = 512;
@@ -14,7 +13,7 @@ pub const MAX_SESSION_BYTES: usize = 512;
 #[derive(Debug)]
 pub struct SessionTable<V> {
     capacity: usize,
-    /// Counts uses, which order sessions by idleness without a clock.
+    /// Number of uses, which orders sessions by idleness without a clock.
     uses: u64,
     entries: HashMap<String, Entry<V>>,
 }
@@ -26,7 +25,7 @@ struct Entry<V> {
 }
 
 impl<V> SessionTable<V> {
-    /// An empty table that holds `capacity` sessions (at least one).
+    /// Creates an empty table for `capacity` sessions (at least one).
     pub fn new(capacity: usize) -> Self {
         Self {
             capacity: capacity.max(1),
@@ -35,8 +34,8 @@ impl<V> SessionTable<V> {
         }
     }
 
-    /// Opens a session, in place of one of the same name, and at the cost of
-    /// the one idle for longest if the table is full.
+    /// Opens a session, replacing one of the same name. If the table is full, discards the one
+    /// idle for longest.
     pub fn open(&mut self, session: &str, value: V) -> &mut V {
         if !self.entries.contains_key(session) && self.entries.len() >= self.capacity {
             self.forget_idlest();
@@ -51,7 +50,7 @@ impl<V> SessionTable<V> {
             .value
     }
 
-    /// A session, if it is open.
+    /// Returns a session if it is open, and counts the use.
     pub fn get(&mut self, session: &str) -> Option<&mut V> {
         let last_use = self.next_use();
         let entry = self.entries.get_mut(session)?;
@@ -59,17 +58,17 @@ impl<V> SessionTable<V> {
         Some(&mut entry.value)
     }
 
-    /// The open sessions.
+    /// Returns the values of the open sessions.
     pub fn values(&self) -> impl Iterator<Item = &V> {
         self.entries.values().map(|entry| &entry.value)
     }
 
-    /// Takes a session out, if it is open.
+    /// Removes a session and returns its value, if it is open.
     pub fn close(&mut self, session: &str) -> Option<V> {
         self.entries.remove(session).map(|entry| entry.value)
     }
 
-    /// Forgets the sessions for which `keeps` says no.
+    /// Keeps only the sessions for which `keeps` returns true.
     pub fn retain(&mut self, mut keeps: impl FnMut(&V) -> bool) {
         self.entries.retain(|_, entry| keeps(&entry.value));
     }

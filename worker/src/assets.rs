@@ -21,15 +21,15 @@ use crate::args::{AssetsArguments, AssetsCommand, FetchArguments, TaskChoice};
 pub use coverage::Coverage;
 pub use error::PackError;
 
-/// A fetch logs its progress this often, per cent.
+/// Interval of progress messages in the log during a fetch, per cent.
 const LOGGED_PERCENT: u64 = 25;
-/// Files that a message names; the others are counted.
+/// Number of files that a message names; further ones are only counted.
 const MAX_NAMED: usize = 20;
 
-/// Carries out the command line.
+/// Runs `worker assets`.
 ///
 /// # Errors
-/// If a pack cannot be read or fetched, or is not what it should be.
+/// If a pack cannot be read or fetched, or its files differ from the expected ones.
 pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
     let dir = arguments.sources.clone();
     let dir = dir.unwrap_or_else(Sources::default_dir);
@@ -55,7 +55,7 @@ pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
     }
 }
 
-/// Sees that the files of tasks are there, with progress on standard error.
+/// Fetches the missing files of tasks, with progress on standard error.
 ///
 /// # Errors
 /// If they cannot be fetched.
@@ -72,7 +72,8 @@ pub fn provide(
     Ok(())
 }
 
-/// Fetches for a worker that serves: what a task needs, before its job starts.
+/// Fetches the files of a job's task before the job starts, for a worker that serves a
+/// coordinator.
 #[derive(Clone, Debug)]
 pub struct Provider {
     pack: AssetPack,
@@ -90,10 +91,10 @@ impl Provider {
         })
     }
 
-    /// Sees that a task's files are there and are LIBERO's, with progress in the log.
+    /// Fetches a task's missing or altered files, with progress in the log.
     ///
     /// # Errors
-    /// If they cannot be fetched. Reads after "failed to …".
+    /// If the files cannot be fetched. The message reads after "failed to …".
     pub fn provide(&self, task: TaskRef) -> Result<(), String> {
         let mut last = None;
         let mut report = |report| {
@@ -125,13 +126,13 @@ impl Provider {
         Ok(())
     }
 
-    /// Ends fetches under way, and any later one.
+    /// Cancels running fetches, and any later one.
     pub fn end(&self) {
         self.ended.store(true, Ordering::Relaxed);
     }
 }
 
-/// The given packs, else those that need no folder.
+/// Returns the given packs, or `libero` and `primitives` if none is given.
 fn packs_or_own(given: &[String]) -> Vec<String> {
     match given {
         [] => vec![LIBERO.to_owned(), PRIMITIVES.to_owned()],
@@ -208,7 +209,7 @@ fn verify(pack: &AssetPack, sources: &Sources) -> Result<(), PackError> {
     ))
 }
 
-/// The first of many things, and the number of the others.
+/// Joins the first `MAX_NAMED` names, followed by the number of the others.
 pub fn name_some(mut names: Vec<String>, between: &str) -> String {
     let count = names.len();
     if count > MAX_NAMED {
@@ -307,8 +308,8 @@ fn origin(arguments: &FetchArguments) -> Result<Origin, PackError> {
     })
 }
 
-/// Says which tasks a pack can show, and returns those that it cannot show: they are
-/// left to other workers.
+/// Logs which tasks a pack can show, and returns those that it cannot; the worker leaves them to
+/// other workers.
 ///
 /// # Errors
 /// If the task files cannot be read, or the pack can show no task.
@@ -341,7 +342,7 @@ pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Vec<TaskRef>, PackEr
     Ok(lacking)
 }
 
-/// Says why a folder is not LIBERO's, if it is not.
+/// Describes how a custom pack differs from LIBERO's; `None` if the pack is LIBERO's or built in.
 pub fn describe_differences(pack: &AssetPack, given: &Path) -> Option<String> {
     if pack.name() != scene::pack::CUSTOM {
         return None;

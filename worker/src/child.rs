@@ -1,5 +1,5 @@
-//! Child processes as their parent sees them: how they are started and
-//! connected, and what their ends mean.
+//! Child processes from the parent's side: how they are started and connected, and the meaning of
+//! their exit status.
 
 use std::ffi::OsString;
 use std::io;
@@ -14,20 +14,20 @@ use crate::memory::Verdict;
 /// Command line of a slot's process.
 #[derive(Clone, Debug)]
 pub struct SlotProgram {
-    /// The program: this one, as a rule.
+    /// Path of the program; by default, the running one.
     pub program: PathBuf,
     /// Arguments of the program.
     pub arguments: Vec<OsString>,
 }
 
-/// A connection with a child: this side of it, and what the child is to have as
-/// its standard input. See [`crate::parent`].
+/// Creates a connection with a child: the parent's end, and the child's standard input. See
+/// [`crate::parent`].
 pub(crate) fn connection() -> io::Result<(UnixStream, Stdio)> {
     let (ours, theirs) = UnixStream::pair()?;
     Ok((ours, Stdio::from(OwnedFd::from(theirs))))
 }
 
-/// Reads after "the process".
+/// Describes how a process ended; reads after "the process".
 pub(crate) fn explain_status(status: ExitStatus, kills: Verdict) -> String {
     match (status.code(), status.signal()) {
         (_, Some(9)) => format!("was killed by SIGKILL{}", kills.in_words()),
@@ -37,7 +37,7 @@ pub(crate) fn explain_status(status: ExitStatus, kills: Verdict) -> String {
     }
 }
 
-/// The signals that native code dies of.
+/// Describes the signals that usually kill native code.
 fn signal_name(signal: i32) -> &'static str {
     match signal {
         4 => "SIGILL, an instruction that this processor lacks",

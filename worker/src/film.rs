@@ -1,6 +1,5 @@
-//! `worker film`: makes videos of rollouts that are over, from the actions that
-//! their campaign kept, until none is left to film. It asks no policy and
-//! leases no job.
+//! `worker film`: makes the missing videos of finished rollouts from the actions that their
+//! campaign stored. It queries no policy and leases no job.
 
 use std::io;
 use std::num::NonZeroUsize;
@@ -23,7 +22,7 @@ use crate::stage::Stage;
 use crate::supervise::SuperviseError;
 use crate::supervise::link::Link;
 
-/// The coordinator whose rollouts are filmed, and what draws them.
+/// Settings of `worker film`.
 #[derive(Debug)]
 pub struct Config {
     /// URL of the coordinator.
@@ -32,25 +31,25 @@ pub struct Config {
     pub access: Access,
     /// The asset pack's digest.
     pub asset_pack_digest: String,
-    /// Rollouts that are filmed at a time.
+    /// Number of rollouts that are filmed in parallel.
     pub at_a_time: NonZeroUsize,
     /// Seed of the jitter in waits.
     pub seed: u64,
 }
 
-/// Numbers of videos made and missing.
+/// Numbers of videos made and failed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Filmed {
-    /// Videos that the coordinator has now.
+    /// Videos that were stored at the coordinator.
     pub stored: u64,
     /// Rollouts that could not be filmed; the log says why.
     pub failed: u64,
 }
 
-/// Reason for which nothing is filmed.
+/// Reason why filming stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
-    /// The runtime or the scratch folder cannot be made.
+    /// The runtime or the scratch folder cannot be created.
     #[error("make room for videos")]
     Room(#[source] io::Error),
     /// The coordinator cannot be called.
@@ -107,7 +106,7 @@ pub fn run(
             let (filming, simulator) = (&filming, simulator.clone());
             scope.spawn(move || filming.run(&mut Simulator::new(simulator), &file))
         });
-        // All are started before the first is waited for.
+        // Collects first, so that all threads are started before the first is joined.
         let threads: Vec<_> = threads.collect();
         let ended = threads.into_iter().map(|thread| {
             thread
@@ -179,7 +178,7 @@ impl Filming<'_> {
     }
 }
 
-/// The error reads after "failed to …".
+/// Films a rollout to `file`. The error reads after "failed to …".
 fn film_rollout(simulator: &mut Simulator, rollout: &Filmable, file: &Path) -> Result<(), String> {
     let replay = Replay {
         row: &rollout.row,

@@ -1,8 +1,7 @@
-//! Filming a rollout, if a video is wanted: simulates it a second time from
-//! the actions that were executed, and looks through both cameras after every
-//! control step, as a policy does. So the rollout itself draws only what the
-//! policy looks at, a video of failures costs nothing where the rollout succeeds,
-//! and what goes wrong here costs the video, never the outcome.
+//! Makes the video of a rollout, if one is wanted: simulates the rollout a second time from the
+//! executed actions and renders both cameras after every control step, as a policy sees them. The
+//! rollout itself renders only the policy's frames, videos of failures cost nothing when the
+//! rollout succeeds, and an error here loses the video but never the outcome.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -18,13 +17,13 @@ use crate::rollout::Simulated;
 use crate::stage::Stage;
 use crate::video::{PANE_SIDE, VideoEncoder, VideoError};
 
-/// Reason for which there is no video.
+/// Reason why a rollout has no video.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum FilmingError {
-    /// The simulator failed, or cannot draw.
+    /// The simulator or its renderer failed.
     #[error(transparent)]
     Simulator(#[from] SimError),
-    /// The pictures could not be made a video.
+    /// The frames could not be encoded.
     #[error(transparent)]
     Video(#[from] VideoError),
     /// The file cannot be written.
@@ -36,10 +35,10 @@ pub(crate) enum FilmingError {
         #[source]
         source: io::Error,
     },
-    /// The same actions led somewhere else.
+    /// The second simulation had another outcome than the first.
     #[error("simulate the rollout again: its goal held at another step; this is a defect")]
     Differs,
-    /// It is no longer wanted.
+    /// The video is no longer wanted.
     #[error("finish the video: it was abandoned")]
     Abandoned,
 }
@@ -47,21 +46,20 @@ pub(crate) enum FilmingError {
 /// A rollout to simulate again.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Replay<'a> {
-    /// Row that was simulated.
+    /// Manifest row that was simulated.
     pub(crate) row: &'a ManifestRow,
     /// Source of the perturbation's random elements.
     pub(crate) realisation: Realisation,
     /// The actions that the robot executed.
     pub(crate) actions: &'a [Action],
-    /// After how many of them perturbations were lifted, if they were.
+    /// Number of actions after which the perturbations were lifted, if they were.
     pub(crate) lifted_after: Option<usize>,
     /// True if the goal was reached.
     pub(crate) success: bool,
 }
 
-/// Films a rollout that has just been simulated, if a video of it is wanted;
-/// returns the file. `progress` gets the number of pictures so far, and may end
-/// the filming.
+/// Films a rollout that has just been simulated, if a video of it is wanted; returns the video's
+/// path. `progress` receives the number of frames so far, and may abandon the video.
 pub(crate) fn film(
     stage: &mut Stage<'_>,
     assignment: &Assignment,
@@ -83,9 +81,8 @@ pub(crate) fn film(
     Ok(Some(video.file.clone()))
 }
 
-/// Films a rollout from its actions, to `file`: at rest and after every action,
-/// what [`observe_both`] sees. `progress` gets the number of pictures so far, and
-/// may end the filming.
+/// Films a rollout from its actions, to `file`: the frames of [`observe_both`] at rest and after
+/// every action. `progress` receives the number of frames so far, and may abandon the video.
 pub(crate) fn film_again(
     stage: &mut Stage<'_>,
     replay: Replay<'_>,
@@ -108,7 +105,7 @@ pub(crate) fn film_again(
     })
 }
 
-/// Simulates a rollout from its actions, and shows what [`observe_both`] sees at
+/// Simulates a rollout from its actions, and passes the frames of [`observe_both`] to `show`, at
 /// rest and after every action.
 pub(crate) fn watch_again(
     stage: &mut Stage<'_>,
@@ -132,10 +129,9 @@ pub(crate) fn watch_again(
     }
 }
 
-/// Renders both cameras at [`PANE_SIDE`] as a policy would see them: left and
-/// right of a video. To a policy that asks for another size, the sensor's
-/// corruption is of that size; it grows with the picture, and its noise has other
-/// values.
+/// Renders both cameras at [`PANE_SIDE`] as a policy sees them, for the left and right halves of a
+/// video. If the policy asks for another size, its frames differ in the sensor's corruption, which
+/// scales with the frame, and in the noise's values.
 pub(crate) fn observe_both(episode: &mut Episode<'_>) -> Result<[Frame; 2], SimError> {
     let camera = |name: &str| CameraRequest {
         name: name.to_owned(),

@@ -1,4 +1,4 @@
-//! Calls of both clients of this worker, bounded in time.
+//! gRPC calls with a deadline, for the clients of the coordinator and of policies.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use tonic::{Response, Status};
 /// Makes a call, and gives up after `deadline`.
 ///
 /// # Errors
-/// Those of the call, and DEADLINE_EXCEEDED.
+/// The call's own errors, and DEADLINE_EXCEEDED.
 pub(crate) async fn within<T>(
     deadline: Duration,
     call: impl Future<Output = Result<Response<T>, Status>>,

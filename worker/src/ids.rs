@@ -1,4 +1,4 @@
-//! Names that this worker gives itself and its claims.
+//! Identifiers that this worker chooses: its own, its machine's, and those of its claims.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::{fmt, fs, process};
@@ -8,13 +8,13 @@ use sha2::{Digest, Sha256};
 
 use crate::digest::hex;
 
-/// A worker, new at every start.
+/// Identifier of a worker process, new at every start.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WorkerId(String);
 
 impl WorkerId {
-    /// Host, process and `random`, so that a worker which starts again on the
-    /// same machine never answers for its predecessor's leases.
+    /// Combines host, process id and `random`, so that a worker that restarts on the same machine
+    /// never answers for its predecessor's leases.
     pub fn new(host: &str, random: u64) -> Self {
         let host: String = host
             .chars()
@@ -30,7 +30,7 @@ impl WorkerId {
         Self(format!("{host}-{}-{:08x}", process::id(), random as u32))
     }
 
-    /// Returns the text that goes over the wire.
+    /// Returns the identifier as sent to the coordinator.
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -42,10 +42,10 @@ impl fmt::Display for WorkerId {
     }
 }
 
-/// Part of a host's name that goes into a worker's.
+/// Longest part of a host's name in a worker's identifier.
 const MAX_HOST_CHARS: usize = 40;
 
-/// This machine's name.
+/// Returns the machine's host name, or `unknown-host`.
 pub fn host_name() -> String {
     let told = fs::read_to_string("/proc/sys/kernel/hostname").ok();
     told.or_else(|| std::env::var("HOSTNAME").ok())
@@ -57,11 +57,10 @@ pub fn host_name() -> String {
 /// Returns an identifier of this machine, the same for every worker on it, in a container
 /// or not, whenever it is started; empty if there is none.
 ///
-/// It is made from the kernel's boot id, which all containers of a machine share and no
-/// other machine has. `/etc/machine-id` will not do: containers have their image's or
-/// none, and the nodes of a cluster that start from one image often have the same; nor
-/// will the host name, which is new for every container. A machine that was started again
-/// is another one by this: what was broken may have been mended.
+/// Derived from the kernel's boot id, which all containers of a machine share and no other machine
+/// has. `/etc/machine-id` is unsuitable: containers have their image's or none, and cluster nodes
+/// that boot from one image often share it. So is the host name, which is new in every container.
+/// A rebooted machine counts as a new one: the reboot may have repaired it.
 pub fn machine() -> String {
     let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
     match boot.trim() {
@@ -71,14 +70,13 @@ pub fn machine() -> String {
     }
 }
 
-/// A number that no other start of a worker has: the standard library seeds
-/// its hash maps from the system's random numbers.
+/// Returns a number that differs at every start of a worker, from the system's random numbers with
+/// which the standard library seeds its hash maps.
 pub fn random_number() -> u64 {
     RandomState::new().build_hasher().finish()
 }
 
-/// A name that nothing else has: of a claim, or of an attempt that no
-/// coordinator granted.
+/// Returns a unique identifier for a claim, or for an attempt that no coordinator granted.
 pub fn random_id() -> AttemptId {
     let bits = [random_number(), random_number()].map(u64::to_be_bytes);
     let mut bytes = [0; 16];

@@ -1,10 +1,10 @@
-//! A worker: pulls jobs from the coordinator, simulates them, asks the policy,
-//! reports outcomes.
+//! A worker: leases jobs from the coordinator, simulates them, queries the policy and reports
+//! outcomes.
 //!
-//! Two kinds of process: [`supervise`] is the parent, which talks to the
-//! coordinator and knows no simulator; [`slot`] is a child, which simulates and
-//! knows no coordinator. [`rollout`] is what a child does for one job.
-//! [`measure`] finds out how many children a machine is worth having.
+//! There are two kinds of process: [`supervise`] is the parent, which talks to the coordinator and
+//! has no simulator; [`slot`] is a child, which simulates and has no connection to the
+//! coordinator. [`rollout`] runs one job in a child. [`measure`] finds the number of children that
+//! a machine runs best.
 
 #![forbid(unsafe_code)]
 

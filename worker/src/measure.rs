@@ -1,11 +1,10 @@
-//! How many slots a machine is worth having, found out by trying: `worker
-//! bench` prints what it finds, `--slots auto` acts on it. Both start slots that
-//! simulate and draw whole rollouts for a policy that takes no time, and count
-//! what more and more of them do together.
+//! Measures how many slots are worth running on a machine: `worker bench` prints the measurements,
+//! `--slots auto` acts on them. Both start increasing numbers of slots that simulate and render
+//! whole rollouts with a policy that answers without delay, and add up their throughput.
 //!
-//! Reading order: `open_loop` is that policy, `counting` the process of one such
-//! slot, `together` their parent, `room` the memory that there is, `choice` the
-//! rule, `bench` and `auto` the two that use it all.
+//! Reading order: `open_loop` is that policy, `counting` the process of one measured slot,
+//! `together` the parent of these processes, `room` the available memory, `choice` the rule for
+//! the number of slots, `bench` and `auto` the two users of all of these.
 
 mod auto;
 mod bench;
@@ -25,13 +24,13 @@ pub use counting::count;
 
 use crate::rollout::RolloutError;
 
-/// Reason for which nothing could be measured.
+/// Reason why the measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum MeasureError {
-    /// The machine does not say how many cores this process may use.
+    /// The number of usable cores is unknown.
     #[error("count the cores that this process may use")]
     Cores(#[source] io::Error),
-    /// The kernel does not say how much memory there is, or is used.
+    /// The kernel's memory statistics lack a field.
     #[error("find `{field}` in {}", file.display())]
     Memory {
         /// Field that is missing.
@@ -42,21 +41,21 @@ pub enum MeasureError {
     /// A slot's process cannot be started.
     #[error("start {} as a slot to measure with", program.display())]
     Start {
-        /// The program.
+        /// Path of the program.
         program: PathBuf,
         /// Error of the system.
         #[source]
         source: io::Error,
     },
-    /// A slot's process ended before it had counted.
+    /// A slot's process ended before it reported its count.
     #[error("measure with slot {slot}: its process {end}; what it complained about is above")]
     Ended {
         /// Number of the slot, from 0.
         slot: usize,
-        /// End of the process, in words.
+        /// Description of the process's end.
         end: String,
     },
-    /// Slots said nothing for too long.
+    /// A slot sent no message for too long.
     #[error("measure with {slots} slots: one of them said nothing for {secs:.0} s")]
     Silent {
         /// Number of slots measured.
@@ -64,7 +63,7 @@ pub enum MeasureError {
         /// Seconds waited.
         secs: f64,
     },
-    /// Parent and slot cannot talk to each other, or the table cannot be printed.
+    /// The connection between parent and slot failed, or the table cannot be printed.
     #[error("read or write what is measured")]
     Talk(#[from] io::Error),
     /// The measured task cannot be simulated or drawn.
@@ -72,8 +71,8 @@ pub enum MeasureError {
     Rollout(#[from] RolloutError),
 }
 
-/// The cores that this process may use: fewer than the machine's where its
-/// affinity or a control group's quota says so.
+/// Returns the number of cores that this process may use; its CPU affinity or a control group's
+/// quota may leave fewer than the machine has.
 fn cores() -> Result<usize, MeasureError> {
     let cores = std::thread::available_parallelism();
     cores.map(usize::from).map_err(MeasureError::Cores)

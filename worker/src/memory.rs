@@ -1,34 +1,34 @@
-//! Whether the kernel killed a process for lack of memory, as far as can be known
-//! without reading its log, which takes rights that a worker need not have. The kernel counts such kills, of a control group and of the machine; a
-//! counter that rose while a process ended by SIGKILL says who sent it.
+//! Detects kills for lack of memory without the kernel's log, which needs rights that a worker may
+//! not have. The kernel counts such kills per control group and for the machine; a counter that
+//! rose while a process ended by SIGKILL shows that the kernel sent the signal.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The kernel's counters at one instant; none where it does not keep them.
+/// The kernel's counters of out-of-memory kills; `None` for a counter that the kernel lacks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct OomKills {
-    /// In the control group of this process, which its slots share.
+    /// Kills in the control group of this process and its slots.
     group: Option<u64>,
-    /// On the whole machine.
+    /// Kills on the whole machine.
     machine: Option<u64>,
 }
 
-/// Cause of a SIGKILL, by the counters before and after it.
+/// Cause of a SIGKILL, according to the counters before and after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
-    /// The kernel killed in our control group: its memory limit was reached.
+    /// The kernel killed a process of this control group, whose memory limit was reached.
     GroupLimit,
-    /// The kernel killed somewhere on this machine: its memory was used up.
+    /// The kernel killed a process elsewhere on this machine, which ran out of memory.
     Machine,
-    /// The kernel killed nothing: a process sent the signal.
+    /// The kernel killed no process: another process sent the signal.
     Signal,
-    /// There is no counter here.
+    /// The kernel has no such counter.
     Unknown,
 }
 
 impl OomKills {
-    /// The counters now.
+    /// Reads the current counters.
     pub(crate) fn read() -> Self {
         Self::read_below(Path::new("/"))
     }
@@ -59,7 +59,7 @@ impl OomKills {
 }
 
 impl Verdict {
-    /// Reads after "was killed by SIGKILL".
+    /// Explains the cause; reads after "was killed by SIGKILL".
     pub(crate) fn in_words(self) -> &'static str {
         match self {
             Self::GroupLimit => {
@@ -79,12 +79,11 @@ impl Verdict {
     }
 }
 
-/// File of a control group's counter: in the unified hierarchy, and in the
-/// memory hierarchy before it.
+/// Files with a control group's counter: of cgroup v2, and of v1's memory hierarchy.
 const GROUP_COUNTERS: [&str; 2] = ["memory.events", "memory.oom_control"];
 
-/// The folders of a process's control group, in the hierarchies that count
-/// memory; `groups` is its `/proc/self/cgroup`.
+/// Returns the folders of a process's control group in the hierarchies that count memory. `groups`
+/// is the text of its `/proc/self/cgroup`.
 pub(crate) fn group_folders(root: &Path, groups: &str) -> Vec<PathBuf> {
     let folder = |line: &str| {
         let mut fields = line.splitn(3, ':');
@@ -102,7 +101,7 @@ pub(crate) fn group_folders(root: &Path, groups: &str) -> Vec<PathBuf> {
     groups.lines().filter_map(folder).collect()
 }
 
-/// The number behind `oom_kill` in a file of names and numbers.
+/// Reads the value of `oom_kill` in a file of names and numbers.
 fn counter(file: &Path) -> Option<u64> {
     let text = fs::read_to_string(file).ok()?;
     let number = |line: &str| line.strip_prefix("oom_kill ")?.trim().parse().ok();
@@ -167,7 +166,7 @@ mod tests {
 
     #[test]
     fn this_machine_counts() {
-        // Every Linux since 4.13 does.
+        // Every Linux kernel since 4.13 has the machine's counter.
         assert!(OomKills::read().machine.is_some());
     }
 }

@@ -1,12 +1,12 @@
-//! The simulator's observations as the policy protocol carries them. Nothing is
-//! changed here: neither orientation nor units nor frames.
+//! Converts the simulator's observations to the policy protocol. Orientation, units and coordinate
+//! frames stay as they are.
 
 use libero_ctrl::{Entity, EntityKind, Predicate, Privileged};
 use proto::policy as wire;
 use sim::{Frame, Observation, RobotState};
 use wire::StateField;
 
-/// An observation with the readings that the policy wants, in its order.
+/// Converts an observation, with the readings that the policy asked for, in its order.
 pub(crate) fn to_wire(observation: Observation, state: &[StateField]) -> wire::Observation {
     let robot = observation.robot;
     wire::Observation {
@@ -33,7 +33,7 @@ fn image(frame: Frame) -> wire::Image {
 
 fn reading(robot: &RobotState, field: StateField) -> Vec<f64> {
     match field {
-        // Descriptions that want it are refused before a rollout begins.
+        // Descriptions with this field are refused before a rollout begins.
         StateField::Unspecified => Vec::new(),
         StateField::EefPos => robot.eef_pos.to_vec(),
         StateField::EefQuatXyzw => robot.eef_quat_xyzw.to_vec(),

@@ -1,7 +1,6 @@
-//! A child process's side of the socket to its parent, which is its standard
-//! input: so it takes no file descriptor by number, and standard output is left
-//! to native libraries, which may print what they like. One JSON value per line,
-//! both ways.
+//! A child process's side of the socket to its parent. The socket is the child's standard input,
+//! so that no file descriptor is passed by number, and native libraries can print to standard
+//! output. Messages are JSON values, one per line, in both directions.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::marker::PhantomData;
@@ -13,7 +12,7 @@ use serde::de::DeserializeOwned;
 
 use crate::message::MAX_LINE_BYTES;
 
-/// The way to the parent process.
+/// Connection to the parent process.
 #[derive(Debug)]
 pub struct Parent(UnixStream);
 
@@ -25,27 +24,27 @@ pub struct FromParent<T> {
 }
 
 impl Parent {
-    /// Takes this process's standard input.
+    /// Opens the connection on this process's standard input.
     ///
     /// # Errors
-    /// If there is none.
+    /// If standard input is not open.
     pub fn connect() -> io::Result<Self> {
         let stdin = io::stdin().as_fd().try_clone_to_owned()?;
         Ok(Self(stdin.into()))
     }
 
-    /// Tells the parent something.
+    /// Sends a message to the parent.
     ///
     /// # Errors
-    /// If the parent no longer listens.
+    /// If the parent has closed the connection.
     pub fn send<T: Serialize>(&self, value: &T) -> io::Result<()> {
         let mut line = serde_json::to_vec(value)?;
         line.push(b'\n');
         (&self.0).write_all(&line)
     }
 
-    /// Returns the parent's messages from now on. They must be read in one
-    /// place.
+    /// Returns an iterator over the parent's further messages. Call it once: two readers would
+    /// split the messages.
     ///
     /// # Errors
     /// If this process has too many open files.
@@ -60,7 +59,7 @@ impl Parent {
 impl<T: DeserializeOwned> Iterator for FromParent<T> {
     type Item = io::Result<T>;
 
-    /// An error if the parent says something else than a `T`.
+    /// Returns an error for a message that is not a `T`.
     fn next(&mut self) -> Option<io::Result<T>> {
         let mut line = Vec::new();
         let mut stream = self.stream.by_ref().take(MAX_LINE_BYTES);

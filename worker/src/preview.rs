@@ -1,6 +1,5 @@
-//! Previews of a configuration's perturbations, before a campaign is run: one
-//! picture of axes × levels, a sheet of the ten presets of each axis, and the
-//! end-effector's paths under actuation. No policy takes part.
+//! Renders previews of a configuration's perturbations, without a policy: a grid of axes and
+//! levels, a sheet of each axis's ten presets, and the end-effector's paths under actuation.
 
 mod paths;
 mod request;
@@ -20,10 +19,10 @@ use sheet::Sheet;
 const PRESETS: u16 = 10;
 /// Cells per row of a sheet of presets.
 const PRESETS_PER_ROW: usize = 5;
-/// Pixels of a picture, as policies get them.
+/// Side of a frame, pixels, as policies usually ask for.
 const FRAME: u32 = 256;
 
-/// Reason for which there is no preview.
+/// Reason why the preview failed.
 #[derive(Debug, thiserror::Error)]
 pub enum PreviewError {
     /// The scene could not be simulated or drawn.
@@ -34,12 +33,12 @@ pub enum PreviewError {
     Write {
         /// Path of the picture.
         path: PathBuf,
-        /// Reason of the failure.
+        /// Reason of the failure, in words.
         problem: String,
     },
 }
 
-/// Writes everything into a folder; returns what was written, in order.
+/// Writes all previews into a folder, and returns their paths in order.
 pub fn write(
     simulator: &mut Simulator,
     request: &Request,
@@ -76,8 +75,8 @@ fn write_error(path: &Path, problem: &dyn std::fmt::Display) -> PreviewError {
     }
 }
 
-/// The axes, each alone and simultaneous, down, severities across, nominal
-/// first. The language axis is shown in words.
+/// Renders the grid: one row for each axis alone and one for the combination, with a column for
+/// the nominal scene and for each severity. The language axis is shown as text.
 fn grid(simulator: &mut Simulator, request: &Request) -> Result<RgbImage, PreviewError> {
     let rows = Axis::ALL
         .map(Condition::Single)
@@ -128,8 +127,7 @@ fn presets_sheet(
     Ok(sheet.finish())
 }
 
-/// Renders the policy's first view; for the actuation axis, its view after a
-/// fixed motion.
+/// Renders the policy's first view; for the actuation axis, its view after a fixed motion.
 fn picture(
     simulator: &mut Simulator,
     request: &Request,

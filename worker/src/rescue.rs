@@ -1,10 +1,10 @@
-//! `worker rescue`: until when a failing rollout could still have been saved. The scene
-//! is brought back to a step of the failing rollout by its own commands, the perturbations
-//! are lifted there, and the policy goes on in the nominal scene; the last look of the
-//! policy from which it still succeeds is searched for. Where lifting saves it, a placebo is
-//! tried at the same step: nothing is lifted and the robot is nudged by a thousandth of a
-//! millimetre. A rollout that this saves stood on an edge, and was not rescued. Writes `rescue.json`, and
-//! `rescue.mp4`: to the left the rollout as it failed, to the right as it was saved.
+//! `worker rescue`: finds the last moment at which a failing rollout can still be saved. The scene
+//! is brought to a step of the failing rollout by replaying its commands, the perturbations are
+//! lifted there, and the policy continues in the nominal scene. The search finds the policy's last
+//! query from which it still succeeds. At each step that lifting saves, a placebo is tried:
+//! nothing is lifted, and the robot is nudged by a thousandth of a millimetre. A rollout that the
+//! placebo also saves was on an edge, and does not count as rescued. Writes `rescue.json` and
+//! `rescue.mp4`, with the failed rollout on the left and the saved one on the right.
 
 mod search;
 #[cfg(test)]
@@ -28,13 +28,13 @@ use crate::video::VideoEncoder;
 
 use search::{Found, Search};
 
-/// Reason for which the search failed.
+/// Reason why the search failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RescueError {
-    /// There is nothing to lift.
+    /// The rollout has no perturbation to lift.
     #[error("rescue {0}: it is not perturbed; name a failing rollout that is")]
     NotPerturbed(RolloutId),
-    /// There is nothing to save.
+    /// The rollout succeeds, so there is nothing to rescue.
     #[error(
         "rescue {id}: it succeeds here after {steps} control steps; name a rollout that fails, \
          with the policy and the assets with which it does"
@@ -48,7 +48,7 @@ pub enum RescueError {
     /// A rollout has no outcome.
     #[error(transparent)]
     Rollout(#[from] RolloutError),
-    /// The film cannot be made.
+    /// The video cannot be made.
     #[error("film the rescue")]
     Film(#[source] Box<dyn std::error::Error + Send + Sync>),
     /// A file cannot be written.
@@ -62,52 +62,52 @@ pub enum RescueError {
     },
 }
 
-/// Content of `rescue.json`. Steps are control steps of the policy, from 0.
+/// Content of `rescue.json`. Steps are control steps of the policy, counted from 0.
 #[derive(Debug, Serialize)]
 pub struct Rescue {
-    /// The rollout that fails.
+    /// Identifier of the failing rollout.
     pub rollout_id: RolloutId,
-    /// The policy, by its own name.
+    /// The policy's own name.
     pub policy: String,
-    /// SHA-256 of its checkpoint, if it says.
+    /// SHA-256 of the policy's checkpoint, if the policy gives it.
     pub policy_checkpoint_digest: String,
-    /// Control steps that the policy has.
+    /// Step budget of the policy.
     pub max_steps: u32,
-    /// The steps at which it looked and could have been saved.
+    /// Steps at which the policy was queried, the candidates of the search.
     pub looks: Vec<u32>,
-    /// Attempts to save it, by step.
+    /// Trials, by step.
     pub tried: Vec<Tried>,
-    /// The last step at which lifting the perturbations saves it and the placebo does not;
-    /// none if nothing that was tried does.
+    /// Last tried step at which lifting the perturbations saves the rollout and the placebo does
+    /// not; `None` if no trial saves it.
     pub saved_until: Option<u32>,
-    /// The next look, from which it is lost; none if it is saved at the last look.
+    /// Next query, from which the rollout is lost; `None` if the last query still saves it.
     pub lost_from: Option<u32>,
-    /// True if it is saved wherever it was tried before `saved_until`.
+    /// True if every trial before `saved_until` also saved the rollout.
     pub is_monotone: bool,
-    /// Steps at which the placebo saves it, too: it stood on an edge there.
+    /// Steps at which the placebo also saves the rollout, which was on an edge there.
     pub saved_by_placebo: Vec<u32>,
     /// Distance by which the placebo moves the robot's hand, m.
     pub nudge_m: f64,
 }
 
-/// One attempt to save it.
+/// One trial of the search.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Tried {
     /// Step at which the perturbations were lifted.
     pub lifted_at: u32,
     /// True if the policy then reached the goal.
     pub success: bool,
-    /// Control steps in all.
+    /// Control steps of the whole rollout.
     pub steps: u32,
-    /// True if it reached the goal with nothing lifted and the robot nudged there; tried
-    /// where `success`.
+    /// Outcome of the placebo (nothing lifted, the robot nudged) at this step; `None` unless
+    /// `success`.
     pub placebo_success: Option<bool>,
 }
 
-/// Finds the last look from which a failing rollout is saved, and writes what it found to
-/// the folder `output`.
+/// Finds the last query from which a failing rollout can be saved, and writes the findings to the
+/// folder `output`.
 ///
-/// The policy is reset where the perturbations are lifted: one with a memory begins anew.
+/// The policy is reset at the step of the lift, so a policy with memory starts afresh.
 ///
 /// # Errors
 /// If the rollout is not perturbed or succeeds, a rollout has no outcome, or a file
@@ -226,7 +226,7 @@ fn ended(success: bool) -> &'static str {
     }
 }
 
-/// The control steps at which the policy looks.
+/// Records the control steps at which the policy is queried.
 #[derive(Default)]
 struct Looks {
     at: Vec<u32>,
@@ -247,8 +247,8 @@ impl Watcher for Looks {
     }
 }
 
-/// A film of both rollouts through the first camera, as the policy sees it; the one that
-/// ends first stands still.
+/// Films both rollouts side by side through the first camera, as the policy sees it; the shorter
+/// one stays at its last frame.
 fn side_by_side(
     stage: &mut Stage<'_>,
     assignment: &Assignment,

@@ -1,9 +1,7 @@
-//! `worker rollout`: one rollout from the command line, for looking at a case.
-//! Does what a slot does, without a coordinator, and writes what came of it to
-//! a folder: `result.json`, `trace.npz`, `video.mp4`, and `frames/` with those of
-//! the first and the last query as the policy saw them, and both cameras' first
-//! and last picture at the film's size, all upright and all with the sensor's
-//! corruption.
+//! `worker rollout`: runs one rollout for inspection, without a coordinator. Writes `result.json`,
+//! `trace.npz`, `video.mp4` and `frames/`, which holds the first and the last query's frames as
+//! the policy saw them, and both cameras' first and last frame at the video's size; all upright
+//! and with the sensor's corruption.
 
 mod capture;
 mod error;
@@ -33,15 +31,15 @@ use error::write_error;
 pub use own_task::OwnTask;
 pub use recorded::RecordedActions;
 
-/// Rollout to simulate, and the files to keep of it.
+/// Rollout to run, and the outputs to write.
 pub struct Request<'a> {
-    /// The rollout.
+    /// The rollout, as a coordinator would assign it.
     pub assignment: &'a Assignment,
-    /// A task that stands in for the row's.
+    /// Task files that replace those of the row's task.
     pub files: Option<TaskFiles>,
-    /// Circumstances of a variant of LIBERO's family.
+    /// Initial conditions of a variant of LIBERO-Plus or LIBERO-PRO.
     pub variant: Option<VariantStart>,
-    /// True if the first and the last picture of both cameras are drawn.
+    /// True if the first and the last frame of both cameras are rendered.
     pub draw: bool,
     /// Output folder.
     pub output: &'a Path,
@@ -50,7 +48,7 @@ pub struct Request<'a> {
 /// Content of `result.json`.
 #[derive(Debug, Serialize)]
 struct ResultFile<'a> {
-    /// The files that stood in for those of the row's task.
+    /// Task files that replaced those of the row's task.
     #[serde(skip_serializing_if = "Option::is_none")]
     own_task: Option<OwnFiles<'a>>,
     assignment: &'a Assignment,
@@ -68,22 +66,22 @@ struct FinishedFile<'a> {
     outcome: &'a RolloutResult,
     evidence: &'a Evidence,
     motion: MotionFile,
-    /// The video, if one was wanted and could be made.
+    /// Path of the video, if one was requested and could be made.
     video: Option<PathBuf>,
 }
 
-/// A motion as numbers.
+/// Motion of the robot as plain numbers.
 #[derive(Debug, Serialize)]
 struct MotionFile {
     path: Vec<[i16; 3]>,
     actions: Vec<Action>,
 }
 
-/// Runs one rollout and writes what came of it. Where it breaks off, its trace
-/// and pictures up to there are written all the same.
+/// Runs one rollout and writes its outputs. If it fails, the trace and frames up to that point are
+/// still written.
 ///
 /// # Errors
-/// If it has no result, or a file cannot be written.
+/// If the rollout has no result, or a file cannot be written.
 pub fn run(
     simulator: &mut Simulator,
     actor: &mut dyn Actor,

@@ -1,8 +1,7 @@
-//! A slot: the process that simulates one rollout after the other. It owns
-//! MuJoCo and OpenGL on one thread, so that what native code breaks is this
-//! process and not the worker. Takes commands from its parent and sends it
-//! events; ends when the parent closes the connection, which is what happens
-//! when the parent dies.
+//! A slot: the process that simulates one rollout after another. MuJoCo and OpenGL run on its only
+//! simulation thread, so that a crash in native code ends this process and not the worker. It
+//! takes commands from its parent, sends events, and ends when the parent closes the connection or
+//! dies.
 
 use std::ops::ControlFlow;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -22,37 +21,36 @@ use crate::policy::{OF_A_CAMPAIGN, PolicyClient};
 use crate::rollout::{self, RolloutError, Watcher};
 use crate::stage::Stage;
 
-/// Rollouts that wait while another one is simulated: the parent never sends
-/// more than one.
+/// Capacity of the queue of assignments: the parent never sends a second one ahead.
 const ASSIGNMENT_QUEUE: usize = 1;
-/// Score from -1000 to 1000, see proc(5); more than other processes have.
+/// Adjustment of the out-of-memory score, -1000 to 1000, see proc(5); higher than other
+/// processes'.
 const OOM_SCORE_ADJ: &str = "500";
-/// Progress is reported every so many control steps, and pictures of a video:
-/// half a second of the robot's time.
+/// Interval of progress reports, in control steps or video frames: half a second of the robot's
+/// time.
 const PROGRESS_EVERY: u32 = 10;
 
-/// Reason for which a slot's process ended by itself.
+/// Reason why a slot's process ended on its own.
 #[derive(Debug, thiserror::Error)]
 pub enum SlotError {
-    /// Signals cannot be caught.
+    /// The signal handlers cannot be installed.
     #[error("leave signals to the parent process")]
     Signals(#[source] io::Error),
-    /// Nothing can be simulated or drawn.
+    /// The renderer or the fingerprint's simulation failed.
     #[error("simulate and draw the fixed motion that a slot begins with")]
     Simulator(#[from] SimError),
-    /// The parent no longer listens.
+    /// The connection to the parent failed.
     #[error("talk to the parent process")]
     Parent(#[source] io::Error),
 }
 
-/// The attempt that the parent abandoned last.
+/// Attempt that the parent abandoned last.
 type Abandoned = Mutex<Option<AttemptId>>;
 
-/// Serves the parent process, with `access` to policies, until it closes the
-/// connection.
+/// Serves the parent process until it closes the connection, with `access` to policies.
 ///
 /// # Errors
-/// If nothing can be simulated or drawn, or the parent stops listening.
+/// If simulation or rendering fails at the start, or the connection to the parent fails.
 pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
     leave_signals_to_the_parent().map_err(SlotError::Signals)?;
     die_first();
@@ -87,17 +85,16 @@ pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
     Ok(())
 }
 
-/// Logs why this process keeps a scene in memory of its own, if it does; once.
+/// Logs once why this process keeps scenes in its own memory, if it does.
 pub fn warn_of_scene_files() {
     if let Some(problem) = SceneFolder::take_problem() {
         tracing::warn!("{problem}");
     }
 }
 
-/// Ignores SIGTERM and SIGINT: a service manager signals all processes of a
-/// service, and the parent decides whether the rollout in hand is finished. A
-/// handler of tokio's stays installed for good, also without its listener and
-/// its runtime.
+/// Ignores SIGTERM and SIGINT: a service manager signals all processes of a service, and the
+/// parent decides whether the current rollout is finished. Tokio's signal handlers stay installed
+/// after their listener and runtime are dropped.
 fn leave_signals_to_the_parent() -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
@@ -108,15 +105,14 @@ fn leave_signals_to_the_parent() -> io::Result<()> {
     Ok(())
 }
 
-/// Asks the kernel to kill a slot first if memory runs out: a slot is replaced,
-/// its parent or a coordinator on the same machine is not. If the kernel
-/// refuses, nothing else is lost.
+/// Makes the kernel kill a slot first if memory runs out: a slot can be replaced, its parent or a
+/// coordinator on the same machine cannot. A failure is ignored.
 pub(crate) fn die_first() {
     let _ = fs::write("/proc/self/oom_score_adj", OOM_SCORE_ADJ);
 }
 
-/// Simulates a rollout, tells its result, and films it afterwards: what goes
-/// wrong there cannot cost the result.
+/// Simulates a rollout, reports its result, and then films it, so that a failure to film cannot
+/// cost the result.
 fn work(
     simulator: &mut Simulator,
     (policy, access): (&mut Option<PolicyClient>, &Access),
@@ -143,7 +139,7 @@ fn work(
     }
 }
 
-/// The client of an endpoint: the last one, as a rule.
+/// Returns the client of an endpoint, reusing the last one if the endpoint is the same.
 fn client<'a>(
     last: &'a mut Option<PolicyClient>,
     endpoint: &str,
@@ -156,12 +152,12 @@ fn client<'a>(
     Ok(last.insert(client))
 }
 
-/// Tells the parent about one attempt, and sees whether it is still wanted.
+/// Reports the events of one attempt to the parent, and checks that the attempt is still wanted.
 struct Reporter<'a> {
     parent: &'a Parent,
     attempt: AttemptId,
     abandoned: &'a Abandoned,
-    /// Error after which the parent can no longer be reached.
+    /// Error that broke the connection to the parent.
     broken: Option<io::Error>,
 }
 
@@ -174,8 +170,8 @@ impl Reporter<'_> {
         }
     }
 
-    /// Tells now and then how far a stage of the attempt has come; `Break` once
-    /// the attempt is no longer wanted.
+    /// Reports progress every `PROGRESS_EVERY` steps or frames; returns `Break` if the attempt was
+    /// abandoned or the connection broke.
     fn advance(&mut self, event: fn(u32) -> RolloutEvent, done: u32) -> ControlFlow<()> {
         if *lock(self.abandoned) == Some(self.attempt) {
             return ControlFlow::Break(());
@@ -196,12 +192,12 @@ impl Watcher for Reporter<'_> {
     }
 }
 
-/// Nothing panics while it holds the lock.
+/// Ignores poisoning: no code panics while it holds the lock.
 fn lock(abandoned: &Abandoned) -> std::sync::MutexGuard<'_, Option<AttemptId>> {
     abandoned.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Reads commands on a thread of their own, because this one simulates.
+/// Reads commands on a thread of their own, because the main thread simulates.
 fn listen(parent: &Parent, abandoned: Arc<Abandoned>) -> io::Result<Receiver<Assignment>> {
     let commands = parent.listen()?;
     let (sender, assignments) = sync_channel(ASSIGNMENT_QUEUE);
@@ -209,8 +205,8 @@ fn listen(parent: &Parent, abandoned: Arc<Abandoned>) -> io::Result<Receiver<Ass
     Ok(assignments)
 }
 
-/// Ends the process when the parent has gone: there is no one left to report to.
-/// Native code that hangs cannot stop this.
+/// Handles the parent's commands, and ends the process when the parent has closed the connection,
+/// even if native code hangs in the main thread.
 fn take_commands(
     commands: FromParent<SlotCommand>,
     abandoned: &Abandoned,

@@ -1,4 +1,4 @@
-//! Stage of a rollout: a simulator, and the task that it simulates.
+//! Simulator and task of a rollout.
 
 use std::borrow::Cow;
 
@@ -9,19 +9,20 @@ use sim::{Episode, SimError, Simulator, VariantStart};
 
 use crate::actor::Description;
 
-/// Simulator of a rollout, and the files of the task.
+/// Simulator of a rollout, with the task files if they differ from the row's.
 pub struct Stage<'a> {
     simulator: &'a mut Simulator,
-    /// In place of those of the row's task.
+    /// Task files in place of those of the row's task.
     files: Option<TaskFiles>,
-    /// Circumstances of a variant of LIBERO's family, in place of the row's perturbation.
+    /// Initial conditions of a LIBERO-Plus or LIBERO-PRO variant, in place of the row's
+    /// perturbation.
     variant: Option<VariantStart>,
-    /// True if a rollout that nothing is drawn of names the renderer too.
+    /// True if the renderer is named even for a rollout without frames.
     always_names_renderer: bool,
 }
 
 impl<'a> Stage<'a> {
-    /// For the protocol's own tasks: each row says which.
+    /// Creates a stage for the protocol's tasks, which each row names.
     pub fn of_the_protocol(simulator: &'a mut Simulator) -> Self {
         Self {
             simulator,
@@ -31,7 +32,7 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// For a user's own task, which stands in for the row's.
+    /// Creates a stage for a user's own task in place of the row's.
     pub fn of_files(simulator: &'a mut Simulator, files: TaskFiles) -> Self {
         Self {
             simulator,
@@ -41,13 +42,13 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// Begins as a variant does, if there is one.
+    /// Starts episodes from a variant's initial conditions, if one is given.
     pub fn with_variant(self, variant: Option<VariantStart>) -> Self {
         Self { variant, ..self }
     }
 
-    /// Leaves the renderer unopened, and unnamed in the evidence, if nothing is
-    /// drawn of a rollout. Not for campaigns, which are pinned to a renderer.
+    /// Leaves the renderer closed, and unnamed in the evidence, if a rollout renders nothing. Not
+    /// for campaigns, which are pinned to a renderer.
     pub fn with_a_renderer_only_if_needed(self) -> Self {
         Self {
             always_names_renderer: false,
@@ -55,8 +56,8 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// Returns the renderer's own name and the fingerprint, which covers its
-    /// pictures too; both empty if they are not needed.
+    /// Returns the renderer's own name and the fingerprint, which covers rendering too; both are
+    /// empty if no renderer is needed.
     pub(crate) fn drawing(&mut self, draws: bool) -> Result<(String, String), SimError> {
         if !draws && !self.always_names_renderer {
             return Ok(Default::default());
@@ -80,9 +81,9 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// A policy's instruction: the row's. A policy that knows the canonical
-    /// instructions verbatim, and no other wording, gets those: the language axis
-    /// is the identity for it, and not an error in every rollout.
+    /// Returns the policy's instruction, normally the row's. A policy that accepts only the
+    /// canonical wording gets that one, so that the language axis has no effect on it instead of
+    /// failing every rollout.
     pub(crate) fn instruction<'r>(
         &self,
         row: &'r ManifestRow,

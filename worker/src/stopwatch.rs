@@ -1,11 +1,11 @@
-//! Duration of work: by the clock, or in processor time of this thread, which
-//! other programs on the machine do not add to.
+//! Measures the duration of work, by the clock or in this thread's processor time, which is
+//! independent of other load on the machine.
 
 use std::time::Instant;
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// Does `work`, and adds to `secs` the processor time that this thread took for it.
+/// Runs `work`, and adds its processor time in this thread to `secs`.
 pub(crate) fn processor<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
     let before = processor_secs();
     let done = work();
@@ -13,7 +13,7 @@ pub(crate) fn processor<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
     done
 }
 
-/// Does `work`, and adds to `secs` the time that passed.
+/// Runs `work`, and adds its elapsed time to `secs`.
 pub(crate) fn by_clock<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
     let before = Instant::now();
     let done = work();
@@ -49,7 +49,7 @@ mod tests {
         let mut busy = 5.0;
         let until = Instant::now() + Duration::from_millis(200);
         processor(&mut busy, || while Instant::now() < until {});
-        // However many others want the core, a spinning thread gets some of it.
+        // A spinning thread gets processor time even if many others want the core.
         assert!(busy > 5.005, "{busy} s");
         assert!(busy < 5.3, "{busy} s");
     }

@@ -1,8 +1,7 @@
-//! The worker's parent process: leases jobs, hands them to its slots, keeps the
-//! leases alive, delivers results, and replaces slots that crash or hang. One
-//! loop (`supervisor`) owns all state; tasks own single calls and single
-//! processes, and tell the loop what came of them. Not responsible for simulating
-//! anything: that is a slot's, in a process of its own.
+//! The worker's parent process: leases jobs, assigns them to slots, renews the leases, delivers
+//! results, and replaces slots that crash or hang. One loop (`supervisor`) owns all state; tasks
+//! run single calls and processes and report to the loop. Simulation happens only in the slots'
+//! processes.
 
 mod config;
 mod deliver;
@@ -22,12 +21,11 @@ pub use error::SuperviseError;
 use link::Link;
 use supervisor::Supervisor;
 
-/// Events that wait for the loop. While it is full, senders wait.
+/// Capacity of the loop's event queue; senders wait while it is full.
 const EVENT_QUEUE: usize = 256;
 
-/// Runs a worker until it is asked to end and its rollouts in flight are over.
-/// `shutdown` carries one message per request to end; the second one gives the
-/// rollouts back instead.
+/// Runs a worker until it is asked to end and its rollouts in flight are over. `shutdown` carries
+/// one message per request; the second request gives the rollouts back.
 ///
 /// # Errors
 /// If the coordinator refuses the worker or stops it, or its slots cannot run.

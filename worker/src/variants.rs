@@ -1,6 +1,6 @@
-//! `worker variants`: counts variants of LIBERO-Plus or LIBERO-PRO, says what each of them
-//! needs, and runs them one after the other under a protocol, with the unperturbed rollout of each of their
-//! tasks. Results are lines of `results.jsonl`; a run that was cut goes on from them.
+//! `worker variants`: counts variants of LIBERO-Plus or LIBERO-PRO, reports missing files, and
+//! runs the variants with the unperturbed rollouts of their tasks. Results are lines of
+//! `results.jsonl`; an interrupted run resumes from them.
 
 mod audit;
 mod case;
@@ -28,20 +28,20 @@ pub use results::{Pin, Row, Tally};
 
 /// A run of variants.
 pub struct Run<'a> {
-    /// How they are run.
+    /// Protocol of the rollouts.
     pub protocol: Protocol,
-    /// The unperturbed rollouts and the variants.
+    /// The unperturbed rollouts, followed by the variants.
     pub cases: Vec<Case>,
-    /// Folder of results.
+    /// Folder of the results.
     pub output: &'a Path,
     /// True if each rollout is filmed.
     pub video: bool,
-    /// Makes the assignment of a rollout, for results in a folder.
+    /// Builds the assignment of a rollout whose outputs go to the given folder.
     pub assign: &'a dyn Fn(ManifestRow, &Path) -> Assignment,
 }
 
 impl Run<'_> {
-    /// Runs what the results lack. Returns the tally of all of them.
+    /// Runs the cases without a result. Returns the tally over all results.
     ///
     /// # Errors
     /// If earlier results are of another protocol, policy or simulator, or a rollout has no

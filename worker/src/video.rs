@@ -1,7 +1,6 @@
-//! Videos of rollouts: both cameras side by side, 20 pictures per second, H.264
-//! in MP4, as browsers play it. Responsible for turning the simulator's upside
-//! down pictures upright, for colour and for the file; not for drawing, nor for
-//! where the file goes.
+//! Encodes videos of rollouts: both cameras side by side at 20 frames per second, as H.264 in MP4
+//! for browsers. Turns the simulator's bottom-up frames upright, converts colours and builds the
+//! file; rendering and storing are up to the caller.
 
 use muxide::api::{Muxer, MuxerBuilder, MuxerError, VideoCodec};
 use openh264::OpenH264API;
@@ -11,36 +10,36 @@ use openh264::encoder::{
 };
 use openh264::formats::YUVBuffer;
 
-/// Width and height of one camera's picture, pixels.
+/// Width and height of one camera's frame, pixels.
 pub const PANE_SIDE: usize = 256;
-/// Pictures per second: one per control step.
+/// Frames per second: one per control step.
 pub const FRAMES_PER_SEC: f64 = 20.0;
 
 const WIDTH: usize = 2 * PANE_SIDE;
 const HEIGHT: usize = PANE_SIDE;
 const PANE_BYTES: usize = PANE_SIDE * PANE_SIDE * 3;
-/// The quantiser, the same for every picture: rate control would blur the one
-/// moment that a viewer looks for. At 26 two panes take some 3 kB per picture.
+/// Constant quantiser of every frame: rate control would blur the brief moment that a viewer looks
+/// for. At 26, two panes take about 3 kB per frame.
 const QUANTISER: u8 = 26;
-/// A picture that can be jumped to every two seconds.
+/// Frames between key frames, to which players can seek: two seconds.
 const KEYFRAME_EVERY: u32 = 40;
 
-/// Reason for which a video could not be made.
+/// Reason why a video could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    /// A picture has not the size of a pane.
+    /// A frame does not have the size of a pane.
     #[error("add a picture of {given} bytes to a video of {PANE_BYTES} bytes per camera")]
     PaneSize {
-        /// Size given, bytes.
+        /// Size of the given frame, bytes.
         given: usize,
     },
-    /// The H.264 encoder.
+    /// The H.264 encoder failed.
     #[error("encode a video: OpenH264 fails with code {code}")]
     Encode {
         /// Error number of the library.
         code: i64,
     },
-    /// The MP4 writer.
+    /// The MP4 writer failed.
     #[error("write a video as MP4")]
     Mux(#[from] MuxerError),
 }
@@ -52,7 +51,7 @@ impl From<openh264::Error> for VideoError {
     }
 }
 
-/// Makes one video, picture by picture, in memory.
+/// Encodes one video in memory, frame by frame.
 pub struct VideoEncoder {
     encoder: Encoder,
     muxer: Muxer<Vec<u8>>,
@@ -88,8 +87,8 @@ impl VideoEncoder {
         })
     }
 
-    /// Adds a picture: RGB, 8 bits, [`PANE_SIDE`]², row 0 at the bottom, as the
-    /// simulator draws it; the first camera goes to the left.
+    /// Adds a frame: RGB, 8 bits, [`PANE_SIDE`]², row 0 at the bottom, as the simulator renders
+    /// it; the first camera's goes to the left.
     ///
     /// # Errors
     /// If a pane has another size, or the encoder fails.
@@ -107,19 +106,19 @@ impl VideoEncoder {
         Ok(())
     }
 
-    /// The finished MP4 file.
+    /// Finishes the video and returns the MP4 file.
     ///
     /// # Errors
-    /// If no picture was added.
+    /// If no frame was added.
     pub fn finish(mut self) -> Result<Vec<u8>, VideoError> {
         self.muxer.finish_in_place()?;
         Ok(self.muxer.into_writer())
     }
 }
 
-/// Planar 4:2:0 of the two panes, upright: BT.709, limited range. openh264's
-/// own conversion has the coefficients of BT.601, which would turn the colours
-/// of a stream that says BT.709.
+/// Converts the two panes to one upright planar 4:2:0 frame in BT.709, limited range. openh264's
+/// own conversion uses the coefficients of BT.601, which would shift the colours of a stream
+/// declared as BT.709.
 fn yuv_of(panes: [&[u8]; 2]) -> Vec<u8> {
     let mut yuv = vec![0; WIDTH * HEIGHT * 3 / 2];
     let (luma, chroma) = yuv.split_at_mut(WIDTH * HEIGHT);
@@ -143,19 +142,19 @@ fn yuv_of(panes: [&[u8]; 2]) -> Vec<u8> {
     yuv
 }
 
-/// Red, green and blue in [0, 1] at column `x` and row `y` from the top.
+/// Returns red, green and blue in [0, 1] at column `x` and row `y` from the top.
 fn pixel(panes: [&[u8]; 2], x: usize, y: usize) -> [f32; 3] {
     let at = ((PANE_SIDE - 1 - y) * PANE_SIDE + x % PANE_SIDE) * 3;
     let pane = panes[x / PANE_SIDE];
     [pane[at], pane[at + 1], pane[at + 2]].map(|channel| f32::from(channel) / 255.0)
 }
 
-/// Rec. 709 luma of a colour.
+/// Returns the Rec. 709 luma of a colour.
 fn brightness([red, green, blue]: [f32; 3]) -> f32 {
     0.2126 * red + 0.7152 * green + 0.0722 * blue
 }
 
-/// To the nearest of 0..=255: `as` saturates.
+/// Rounds to an integer of 0..=255; the cast saturates.
 fn quantise(value: f32) -> u8 {
     value.round() as u8
 }
@@ -167,7 +166,7 @@ mod tests {
 
     use super::*;
 
-    /// One pane: `top` in its upper half, `bottom` in its lower one.
+    /// Builds one pane: `top` in its upper half, `bottom` in its lower one.
     fn pane(top: [u8; 3], bottom: [u8; 3]) -> Vec<u8> {
         let rows = PANE_SIDE * PANE_SIDE / 2;
         let mut pixels = bottom.repeat(rows);
@@ -185,7 +184,7 @@ mod tests {
         assert_eq!([luma(256, 0), luma(511, 255)], [16, 235]);
     }
 
-    /// Expected values: ITU-R BT.709-6, table 4, at 8 bits.
+    /// Expected values: ITU-R BT.709-6, table 4, for 8 bits.
     #[test]
     fn primaries_have_the_codes_of_bt_709() {
         let check = |rgb: [u8; 3], expected: [u8; 3]| {
@@ -239,7 +238,7 @@ mod tests {
         assert!(error.to_string().contains("12 bytes"), "{error}");
     }
 
-    /// The payload of the first box called `name`, wherever it is nested.
+    /// Returns the payload of the first box called `name`, at any depth.
     fn find<'a>(mp4: &'a [u8], name: &[u8; 4]) -> &'a [u8] {
         let at = mp4.windows(4).position(|window| window == name);
         let at = at.unwrap_or_else(|| panic!("no box {}", String::from_utf8_lossy(name)));
@@ -251,7 +250,7 @@ mod tests {
         u32::from_be_bytes(bytes[at..at + 4].try_into().expect("4 bytes")) as usize
     }
 
-    /// The samples of a file whose samples lie one after the other.
+    /// Returns the samples of a file in which they are contiguous.
     fn mp4_samples(mp4: &[u8]) -> Vec<&[u8]> {
         let sizes = find(mp4, b"stsz");
         let mut rest = find(mp4, b"mdat");
@@ -278,7 +277,7 @@ mod tests {
         [&[0, 0, 0, 1], unit].concat()
     }
 
-    /// A sample's length-prefixed units as a byte stream.
+    /// Converts a sample's length-prefixed units to a byte stream.
     fn units(mut sample: &[u8]) -> Vec<u8> {
         let mut stream = Vec::new();
         while !sample.is_empty() {

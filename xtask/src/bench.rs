@@ -1,5 +1,5 @@
-//! A rollout here and in the original, in turn. What is timed, and how, is in
-//! `tests/src/bin/bench_rollout.rs` and in docs/PERFORMANCE.md.
+//! `cargo xtask bench compare`: times a rollout here and in the original LIBERO, in turn.
+//! `tests/src/bin/bench_rollout.rs` and docs/PERFORMANCE.md describe the measurement.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -13,7 +13,7 @@ use crate::process::{capture, shown};
 use crate::setup;
 use crate::step::step;
 
-/// The program that runs rollouts and times them.
+/// Program that runs and times rollouts.
 const PROGRAM: &str = "bench_rollout";
 
 /// How a rollout is compared with the original's.
@@ -48,7 +48,7 @@ pub(crate) struct Compare {
     assets: Option<PathBuf>,
 }
 
-/// Milliseconds of a rollout's parts.
+/// Durations of a rollout's parts, milliseconds.
 #[derive(Clone, Copy)]
 struct Parts {
     reset: f64,
@@ -57,8 +57,7 @@ struct Parts {
     whole: f64,
 }
 
-/// Runs the same rollout here and in the original, in turn, and prints both with
-/// their ratios.
+/// Runs the same rollout here and in the original, in turn, and prints both with their ratios.
 pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     let cache = setup::run(root)?;
     let beside = |folder: &str| root.join("../shared").join(folder);
@@ -90,7 +89,7 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
         command.args(["--execute", &options.execute.to_string()]);
         command.args(["--steps", &options.steps.to_string()]);
         command.args(["--rollouts", &options.rollouts.to_string()]);
-        // The original's script knows no other clock.
+        // The original's script measures wall-clock time only.
         command.arg("--wall");
         our_parts(&last_json(&mut command)?)
     };
@@ -133,7 +132,7 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     Ok(())
 }
 
-/// Returns the path of the reference's recorded actions of a task.
+/// Returns the path of a task's recorded actions in the reference data.
 fn actions_of(oracle: &Path, task: &str) -> Result<PathBuf> {
     let parts = task.split_once('/');
     let parts = parts.and_then(|(suite, index)| Some((suite, index.parse::<u32>().ok()?)));
@@ -148,7 +147,7 @@ fn our_parts(report: &Value) -> Result<Parts> {
     Ok(Parts {
         reset,
         settle,
-        // Medians of parts do not add up to the median of the whole.
+        // Sum of the parts, because medians of parts do not add up to the median of the whole.
         steps: ["physics", "control", "frames", "encode", "policy", "other"]
             .into_iter()
             .map(phase)
@@ -172,10 +171,10 @@ pub(crate) fn number(value: &Value, name: &str) -> Result<f64> {
     number.with_context(|| format!("read the report: `{name}` is {value}, not a number"))
 }
 
-/// Milliseconds of one part of a rollout.
+/// Selects the duration of one part of a rollout, milliseconds.
 type Part = fn(&Parts) -> f64;
 
-/// Ratios are of the runs of one round.
+/// Prints durations and ratios; each ratio is of the two runs of one round.
 fn print_ratios(what: &str, ours: &[Parts], theirs: &[Parts]) {
     println!("the original {what}:");
     println!(
@@ -201,7 +200,7 @@ fn print_ratios(what: &str, ours: &[Parts], theirs: &[Parts]) {
     }
 }
 
-/// Median, smallest, largest.
+/// Returns median, smallest and largest value.
 pub(crate) fn spread(values: &[f64]) -> (f64, f64, f64) {
     let mut values = values.to_vec();
     values.sort_by(f64::total_cmp);
@@ -211,7 +210,7 @@ pub(crate) fn spread(values: &[f64]) -> (f64, f64, f64) {
     (median, at(0), at(last))
 }
 
-/// A step that has nothing more to say than that it is done.
+/// Result of a step whose only message is "built".
 struct Built(PathBuf);
 
 impl std::fmt::Display for Built {
@@ -220,7 +219,7 @@ impl std::fmt::Display for Built {
     }
 }
 
-/// A step that says how long the rollout took.
+/// Result of a step that reports a rollout's duration.
 struct Told(Parts);
 
 impl std::fmt::Display for Told {
@@ -229,7 +228,7 @@ impl std::fmt::Display for Told {
     }
 }
 
-/// Runs a program that prints one JSON object last, and reads it.
+/// Runs a program and parses its last line as JSON.
 pub(crate) fn last_json(command: &mut Command) -> Result<Value> {
     let printed = capture(command)?;
     let line = printed.lines().next_back().unwrap_or_default();
@@ -241,7 +240,7 @@ fn cores() -> Result<u32> {
     Ok(u32::try_from(cores.get())?)
 }
 
-/// The processor and its cores, to be recorded beside the figures.
+/// Describes the processor and its cores, for the record beside the figures.
 pub(crate) fn machine() -> Result<String> {
     let about = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = about

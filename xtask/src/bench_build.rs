@@ -1,5 +1,6 @@
-//! Times a newcomer's and a contributor's waits: a fresh clone to the demo's report, the check
-//! before a landing, and one changed line of the queue to its tests' verdict.
+//! `cargo xtask bench build`: times what newcomers and contributors wait for: a fresh clone to the
+//! demo's report, the check before a landing, and a changed line of the queue to its tests'
+//! verdict.
 
 use std::fs::{self, OpenOptions};
 use std::io::Write;
@@ -24,7 +25,7 @@ pub(crate) enum Wait {
 }
 
 impl Wait {
-    /// Limit in seconds on two cores, with downloads in the caches.
+    /// Returns the limit in seconds, on two cores and with warm download caches.
     fn target(self) -> u64 {
         match self {
             Self::Demo => 6 * 60,
@@ -54,7 +55,7 @@ pub(crate) struct Options {
 /// its target.
 ///
 /// # Errors
-/// If the clone cannot be made, or if a timed command fails: its time would mean nothing.
+/// If the clone cannot be made, or a timed command fails, which makes its time meaningless.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     for &wait in &options.only {
         let clone = root.join("target/bench-build");
@@ -95,15 +96,15 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Seconds until the queue's tests passed.
+/// Returns the seconds until the queue's tests passed.
 fn queue_tests(clone: &Path) -> Result<u64> {
     let tests = ["nextest", "run", "--workspace", "-E", "package(queue)"];
     timed(cargo(clone).args(tests))
 }
 
-/// Seconds that a command took. Its output is hidden unless it fails.
+/// Returns the seconds that a command took. Its output is shown only if it fails.
 fn timed(command: &mut Command) -> Result<u64> {
-    // Variables of the cargo that started this program would reach the clone's build.
+    // The variables set by the cargo that runs this program would affect the clone's build.
     for (name, _) in std::env::vars_os() {
         let text = name.to_string_lossy();
         if text.starts_with("CARGO_") && text != "CARGO_HOME" {

@@ -1,5 +1,5 @@
-//! LIBERO's environments in Python, here and in the original, in turn. What is timed, and
-//! how, is in `python/bench/speed.py` and in docs/PYTHON.md.
+//! `cargo xtask bench python`: times LIBERO's environments in Python here and in the original, in
+//! turn. `python/bench/speed.py` and docs/PYTHON.md describe the measurement.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -13,9 +13,9 @@ use crate::original::Original;
 use crate::setup;
 use crate::wheel::{self, Profile};
 
-/// Program that the share of Python is measured against.
+/// Program without Python, against which Python's overhead is measured.
 const WITHOUT_PYTHON: &str = "bench_environments";
-/// How often a round runs both, in turn: they differ by less than a shared machine does
+/// Pairs of runs per round, in turn: their difference is smaller than a shared machine's drift
 /// from one minute to the next.
 const PAIRS: usize = 5;
 
@@ -42,7 +42,7 @@ pub(crate) struct Options {
     assets: Option<PathBuf>,
 }
 
-/// A row of the table: what is measured, the target, and how it follows from a round.
+/// Row of the table: the measured quantity, its target, and its computation from a round.
 struct Row {
     what: &'static str,
     target: &'static str,
@@ -50,7 +50,7 @@ struct Row {
     of: fn(&Round) -> Result<[f64; 3]>,
 }
 
-/// Output of the programs of one round.
+/// Outputs of the programs of one round.
 struct Round {
     ours: Value,
     theirs: Value,
@@ -58,7 +58,7 @@ struct Round {
     pairs: Vec<Pair>,
 }
 
-/// The same environments stepped from Python and from Rust.
+/// Runs of the same environments from Python and from Rust.
 struct Pair {
     threads: Value,
     without_python: Value,
@@ -115,7 +115,7 @@ const ROWS: [Row; 6] = [
     },
 ];
 
-/// Here, there, and how many times more there.
+/// Returns our value, the original's, and the original's divided by ours.
 fn faster(theirs: &Value, ours: &Value, name: &str) -> Result<[f64; 3]> {
     let [ours, theirs] = [number(&ours[name], name)?, number(&theirs[name], name)?];
     Ok([ours, theirs, theirs / ours])
@@ -126,13 +126,13 @@ fn rate(run: &Value) -> Result<f64> {
     number(&run[RATE], RATE)
 }
 
-/// Over the pairs of a round.
+/// Returns the median over the pairs of a round.
 fn median(round: &Round, of: impl Fn(&Pair) -> Result<f64>) -> Result<f64> {
     let values = round.pairs.iter().map(of).collect::<Result<Vec<_>>>()?;
     Ok(spread(&values).0)
 }
 
-/// Runs everything in turn and prints the table.
+/// Runs all measurements in turn and prints the table.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
     let beside = |folder: &str| root.join("../shared").join(folder);
@@ -159,7 +159,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             &steps,
         ]);
         command.env("ROLLOUT_ASSETS", &assets);
-        // The original's frames are drawn by one thread, as ours are.
+        // A single thread renders the original's frames, as it does ours.
         command.env("LP_NUM_THREADS", "1");
         last_json(&mut command)
     };
@@ -196,7 +196,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             theirs: theirs("one")?,
             processes: theirs("processes")?,
         });
-        // A round takes minutes; whoever interrupts keeps what has been measured.
+        // Prints after every round, which takes minutes, so that an interrupted run has results.
         println!("after round {number}");
         print(&rounds)?;
     }

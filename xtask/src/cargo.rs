@@ -1,4 +1,4 @@
-//! Calling cargo, and finding what it built.
+//! Calls cargo and locates the programs that it built.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -7,7 +7,7 @@ use anyhow::Result;
 
 use crate::process::run;
 
-/// Cargo in the workspace.
+/// Creates a cargo command in the workspace.
 pub(crate) fn cargo(root: &Path) -> Command {
     let program = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut cargo = Command::new(program);
@@ -15,33 +15,33 @@ pub(crate) fn cargo(root: &Path) -> Command {
     cargo
 }
 
-/// Builds all programs and returns the folder that they are in.
+/// Builds all programs and returns their folder.
 pub(crate) fn build_programs(root: &Path) -> Result<PathBuf> {
     println!("Building the programs");
     build(root, &["--bins"])
 }
 
-/// Builds these programs and returns the folder that they are in.
+/// Builds the named programs and returns their folder.
 pub(crate) fn build_only(root: &Path, names: &[&str]) -> Result<PathBuf> {
     println!("Building {}", names.join(", "));
     let bins: Vec<&str> = names.iter().flat_map(|name| ["--bin", name]).collect();
     build(root, &bins)
 }
 
-/// Builds one program and returns its file. It is built as part of the workspace,
-/// so that what it depends on is compiled for all programs once.
+/// Builds one program and returns its path. It is built as part of the workspace, so that
+/// dependencies are compiled only once for all programs.
 pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {
     let programs = build(root, &["--quiet", "--bin", name])?;
     Ok(programs.join(name))
 }
 
-/// The same as it would be handed out.
+/// Builds one program with the release profile and returns its path.
 pub(crate) fn build_released_program(root: &Path, name: &str) -> Result<PathBuf> {
     let programs = build(root, &["--quiet", "--release", "--bin", name])?;
     Ok(programs.with_file_name("release").join(name))
 }
 
-/// Builds these programs as they are handed out, and returns the folder that they are in.
+/// Builds the named programs with the release profile, and returns their folder.
 pub(crate) fn build_released_programs(root: &Path, names: &[&str]) -> Result<PathBuf> {
     println!("Building the programs as they are handed out");
     let bins = names.iter().flat_map(|name| ["--bin", name]);
@@ -53,7 +53,7 @@ fn build(root: &Path, what: &[&str]) -> Result<PathBuf> {
     run(cargo(root)
         .args(["build", "--workspace", "--exclude", "xtask"])
         .args(what))?;
-    // This program was built by the same cargo into the same folder.
+    // The same cargo built this program into the same folder.
     let own = std::env::current_exe()?;
     Ok(own
         .parent()

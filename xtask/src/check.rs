@@ -1,5 +1,5 @@
-//! The check for every save: format, lints, documentation and the tests that need neither
-//! programs nor scenes.
+//! `cargo xtask check`: the check for every save: format, lints, documentation and the tests that
+//! need neither programs nor scenes.
 
 use std::path::Path;
 
@@ -10,10 +10,10 @@ use crate::process::capture;
 use crate::setup;
 use crate::step::step;
 
-/// Runs every part, and fails at the first that does not hold.
+/// Runs every part, and stops at the first failure.
 ///
 /// # Errors
-/// If a part does not hold; the error has its output.
+/// If a part fails; the error includes its output.
 pub(crate) fn run(root: &Path) -> Result<()> {
     setup::run(root)?;
     println!("Checking");
@@ -26,7 +26,7 @@ pub(crate) fn run(root: &Path) -> Result<()> {
     })?;
     step("documentation", || documentation(root))?;
     step("unit tests", || {
-        // In the profile `check` of .config/nextest.toml.
+        // The profile `check` of .config/nextest.toml selects the tests.
         let tests = ["nextest", "run", "--workspace", "--profile", "check"];
         let lines = capture(
             cargo(root)

@@ -1,4 +1,4 @@
-//! Clients of LIBERO from the package index, unmodified, which the shim's tests run.
+//! Unmodified clients of LIBERO from the package index, for the shim's tests.
 
 use std::path::{Path, PathBuf};
 
@@ -8,16 +8,17 @@ use crate::process::capture;
 use crate::step::step;
 use crate::venv::{new_environment, pip};
 
-/// PyTorch for processors. The package index has only builds with gigabytes of CUDA.
+/// CPU builds of PyTorch. The package index only has builds with gigabytes of CUDA.
 const TORCH: [&str; 2] = ["torch==2.10.0", "torchvision==0.25.0"];
 const TORCH_INDEX: &str = "https://download.pytorch.org/whl/cpu";
-/// The clients. They ask for many packages that an episode does not import.
+/// The clients, installed without dependencies: they require many packages that an episode does
+/// not import.
 const CLIENTS: [&str; 3] = ["vla-eval==0.8.0", "lerobot==0.4.4", "rlinf==0.3.0"];
-/// Written into the environment once all is there; holds what was wanted.
+/// Written into a complete environment; holds the list of its packages.
 const STAMP: &str = "installed.txt";
 
-/// The interpreter of an environment with the clients; none where it cannot be made, and
-/// the tests say so.
+/// Returns the interpreter of an environment with the clients; `None` if it cannot be made, in
+/// which case the tests report that they are skipped.
 pub(crate) fn provide(root: &Path, cache: &Path) -> Option<PathBuf> {
     let dir = cache.join("clients");
     let made = step("vla-eval, lerobot, torchrl, rlinf", || {

@@ -1,10 +1,10 @@
-//! A small campaign on LIBERO's own assets, end to end and with the real programs: a
-//! coordinator, a gateway, a worker with several slots. It ends with the report, as text and
-//! as a page, the results, and films of the configurations whose outcome simultaneous
-//! perturbation changes.
+//! `cargo xtask demo`: a small campaign on LIBERO's own assets with the real programs: a
+//! coordinator, a gateway, and a worker with several slots. It produces the report as text and as
+//! a page, the results, and videos of the configurations whose outcome changes under simultaneous
+//! perturbation.
 //!
-//! The policy is the scripted expert. It is given the simulator's state, so that only the
-//! robot's pose and the actuation disturb it, and it needs no time for looking.
+//! The policy is the scripted expert. It receives the simulator's state, so that only the robot's
+//! pose and the actuation axis affect it, and it needs no rendering.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -24,13 +24,13 @@ use crate::step::step;
 pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
 /// Name of the demo's campaign.
 const CAMPAIGN: &str = "demo";
-/// Tasks and configurations that have transitions of both kinds. They were chosen for that:
-/// of all 400 configurations the expert has 12 at L2.
+/// Tasks and configurations that have both kinds of transitions, chosen for that: of all 400
+/// configurations, 12 at L2 have a transition with the expert.
 const TASKS: &str = "libero_object/7,libero_object/9";
 const CONFIGURATIONS: &str = "0,5,9";
-/// A task and configuration with an emergent failure, for the demo's own test.
+/// Task and configuration with an emergent failure, for the demo's own test.
 const EMERGENT: (&str, &str) = ("libero_object/7", "0");
-/// Address of the live page once the demo's data is served again.
+/// Address of the live page when the demo's data is served again.
 const PAGE_ADDRESS: &str = "127.0.0.1:7411";
 
 /// How the demo runs.
@@ -50,7 +50,7 @@ pub(crate) struct Options {
     configs: String,
 }
 
-/// Runs it.
+/// Runs the demo and prints the locations of its results.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let start = Instant::now();
     setup::run(root)?;
@@ -67,7 +67,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Runs it with fewer rollouts, and keeps nothing of it.
+/// Runs the demo with fewer rollouts, and removes its data.
 pub(crate) fn check(root: &Path, programs: &Path) -> Result<()> {
     let options = Options {
         slots: 2,
@@ -162,7 +162,7 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// The command that serves a demo's data again, for a shell.
+/// Returns the shell command that serves a demo's data again.
 fn serve_again(programs: &Path, data: &Path) -> String {
     let program = programs.join("coordinator");
     format!(
@@ -172,7 +172,7 @@ fn serve_again(programs: &Path, data: &Path) -> String {
     )
 }
 
-/// A new numbered folder: an earlier demo's results stay.
+/// Creates a new numbered folder, so that the results of earlier demos stay.
 fn fresh_folder(parent: &Path) -> Result<PathBuf> {
     std::fs::create_dir_all(parent).with_context(|| format!("make {}", parent.display()))?;
     for number in 1.. {
@@ -186,7 +186,7 @@ fn fresh_folder(parent: &Path) -> Result<PathBuf> {
     unreachable!("there is always a larger number")
 }
 
-/// Makes the campaign's films, as many at a time as rollouts ran.
+/// Makes the campaign's videos, as many in parallel as there were slots.
 fn film(programs: &Path, coordinator: &Running, options: &Options) -> Result<()> {
     let mut worker = Command::new(programs.join("worker"));
     worker
@@ -196,7 +196,7 @@ fn film(programs: &Path, coordinator: &Running, options: &Options) -> Result<()>
     capture(&mut worker).map(drop)
 }
 
-/// The simultaneous rollouts of configurations whose outcome simultaneity changes.
+/// Returns the simultaneous rollouts of configurations with a transition.
 fn transitions(results: &Path) -> Result<Vec<(Transition, RolloutId)>> {
     let text =
         std::fs::read_to_string(results).with_context(|| format!("read {}", results.display()))?;
@@ -226,7 +226,7 @@ fn transitions(results: &Path) -> Result<Vec<(Transition, RolloutId)>> {
     Ok(changed)
 }
 
-/// Line of the results about one rollout.
+/// Line of the exported results.
 #[derive(serde::Deserialize)]
 struct ResultRow {
     rollout_id: RolloutId,

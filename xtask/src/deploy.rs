@@ -1,4 +1,4 @@
-//! Schemas for the tests of `deploy` and of releases: those of Kubernetes and CycloneDX.
+//! Schemas of Kubernetes and CycloneDX, for the tests of `deploy` and of releases.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,8 @@ const PACKAGES: [&str; 2] = [
     "cyclonedx-python-lib[json-validation]==11.12.0",
 ];
 
-/// An interpreter that has them; none where they cannot be had, and the tests say so.
+/// Returns an interpreter with the schemas; `None` if they cannot be installed, in which case the
+/// tests report that they are skipped.
 pub(crate) fn schemas(cache: &Path) -> Option<PathBuf> {
     let dir = cache.join("deploy-venv");
     let made = step("schemas of deploy/", || {

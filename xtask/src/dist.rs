@@ -1,5 +1,5 @@
-//! Distribution: an archive of the programs and all that they need but glibc, and an
-//! image for containers made of it.
+//! `cargo xtask dist`: an archive of the programs with everything that they need except glibc, and
+//! a container image made from it.
 
 mod archive;
 mod bare_root;
@@ -46,11 +46,10 @@ enum Profile {
     Dev,
 }
 
-/// Makes it, tries it in a bare root, and says where it is.
+/// Makes the archive, tests it in a bare root, and prints its path.
 ///
 /// # Errors
-/// If a part cannot be had, something would be missing from the archive, or what is
-/// handed out does not run.
+/// If a part is unavailable, the archive would be incomplete, or its programs do not run.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
     if options.profile == Profile::Release {
@@ -72,7 +71,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// A release says which commit it is, which has to be true.
+/// Refuses uncommitted changes, because a release names its commit.
 fn refuse_what_is_not_committed(root: &Path) -> Result<()> {
     let mut git = Command::new("git");
     git.current_dir(root).args(["status", "--porcelain"]);

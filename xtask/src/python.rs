@@ -1,5 +1,4 @@
-//! Python environments for the tests of the Python package and of the
-//! documentation.
+//! Python environments for the tests of the policies package and of the documentation.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -9,21 +8,20 @@ use anyhow::{Context, Result};
 use crate::process::capture;
 use crate::step::step;
 
-/// Packages that the tests compare the gateway's messages with: the client with
-/// which openpi's robots query its servers, and vla-eval, whose model servers and
-/// LIBERO benchmark they run.
+/// Packages whose messages the tests compare with the gateway's: the client with which openpi's
+/// robots query its servers, and vla-eval with its model servers and LIBERO benchmark.
 const COMPARED_WITH: [&str; 2] = ["openpi-client==0.1.2", "vla-eval==0.8.0"];
 
 /// Build requirement of `pip install ./policies`.
 const BUILT_WITH: &str = "setuptools>=61";
 
-/// Requirement of `docs/PYTHON.md` beside those of the package.
+/// Requirement of `docs/PYTHON.md` beyond those of the package.
 const NOTEBOOKS_NEED: &str = "pandas>=2";
 
-/// Written into the folder of packages once all are there; holds what was wanted.
+/// Written into a complete folder of packages; holds the list of its requirements.
 const STAMP: &str = "requirements-of.toml";
 
-/// A virtual environment with the policies package, editable; returns its
+/// Creates a virtual environment with the policies package in editable mode; returns its
 /// interpreter.
 pub(crate) fn environment(root: &Path, cache: &Path) -> Result<String> {
     let dir = cache.join("policies-venv");
@@ -34,14 +32,14 @@ pub(crate) fn environment(root: &Path, cache: &Path) -> Result<String> {
     }
     let package = format!("{}[dev]", root.join("policies").display());
     capture(pip(&python, "install").arg("--editable").arg(package))?;
-    // By themselves: the one asks for a NumPy before 2, which newer Pythons do not
-    // have, the other for what films and draws; both do without.
+    // Without dependencies: one requires NumPy below 2, which newer Pythons lack, the other
+    // packages for videos and rendering; neither is needed.
     capture(pip(&python, "install").arg("--no-deps").args(COMPARED_WITH))?;
     Ok(python.display().to_string())
 }
 
-/// A folder with what the documentation's `pip install` downloads, so that its
-/// commands work without a network.
+/// Downloads what the documentation's `pip install` needs into a folder, so that its commands work
+/// without a network.
 pub(crate) fn packages(root: &Path, cache: &Path) -> Result<PathBuf> {
     let folder = cache.join("python-packages");
     step("packages for policies/README.md and docs/PYTHON.md", || {

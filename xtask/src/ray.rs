@@ -1,4 +1,4 @@
-//! The launcher of `deploy/ray`, tested on Ray itself.
+//! Tests the launcher of `deploy/ray` on Ray itself.
 
 use std::path::Path;
 use std::process::Command;
@@ -9,18 +9,18 @@ use crate::process::run as run_command;
 use crate::step::step;
 use crate::venv::environment;
 
-/// Packages of the tests, in an environment of their own.
+/// Packages of the tests, installed into their own environment.
 const TESTED_WITH: [&str; 2] = ["ray==2.60.0", "pytest>=7"];
 
-/// Runs its tests, where Ray can be had.
+/// Runs the tests if Ray can be installed.
 ///
 /// # Errors
-/// If one fails.
+/// If a test fails.
 pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let dir = cache.join("ray");
     let mut lacking = None;
     step("Ray for the tests of deploy/ray", || {
-        // Without it these tests are skipped, and said to be.
+        // If Ray is unavailable, these tests are skipped with a message.
         let made = environment(&dir, &TESTED_WITH).map(str::to_owned);
         Ok(made.unwrap_or_else(|error| lacking.insert(format!("none: {error:#}")).clone()))
     })?;

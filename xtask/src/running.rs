@@ -1,4 +1,4 @@
-//! Programs that run beside this one.
+//! Background programs with automatic shutdown.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -8,21 +8,21 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 
-/// Time limit of a program to say that it listens.
+/// Longest wait for a program to announce its address.
 const START_LIMIT: Duration = Duration::from_secs(30);
-/// Time limit of a program to end when asked to.
+/// Longest wait for a program to end after SIGTERM.
 const END_LIMIT: Duration = Duration::from_secs(20);
 
-/// A program that runs beside this one and is ended with it.
+/// Background program. Dropping it ends the program.
 pub(crate) struct Running {
     child: Child,
-    /// Listening address; empty if it has none.
+    /// Listening address as a URL; empty for a worker.
     pub(crate) url: String,
 }
 
 impl Running {
-    /// Starts a program with its output in a log file in `dir`, and waits until it
-    /// says where it listens or, for a worker, that it runs.
+    /// Starts a program with its output in a log file in `dir`, and waits until it announces its
+    /// address or, for a worker, prints a line.
     pub(crate) fn start(name: &str, command: &mut Command, dir: &Path) -> Result<Self> {
         let log = dir.join(format!("{name}.log"));
         let file = File::create(&log).with_context(|| format!("write {}", log.display()))?;
@@ -64,8 +64,8 @@ impl std::fmt::Display for Running {
     }
 }
 
-/// The address that a program's log gives. A worker listens nowhere and
-/// is up as soon as it says anything.
+/// Returns the address announced in a program's log. A worker has none, and counts as started at
+/// its first line.
 fn announced(log: &Path, name: &str) -> Result<Option<String>> {
     for line in BufReader::new(File::open(log)?).lines() {
         let line = line?;
@@ -82,8 +82,7 @@ fn announced(log: &Path, name: &str) -> Result<Option<String>> {
 }
 
 impl Drop for Running {
-    /// Asks the program to end, as an operator would, and insists if it does
-    /// not.
+    /// Sends SIGTERM, and kills the program if it does not end in time.
     fn drop(&mut self) {
         let _ = Command::new("kill")
             .arg(self.child.id().to_string())

@@ -1,4 +1,4 @@
-//! The server of S3's calls that keeping films elsewhere is tested on.
+//! S3 server for the tests of storing videos in a bucket.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,8 @@ use crate::venv::environment;
 
 const PACKAGES: [&str; 1] = ["moto[server]==5.2.5"];
 
-/// The program; none where it cannot be had, and the tests say so.
+/// Returns the server's program; `None` if it cannot be installed, in which case the tests report
+/// that they are skipped.
 pub(crate) fn server(cache: &Path) -> Option<PathBuf> {
     let dir = cache.join("s3-venv");
     let made = step("a server of S3's calls", || {

@@ -1,6 +1,5 @@
-//! Everything that must be on a machine before the workspace can be built, and
-//! what drawing through OpenGL, pictures of the live page and tests of clusters
-//! need beside it.
+//! Installs what a build of the workspace needs, and optional parts: OpenGL rendering, a browser
+//! for the live page, a cluster scheduler for tests.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -12,8 +11,8 @@ use crate::packages::WHEELS;
 use crate::process::{capture, run as run_command};
 use crate::step::step;
 
-/// Debian packages that drawing through OpenGL off-screen needs at run time, and
-/// the libraries whose presence says that they are installed.
+/// Debian packages for off-screen OpenGL rendering, and the libraries whose presence shows that
+/// they are installed.
 const GL_PACKAGES: [&str; 5] = [
     "libegl1",
     "libegl-mesa0",
@@ -23,19 +22,18 @@ const GL_PACKAGES: [&str; 5] = [
 ];
 const GL_LIBRARIES: [&str; 3] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0"];
 
-/// Package for drawing in Python beside these, and its library.
+/// Additional package for rendering in Python, and its library.
 const GLES_PACKAGE: &str = "libgles2";
 const GLES_LIBRARY: &str = "libGLESv2.so.2";
 
-/// The browser, a Debian package and a program of one name.
+/// Browser: name of both the Debian package and the program.
 const BROWSER_PACKAGE: &str = "chromium";
 
-/// The scheduler: Debian packages, and what is looked for.
+/// Scheduler: Debian packages, and the programs whose presence shows that they are installed.
 const SLURM_PACKAGES: [&str; 4] = ["slurmctld", "slurmd", "slurm-client", "munge"];
 const SLURM_DAEMONS: [&str; 3] = ["slurmctld", "slurmd", "munged"];
 
-/// Sets the machine up; every step is skipped that has been done before.
-/// Returns the folder for whatever outlasts a build.
+/// Sets up the machine, skipping completed steps. Returns the cache folder.
 pub(crate) fn run(root: &Path) -> Result<PathBuf> {
     println!("Setting up");
     let cache = cache_dir()?;
@@ -47,12 +45,12 @@ pub(crate) fn run(root: &Path) -> Result<PathBuf> {
     Ok(cache)
 }
 
-/// Fetches LIBERO's assets into the user's cache folder, as far as tasks (SUITE/N,
-/// separated by commas, or `all`) need them, and returns the folder. `programs` holds
-/// the worker, which knows what to fetch.
+/// Fetches LIBERO's assets into the user's cache folder, as far as `tasks` (SUITE/N, separated by
+/// commas, or `all`) need them, and returns the folder. `programs` is the folder with the worker,
+/// which does the fetching.
 ///
 /// # Errors
-/// If they cannot be fetched.
+/// If the assets cannot be fetched.
 pub(crate) fn assets(programs: &Path, tasks: &str) -> Result<PathBuf> {
     let worker = || Command::new(programs.join("worker"));
     println!("  LIBERO's assets");
@@ -60,7 +58,8 @@ pub(crate) fn assets(programs: &Path, tasks: &str) -> Result<PathBuf> {
     capture(worker().args(["assets", "path"])).map(PathBuf::from)
 }
 
-/// A given folder of LIBERO's assets, else the one that a task's are fetched into.
+/// Returns the given folder of LIBERO's assets, else fetches a task's assets and returns their
+/// folder.
 ///
 /// # Errors
 /// As [`assets`].
@@ -71,19 +70,18 @@ pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result
     }
 }
 
-/// Installs what drawing through OpenGL without a screen needs.
+/// Installs the libraries for off-screen OpenGL rendering.
 ///
 /// # Errors
-/// If it is missing and cannot be installed.
+/// If they are missing and cannot be installed.
 pub(crate) fn opengl() -> Result<()> {
     step("OpenGL without a screen", gl_packages).map(|_| ())
 }
 
-/// Installs the packages that the original LIBERO draws with: PyOpenGL loads one
-/// library more.
+/// Installs the libraries with which the original LIBERO renders: PyOpenGL needs one more.
 ///
 /// # Errors
-/// If it is missing and cannot be installed.
+/// If they are missing and cannot be installed.
 pub(crate) fn original_packages() -> Result<&'static str> {
     gl_packages()?;
     if known_libraries().contains(GLES_LIBRARY) {
@@ -93,7 +91,7 @@ pub(crate) fn original_packages() -> Result<&'static str> {
     Ok("installed")
 }
 
-/// Installs the browser that the live page is tested and pictured with.
+/// Installs the browser for the live page's tests and screenshots.
 ///
 /// # Errors
 /// If it is missing and cannot be installed.
@@ -105,7 +103,7 @@ pub(crate) fn browser() -> Result<&'static str> {
     Ok("installed")
 }
 
-/// Installs the scheduler whose jobs the scripts of `deploy/slurm` are tested as.
+/// Installs the scheduler for the tests of `deploy/slurm`.
 ///
 /// # Errors
 /// If it is missing and cannot be installed.
@@ -141,7 +139,7 @@ fn tools() -> Result<String> {
     Ok(format!("cc, pip {version}"))
 }
 
-/// Makes `.deps/mujoco`, which `.cargo/config.toml` names to the build.
+/// Links `.deps/mujoco`, which `.cargo/config.toml` passes to the linker.
 fn link_mujoco(root: &Path, cache: &Path) -> Result<&'static str> {
     let library = cache.join("mujoco-3.3.7");
     let plain = library.join("libmujoco.so");
@@ -181,7 +179,7 @@ fn gl_packages() -> Result<&'static str> {
     Ok("installed")
 }
 
-/// Installs Debian packages, which takes root.
+/// Installs Debian packages, which requires root.
 fn install(packages: &[&str]) -> Result<()> {
     let by_hand = format!("apt-get install --yes {}", packages.join(" "));
     let is_root = capture(Command::new("id").arg("-u")).is_ok_and(|id| id == "0");
@@ -198,7 +196,7 @@ fn install(packages: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Libraries that the dynamic linker lists.
+/// Returns the dynamic linker's list of libraries.
 fn known_libraries() -> String {
     ["ldconfig", "/sbin/ldconfig"]
         .iter()

@@ -1,4 +1,4 @@
-//! Tests that skipped something this machine lacks: reference data, a tool.
+//! Reports tests that were skipped for what this machine lacks: reference data, a tool.
 //!
 //! Such a test passes after printing a line that begins with `skipped`, in any case and on
 //! either stream. Nextest hides the output of passed tests but keeps it in its report.
@@ -8,20 +8,20 @@ use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
 
-/// Beginning of a skipped test's line.
+/// Start of the line that a skipped test prints.
 const MARK: &str = "skipped";
 
-/// Beginning of the line of a documented command that no test runs.
+/// Start of the line for a documented command that no test runs.
 const NOT_RUN: &str = "not run";
 
-/// Part of every path to the reference data, whichever checkout it is seen from.
+/// Part of every path to the reference data, from any checkout.
 const REFERENCE: &str = "/shared/";
 
 /// Prints the skipped tests of nextest's JUnit report with their reasons and number.
 ///
 /// # Errors
-/// If a test found no reference data although its folder exists: a part is missing or
-/// unreadable, or the test looked in another place.
+/// If a test found no reference data although its folder exists: a part is missing or unreadable,
+/// or the test searched elsewhere.
 pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     let text = std::fs::read_to_string(report)
         .with_context(|| format!("read nextest's report {}", report.display()))?;
@@ -59,7 +59,7 @@ pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Names of tests with each of their lines that begin with `mark`, sorted.
+/// Returns the tests' lines that begin with `mark`, each with the test's name, sorted.
 fn list(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
     let document = roxmltree::Document::parse(report)?;
     let tests = document
@@ -82,7 +82,7 @@ fn list(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
     Ok(skipped)
 }
 
-/// Compares without regard to case.
+/// Compares the start of a line, ignoring case.
 fn begins_with(line: &str, mark: &str) -> bool {
     let beginning = line.get(..mark.len());
     beginning.is_some_and(|beginning| beginning.eq_ignore_ascii_case(mark))

@@ -1,4 +1,4 @@
-//! One line per step: what is being done, then how it went.
+//! Progress output: one line per step, with its title and its result.
 
 use std::fmt::Display;
 use std::io::{IsTerminal, Write};
@@ -6,10 +6,10 @@ use std::time::Instant;
 
 use anyhow::Result;
 
-/// Width of the column that says what is being done.
+/// Width of the column with the title.
 const WIDTH: usize = 34;
 
-/// Runs a step that says in a few words how it went.
+/// Runs a step, and prints its title, its result in a few words, and its duration.
 pub(crate) fn step<T: Display>(what: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
     let mut out = std::io::stdout();
     // A terminal shows the title while the step runs.

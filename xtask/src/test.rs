@@ -1,5 +1,5 @@
-//! All tests of the workspace, of the Python package and of the policy server in
-//! another language.
+//! `cargo xtask test`: all tests of the workspace, of the Python packages and of the policy server
+//! in TypeScript.
 
 use std::path::Path;
 use std::process::Command;
@@ -43,8 +43,8 @@ pub(crate) enum Suite {
     Demo,
 }
 
-/// Runs the named suites, all of them if none is named. Filters choose among the tests of
-/// the crates, and run no other suite.
+/// Runs the named suites, or all of them if none is named. Filters select tests of the crates;
+/// with filters and no name, only the suite `rust` runs.
 pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<()> {
     let suites = match (suites, filters) {
         ([], []) => Suite::value_variants(),
@@ -54,7 +54,7 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
     let cache = setup::run(root)?;
     // The end-to-end tests start the real programs.
     let programs = build_programs(root)?;
-    // Without a network the tests that need them are skipped, and said to be.
+    // Without a network, the tests that need the assets are skipped with a message.
     if let Err(error) = setup::assets(&programs, "all") {
         println!("  none: {error:#}");
     }
@@ -62,8 +62,8 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
         let start = Instant::now();
         match suite {
             Suite::Rust => rust(root, &cache, &programs, filters)?,
-            // With `--package` cargo would choose other features for shared dependencies, and
-            // compile them a second time.
+            // With `--package`, cargo would choose other features for shared dependencies and
+            // compile them again.
             Suite::Examples => {
                 println!("Testing the examples of the documentation");
                 run_command(cargo(root).args(["test", "--quiet", "--doc", "--workspace"]))?;
@@ -98,7 +98,7 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
     Ok(())
 }
 
-/// The tests of all crates, with whatever they may need installed.
+/// Runs the tests of all crates, after installing their optional requirements.
 fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Result<()> {
     let python = step("Python environment for policies/", || {
         python::environment(root, cache)
@@ -106,12 +106,12 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
     let packages = python::packages(root, cache)?;
     let typescript = typescript::build(root)?;
     step("browser for the live page's tests", || {
-        // Without it these tests are skipped, and said to be.
+        // If there is no browser, these tests are skipped with a message.
         let found = setup::browser().map(str::to_owned);
         Ok(found.unwrap_or_else(|error| format!("none: {error:#}")))
     })?;
     step("Slurm for the tests of deploy/", || {
-        // As with the browser.
+        // If there is no Slurm, these tests are skipped with a message.
         let found = setup::slurm().map(str::to_owned);
         Ok(found.unwrap_or_else(|error| format!("none: {error:#}")))
     })?;
@@ -134,7 +134,7 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
         true => tests.args(["nextest", "run"]),
         false => tests.arg("test"),
     };
-    // Lints compile the examples; building and linking them takes a minute.
+    // Leaves out the examples: the lints compile them, and linking them takes a minute.
     tests
         .args(["--workspace", "--lib", "--bins", "--tests"])
         .args(filters)
@@ -152,14 +152,14 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
     }
     run_command(&mut tests)?;
     if nextest {
-        // Path of nextest's own report, whatever the build folder is.
+        // nextest writes its report to this path, regardless of the build folder.
         let report = root.join("target/nextest/default/junit.xml");
         skipped::check(&report, &root.join("../shared"))?;
     }
     Ok(())
 }
 
-/// The policies' Python package, from its sources.
+/// Tests the policies package from its sources.
 fn policies(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let python = step("Python environment for policies/", || {
         python::environment(root, cache)
@@ -173,7 +173,7 @@ fn policies(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     )
 }
 
-/// Licences, sources, bans and advisories of what is depended on, where the tool for it is installed.
+/// Checks licences, sources, bans and advisories of the dependencies, if cargo-deny is installed.
 fn deny(root: &Path) -> Result<String> {
     if capture(cargo(root).args(["deny", "--version"])).is_err() {
         return Ok("skipped: no cargo-deny (`cargo install --locked cargo-deny`)".to_owned());
@@ -184,7 +184,7 @@ fn deny(root: &Path) -> Result<String> {
             .args(check)
             .args(["bans", "licenses", "sources"]),
     )?;
-    // The database of advisories is a git repository, which `cargo deny fetch` brings.
+    // The advisory database is a git repository, which `cargo deny fetch` downloads.
     let fetched = capture(cargo(root).args(["deny", "fetch"])).is_ok();
     match fetched {
         true => capture(cargo(root).args(check).arg("advisories")).map(|_| "yes".to_owned()),
@@ -197,8 +197,8 @@ pub(crate) fn worker_bench(root: &Path, arguments: &[String]) -> Result<()> {
     program(root, "worker", &[&["bench".to_owned()], arguments].concat())
 }
 
-/// Builds and runs a program. Its arguments say whether it draws through OpenGL;
-/// our own renderer needs nothing installed.
+/// Builds and runs a program. Installs the OpenGL libraries if its arguments select that renderer;
+/// the software renderer needs none.
 pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
     setup::run(root)?;
     if draws_through_opengl(name, arguments) {
@@ -225,7 +225,7 @@ fn draws_through_opengl(name: &str, arguments: &[String]) -> bool {
     }
 }
 
-/// Takes the pictures of the live page that the documentation shows.
+/// Takes the screenshots of the live page for the documentation.
 pub(crate) fn screenshots(root: &Path) -> Result<()> {
     setup::run(root)?;
     step("browser", setup::browser)?;
@@ -240,7 +240,7 @@ pub(crate) fn screenshots(root: &Path) -> Result<()> {
     run_command(&mut program)
 }
 
-/// Measures how long the statistics take, which needs no simulator.
+/// Runs the benchmark of the statistics, which needs no simulator.
 pub(crate) fn bench_report(root: &Path, release: bool) -> Result<()> {
     let mut program = cargo(root);
     program.args([

@@ -1,4 +1,4 @@
-//! The policy server in TypeScript, which shows that any language will do.
+//! Builds the policy server in TypeScript, the example of a server in another language.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -8,12 +8,11 @@ use anyhow::{Context, Result};
 use crate::process::capture;
 use crate::step::step;
 
-/// Written into the folder of packages once all are there; holds the lock file
-/// that they were installed from.
+/// Written into a complete folder of packages; holds the lock file that they were installed from.
 const STAMP: &str = "node_modules/.installed-from";
 
-/// Builds the server and returns the program for `node` to run; none where npm
-/// is not installed, and then the tests that need it are skipped by name.
+/// Builds the server and returns the script for `node`; `None` if npm is not installed, in which
+/// case its tests are skipped by name.
 pub(crate) fn build(root: &Path) -> Result<Option<PathBuf>> {
     let folder = root.join("policies/typescript");
     if capture(Command::new("npm").arg("--version")).is_err() {
@@ -37,7 +36,7 @@ fn install(folder: &Path) -> Result<&'static str> {
     if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == lock) {
         return Ok("already there");
     }
-    // Nothing that a package brings is run while it is installed.
+    // Install scripts of packages are disabled.
     capture(npm(folder).args(["ci", "--ignore-scripts", "--no-audit", "--no-fund"]))?;
     std::fs::write(&stamp, lock).with_context(|| format!("write {}", stamp.display()))?;
     Ok("installed")

@@ -1,4 +1,4 @@
-//! Python environments of our own.
+//! Creates Python virtual environments.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,13 +7,13 @@ use anyhow::{Context, Result};
 
 use crate::process::capture;
 
-/// Written into an environment once all is there; holds what was wanted.
+/// Written into a complete environment; holds the list of its packages.
 const STAMP: &str = "installed.txt";
 
-/// A virtual environment with these packages, made unless it is there.
+/// Creates a virtual environment with these packages, unless it exists.
 ///
 /// # Errors
-/// If they cannot be had.
+/// If the packages cannot be installed.
 pub(crate) fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str> {
     let wanted = packages.join("\n");
     let stamp = dir.join(STAMP);
@@ -27,10 +27,10 @@ pub(crate) fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str>
     Ok("installed")
 }
 
-/// An empty virtual environment, whatever was there.
+/// Creates an empty virtual environment, replacing an existing one.
 ///
 /// # Errors
-/// If it cannot be made.
+/// If the environment cannot be created.
 pub(crate) fn new_environment(dir: &Path) -> Result<()> {
     let mut venv = Command::new("python3");
     capture(venv.args(["-m", "venv", "--clear"]).arg(dir))
@@ -38,7 +38,7 @@ pub(crate) fn new_environment(dir: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Its pip, to install.
+/// Returns the environment's `pip install` command.
 pub(crate) fn pip(dir: &Path) -> Command {
     let mut pip = Command::new(dir.join("bin/python"));
     pip.args(["-m", "pip", "install", "--quiet"]);

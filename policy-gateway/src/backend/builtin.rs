@@ -1,5 +1,5 @@
-//! The back-end of the policies that run inside the gateway: one instance per
-//! session, asked in order if it is stateful.
+//! Back-end of the policies that run inside the gateway: one instance per session, queried in
+//! order if the policy is stateful.
 
 use std::{
     fmt,
@@ -18,13 +18,13 @@ use crate::{
 
 /// A built-in policy and its sessions.
 pub struct BuiltinBackend {
-    /// Name of the policy, as in its route.
+    /// Name of the policy, as written in its route.
     name: String,
     policy: Policy,
     sessions: Mutex<SessionTable<Arc<Mutex<Instance>>>>,
 }
 
-/// One session's instance.
+/// Instance of the policy for one session.
 struct Instance {
     policy: Box<dyn BuiltinPolicy>,
     next_query: u32,
@@ -61,7 +61,7 @@ fn panicked(when: &str) -> BackendError {
 }
 
 impl BuiltinBackend {
-    /// A back-end without sessions.
+    /// Creates a back-end without sessions.
     pub(crate) fn new(name: String, policy: Policy) -> Self {
         Self {
             name,
@@ -97,11 +97,11 @@ impl Backend for BuiltinBackend {
             .episode(&request.session)
             .ok_or(BackendError::SessionLost)?;
         let stateful = self.policy.described.stateful;
-        // Dropped with this call, so that a query that nobody awaits never begins.
+        // The set aborts its task when dropped, so that a query without a caller never starts.
         let mut answering = JoinSet::new();
         answering.spawn_blocking(move || {
-            // Only a panic inside the policy poisons the lock, and then what the
-            // instance remembers is not to be trusted.
+            // Only a panic inside the policy poisons the lock; the instance's state is then
+            // unreliable.
             let mut episode = episode
                 .lock()
                 .map_err(|_| panicked("at an earlier query"))?;

@@ -1,7 +1,6 @@
-//! The back-end of policy servers elsewhere that speak `rollout.policy.v1`,
-//! other gateways included. Responsible for the connection, which is made at the
-//! first query and made again when it broke. Deadlines, back-off and what a
-//! server answers are the replica's business.
+//! Back-end of remote policy servers that speak `rollout.policy.v1`, including other gateways.
+//! Opens the connection at the first query and reopens a broken one. Deadlines, back-off and
+//! checks of the answers belong to the replica.
 
 use std::{fmt, str::FromStr, time::Duration};
 
@@ -18,19 +17,18 @@ use crate::http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
 
 /// Longest wait for a connection.
 pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
-/// Time until the kernel starts to probe an idle connection, to notice a host
-/// that vanished.
+/// Idle time before the kernel probes a connection, which detects a host that vanished.
 const TCP_KEEPALIVE: Duration = Duration::from_secs(15);
 
-/// Address of a policy server, with the name of one of its policies:
-/// `grpc://HOST:PORT`, or `https://HOST:PORT` over TLS, followed by `/POLICY`.
+/// Address of a policy server and the name of one of its policies: `grpc://HOST:PORT`, or
+/// `https://HOST:PORT` over TLS, with `/POLICY` appended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GrpcAddress {
     /// `host:port`.
     pub authority: String,
-    /// Name of the policy; empty selects the only one there.
+    /// Name of the policy; empty selects the server's only one.
     pub policy: String,
-    /// Over TLS.
+    /// True for TLS.
     pub encrypted: bool,
 }
 
@@ -93,7 +91,7 @@ impl fmt::Display for GrpcAddress {
     }
 }
 
-/// The text is not an address.
+/// The text is not a valid address.
 #[derive(Debug, Error)]
 #[error(
     "read {text:?} as a policy server's address: write grpc://HOST:PORT or \
@@ -104,7 +102,7 @@ pub struct AddressError {
     pub text: String,
 }
 
-/// A policy server elsewhere.
+/// Remote policy server.
 #[derive(Debug)]
 pub struct GrpcBackend {
     address: GrpcAddress,
@@ -113,10 +111,10 @@ pub struct GrpcBackend {
 }
 
 impl GrpcBackend {
-    /// A back-end at an address's endpoint that has not connected yet.
+    /// Creates a back-end for an address's endpoint, without connecting.
     ///
     /// # Errors
-    /// If the endpoint cannot be called over TLS.
+    /// If TLS cannot be set up for the endpoint.
     pub fn new(
         address: GrpcAddress,
         endpoint: Endpoint,
@@ -133,7 +131,7 @@ impl GrpcBackend {
         })
     }
 
-    /// Makes one call, and tells its two kinds of failure apart.
+    /// Makes one call, and tells an unreachable server from an answer with an error.
     async fn call<T>(
         &self,
         call: impl Future<Output = Result<Response<T>, Status>>,
@@ -147,7 +145,7 @@ impl GrpcBackend {
     async fn failed(&self, status: Status) -> BackendError {
         let address = self.address.authority.clone();
         match self.peer.trouble(&status).await {
-            // An answer of the policy's, and the policy is to blame.
+            // An older server did answer, so its policy is at fault, not the connection.
             Some(trouble) if trouble.found == Found::Older => BackendError::Refused {
                 address,
                 status: Box::new(Status::new(status.code(), trouble.to_string())),
@@ -195,7 +193,7 @@ impl Backend for GrpcBackend {
             policy: self.address.policy.clone(),
             session: session.to_owned(),
         };
-        // Servers of the first release know no such call.
+        // Servers of the first release do not implement `End`.
         if let Err(status) = self.client.clone().end(request).await {
             tracing::debug!(backend = %self, "end of session {session:?}: {status}");
         }

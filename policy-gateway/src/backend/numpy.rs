@@ -1,42 +1,42 @@
-//! Arrays of NumPy in msgpack messages, as the servers of openpi and vla-eval
-//! write and read them: a map of `__ndarray__`, `data`, `dtype` and `shape`. Pure.
+//! NumPy arrays in msgpack messages, in the form of openpi's and vla-eval's servers: a map of
+//! `__ndarray__`, `data`, `dtype` and `shape`. Pure functions.
 
 use rmpv::{Value, ValueRef, decode::read_value_ref, encode::write_value};
 use thiserror::Error;
 
-/// Type of the keys in an array's map.
+/// Type of the keys in an encoded array.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Keys {
-    /// Bytes, as openpi writes them.
+    /// Byte strings, as in openpi.
     Bytes,
-    /// Text, as vla-eval does.
+    /// Text, as in vla-eval.
     Text,
 }
 
-/// Numbers in rows.
+/// Array of 32-bit floats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Array {
-    /// Sides.
+    /// Length of each dimension.
     pub shape: Vec<usize>,
-    /// Numbers row after row, as many as the product of the sides.
+    /// Elements in row-major order.
     pub numbers: Vec<f32>,
 }
 
-/// Reason for which a value is no array of numbers. Reads after "its actions".
+/// Reason why a value is not an array of numbers. Reads after "its actions".
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ArrayError {
-    /// Something else.
+    /// The value is not an array.
     #[error("its actions are no array of numbers")]
     None,
-    /// Numbers of a kind that no policy answers.
+    /// The array's element type is not supported.
     #[error("its actions have dtype {dtype:?}, not <f4 or <f8")]
     Dtype {
-        /// Type as NumPy writes it.
+        /// Element type in NumPy's notation.
         dtype: String,
     },
 }
 
-/// An array to send.
+/// Encodes an array.
 pub(super) fn array(keys: Keys, dtype: &str, shape: &[usize], data: Vec<u8>) -> Value {
     let shape = shape.iter().map(|&it| Value::from(it)).collect();
     let entries = [
@@ -52,27 +52,27 @@ pub(super) fn array(keys: Keys, dtype: &str, shape: &[usize], data: Vec<u8>) -> 
     Value::Map(entries.map(|(name, value)| (key(name), value)).into())
 }
 
-/// A map with keys of text.
+/// Builds a map with text keys.
 pub(super) fn map<const N: usize>(entries: [(&str, Value); N]) -> Value {
     Value::Map(entries.map(|(key, value)| (Value::from(key), value)).into())
 }
 
-/// A message's bytes.
+/// Encodes a message.
 pub(super) fn written(message: &Value) -> Vec<u8> {
     let mut bytes = vec![];
     write_value(&mut bytes, message).expect("a vector takes every byte");
     bytes
 }
 
-/// A message, if the bytes are one.
+/// Decodes a message; `None` if the bytes are not valid msgpack.
 pub(super) fn read(bytes: &[u8]) -> Option<ValueRef<'_>> {
     read_value_ref(&mut &*bytes).ok()
 }
 
-/// Reads an array of floating-point numbers.
+/// Decodes an array of floating-point numbers.
 ///
 /// # Errors
-/// If the value is no array of floating-point numbers.
+/// If the value is not an array of floating-point numbers.
 pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
     let shape = lookup(value, "shape").and_then(as_shape);
     let dtype = lookup(value, "dtype").and_then(as_text);
@@ -109,7 +109,7 @@ fn whole<const N: usize>(data: &[u8]) -> Option<&[[u8; N]]> {
     Some(numbers)
 }
 
-/// The entry of a map under a key of text or, as in openpi's arrays, of bytes.
+/// Returns the entry of a map under a text key or, as in openpi's arrays, a byte-string key.
 pub(super) fn lookup<'a, 'b>(map: &'b ValueRef<'a>, key: &str) -> Option<&'b ValueRef<'a>> {
     let ValueRef::Map(entries) = map else {
         return None;

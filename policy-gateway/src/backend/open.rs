@@ -1,4 +1,4 @@
-//! From what a configuration names to what can be asked.
+//! Creates back-ends from their specifications.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use crate::{
     config::{BackendSpec, UnusableBackend},
 };
 
-/// The back-end that a specification names. Nothing is connected yet.
+/// Creates the back-end of a specification, without connecting.
 ///
 /// # Errors
 /// See [`UnusableBackend`].

@@ -1,12 +1,10 @@
-//! The back-end of openpi's own policy servers, unmodified: a π0.5 server that
-//! speaks msgpack over WebSocket. Responsible for being what openpi's LIBERO
-//! client is to it: what it shows of an observation, and how much of a chunk it
-//! executes; and for the connections. [`frame`] turns and shrinks frames,
-//! [`codec`] writes and reads messages.
+//! Back-end of unmodified openpi policy servers: a π0.5 server that speaks msgpack over WebSocket.
+//! Acts like openpi's LIBERO client: sends the same part of an observation, and executes as many
+//! actions of a chunk; and manages the connections. [`frame`] resizes frames, [`codec`] encodes
+//! and decodes messages.
 //!
-//! Such a server keeps nothing between queries, does not say which checkpoint it
-//! serves, and draws its noise from one stream that no seed reaches. The
-//! description says so.
+//! Such a server keeps no state between queries, does not name its checkpoint, and draws its noise
+//! from a single stream that cannot be seeded. The description declares all three.
 
 use std::{
     fmt,
@@ -33,23 +31,23 @@ mod address;
 pub mod codec;
 pub mod frame;
 
-/// Characters of a server's traceback that are quoted: its end names the error.
+/// Longest quoted part of a server's traceback, characters, from its end, which names the error.
 const TOLD_CHARS: usize = 600;
-/// Readings, end to end the eight numbers of its state.
+/// Robot readings that form the eight numbers of the server's state, in order.
 const STATE: [StateField; 3] = [
     StateField::EefPos,
     StateField::EefAxisAngle,
     StateField::GripperPos,
 ];
-/// Connections, and queries at the server, at once: it computes one after the
-/// other, and meanwhile the next one travels.
+/// Connections, and concurrent queries, per server: the server computes one query while the next
+/// one is in transit.
 pub const MAX_CONNECTIONS: usize = 2;
 
-/// An openpi server.
+/// Connection pool and sessions of an openpi server.
 pub struct OpenpiBackend {
     address: OpenpiAddress,
     server: Server,
-    /// The instruction of every session: it goes with every query.
+    /// Instruction of every session, which is sent with every query.
     prompts: Mutex<SessionTable<String>>,
     turns: Semaphore,
     /// Idle connections.
@@ -57,13 +55,13 @@ pub struct OpenpiBackend {
 }
 
 impl OpenpiBackend {
-    /// A back-end that has not connected yet.
+    /// Creates a back-end without connecting.
     ///
     /// # Errors
     /// If the address is invalid.
     pub fn new(address: OpenpiAddress, access: Access) -> Result<Self, OpenpiAddressError> {
         let schemes = ["ws://", "wss://"];
-        // As openpi's client shows its key.
+        // openpi's client sends its key with this scheme.
         let server = Server::new(
             address.place.clone(),
             access,
@@ -83,11 +81,11 @@ impl OpenpiBackend {
     }
 
     async fn turn(&self) -> Option<SemaphorePermit<'_>> {
-        // Never closed.
+        // The semaphore is never closed.
         self.turns.acquire().await.ok()
     }
 
-    /// Connects, and reads the metadata that such a server sends first.
+    /// Connects, and reads the metadata that the server sends first.
     async fn connect(&self) -> Result<(Connection, Vec<u8>), BackendError> {
         let (connection, metadata) = self.server.connect(None).await?;
         Ok((connection, answered(metadata)?))
@@ -101,14 +99,14 @@ impl OpenpiBackend {
         self.prompts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Asks one question. A caller that stops waiting takes the connection along,
-    /// so that no other gets its answer.
+    /// Sends one query. If the caller stops waiting, the connection is dropped, so that no other
+    /// caller gets its answer.
     async fn ask(&self, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
         let _turn = self.turn().await;
         let idle = self.idle().pop();
         if let Some(mut connection) = idle {
             match ask(&mut connection, message.clone()).await {
-                // The server restarted since; it keeps nothing that could be lost.
+                // The server restarted meanwhile; it keeps no state that could be lost.
                 Err(BackendError::Unreachable { .. }) => self.idle().clear(),
                 answer => return self.keep(connection, answer),
             }
@@ -118,7 +116,7 @@ impl OpenpiBackend {
         self.keep(connection, answer)
     }
 
-    /// After an error the server closes the connection.
+    /// Keeps a connection for reuse, unless an error occurred, after which the server closes it.
     fn keep<T>(
         &self,
         connection: Connection,
@@ -135,8 +133,8 @@ impl OpenpiBackend {
 impl Backend for OpenpiBackend {
     async fn describe(&self, _suite: &str) -> Result<DescribeResponse, BackendError> {
         let _turn = self.turn().await;
-        // A new connection each time: only that shows whether it is the same
-        // server still. The metadata are the first thing that it says.
+        // Opens a new connection each time, because a server sends its metadata only at the start;
+        // they show whether it is still the same server.
         let (connection, metadata) = self.connect().await?;
         let described = describe(&self.address, &metadata);
         let mut idle = self.idle();
@@ -176,8 +174,8 @@ async fn ask(connection: &mut Connection, message: Vec<u8>) -> Result<Vec<u8>, B
     answered(connection.receive().await?)
 }
 
-/// Returns the answer's bytes. A server sends its exception as text, then
-/// closes the connection.
+/// Returns the answer's bytes. A server that raised an exception sends it as text and closes the
+/// connection.
 fn answered(received: Received) -> Result<Vec<u8>, BackendError> {
     match received {
         Received::Binary(bytes) => Ok(bytes),
@@ -193,8 +191,8 @@ fn last_chars(text: &str) -> String {
     text.chars().skip(skipped).collect()
 }
 
-/// Describes any such server. Its metadata are whatever its training
-/// configuration says; replicas must say the same.
+/// Describes an openpi server. Its metadata depend on its training configuration, and must be the
+/// same for all replicas.
 fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
     let digest = Sha256::digest(metadata);
     let digest: String = digest[..8].iter().map(|it| format!("{it:02x}")).collect();
@@ -218,7 +216,7 @@ fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
     }
 }
 
-/// An observation as openpi's LIBERO client shows it.
+/// Encodes an observation as openpi's LIBERO client does.
 fn question(request: &InferRequest, prompt: &str) -> Result<Vec<u8>, String> {
     let observation = request.observation.as_ref();
     let frame = |camera: &str| {
@@ -240,7 +238,7 @@ fn question(request: &InferRequest, prompt: &str) -> Result<Vec<u8>, String> {
     }))
 }
 
-/// The actions that are executed.
+/// Returns the actions of a chunk that are executed.
 fn first_actions(chunk: &codec::Chunk, execute: u32) -> Result<InferResponse, String> {
     let [count, width] = chunk.shape;
     if count < execute as usize {
@@ -249,7 +247,7 @@ fn first_actions(chunk: &codec::Chunk, execute: u32) -> Result<InferResponse, St
              ?execute={count} behind its address, or serve a checkpoint with longer chunks"
         ));
     }
-    // Another width is refused, and named, where all answers are checked.
+    // An invalid width is refused later, by the checks of all answers.
     let numbers = chunk.numbers[..execute as usize * width].to_vec();
     Ok(InferResponse {
         actions: numbers,

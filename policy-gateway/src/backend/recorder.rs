@@ -1,6 +1,5 @@
-//! A back-end that records what another one is asked and answers. Responsible
-//! for when a recording begins and ends, and for how much is written; a session
-//! whose recording fails goes on without it.
+//! Back-end that records the queries and answers of another one. Decides when a recording starts
+//! and ends, and limits its size; a session whose recording fails continues unrecorded.
 
 use std::{
     collections::HashMap,
@@ -15,25 +14,24 @@ use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest}
 use super::{Backend, BackendError};
 use crate::recording::{Pair, Writer};
 
-/// After so long without a query a session has ended, if nobody said so before.
+/// Time without a query after which a session counts as ended.
 pub const ENDED_AFTER: Duration = Duration::from_secs(120);
-/// Bytes written by default: four hundred sessions of a hundred
-/// observations.
+/// Default limit of written bytes: about 400 sessions of 100 observations.
 pub const DEFAULT_MAX_BYTES: u64 = 16 << 30;
 
-/// Destination of recordings.
+/// Destination and limit of recordings.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordInto {
     /// An existing folder.
     pub folder: PathBuf,
-    /// Bytes that may be written.
+    /// Limit of written bytes.
     pub max_bytes: u64,
 }
 
-/// A back-end and the folder of its recordings.
+/// Back-end that is recorded, with the open recordings.
 pub struct Recorder {
     inner: Arc<dyn Backend>,
-    /// Shared with the threads that write.
+    /// Open recordings, shared with the blocking threads that write them.
     shared: Arc<Mutex<Open>>,
 }
 
@@ -45,7 +43,7 @@ struct Open {
 }
 
 impl Recorder {
-    /// Records what `inner` does.
+    /// Creates a recorder around `inner`.
     pub fn new(inner: Arc<dyn Backend>, into: RecordInto) -> Self {
         let RecordInto { folder, max_bytes } = into;
         Self {
@@ -59,7 +57,7 @@ impl Recorder {
         }
     }
 
-    /// Writes without holding up the other sessions' answers.
+    /// Runs `writing` on a blocking thread, so that other sessions are not delayed.
     async fn write(&self, writing: impl FnOnce(&mut Open) + Send + 'static) {
         let shared = Arc::clone(&self.shared);
         let written = tokio::task::spawn_blocking(move || {

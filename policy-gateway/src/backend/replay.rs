@@ -1,9 +1,9 @@
-//! A back-end that answers from recordings: the same observation of the same
-//! episode gets the recorded actions, and one that differs is named, with the
-//! first thing in which it does. Nothing is computed, and no server is needed.
+//! Back-end that answers from recordings: an observation that equals the recorded one of the same
+//! episode gets the recorded actions. For any other, the error names the first difference. It
+//! needs neither computation nor a server.
 //!
-//! An episode is known by its suite, instruction and seed; of several recordings
-//! of it, the one answers that has the observation of this query.
+//! An episode is identified by suite, instruction and seed. Of several recordings of an episode,
+//! the one with the query's observation answers.
 
 use std::{
     fmt,
@@ -24,7 +24,7 @@ use crate::{
     sessions::{MAX_SESSIONS, SessionTable},
 };
 
-/// Batch mode in the results of a replayed policy.
+/// Batch mode in the provenance of replayed results.
 const BATCH_MODE: &str = "replayed from a recording";
 
 /// Recordings of one policy.
@@ -35,7 +35,7 @@ pub struct Replay {
     sessions: Mutex<SessionTable<Arc<Vec<RecordedEpisode>>>>,
 }
 
-/// A recording of an episode, without its frames.
+/// Recording of an episode, with digests in place of the observations.
 struct RecordedEpisode {
     path: PathBuf,
     steps: Vec<Step>,
@@ -51,7 +51,7 @@ impl Replay {
     /// Opens the recordings of a folder.
     ///
     /// # Errors
-    /// If there are no recordings, one is damaged, or they are of two policies.
+    /// If there are no recordings, one is damaged, or they are of different policies.
     pub fn open(folder: &Path) -> Result<Self, RecordingError> {
         let mut described: Option<(PathBuf, DescribeResponse)> = None;
         let mut recorded = vec![];
@@ -70,7 +70,7 @@ impl Replay {
         }
         let (_, mut described) = described.unwrap_or_default();
         described.batch_mode = BATCH_MODE.to_owned();
-        // Recordings answer one by one as fast as in a batch.
+        // Batches would not make recordings any faster.
         described.max_batch = 1;
         Ok(Self {
             folder: folder.to_owned(),
@@ -152,7 +152,7 @@ impl RecordedEpisode {
         Ok(Self { path, steps })
     }
 
-    /// Returns the recorded answer to the observation of this digest.
+    /// Returns the recorded answer if the recorded observation has this digest.
     fn answer(&self, query_index: u32, shown: [u8; 32]) -> Option<&InferResponse> {
         let step = self.steps.iter().find(|it| it.query_index == query_index)?;
         (step.digest == shown).then_some(&step.answer)

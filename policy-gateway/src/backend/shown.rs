@@ -1,12 +1,12 @@
-//! Observations for servers of other protocols: frames turned upright, and
-//! robot readings.
+//! Prepares observations for servers of other protocols: rotates frames and extracts robot
+//! readings.
 
 use proto::policy::{CameraRequest, Observation, StateField};
 
-/// Side of the frames asked for, pixels: LIBERO's.
+/// Side of the requested frames, pixels, as in LIBERO.
 pub(super) const FRAME_SIDE: u32 = 256;
 
-/// The frames that are asked for of a camera.
+/// Requests a camera's frames.
 pub(super) fn camera(name: &str) -> CameraRequest {
     CameraRequest {
         name: name.to_owned(),
@@ -15,12 +15,12 @@ pub(super) fn camera(name: &str) -> CameraRequest {
     }
 }
 
-/// A camera's frame, RGB of [`FRAME_SIDE`]² pixels, turned by 180°: the
-/// simulator's row 0 is the BOTTOM of the picture, and LIBERO's checkpoints were
-/// trained on what is upright and mirrored.
+/// Returns a camera's frame, RGB of [`FRAME_SIDE`]² pixels, rotated by 180°: the simulator's row 0
+/// is the bottom of the picture, and LIBERO's checkpoints were trained on frames that are upright
+/// and mirrored.
 ///
 /// # Errors
-/// If there is no frame of that size.
+/// If the observation has no such frame of that size.
 pub(super) fn frame(observation: Option<&Observation>, camera: &str) -> Result<Vec<u8>, String> {
     let mut frames = observation.iter().flat_map(|it| &it.images);
     let frame = frames
@@ -31,15 +31,15 @@ pub(super) fn frame(observation: Option<&Observation>, camera: &str) -> Result<V
     Ok(turned(&frame.rgb))
 }
 
-/// A frame turned by 180°.
+/// Rotates a frame by 180°.
 pub(super) fn turned(rgb: &[u8]) -> Vec<u8> {
     rgb.rchunks_exact(3).flatten().copied().collect()
 }
 
-/// A reading of `N` numbers.
+/// Returns a reading of `N` numbers.
 ///
 /// # Errors
-/// If there is no reading of so many numbers.
+/// If the observation lacks the reading, or it has another length.
 pub(super) fn reading<const N: usize>(
     observation: Option<&Observation>,
     field: StateField,

@@ -1,12 +1,10 @@
-//! The back-end of vla-eval's model servers, unmodified, which speak msgpack over
-//! WebSocket. Responsible for being what vla-eval's LIBERO benchmark is to them:
-//! the order of messages, what is shown of an observation, and what is done with
-//! the actions; and for the connections. [`hello`] settles what is shown,
-//! [`state`] and [`image`] compute it, [`message`] writes and reads.
+//! Back-end of unmodified vla-eval model servers, which speak msgpack over WebSocket. Acts like
+//! vla-eval's LIBERO benchmark: in the order of messages, the observations sent, and the use of
+//! the actions; and manages the connections. [`hello`] negotiates the observations, [`state`] and
+//! [`image`] compute them, [`message`] encodes and decodes.
 //!
-//! To such a server a connection is a session: it keeps chunks, histories and
-//! ensembles by it. So every episode has a connection of its own, which ends with
-//! it.
+//! Such a server identifies a session with a connection, which holds its chunks, histories and
+//! ensembles. So every episode has its own connection, which is closed with it.
 
 use std::{
     fmt,
@@ -43,20 +41,20 @@ mod image;
 mod message;
 mod state;
 
-/// Episodes at one server at once, each of which has a connection; for one more
-/// the one idle for longest is given up.
+/// Concurrent episodes per server, each with a connection; one more replaces the one that was idle
+/// longest.
 pub const MAX_EPISODES: usize = 512;
-/// After so long without a query an episode has ended, if nobody said so before.
+/// Time without a query after which an episode counts as ended.
 pub const ENDED_AFTER: Duration = Duration::from_secs(600);
-/// Connections that are kept for episodes to come.
+/// Idle connections kept for future episodes.
 const MAX_IDLE: usize = 8;
 
-/// A vla-eval model server.
+/// Connections and episodes of a vla-eval model server.
 pub struct VlaEvalBackend {
     address: VlaEvalAddress,
     server: Server,
     episodes: Mutex<SessionTable<Open>>,
-    /// Connections that greeted and had no episode yet.
+    /// Connections after their HELLO, without an episode so far.
     idle: Mutex<Vec<Link>>,
 }
 
@@ -67,28 +65,28 @@ struct Open {
 
 struct Episode {
     instruction: String,
-    /// None while a query is under way, and once the connection is lost. A caller
-    /// that stops waiting takes it along, so that no later query gets its answer.
+    /// `None` during a query, and after the connection is lost. A caller that stops waiting drops
+    /// the connection, so that no later query gets its answer.
     link: tokio::sync::Mutex<Option<Link>>,
 }
 
-/// A connection and what was agreed on it.
+/// Connection with its negotiated terms.
 struct Link {
     connection: Connection,
     terms: Terms,
-    /// Messages sent.
+    /// Number of messages sent.
     sent: u64,
     next_query: u32,
 }
 
 impl VlaEvalBackend {
-    /// A back-end that has not connected yet.
+    /// Creates a back-end without connecting.
     ///
     /// # Errors
     /// If the address is invalid.
     pub fn new(address: VlaEvalAddress, access: Access) -> Result<Self, VlaEvalAddressError> {
         let schemes = ["vla-eval://", "vla-evals://"];
-        // The protocol has no tokens; what stands before a server may.
+        // The protocol has no tokens, but a proxy in front of the server may require one.
         let server = Server::new(
             address.place.clone(),
             access,
@@ -140,13 +138,13 @@ impl VlaEvalBackend {
         }
     }
 
-    /// A connection that nobody has used.
+    /// Returns a connection without an episode.
     async fn fresh(&self) -> Result<Link, BackendError> {
         loop {
             let Some(mut link) = self.idle().pop() else {
                 return self.connect().await;
             };
-            // Else the server restarted since.
+            // A closed connection means that the server restarted.
             if link.connection.is_idle() {
                 return Ok(link);
             }
@@ -169,7 +167,7 @@ impl Link {
         self.connection.send(message).await
     }
 
-    /// Asks one question.
+    /// Sends one query.
     ///
     /// # Errors
     /// If the connection is lost.
@@ -190,8 +188,8 @@ impl Link {
 #[tonic::async_trait]
 impl Backend for VlaEvalBackend {
     async fn describe(&self, _suite: &str) -> Result<DescribeResponse, BackendError> {
-        // A new connection each time: only that shows whether it is the same
-        // server still.
+        // Opens a new connection each time, because HELLO shows whether it is still the same
+        // server.
         let link = self.connect().await?;
         let described = link.terms.described.clone();
         let mut idle = self.idle();
@@ -236,8 +234,7 @@ impl Backend for VlaEvalBackend {
         };
         let link = open.episode.link.lock().await.take();
         let Some(mut link) = link else { return };
-        // How it ended is not known here; where vla-eval does not know it either,
-        // it says this.
+        // The outcome is unknown here; vla-eval sends an empty map in that case, too.
         if link.send(Kind::EpisodeEnd, map([])).await.is_ok() {
             link.connection.close().await;
         }
@@ -260,7 +257,7 @@ impl Backend for VlaEvalBackend {
         let execute = self.address.execute;
         let format = self.address.image_format;
         let (terms, instruction) = (link.terms.clone(), episode.instruction.clone());
-        // Milliseconds of compression.
+        // Compression takes milliseconds, so it runs on a blocking thread.
         let shown = tokio::task::spawn_blocking(move || {
             observation(request.observation.as_ref(), &terms, format, &instruction)
         });
@@ -287,7 +284,7 @@ impl fmt::Display for VlaEvalBackend {
     }
 }
 
-/// An observation as vla-eval's LIBERO benchmark shows it.
+/// Encodes an observation as vla-eval's LIBERO benchmark does.
 fn observation(
     observation: Option<&Observation>,
     terms: &Terms,
@@ -326,7 +323,7 @@ fn observation(
     Ok(Value::Map(entries))
 }
 
-/// Seconds since 1970.
+/// Returns the seconds since 1970.
 #[allow(
     clippy::disallowed_methods,
     reason = "a stamp for the server's logs, which decides nothing"

@@ -1,6 +1,5 @@
-//! WebSocket connections to policy servers that speak another protocol than
-//! ours. Responsible for the way there (TCP, TLS, token, handshake), and for
-//! naming what is there instead; what the messages say is their back-end's.
+//! WebSocket connections to policy servers of other protocols: TCP, TLS, token, handshake, and a
+//! diagnosis of failures. The back-ends interpret the messages.
 
 use std::time::Duration;
 
@@ -21,16 +20,15 @@ use transport::{Access, Found, Peer, ServerKind, Settings};
 
 use crate::backend::{BackendError, SETTINGS, grpc::CONNECT_TIMEOUT};
 
-/// Longest time that a server may take for handshake and first message: it may
-/// send none while it computes.
+/// Longest wait for handshake and first message: a server may not answer while it computes.
 const GREETING_WITHIN: Duration = Duration::from_secs(30);
 
-/// Schemes of the addresses of a kind of server.
+/// URL schemes of a kind of server.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schemes {
-    /// Without TLS, such as `ws`.
+    /// Scheme without TLS, such as `ws`.
     pub(super) clear: &'static str,
-    /// With TLS, such as `wss`.
+    /// Scheme with TLS, such as `wss`.
     pub(super) encrypted: &'static str,
 }
 
@@ -39,12 +37,12 @@ pub(super) struct Schemes {
 pub struct Place {
     /// `host:port`.
     pub authority: String,
-    /// Over TLS.
+    /// True for TLS.
     pub encrypted: bool,
 }
 
 impl Place {
-    /// Reads `SCHEME://HOST:PORT`, with nothing behind it but perhaps a query.
+    /// Parses `SCHEME://HOST:PORT`, optionally with a query but without a path.
     pub(super) fn read(uri: &Uri, schemes: Schemes) -> Option<Self> {
         let encrypted = match uri.scheme_str()? {
             scheme if scheme == schemes.clear => false,
@@ -60,7 +58,7 @@ impl Place {
         })
     }
 
-    /// Returns the address as it is written in a route.
+    /// Formats the address as written in a route.
     pub(super) fn text(&self, schemes: Schemes) -> String {
         let scheme = if self.encrypted {
             schemes.encrypted
@@ -76,7 +74,7 @@ impl Place {
     }
 }
 
-/// A server, and how to get into it.
+/// Address of a server, with the credentials for it.
 pub(super) struct Server {
     place: Place,
     access: Access,
@@ -86,9 +84,8 @@ pub(super) struct Server {
 }
 
 impl Server {
-    /// A server of this kind that has not been connected to yet. `clear` and
-    /// `encrypted` are how its addresses begin, with `://`. None when the place
-    /// is none.
+    /// Creates a server without connecting. `clear` and `encrypted` are its URL prefixes, with
+    /// `://`. Returns `None` if the place is not a valid URI.
     pub(super) fn new(
         place: Place,
         access: Access,
@@ -110,13 +107,12 @@ impl Server {
         })
     }
 
-    /// `host:port`.
+    /// Returns `host:port`.
     pub(super) fn authority(&self) -> &str {
         &self.place.authority
     }
 
-    /// Connects, sends `first` if there is something to send, and waits for the
-    /// server's first message.
+    /// Connects, sends `first` if given, and waits for the server's first message.
     pub(super) async fn connect(
         &self,
         first: Option<Vec<u8>>,
@@ -189,8 +185,7 @@ impl Server {
         }
     }
 
-    /// Returns the error for a server that is absent, with the service found at
-    /// its address.
+    /// Returns the error for a server that cannot be reached, with a diagnosis of its address.
     async fn absent(&self) -> BackendError {
         BackendError::Unreachable {
             address: self.place.authority.clone(),
@@ -242,13 +237,12 @@ impl Connection {
         }
     }
 
-    /// Returns true if the server has neither closed the connection nor said
-    /// anything unasked.
+    /// Returns true if the server has neither closed the connection nor sent a message.
     pub(super) fn is_idle(&mut self) -> bool {
         self.socket.next().now_or_never().is_none()
     }
 
-    /// Says goodbye, whether or not somebody is there to hear it.
+    /// Closes the connection; ignores errors.
     pub(super) async fn close(mut self) {
         let _ = self.socket.close(None).await;
     }

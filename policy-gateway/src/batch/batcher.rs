@@ -1,7 +1,6 @@
-//! Sends batches to one server: a task takes queries from the queue, and every
-//! query gets its own answer back. Responsible for ending a batch whose server is
-//! silent, or that nobody waits for any more; which queries may be asked at all is the
-//! replica's business.
+//! Sends batches to one server: a task takes queries from the queue and distributes the answers.
+//! Ends a batch if its server is silent or nobody waits for it any more. The replica decides which
+//! queries may be sent at all.
 
 use std::{
     sync::{
@@ -23,10 +22,10 @@ use crate::{
     pace::{Silent, Watch},
 };
 
-/// A queue of queries and the task that empties it, which ends with this.
+/// Queue of queries with the task that empties it. Dropping it ends the task.
 pub struct Batcher {
     shared: Arc<Shared>,
-    /// The task, from the first query on.
+    /// The task, which starts with the first query.
     driver: Mutex<JoinSet<()>>,
 }
 
@@ -34,7 +33,7 @@ struct Shared {
     backend: Arc<dyn Backend>,
     watch: Arc<Watch>,
     answer_within: Duration,
-    /// Queries, and the largest batch as last reported.
+    /// Waiting queries, and the largest batch size as last reported.
     queue: Mutex<(Queue<Query>, usize)>,
     changed: Notify,
 }
@@ -46,7 +45,7 @@ struct Query {
 }
 
 impl Batcher {
-    /// Makes a batcher for a back-end, without queries.
+    /// Creates a batcher for a back-end.
     pub fn new(backend: Arc<dyn Backend>, watch: Arc<Watch>, answer_within: Duration) -> Self {
         Self {
             shared: Arc::new(Shared {
@@ -60,11 +59,11 @@ impl Batcher {
         }
     }
 
-    /// Answers one query as part of a batch of at most `size`. It waits for its turn
-    /// for at most `patience`. Dropped, it loses its place.
+    /// Answers one query as part of a batch of at most `size`. Waits for at most `patience` until
+    /// the batch is sent. Dropping the future removes the query from the queue.
     ///
     /// # Errors
-    /// If too many wait already, or its turn does not come; and as [`Backend::infer`].
+    /// If the queue is full, or the batch is not sent in time; otherwise as [`Backend::infer`].
     pub async fn infer(
         &self,
         request: InferRequest,
@@ -101,7 +100,7 @@ impl Batcher {
         answer.unwrap_or(Err(BackendError::BatchLost))
     }
 
-    /// Starts the task if it does not run.
+    /// Starts the task unless it is running.
     fn drive(&self) {
         let mut driver = self.driver.lock().unwrap_or_else(PoisonError::into_inner);
         while driver.try_join_next().is_some() {}
@@ -118,7 +117,7 @@ impl Shared {
 
     fn next(&self) -> Next<Query> {
         let (queue, size) = &mut *self.queue();
-        // A caller that stopped waiting needs no answer and holds no place.
+        // A caller that stopped waiting needs no answer and takes no place in a batch.
         queue.forget(|query| query.answer.is_closed());
         queue.next(*size, Instant::now())
     }
@@ -142,7 +141,7 @@ async fn drive(shared: Arc<Shared>) {
             }
         };
         tokio::select! {
-            // A batch that panicked is done, too; its queries are answered.
+            // A batch whose task panicked counts as done; its callers get `BatchLost`.
             Some(_) = under_way.join_next() => shared.queue().0.done(),
             () = shared.changed.notified() => {}
             () = ripe => {}
@@ -150,8 +149,8 @@ async fn drive(shared: Arc<Shared>) {
     }
 }
 
-/// Sends one batch and passes its answers on. Once nobody waits for any of them, the
-/// call is dropped, so that the server hears of it.
+/// Sends one batch and distributes its answers. Drops the call once no caller waits for an answer,
+/// which cancels the request at the server.
 async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
     let mut requests = Vec::with_capacity(batch.len());
     let mut askers = Vec::with_capacity(batch.len());
@@ -178,7 +177,7 @@ async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
     match answers {
         Ok(Ok(answers)) => {
             for (asker, answer) in askers.into_iter().zip(answers) {
-                // A caller that stopped waiting needs no answer.
+                // The caller may have stopped waiting.
                 drop(asker.send(answer));
             }
         }

@@ -1,5 +1,5 @@
-//! `builtin:expert`: the scripted manipulator behind the policy protocol. It asks
-//! for the simulator's own state, so that every result of it is marked privileged.
+//! `builtin:expert`: the scripted manipulator behind the policy protocol. It requests the
+//! simulator's own state, so all its results are marked privileged.
 
 use libero_ctrl::{Entity, EntityKind, Predicate, Privileged};
 use proto::policy::{self as wire, DescribeResponse, Language, Observation, entity::Kind};
@@ -35,8 +35,10 @@ impl BuiltinPolicy for expert::Expert {
     }
 }
 
+/// Converts the privileged state.
+///
 /// # Errors
-/// Names the field that is of the wrong width.
+/// If a field has the wrong width; the text names the field.
 fn read(state: &wire::PrivilegedState) -> Result<Privileged, String> {
     let joint = |joint: &wire::JointReading| (joint.name.clone(), joint.position);
     let predicate = |goal: &wire::GoalPredicate| Predicate {

@@ -1,4 +1,4 @@
-//! Interface between the gateway and every built-in policy.
+//! Interface between the gateway and the built-in policies.
 
 use proto::policy::{DescribeResponse, Observation, ResetRequest};
 
@@ -13,21 +13,20 @@ pub(crate) struct Policy {
     pub(crate) start: Start,
 }
 
-/// Starts an episode.
+/// Constructor of an episode's instance.
 type Start = Box<dyn Fn(&ResetRequest) -> Box<dyn BuiltinPolicy> + Send + Sync>;
 
-/// One session of it.
+/// Instance of a built-in policy for one session.
 ///
-/// It runs aside from the gateway's own threads: an answer may take some
-/// milliseconds.
+/// Runs on a blocking thread, because an answer may take some milliseconds.
 pub trait BuiltinPolicy: Send {
     /// Answers one observation. Called once per query index: the gateway
     /// answers retries itself. With a policy that declares itself stateful,
     /// queries come in the order 0, 1, 2, ….
     ///
     /// # Errors
-    /// In words, when the observation lacks what the policy asked for or shows
-    /// a scene that it cannot read.
+    /// If the observation lacks a requested input or shows a scene that the policy cannot handle;
+    /// the text says which.
     fn infer(&mut self, query_index: u32, observation: &Observation)
     -> Result<Vec<Action>, String>;
 }

@@ -1,14 +1,14 @@
-//! The policy that does nothing: it stands still with an open gripper. What a
-//! rollout costs without a policy, and the floor of every success rate.
+//! `builtin:noop`: stands still with an open gripper. Measures the cost of a rollout without a
+//! policy, and gives the lower bound of success rates.
 
 use proto::policy::{DescribeResponse, Language, Observation};
 
 use super::instance::{Action, BuiltinPolicy};
 
-/// No motion, gripper open: the action of LIBERO's settling steps.
+/// Zero motion with an open gripper: the action of LIBERO's settling steps.
 pub const NOOP_ACTION: Action = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
 
-/// Answers [`NOOP_ACTION`] to everything.
+/// Answers every query with [`NOOP_ACTION`].
 #[derive(Clone, Copy, Debug)]
 pub struct Noop;
 
@@ -22,7 +22,7 @@ impl BuiltinPolicy for Noop {
     }
 }
 
-/// Looks at nothing, answers one action at a time.
+/// Returns the policy's description: no inputs, one action per query.
 pub fn describe() -> DescribeResponse {
     DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,

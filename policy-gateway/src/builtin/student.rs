@@ -1,6 +1,5 @@
-//! `builtin:student`: a small learned policy that looks through both cameras and reads
-//! its instruction, so that every part of an evaluation can be seen at work without
-//! a checkpoint or a GPU. Not responsible for the network: that is the crate `student`.
+//! `builtin:student`: a small learned policy with both cameras and the instruction as inputs, for
+//! evaluations without a checkpoint or a GPU. The network is in the crate `student`.
 
 use std::{
     path::{Path, PathBuf},
@@ -15,26 +14,26 @@ use thiserror::Error;
 
 use super::instance::{Action, BuiltinPolicy, Policy};
 
-/// Robot readings that the student takes, in this order.
+/// Robot readings that the student takes, in order.
 const STATE: [StateField; 3] = [
     StateField::EefPos,
     StateField::EefRotation,
     StateField::GripperPos,
 ];
 
-/// The weights that the program brings.
+/// Weights that are compiled into the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weights {
-    /// Taught in unperturbed scenes of the built-in assets.
+    /// Trained in unperturbed scenes of the built-in assets.
     Boxes,
-    /// Taught in randomly perturbed scenes of the built-in assets.
+    /// Trained in randomly perturbed scenes of the built-in assets.
     BoxesRandomised,
-    /// Taught in unperturbed scenes of LIBERO's own assets.
+    /// Trained in unperturbed scenes of LIBERO's own assets.
     Libero,
 }
 
 impl Weights {
-    /// The policy's name.
+    /// Returns the policy's name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Boxes => "student-boxes",
@@ -43,7 +42,7 @@ impl Weights {
         }
     }
 
-    /// The asset pack that they were taught on, as provenance names it.
+    /// Returns the name of the asset pack used in training, as in provenance.
     fn taught_on(self) -> &'static str {
         match self {
             Self::Boxes | Self::BoxesRandomised => "primitives",
@@ -51,7 +50,7 @@ impl Weights {
         }
     }
 
-    /// The network with them, which is made once.
+    /// Returns the network with these weights, loaded once.
     pub(crate) fn network(self) -> &'static Arc<Network> {
         static BOXES: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::BOXES));
         static BOXES_RANDOMISED: LazyLock<Arc<Network>> =
@@ -69,7 +68,7 @@ fn shipped(weights: &[u8]) -> Arc<Network> {
     Arc::new(Network::from_safetensors(weights).expect("what is shipped was tested"))
 }
 
-/// Weights of one's own that cannot be used. Reads after "failed to …".
+/// Reason why a weights file cannot be used. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum WeightsFileError {
     /// The file cannot be read.
@@ -80,7 +79,7 @@ pub enum WeightsFileError {
         /// Error of the system.
         source: std::io::Error,
     },
-    /// Something else than weights of this network.
+    /// The file does not hold weights of this network.
     #[error("use {path:?}")]
     Wrong {
         /// Path of the file.
@@ -90,10 +89,10 @@ pub enum WeightsFileError {
     },
 }
 
-/// A student with weights of one's own.
+/// Reads a student with the weights of a file.
 ///
 /// # Errors
-/// If the file cannot be read, or holds no weights of this network.
+/// If the file cannot be read, or does not hold weights of this network.
 pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
     let bytes = std::fs::read(path).map_err(|source| WeightsFileError::Unreadable {
         path: path.to_owned(),
@@ -108,10 +107,11 @@ pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
     Ok(policy(Arc::new(network), checkpoint))
 }
 
-/// The policy with weights that the program brings.
+/// Returns the policy with built-in weights.
 pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     let mut policy = policy(Arc::clone(weights.network()), checkpoint);
-    // The boxes' files were exported under other names, and their digests are published.
+    // The weights of `student-boxes` carry other names in their files, whose digests are published
+    // and must not change.
     policy.described.name = weights.name().to_owned();
     policy.described.settings = vec![Setting {
         name: TAUGHT_ON.to_owned(),
@@ -120,7 +120,7 @@ pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     policy
 }
 
-/// The policy that a network is.
+/// Wraps a network as a policy.
 pub(crate) fn policy(network: Arc<Network>, checkpoint: String) -> Policy {
     Policy {
         described: describe(&network, checkpoint),
@@ -156,7 +156,7 @@ fn describe(network: &Network, checkpoint: String) -> DescribeResponse {
     }
 }
 
-/// One episode. It keeps nothing but the instruction.
+/// Episode of the student, whose only state is the instruction.
 struct Student {
     network: Arc<Network>,
     instruction: String,
@@ -182,7 +182,7 @@ impl BuiltinPolicy for Student {
     }
 }
 
-/// The picture at a place of [`CAMERAS`], row 0 at the bottom.
+/// Returns the frame at an index of [`CAMERAS`], row 0 at the bottom.
 fn picture(observation: &Observation, at: usize) -> Result<&[u8], String> {
     let camera = CAMERAS[at];
     let found = observation.images.get(at);
@@ -192,7 +192,7 @@ fn picture(observation: &Observation, at: usize) -> Result<&[u8], String> {
     })
 }
 
-/// The reading at a place of [`STATE`].
+/// Returns the reading at an index of [`STATE`].
 fn reading<const N: usize>(observation: &Observation, at: usize) -> Result<[f64; N], String> {
     let found = observation.state.get(at);
     let values = found.and_then(|reading| reading.values.as_slice().try_into().ok());
@@ -212,7 +212,8 @@ mod tests {
 
     use super::*;
 
-    /// A grey scene with the hand above the table, as the description asks for it.
+    /// Returns a grey scene with the hand above the table, in the form that the description
+    /// requests.
     fn observation(described: &DescribeResponse) -> Observation {
         let image = |camera: &CameraRequest| Image {
             camera: camera.name.clone(),

@@ -10,16 +10,16 @@ use crate::{
     builtin::UnknownBuiltin,
 };
 
-/// Replicas of one checkpoint.
+/// Most replicas of one checkpoint.
 pub const MAX_REPLICAS: usize = 64;
 
-/// Reason for which routes cannot be served. Reads after "failed to …".
+/// Reason why a configuration is invalid. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum ConfigError {
-    /// There is no route to serve.
+    /// No route is given.
     #[error("find a route: give at least one --route NAME=BACKEND, or a [policy.NAME] in --config")]
     NoRoute,
-    /// A file that cannot be read.
+    /// The file cannot be read.
     #[error("read {path:?}: give the path of a gateway's configuration, as in docs/POLICIES.md")]
     Unreadable {
         /// Path of the file.
@@ -27,17 +27,17 @@ pub enum ConfigError {
         /// Error of the system.
         source: std::io::Error,
     },
-    /// A file that is no configuration.
+    /// The file is not a valid configuration.
     #[error("read line {line} of {path:?} as a gateway's configuration: {problem}")]
     Toml {
         /// Path of the file.
         path: PathBuf,
         /// Number of the line, from 1.
         line: usize,
-        /// Problem on that line.
+        /// Description of the fault in that line.
         problem: String,
     },
-    /// Something in a file that cannot be meant.
+    /// The routes of the file are invalid.
     #[error("use {path:?}")]
     InFile {
         /// Path of the file.
@@ -45,7 +45,7 @@ pub enum ConfigError {
         /// Error in the file.
         source: Box<ConfigError>,
     },
-    /// No replica to answer.
+    /// A route or suite has no replica.
     #[error(
         "find a server for policy {name}: give `replicas`, or a `suites` table, each with one at least"
     )]
@@ -53,19 +53,19 @@ pub enum ConfigError {
         /// Name of the route.
         name: RouteName,
     },
-    /// Both ways of naming servers.
+    /// A policy has both `replicas` and `suites`.
     #[error("choose between `replicas` and `suites` of policy {name}: give one of them")]
     BothKinds {
         /// Name of the route.
         name: RouteName,
     },
-    /// More than the limit.
+    /// A checkpoint has more replicas than the limit.
     #[error("take more than {MAX_REPLICAS} replicas of one checkpoint of policy {name}")]
     TooManyReplicas {
         /// Name of the route.
         name: RouteName,
     },
-    /// The same server as two replicas.
+    /// A server is given twice as a replica.
     #[error("tell two replicas of policy {name} apart: {replica} is given twice")]
     ReplicaTwice {
         /// Name of the route.
@@ -73,7 +73,7 @@ pub enum ConfigError {
         /// Replica as written.
         replica: String,
     },
-    /// No time to answer.
+    /// The longest wait for an answer is out of range.
     #[error("use answer_within_secs = {secs} of policy {name}: take a positive number up to 3600")]
     AnswerWithin {
         /// Name of the route.
@@ -87,16 +87,16 @@ pub enum ConfigError {
         /// Text as written.
         text: String,
     },
-    /// A name that would be hard to quote.
+    /// The name has characters that are not allowed, or is too long.
     #[error(transparent)]
     Name(#[from] RouteNameError),
-    /// The same name for two routes.
+    /// Two routes have the same name.
     #[error("tell two routes named {name} apart: give each its own name")]
     Twice {
         /// The name.
         name: RouteName,
     },
-    /// No such kind.
+    /// The text is not a known kind of back-end.
     #[error(
         "read back-end {text:?}: write grpc://HOST:PORT, or https:// for one over TLS, or \
          ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model server of \
@@ -106,19 +106,19 @@ pub enum ConfigError {
         /// Text as written.
         text: String,
     },
-    /// `builtin:` and something unknown.
+    /// The built-in policy does not exist.
     #[error(transparent)]
     Builtin(#[from] UnknownBuiltin),
-    /// `grpc://` and no address.
+    /// The address after `grpc://` is invalid.
     #[error(transparent)]
     Address(#[from] AddressError),
-    /// `ws://` and no address.
+    /// The address after `ws://` is invalid.
     #[error(transparent)]
     Openpi(#[from] OpenpiAddressError),
-    /// `vla-eval://` and no address.
+    /// The address after `vla-eval://` is invalid.
     #[error(transparent)]
     VlaEval(#[from] VlaEvalAddressError),
-    /// TLS with a server whose certificate no authority vouches for.
+    /// A TLS server is given without a certificate authority.
     #[error(
         "trust {replica} of policy {name}: give the certificate authority that signed its \
          certificate, as `ca = \"FILE\"` in --config"

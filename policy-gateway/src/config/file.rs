@@ -1,4 +1,4 @@
-//! A gateway's configuration file. Responsible for its form:
+//! Reads a gateway's configuration file:
 //!
 //! ```toml
 //! [policy.pi05]
@@ -84,7 +84,7 @@ pub fn read(path: &Path) -> Result<Config, ConfigError> {
         })
 }
 
-/// The line of a byte, from 1.
+/// Returns the line number of a byte, from 1.
 fn line_of(text: &str, byte: usize) -> usize {
     let before = text.bytes().take(byte);
     1 + before.filter(|byte| *byte == b'\n').count()

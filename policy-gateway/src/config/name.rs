@@ -39,7 +39,7 @@ impl fmt::Display for RouteName {
     }
 }
 
-/// A name that would be hard to quote.
+/// The route's name has characters that are not allowed, or is too long.
 #[derive(Debug, Error)]
 #[error(
     "use {name:?} as a route's name: take 1 to {MAX_ROUTE_NAME_BYTES} letters, digits, '.', '_' \

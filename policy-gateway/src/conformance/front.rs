@@ -1,5 +1,5 @@
-//! A gateway on this machine, in this process, in front of a server that does
-//! not speak the policy protocol: what is checked then is what workers will see.
+//! Runs a gateway in this process in front of a server of another protocol, so that the check sees
+//! the same answers as workers.
 
 use std::net::SocketAddr;
 
@@ -12,7 +12,7 @@ use crate::{
     service::Gateway,
 };
 
-/// Gateway in front of a server, until dropped.
+/// Gateway in front of a server. Dropping it ends the gateway.
 pub struct Front {
     /// Listening address.
     pub address: SocketAddr,
@@ -48,17 +48,16 @@ impl Front {
     }
 }
 
-/// Reason for which no gateway can stand in front of a server. Reads after
-/// "failed to …".
+/// Reason why no gateway can be started in front of a server. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum FrontError {
-    /// An address, or a server over TLS without an authority.
+    /// The address is invalid, or a TLS server has no certificate authority.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// Certificate authority or token that is no use.
+    /// The back-end cannot be created.
     #[error(transparent)]
     Backend(#[from] UnusableBackend),
-    /// No free port.
+    /// No local port can be opened.
     #[error("listen on this machine")]
     Listen(#[from] std::io::Error),
 }

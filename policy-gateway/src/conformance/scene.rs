@@ -1,14 +1,13 @@
-//! Made-up observations: everything that a policy can ask for, of the right
-//! shape and of plausible size, and the same at every run. The frames are a
-//! hash of their pixels' places, the readings those of an arm at rest, and the
-//! privileged scene is one box to be put into one basket.
+//! Synthetic observations with every input that a policy can request, in the right shape and of
+//! plausible size, and the same in every run. Frames are hashes of pixel positions, readings those
+//! of an arm at rest, and the privileged scene has one box and one basket as its goal.
 
 use proto::policy::{
     DescribeResponse, Entity, GoalPredicate, Image, Observation, PrivilegedState, StateField,
     StateReading, entity::Kind,
 };
 
-/// Suites, and a task's canonical instruction of each.
+/// Suites, each with the canonical instruction of one task.
 pub const TASKS: [(&str, &str); 4] = [
     (
         "libero_object",
@@ -25,14 +24,13 @@ pub const TASKS: [(&str, &str); 4] = [
     ),
 ];
 
-/// Returns the instruction of a suite's task; of the first one's for an unknown
-/// suite.
+/// Returns the instruction of a suite's task; for an unknown suite, that of the first suite.
 pub fn instruction(suite: &str) -> &'static str {
     let task = TASKS.iter().find(|(known, _)| *known == suite);
     task.unwrap_or(&TASKS[0]).1
 }
 
-/// The observation at one query of every probing episode.
+/// Returns the observation at a query index, the same in every episode.
 pub fn observation(described: &DescribeResponse, query_index: u32) -> Observation {
     let cameras = described.cameras.iter();
     let images = cameras.map(|camera| Image {
@@ -58,7 +56,7 @@ pub fn observation(described: &DescribeResponse, query_index: u32) -> Observatio
     }
 }
 
-/// RGB of so many pixels, without pattern and without a generator's state.
+/// Returns RGB values for `count` pixels, as hashes of position and query index.
 fn pixels(count: u64, query_index: u32) -> Vec<u8> {
     let hash = |at: u64| {
         let mixed = (at ^ u64::from(query_index) << 40).wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -67,7 +65,7 @@ fn pixels(count: u64, query_index: u32) -> Vec<u8> {
     (0..3 * count).map(hash).collect()
 }
 
-/// The Panda's rest posture, moved by a millimetre or milliradian per query.
+/// Returns a reading of the Panda's rest pose, shifted by a millimetre or milliradian per query.
 fn reading(field: StateField, query: f64) -> Vec<f64> {
     let drift = 1e-3 * query;
     match field {

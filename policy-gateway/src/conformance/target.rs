@@ -1,4 +1,4 @@
-//! Target of a check, and the reasons for which it cannot be checked.
+//! Target of a conformance check, and the errors of the check.
 
 use thiserror::Error;
 use tonic::Status;
@@ -6,7 +6,7 @@ use transport::{Access, AccessError, Trouble, answer};
 
 use super::front::FrontError;
 
-/// Queries of one probing episode.
+/// Queries per episode.
 pub const QUERIES: u32 = 5;
 
 /// Server and policy to check.
@@ -14,18 +14,18 @@ pub const QUERIES: u32 = 5;
 pub struct Target {
     /// `http://HOST:PORT` or `grpc://HOST:PORT`.
     pub url: String,
-    /// Name of the policy; empty selects the only one.
+    /// Name of the policy; empty selects the server's only one.
     pub policy: String,
-    /// The suite whose task is made up, one of [`scene::TASKS`].
+    /// Suite of the synthetic task, one of [`scene::TASKS`].
     pub suite: String,
     /// Credentials of the client.
     pub access: Access,
 }
 
-/// Reason for which a server cannot be checked. Reads after "failed to …".
+/// Reason why a server cannot be checked. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum ConformanceError {
-    /// The URL is not `grpc://HOST:PORT`.
+    /// The URL is not a policy server's address.
     #[error(
         "read {url:?} as a policy server's address: write grpc://HOST:PORT, or https:// for one \
          over TLS, or ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model \
@@ -35,10 +35,10 @@ pub enum ConformanceError {
         /// URL as given.
         url: String,
     },
-    /// No URL to call over TLS.
+    /// TLS cannot be set up for the URL.
     #[error(transparent)]
     Access(#[from] AccessError),
-    /// No policy server is there.
+    /// No policy server can be reached.
     #[error("reach the policy server at {url}: {trouble}")]
     Connect {
         /// URL as given.
@@ -46,10 +46,10 @@ pub enum ConformanceError {
         /// Cause found at that address.
         trouble: Box<Trouble>,
     },
-    /// No gateway can stand in front of it.
+    /// No gateway can be started in front of the server.
     #[error(transparent)]
     Front(#[from] FrontError),
-    /// It does not say what it is.
+    /// The server does not describe its policy.
     #[error("have {url} describe its policy: {}", answer(status))]
     Describe {
         /// URL as given.
@@ -57,7 +57,7 @@ pub enum ConformanceError {
         /// Answer of the server.
         status: Box<Status>,
     },
-    /// It answers no query.
+    /// The server answers no query.
     #[error("play one episode with {url}: {}", answer(status))]
     Episode {
         /// URL as given.

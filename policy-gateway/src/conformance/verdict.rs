@@ -1,4 +1,4 @@
-//! The verdicts: pure functions of what a server answered.
+//! Verdicts of the conformance check, as pure functions of a server's answers.
 
 use std::time::Duration;
 
@@ -7,19 +7,19 @@ use proto::policy::{DescribeResponse, InferResponse};
 use tonic::Status;
 use transport::answer;
 
-/// Largest number that still counts as an action that a worker clips; more is a
-/// policy that answers in other units.
+/// Largest absolute value that a worker plausibly clips; a larger one means that the policy
+/// answers in other units.
 pub const LARGEST_PLAUSIBLE: f32 = 2.0;
-/// Largest difference that a batch may make to an action. Kernels for other
-/// batch sizes add in another order, which moves low-order bits.
+/// Largest difference between actions in a batch and alone. Kernels for other batch sizes sum in
+/// another order, which changes low-order bits.
 pub const BATCH_TOLERANCE: f32 = 1e-3;
 
 /// Result of one point.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Well.
+    /// The server meets the requirement.
     Pass {
-        /// Remark about the result; may be empty.
+        /// Remark on the result; may be empty.
         note: String,
     },
     /// The server violates the protocol.
@@ -29,36 +29,36 @@ pub enum Verdict {
     },
     /// The point does not apply.
     Skip {
-        /// Reason for which it does not apply.
+        /// Reason why the point does not apply.
         reason: String,
     },
 }
 
-/// Passes with something to know.
+/// Passes a point, with a remark.
 pub fn pass(note: impl Into<String>) -> Verdict {
     Verdict::Pass { note: note.into() }
 }
 
-/// Fails for a reason.
+/// Fails a point.
 pub fn fail(reason: impl Into<String>) -> Verdict {
     Verdict::Fail {
         reason: reason.into(),
     }
 }
 
-/// Does not apply, for a reason.
+/// Skips a point.
 pub fn skip(reason: impl Into<String>) -> Verdict {
     Verdict::Skip {
         reason: reason.into(),
     }
 }
 
-/// Fails because there was no answer to judge.
+/// Fails a point because the server answered with an error.
 pub fn refused(status: &Status) -> Verdict {
     fail(format!("the server refused: {}", answer(status)))
 }
 
-/// A description, and whether it can be true.
+/// Judges a description by the result of its check.
 pub fn description(described: &DescribeResponse, checked: Result<(), DescriptionFault>) -> Verdict {
     match checked {
         Ok(()) => pass(format!(
@@ -69,7 +69,7 @@ pub fn description(described: &DescribeResponse, checked: Result<(), Description
     }
 }
 
-/// Every answer of an episode, its query index being its place.
+/// Checks the shape of every answer of an episode, in order of query index.
 pub fn shapes(answers: &[InferResponse], horizon: u32) -> Verdict {
     let faults = answers.iter().enumerate();
     let mut faults =
@@ -80,7 +80,7 @@ pub fn shapes(answers: &[InferResponse], horizon: u32) -> Verdict {
     }
 }
 
-/// Checks that the numbers are actions.
+/// Checks that the values are within the range of actions.
 pub fn range(answers: &[InferResponse]) -> Verdict {
     let sizes = numbers(answers).map(f32::abs);
     let largest = sizes.fold(0.0, f32::max);
@@ -95,7 +95,7 @@ pub fn range(answers: &[InferResponse]) -> Verdict {
     }
 }
 
-/// Checks that two episodes were answered alike, bit for bit.
+/// Checks that two episodes have the same answers, bit for bit.
 pub fn same(expected: &[InferResponse], found: &[InferResponse]) -> Verdict {
     match first_difference(expected, found) {
         None => pass(""),
@@ -103,7 +103,7 @@ pub fn same(expected: &[InferResponse], found: &[InferResponse]) -> Verdict {
     }
 }
 
-/// Checks that other seeds do what the policy declares of them.
+/// Checks that answers depend on the seed just as the policy declares.
 pub fn seeds(stochastic: bool, one: &[InferResponse], other: &[InferResponse]) -> Verdict {
     match (stochastic, first_difference(one, other)) {
         (true, Some(_)) | (false, None) => pass(""),
@@ -114,7 +114,7 @@ pub fn seeds(stochastic: bool, one: &[InferResponse], other: &[InferResponse]) -
     }
 }
 
-/// Checks that answers in a batch are those given alone.
+/// Checks that answers in a batch equal those given alone.
 pub fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdict {
     if first_difference(alone, batched).is_none() {
         return pass("bit for bit");
@@ -137,8 +137,8 @@ pub fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdict {
     }
 }
 
-/// Latencies of queries one by one, and of `concurrency` episodes at once that
-/// took `wall` in all.
+/// Reports the latencies of single queries, and those of `concurrency` concurrent episodes with a
+/// total time of `wall`.
 pub fn speed(
     alone: &[Duration],
     concurrency: u32,
@@ -159,7 +159,7 @@ fn numbers(answers: &[InferResponse]) -> impl Iterator<Item = f32> {
         .flat_map(|answer| answer.actions.iter().copied())
 }
 
-/// The first query at which two episodes differ.
+/// Returns the first query at which two episodes differ.
 fn first_difference(one: &[InferResponse], other: &[InferResponse]) -> Option<usize> {
     let bits = |answer: &InferResponse| -> Vec<u32> {
         answer

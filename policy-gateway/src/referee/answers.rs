@@ -1,20 +1,20 @@
-//! Answers of a server to all situations, as numbers. Pure.
+//! A server's answers to all situations, as numbers. Pure functions.
 
 use super::server::Action;
 
-/// Actions to each situation: means over seeds, if there were several.
+/// Actions for each situation, averaged over seeds if there were several.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Answers {
-    /// Chunks by situation, then by action of the chunk.
+    /// Chunks by situation; each is a list of actions.
     pub chunks: Vec<Vec<Action>>,
-    /// Standard deviation between answers to the same situation with other seeds,
-    /// by number of an action; 0 of a single seed.
+    /// Standard deviation between answers to the same situation with different seeds, by component
+    /// of an action; 0 for a single seed.
     pub spread: Action,
 }
 
 impl Answers {
-    /// The means of several answers to each situation: `asked[situation][seed]`.
-    /// Of chunks of other lengths, what they have in common.
+    /// Averages several answers to each situation, given as `asked[situation][seed]`. Chunks are
+    /// cut to the shortest length within a situation.
     pub fn of(asked: Vec<Vec<Vec<Action>>>) -> Self {
         let mut chunks = vec![];
         let mut squares = [0.0; 7];
@@ -44,8 +44,8 @@ impl Answers {
         }
     }
 
-    /// The largest difference of any number from the same one of `other`, and the
-    /// number of an action that it is.
+    /// Returns the largest absolute difference to `other`, with the index of its component in an
+    /// action.
     pub fn largest_difference(&self, other: &Self) -> (f64, usize) {
         let pairs = self.chunks.iter().zip(&other.chunks);
         let rows = pairs.flat_map(|(one, other)| one.iter().zip(other));
@@ -53,7 +53,7 @@ impl Answers {
         numbers.fold((0.0, 0), |most, it| if it.0 > most.0 { it } else { most })
     }
 
-    /// Returns the count of numbers.
+    /// Returns the number of compared values.
     pub fn numbers(&self) -> usize {
         self.chunks.iter().map(|chunk| 7 * chunk.len()).sum()
     }

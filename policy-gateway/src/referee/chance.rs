@@ -1,5 +1,5 @@
-//! Dependence of a server's answers on chance: on the seed, and on nothing at
-//! all.
+//! Randomness of a server's answers: whether they depend on the seed, and whether a repeated query
+//! gets the same answer.
 
 use super::{
     answers::Answers,
@@ -8,23 +8,22 @@ use super::{
 };
 use crate::conformance::verdict::BATCH_TOLERANCE;
 
-/// Answers to the same question may differ by so much and still be the same: batches
-/// and kernels move low-order bits.
+/// Largest difference between equal answers: batches and kernels change low-order bits.
 pub const REPEATABLE: f64 = BATCH_TOLERANCE as f64;
-/// Situations that it is looked for in.
+/// Number of situations that are queried again.
 const SITUATIONS: usize = 3;
 
 /// Variation of a server's answers to one observation.
 #[derive(Clone, Copy, Debug)]
 pub struct Chance {
-    /// Largest difference between two answers to the same question.
+    /// Largest difference between answers to a repeated query.
     pub repeats: f64,
     /// Largest difference between answers with two seeds.
     pub moves: f64,
 }
 
 impl Chance {
-    /// Asks a server again, and with another seed; `answers` are those of [`SEED`].
+    /// Queries a server again, and with another seed; `answers` are those of [`SEED`].
     ///
     /// # Errors
     /// If the server does not answer with actions.
@@ -37,12 +36,12 @@ impl Chance {
         })
     }
 
-    /// Returns true if the same question gets the same answer.
+    /// Returns true if a repeated query gets the same answer.
     pub fn is_repeatable(&self) -> bool {
         self.repeats <= REPEATABLE
     }
 
-    /// Returns true if the answers vary with the seed and with nothing else.
+    /// Returns true if answers depend on the seed, and are equal for equal seeds.
     pub fn follows_seed(&self) -> bool {
         self.is_repeatable() && self.moves > REPEATABLE
     }

@@ -1,5 +1,5 @@
-//! `policy-gateway compare` and `policy-gateway doctor`: their flags, and what they
-//! do with them.
+//! `policy-gateway compare` and `policy-gateway doctor`: command-line arguments, and the course of
+//! both commands.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -78,22 +78,23 @@ pub struct Doctor {
     shown: Shown,
 }
 
-/// Reason for which a command failed. Reads after "failed to …".
+/// Reason why a command failed. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum CommandError {
-    /// A token or certificate authority that is no use.
+    /// The token or the certificate authority cannot be used.
     #[error(transparent)]
     Access(#[from] AccessError),
-    /// Servers that cannot be judged.
+    /// The servers cannot be compared or diagnosed.
     #[error(transparent)]
     Referee(#[from] RefereeError),
 }
 
 impl Compare {
-    /// Compares, telling `say` each line; true if both are the same.
+    /// Compares two servers, and passes each line of output to `say`. Returns true if they answer
+    /// alike.
     ///
     /// # Errors
-    /// If a server cannot be judged.
+    /// If a server cannot be queried.
     pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
         let access = self.shown.access()?;
         let recorded = self.shown.recorded()?;
@@ -124,10 +125,11 @@ impl Compare {
 }
 
 impl Doctor {
-    /// Looks at a server, telling `say` each line; true if nothing is wrong.
+    /// Diagnoses a server, and passes each line of output to `say`. Returns true if nothing is
+    /// wrong.
     ///
     /// # Errors
-    /// If the server cannot be judged.
+    /// If the server cannot be queried.
     pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
         let access = self.shown.access()?;
         let recorded = self.shown.recorded()?;
@@ -173,7 +175,7 @@ impl Shown {
         Ok(situations.transpose()?)
     }
 
-    /// The suite that servers are asked about first.
+    /// Returns the suite of the first queries: the recording's, if there is one.
     fn suite_of(&self, recorded: Option<&[Situation]>) -> String {
         let first = recorded.and_then(|it| it.first());
         first.map_or_else(|| self.suite.name().to_owned(), |it| it.suite.clone())

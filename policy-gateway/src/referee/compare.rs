@@ -1,7 +1,6 @@
-//! Comparison of two servers' actions for the same observations, and the cause of
-//! a difference: the command `policy-gateway compare A B`. Responsible for the
-//! course; a policy that draws random numbers is compared by its means where seeds
-//! do not give both servers the same ones.
+//! `policy-gateway compare A B`: compares two servers' actions for the same observations, and
+//! explains a difference. Policies with random noise are compared by means over several seeds,
+//! unless equal seeds give both servers equal noise.
 
 use serde::Serialize;
 
@@ -18,29 +17,29 @@ use super::{
     variant::Topic,
 };
 
-/// Answers to each situation that are averaged where seeds do not help.
+/// Number of answers per situation that are averaged, if equal seeds do not give equal noise.
 const AVERAGED: usize = 8;
-/// Standard errors of a mean within which two means are the same.
+/// Number of standard errors within which two means count as equal.
 const ERRORS: f64 = 2.5;
-/// Share of a difference that may remain under another frame size.
+/// Largest share of a difference that an explanation by frame size may leave.
 const LEFT_OF_SIZE: f64 = 0.4;
-/// Differences below this share of how much an answer varies are those of rounding.
+/// Share of the answers' variation below which differences count as rounding.
 const ROUNDING: f64 = 0.02;
-/// Seeds that programs have as their default.
+/// Common default seeds.
 const USUAL_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];
 
 /// Result of a comparison.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
-    /// In what the descriptions differ.
+    /// Differences between the descriptions.
     pub descriptions: Vec<DescriptionDifference>,
-    /// In what the answers differ; empty if they are the same.
+    /// Differences between the answers; empty if they are the same.
     pub differences: Vec<Difference>,
     /// Method of the comparison, and its certainty.
     pub note: String,
 }
 
-/// The answers of both servers to the same.
+/// Answers of both servers to the same queries.
 struct Both {
     a: Answers,
     b: Answers,
@@ -63,8 +62,7 @@ impl Both {
         Apart { before, at }
     }
 
-    /// Returns true if the difference is small beside the variation of the
-    /// answers.
+    /// Returns true if the difference is small relative to the variation of the answers.
     fn differ_by_rounding(&self) -> bool {
         let left = fit(&self.a, &self.b, &[f64::INFINITY; 7]).left;
         let varied = varied(&self.b);
@@ -72,10 +70,10 @@ impl Both {
     }
 }
 
-/// Compares what two servers answer to the same situations.
+/// Compares the answers of two servers to the same situations.
 ///
 /// # Errors
-/// If a server does not answer with actions, or wants what the situations lack.
+/// If a server does not answer with actions, or needs an input that the situations lack.
 pub async fn compare(
     a: Server,
     b: Server,
@@ -106,7 +104,7 @@ pub async fn compare(
     })
 }
 
-/// Finds differences in how two servers use the seed, whatever they are shown.
+/// Finds differences between the servers' use of the seed, regardless of the observations.
 fn of_chance(panel: &Panel, chances: [Chance; 2]) -> Vec<Difference> {
     let sides = [(Side::A, "A"), (Side::B, "B")].into_iter().zip(chances);
     for ((side, letter), chance) in sides {
@@ -135,7 +133,7 @@ fn of_chance(panel: &Panel, chances: [Chance; 2]) -> Vec<Difference> {
     vec![Difference::new(Kind::Seed, text)]
 }
 
-/// Compares answers to the same seed.
+/// Compares answers with the same seed.
 async fn paired(
     panel: &Panel,
     both: &Both,
@@ -148,8 +146,8 @@ async fn paired(
         panel,
         seeds: &seeds,
         floor: [REPEATABLE; 7],
-        // Different noise cannot be made the same by a change to the
-        // observations.
+        // No change to the observations makes different noise equal, so only single changes are
+        // tried.
         together: !random,
     };
     let as_they_come = fit(&both.a, &both.b, &course.floor);
@@ -187,7 +185,7 @@ async fn paired(
     }
 }
 
-/// Whether one server answers with a seed what the other answers with another one.
+/// Checks whether one server's answers with a seed equal the other's with another seed.
 async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, RefereeError> {
     let all = panel.situations();
     let near = [("one more than", SEED + 1), ("one less than", SEED - 1)];
@@ -228,8 +226,7 @@ async fn averaged(
     panel: &Panel,
     chances: [Chance; 2],
 ) -> Result<(Vec<Difference>, String), RefereeError> {
-    // Other seeds for every situation, so that what chance adds to one mean is
-    // not added to all.
+    // Different seeds for every situation keep the errors of the means independent.
     let seeds = |situation: usize| -> Vec<u64> {
         let first = SEED + 100 + (situation * AVERAGED) as u64;
         (first..first + AVERAGED as u64).collect()
@@ -269,13 +266,12 @@ async fn averaged(
     Ok((differences, note))
 }
 
-/// Returns the distance between means that chance explains.
+/// Returns the distance between means that randomness explains, by component.
 fn floor(both: &Both, chances: [Chance; 2]) -> Limit {
     let [a, b] = chances.map(|it| it.moves > REPEATABLE || !it.is_repeatable());
     std::array::from_fn(|at| {
         let (of_a, of_b) = (both.a.spread[at].powi(2), both.b.spread[at].powi(2));
-        // Noise that is always the same is not averaged away, and adds to every
-        // mean alike.
+        // Noise that is the same for every seed does not average out, and shifts all means alike.
         let frozen = match (a, b) {
             (true, false) => 2.0 * of_a,
             (false, true) => 2.0 * of_b,
@@ -286,9 +282,9 @@ fn floor(both: &Both, chances: [Chance; 2]) -> Limit {
     })
 }
 
-/// Returns the differences to report if no explanation makes the answers alike.
-/// No two libraries scale a frame to the same bits: a size need not take all of
-/// the difference away.
+/// Returns the differences to report if no explanation makes the answers alike. An explanation by
+/// frame size is accepted with a larger remainder, because no two libraries resize frames to the
+/// same bits.
 fn not_explained(both: &Both, apart: Apart, closest: &Explanation) -> Vec<Difference> {
     let norm = |it: &Limit| it.iter().map(|it| it * it).sum::<f64>().sqrt();
     let as_they_come = fit(&both.a, &both.b, &[f64::INFINITY; 7]).left;
@@ -325,7 +321,7 @@ fn unexplained(both: &Both, apart: Apart, closest: &Explanation) -> Difference {
     Difference::new(Kind::Unexplained, text)
 }
 
-/// Standard deviation of each number of an action over all answers.
+/// Returns the standard deviation of each component over all actions.
 fn varied(answers: &Answers) -> Limit {
     let rows: Vec<_> = answers.chunks.iter().flatten().collect();
     let count = rows.len().max(1) as f64;

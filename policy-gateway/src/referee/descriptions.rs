@@ -1,9 +1,9 @@
-//! In what two servers describe themselves otherwise. Pure.
+//! Differences between two servers' descriptions. Pure functions.
 
 use proto::policy::{DescribeResponse, Language};
 use serde::Serialize;
 
-/// One thing that two descriptions say differently.
+/// Field in which two descriptions differ.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct DescriptionDifference {
     /// Field of the description, for example "cameras".
@@ -14,7 +14,7 @@ pub struct DescriptionDifference {
     pub b: String,
 }
 
-/// Everything in which two descriptions differ, and that can matter to actions.
+/// Returns all differences between descriptions that can matter to actions.
 pub fn differences(a: &DescribeResponse, b: &DescribeResponse) -> Vec<DescriptionDifference> {
     let sides = facts(a).into_iter().zip(facts(b));
     let mut differences: Vec<DescriptionDifference> = sides

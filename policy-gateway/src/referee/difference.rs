@@ -1,5 +1,4 @@
-//! A difference between two servers, named: what it is, with the numbers, and what
-//! it usually means. Words only.
+//! Puts a difference between two servers into words: its kind, the numbers, and its usual meaning.
 
 use serde::Serialize;
 
@@ -10,7 +9,7 @@ use super::{
     variant::{Topic, Variant},
 };
 
-/// The seven numbers of an action.
+/// Names of an action's seven components.
 pub const NUMBERS: [&str; 7] = [
     "x",
     "y",
@@ -41,7 +40,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Returns the kind's name.
+    /// Returns the name for reports and JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::FrameOrientation => "frame orientation",
@@ -59,7 +58,7 @@ impl Kind {
         }
     }
 
-    /// Returns its usual meaning, with a hint on the part to compare.
+    /// Returns the usual meaning, with a hint on the code to compare.
     pub fn meaning(self) -> &'static str {
         match self {
             Self::FrameOrientation => {
@@ -113,29 +112,29 @@ impl Kind {
     }
 }
 
-/// A named difference.
+/// Difference with its description.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Difference {
     /// Kind of the difference.
     pub kind: Kind,
-    /// Observation, with the numbers. A and B are the servers.
+    /// Description of the observed difference. A and B are the servers.
     pub text: String,
 }
 
 impl Difference {
-    /// A difference of this kind.
+    /// Creates a difference.
     pub fn new(kind: Kind, text: impl Into<String>) -> Self {
         let text = text.into();
         Self { kind, text }
     }
 }
 
-/// Distance between two servers' answers: as they come, and as explained.
+/// Largest difference between two servers' answers before any explanation.
 #[derive(Clone, Copy, Debug)]
 pub struct Apart {
     /// Largest difference.
     pub before: f64,
-    /// Index of the number within an action.
+    /// Index of the component in an action.
     pub at: usize,
 }
 
@@ -147,7 +146,7 @@ pub fn explained(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
     with_sizes(differences, explanation, apart)
 }
 
-/// The same, of what is shown otherwise alone.
+/// Returns only those differences of an explanation that concern observations.
 pub fn of_shown(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
     with_sizes(shown(explanation), explanation, apart)
 }
@@ -177,7 +176,7 @@ fn with_sizes(
     differences
 }
 
-/// A size as people read it: 0.25, or 3e-6.
+/// Formats a number for people: 0.25, or 3e-6.
 pub fn size(number: f64) -> String {
     match number {
         0.0 => "0".to_owned(),
@@ -186,8 +185,7 @@ pub fn size(number: f64) -> String {
     }
 }
 
-/// Describes the changes to observations in the closest attempt at an
-/// explanation.
+/// Describes the changes to observations in an explanation that falls short.
 pub fn attempt(explanation: &Explanation) -> String {
     let shown = explanation.shown.iter();
     let shown: Vec<String> = shown
@@ -226,7 +224,7 @@ fn seen(side: Side, variant: &Variant) -> String {
     format!("{other} answers {nearly}what {shown} answers when {shown} is shown {variant}.")
 }
 
-/// In what the actions themselves differ.
+/// Returns the differences that concern the actions themselves.
 pub fn of_actions(fit: &Fit) -> Vec<Difference> {
     let mut differences = vec![];
     if fit.shift != 0 {

@@ -1,6 +1,6 @@
-//! The usual mistakes of one server: what `policy-gateway doctor URL` runs.
-//! Responsible for the order of the points; [`patient`] asks, [`verdicts`] judges,
-//! [`memory`] looks at the server's process.
+//! `policy-gateway doctor URL`: looks for a server's usual mistakes. This module orders the
+//! checks: [`patient`] queries the server, [`verdicts`] judges the answers, [`memory`] watches the
+//! server's process.
 
 use std::{fmt, time::Duration};
 
@@ -17,7 +17,7 @@ pub mod memory;
 mod patient;
 pub mod verdicts;
 
-/// One thing that may be wrong.
+/// Check of the diagnosis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(missing_docs, reason = "the sentences below say it")]
 pub enum Point {
@@ -33,7 +33,7 @@ pub enum Point {
 }
 
 impl Point {
-    /// Every point, in the order in which they are looked at.
+    /// All points, in the order of the checks.
     pub const ALL: [Self; 9] = [
         Self::Actions,
         Self::Range,
@@ -42,12 +42,12 @@ impl Point {
         Self::Frames,
         Self::Instructions,
         Self::Gripper,
-        // Asks much, so that there is more to take percentiles of.
+        // Sends many queries, which improves the percentiles of the latency.
         Self::Memory,
         Self::Latency,
     ];
 
-    /// Returns the point's name, for programs.
+    /// Returns the point's name in JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Actions => "actions",
@@ -64,7 +64,7 @@ impl Point {
 }
 
 impl fmt::Display for Point {
-    /// The point as a sentence that should be true.
+    /// Writes the check as a sentence that is true of a sound server.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Actions => "answers are finite actions of seven numbers",
@@ -89,21 +89,21 @@ pub struct Finding {
     pub verdict: Verdict,
 }
 
-/// Limits and amounts for the examination of a server.
+/// Limits and sizes of the checks.
 #[derive(Clone, Copy, Debug)]
 pub struct Measures {
-    /// Within which a gateway wants an answer.
+    /// Longest time for one answer, as configured in a gateway.
     pub answer_within: Duration,
-    /// Episodes played to see whether memory grows.
+    /// Episodes played to detect growing memory.
     pub episodes: u32,
 }
 
-/// Looks at a server point by point, telling `report` each as it is known. True if
-/// nothing is wrong.
+/// Checks a server point by point, and reports each finding at once. Returns true if no point
+/// failed.
 ///
 /// # Errors
-/// If the server answers no query, or wants what the situations lack: then there
-/// is nothing to look at.
+/// If the server answers no query, or needs an input that the situations lack, so that nothing can
+/// be checked.
 pub async fn examine(
     server: &Server,
     situations: &[Situation],
@@ -163,7 +163,7 @@ async fn look(
     })
 }
 
-/// Plays episodes and looks at what they leave behind.
+/// Plays episodes, and checks that the server's memory or latency does not grow with them.
 async fn memory(patient: &mut Patient<'_>, episodes: u32) -> Result<Verdict, RefereeError> {
     let process = Process::listening_at(&patient.server().url);
     let mut resident = vec![];

@@ -1,5 +1,5 @@
-//! Frames that lose their detail on the way: scaled down and up again, with the
-//! filters that libraries have. Pure.
+//! Reduces the detail of frames: scales them down and up again with the filters of common
+//! libraries. Pure functions.
 
 use std::fmt;
 
@@ -7,19 +7,19 @@ use proto::policy::Image;
 
 use super::situation::resized;
 
-/// Filter for scaling frames down, and then up.
+/// Filter for scaling frames down and up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Filter {
     /// Bilinear filter, as in Pillow and TensorFlow.
     Bilinear,
-    /// Mean of the pixels covered, and repetition.
+    /// Mean of the covered pixels, then repetition.
     Mean,
-    /// Omission of pixels, and repetition.
+    /// Nearest pixel, then repetition.
     Nearest,
 }
 
 impl Filter {
-    /// All of them.
+    /// All filters.
     pub(super) const ALL: [Self; 3] = [Self::Bilinear, Self::Mean, Self::Nearest];
 
     /// Scales a frame to a smaller size, and back.
@@ -34,8 +34,8 @@ impl Filter {
         if image.rgb.len() != 3 * large[0] * large[1] {
             return;
         }
-        // The cell of the smaller frame that a place of the larger one lies in, and
-        // the places that belong to a cell.
+        // `cell` is the small frame's cell that covers a position of the large frame; `places` are
+        // the positions that a cell is computed from.
         let cell = |at: usize, axis: usize| (2 * at + 1) * small[axis] / (2 * large[axis]);
         let begin = |cell: usize, axis: usize| cell * large[axis] / small[axis];
         let places = |cell: usize, axis: usize| match self {

@@ -1,23 +1,22 @@
-//! From one server's actions to the other's: the simplest map that leads there.
-//! Each of an action's seven numbers is the same, or scaled and moved; the gripper
-//! may be told in another convention, and the chunk may begin elsewhere. Pure.
+//! Finds the simplest map from one server's actions to another's. Each of the seven components is
+//! unchanged or affine; the gripper may have another convention, and the chunk may be shifted.
+//! Pure functions.
 
 use super::{answers::Answers, server::Action};
 
-/// The gripper's place in an action.
+/// Index of the gripper in an action.
 pub const GRIPPER: usize = 6;
-/// Smallest share of a number's variation that a scale must leave: less is an answer
-/// that does not follow the other one.
+/// Smallest scale of an affine map; a smaller one means that the answers are unrelated.
 const LEAST_SCALE: f64 = 1e-3;
 
-/// Map of one number of an action.
+/// Map of one component of an action.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Map {
-    /// The number is unchanged.
+    /// The value is unchanged.
     Same,
-    /// The gripper in another convention.
+    /// The gripper has another convention.
     Gripper(Convention),
-    /// Scaled and moved.
+    /// The value is scaled and shifted.
     Affine {
         /// Factor.
         scale: f64,
@@ -26,11 +25,11 @@ pub enum Map {
     },
 }
 
-/// How the gripper may be told: what the second server's number is, where the
-/// first one's is −1 open, 1 closed, or the other way round.
+/// Convention of the second server's gripper, as a function of the first one's, which is −1 (open)
+/// to 1 (closed) or the reverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Convention {
-    /// The number has the other sign.
+    /// The sign is inverted.
     Inverted,
     /// From −1..1 to 0..1.
     Share,
@@ -40,7 +39,7 @@ pub enum Convention {
     FromShare,
     /// From 0..1 to 1..−1.
     FromInvertedShare,
-    /// −1 or 1 only.
+    /// Rounded to −1 or 1.
     Sign,
 }
 
@@ -75,8 +74,7 @@ impl Map {
         }
     }
 
-    /// Number of assumptions that the map needs: an affine map has two
-    /// parameters.
+    /// Returns the number of assumptions of the map: an affine map has two parameters.
     fn cost(self) -> u32 {
         match self {
             Self::Same => 0,
@@ -86,33 +84,32 @@ impl Map {
     }
 }
 
-/// Largest difference, root mean square, within which numbers are the same: by
-/// number of an action.
+/// Largest root-mean-square difference within which values count as equal, by component of an
+/// action.
 pub type Limit = Action;
 
-/// A map from one server's actions to the other's.
+/// Map from one server's actions to the other's.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fit {
-    /// The second server's first action is the first one's with this index; if it
-    /// is below 0, the other way round.
+    /// Index of the first server's action that corresponds to the second one's first action; if
+    /// negative, with the servers exchanged.
     pub shift: i32,
-    /// Maps by number of an action.
+    /// Map of each component.
     pub maps: [Map; 7],
-    /// Remaining difference between them, root mean square, by number of an
-    /// action.
+    /// Remaining root-mean-square difference of each component.
     pub left: Action,
     /// True if the remaining difference is within the limit.
     pub explains: bool,
 }
 
 impl Fit {
-    /// Number of assumptions that the fit needs.
+    /// Returns the number of assumptions of the fit.
     pub fn cost(&self) -> u32 {
         let maps: u32 = self.maps.iter().map(|map| map.cost()).sum();
         maps + u32::from(self.shift != 0)
     }
 
-    /// Returns true if nothing has to be changed.
+    /// Returns true if all maps are identities and there is no shift.
     pub fn is_identity(&self) -> bool {
         self.cost() == 0
     }
@@ -125,7 +122,7 @@ impl Fit {
             .all(|(left, limit)| left <= limit)
     }
 
-    /// Norm of the remaining difference, in units of the limit.
+    /// Returns the norm of the remaining difference, in units of the limit.
     pub fn remainder(&self, limit: &Limit) -> f64 {
         let shares = self.left.iter().zip(limit);
         shares
@@ -135,8 +132,8 @@ impl Fit {
     }
 }
 
-/// The simplest map from `one` to `other` that explains their difference; if none
-/// does, the best without a shift.
+/// Returns the simplest map from `one` to `other` within `limit`; if there is none, the best one
+/// without a shift.
 pub fn fit(one: &Answers, other: &Answers, limit: &Limit) -> Fit {
     let aligned = at_shift(one, other, 0, limit);
     if aligned.explains && aligned.is_identity() {
@@ -144,7 +141,7 @@ pub fn fit(one: &Answers, other: &Answers, limit: &Limit) -> Fit {
     }
     let pairs = one.chunks.iter().zip(&other.chunks);
     let shortest = pairs.map(|(a, b)| a.len().min(b.len())).min().unwrap_or(0);
-    // Half of the chunk must still be there to be compared.
+    // At least half of the chunk must remain to be compared.
     let furthest = (shortest / 2) as i32;
     let shifts = (1..=furthest).flat_map(|by| [by, -by]);
     let shifted = shifts.map(|shift| at_shift(one, other, shift, limit));
@@ -179,7 +176,7 @@ fn at_shift(one: &Answers, other: &Answers, shift: i32, limit: &Limit) -> Fit {
             let conventions = conventions.into_iter().filter(|_| at == GRIPPER);
             for map in conventions.chain(affine(&numbers)) {
                 let left = left(&numbers, map);
-                // The first that explains it is the simplest.
+                // Maps are ordered by cost, so the first within the limit is the simplest.
                 if simplest.1 > limit[at] && left < simplest.1 {
                     simplest = (map, left);
                 }
@@ -191,14 +188,14 @@ fn at_shift(one: &Answers, other: &Answers, shift: i32, limit: &Limit) -> Fit {
     fit
 }
 
-/// Remaining difference between pairs of numbers after a map, root mean square.
+/// Returns the remaining root-mean-square difference after a map.
 fn left(numbers: &[(f64, f64)], map: Map) -> f64 {
     let squares = numbers.iter().map(|(a, b)| (map.of(*a) - b).powi(2));
     (squares.sum::<f64>() / numbers.len().max(1) as f64).sqrt()
 }
 
-/// Scale and offset by least squares. None of too few pairs, or where the second
-/// number does not follow the first one.
+/// Fits scale and offset by least squares. `None` for too few pairs, or if the second value does
+/// not depend on the first.
 fn affine(numbers: &[(f64, f64)]) -> Option<Map> {
     let count = numbers.len() as f64;
     if numbers.len() < 4 {
@@ -213,7 +210,7 @@ fn affine(numbers: &[(f64, f64)]) -> Option<Map> {
         .sum();
     let scale = match varied / count > 1e-12 {
         true => together / varied,
-        // A number that never changes: only an offset can be seen.
+        // A constant value only determines an offset.
         false => 1.0,
     };
     (scale.abs() >= LEAST_SCALE).then_some(Map::Affine {
@@ -228,7 +225,7 @@ mod tests {
 
     const LIMIT: Limit = [1e-3; 7];
 
-    /// Eight chunks of four actions without pattern.
+    /// Returns eight chunks of four actions without a pattern.
     fn answers() -> Answers {
         let number = |situation: usize, row: usize, at: usize| {
             ((situation * 37 + row * 11 + at * 5) as f64 * 1.7).sin() * 0.8

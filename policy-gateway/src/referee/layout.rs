@@ -1,6 +1,5 @@
-//! Layouts of a policy's state: the forms in which the field's policies are
-//! told a pose, and those of the same width that are taken for one another.
-//! Pure.
+//! Layouts of a policy's state vector: the representations of a pose in published policies, and
+//! those of the same width that are easily confused. Pure functions.
 
 use std::fmt;
 
@@ -8,7 +7,7 @@ use proto::policy::StateField;
 
 use super::{pose, situation::Situation};
 
-/// One part of a state vector.
+/// Component of a state vector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
     /// A reading of the protocol.
@@ -23,19 +22,19 @@ pub enum Part {
     QuaternionWxyz,
     /// The quaternion of the inverse rotation (4).
     InverseQuaternion,
-    /// Axis times angle, and a 0 behind it (4).
+    /// Axis-angle followed by 0 (4).
     PaddedAxisAngle,
-    /// The rotation matrix, column by column (9).
+    /// Rotation matrix in column-major order (9).
     RotationColumns,
-    /// Both fingers' joints as distances from the middle, not below 0 (2).
+    /// Both finger joints as distances from the middle, not negative (2).
     FingersUnsigned,
-    /// The second finger's joint first (2).
+    /// Finger joints in reverse order (2).
     FingersSwapped,
-    /// Opening of each finger, 0 to 1 (2).
+    /// Opening of each finger, as a share of its travel, 0 to 1 (2).
     FingersShare,
-    /// The distance between the fingers, m (1).
+    /// Distance between the fingers, m (1).
     Opening,
-    /// Noughts, so many.
+    /// That many zeros.
     Zeros(usize),
 }
 
@@ -44,7 +43,7 @@ use StateField::{
     EefAxisAngle, EefPos, EefQuatXyzw, EefRotation, GripperPos, GripperVel, JointPos, JointVel,
 };
 
-/// Vectors of policies in the field, end to end.
+/// State vectors of published policies.
 const LAYOUTS: [&[Part]; 10] = [
     &[Field(EefPos), Field(EefAxisAngle), Field(GripperPos)],
     &[Field(EefPos), Part::RollPitchYaw, Field(GripperPos)],
@@ -57,11 +56,11 @@ const LAYOUTS: [&[Part]; 10] = [
     &[Field(EefPos), Field(EefAxisAngle), Part::Opening],
     &[Field(EefPos), Field(EefAxisAngle)],
 ];
-/// Travel of a finger's joint, m.
+/// Travel of a finger joint, m.
 const FINGER_TRAVEL: f64 = 0.04;
 
-/// Everything of the same width that might be in place of these readings, without
-/// what they are: first what the other server asks for.
+/// Returns the layouts of the same width as `fields` that may have been confused with it, without
+/// `fields` itself. The other server's layout comes first.
 pub fn others(fields: &[StateField], of_other: &[StateField]) -> Vec<Vec<Part>> {
     let own: Vec<Part> = fields.iter().map(|&field| Field(field)).collect();
     let width = width(&own);
@@ -87,7 +86,7 @@ pub fn others(fields: &[StateField], of_other: &[StateField]) -> Vec<Vec<Part>> 
     different
 }
 
-/// Returns the parts of the same width that are mistaken for a part.
+/// Returns the parts of the same width that are easily confused with a part.
 fn alternatives(part: Part) -> &'static [Part] {
     match part {
         Field(EefAxisAngle) => &[
@@ -115,7 +114,7 @@ fn width(parts: &[Part]) -> usize {
     parts.iter().map(|part| part.width()).sum()
 }
 
-/// The numbers of these parts; None if the situation lacks one.
+/// Returns the values of these parts; `None` if the situation lacks one.
 pub fn numbers(parts: &[Part], situation: &Situation) -> Option<Vec<f64>> {
     let mut numbers = vec![];
     for part in parts {
@@ -178,7 +177,7 @@ impl Part {
     }
 }
 
-/// Parts in words: "position, axis times angle and fingers".
+/// Formats parts as a list: "position, axis times angle and fingers".
 pub struct Parts<'a>(pub &'a [Part]);
 
 impl fmt::Display for Parts<'_> {

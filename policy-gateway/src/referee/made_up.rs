@@ -1,6 +1,5 @@
-//! Made-up situations: table scenes with texture on every scale and no symmetry,
-//! an arm in other poses above them, and another task of the suite each time. The
-//! same at every run.
+//! Synthetic situations: a table with texture at every scale and no symmetry, with a different arm
+//! pose and task in each situation. Equal in every run.
 
 use std::f64::consts::PI;
 
@@ -10,15 +9,15 @@ use proto::policy::{DescribeResponse, Image, PrivilegedState, StateField};
 use super::situation::Situation;
 use crate::conformance::scene;
 
-/// Number of made-up situations.
+/// Number of synthetic situations.
 pub const COUNT: usize = 8;
-/// Side of the frames, pixels: LIBERO's.
+/// Side of the frames, pixels, as in LIBERO.
 const SIDE: usize = 256;
-/// Index of the situation whose most colourful thing fills much of the frames, as
-/// before a grasp.
+/// Index of the situation in which the colourful object fills much of the frame, as before a
+/// grasp.
 const CLOSE_UP: usize = 5;
 
-/// Situations of a suite, with frames of these cameras.
+/// Generates situations for a suite, with frames of these cameras.
 pub fn situations(suite: Suite, cameras: &[&str]) -> Vec<Situation> {
     let tasks: Vec<TaskRef> = suite.tasks().collect();
     let situation = |at: usize| {
@@ -36,7 +35,7 @@ pub fn situations(suite: Suite, cameras: &[&str]) -> Vec<Situation> {
     (0..COUNT).map(situation).collect()
 }
 
-/// The cameras of these descriptions, each once.
+/// Returns the cameras of all descriptions, without duplicates.
 pub fn cameras<'a>(described: &[&'a DescribeResponse]) -> Vec<&'a str> {
     let cameras = described.iter().flat_map(|it| &it.cameras);
     let mut names: Vec<&str> = cameras.map(|it| it.name.as_str()).collect();
@@ -45,11 +44,11 @@ pub fn cameras<'a>(described: &[&'a DescribeResponse]) -> Vec<&'a str> {
     names
 }
 
-/// SplitMix64: the same numbers everywhere.
+/// SplitMix64 generator, which is the same on every platform.
 struct Chance(u64);
 
 impl Chance {
-    /// Between -1 and 1.
+    /// Returns the next number, between -1 and 1.
     fn number(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         2.0 * unit(mix(self.0)) - 1.0
@@ -62,22 +61,22 @@ fn mix(mut bits: u64) -> u64 {
     bits ^ (bits >> 31)
 }
 
-/// Between 0 and 1.
+/// Maps bits to a number between 0 and 1.
 fn unit(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1_u64 << 53) as f64
 }
 
 struct Hand {
     position: [f64; 3],
-    /// x y z w.
+    /// Orientation as a quaternion, x y z w.
     quaternion: [f64; 4],
     /// Opening of each finger, m.
     opening: f64,
 }
 
 impl Hand {
-    /// Pointing down, more or less. The sign of w, which decides between the two
-    /// quaternions of an orientation, alternates.
+    /// Generates a hand that points roughly downwards. The sign of w, which distinguishes the two
+    /// quaternions of an orientation, alternates between situations.
     fn at_random(chance: &mut Chance, at: usize) -> Self {
         let sign = if at.is_multiple_of(2) { 1.0 } else { -1.0 };
         let [y, z, w] = [0.15, 0.3, 0.12].map(|size| size * chance.number());
@@ -114,7 +113,7 @@ impl Hand {
     }
 }
 
-/// The scene of the conformance check, with its box elsewhere each time.
+/// Returns the privileged scene of the conformance check, with its box moved.
 fn privileged(hand: &Hand, at: usize) -> PrivilegedState {
     let wanting = DescribeResponse {
         privileged: true,
@@ -135,7 +134,7 @@ fn privileged(hand: &Hand, at: usize) -> PrivilegedState {
     state
 }
 
-/// A thing on the table, in shares of the frame's width from its lower left.
+/// Object on the table. Lengths are shares of the frame's width, from the lower left.
 struct Thing {
     centre: [f64; 2],
     half: [f64; 2],
@@ -144,7 +143,7 @@ struct Thing {
 }
 
 fn things(chance: &mut Chance, at: usize) -> Vec<Thing> {
-    // Only the first is colourful, so that what looks for colour finds one thing.
+    // Only the first object is colourful, so that a policy that looks for colour finds one object.
     let colours = [
         [225.0, 35.0, 45.0],
         [150.0, 110.0, 75.0],
@@ -162,12 +161,12 @@ fn things(chance: &mut Chance, at: usize) -> Vec<Thing> {
         .collect();
     let (first, size) = (&mut things[0], if at == CLOSE_UP { 0.2 } else { 0.055 });
     (first.half, first.round) = ([size, 0.9 * size], true);
-    // In front of the others.
+    // Draws the colourful object last, in front of the others.
     things.rotate_left(1);
     things
 }
 
-/// Draws a camera's frame: a lit table with grain and spots, and things on it.
+/// Renders a camera's frame: a lit table with grain and spots, and objects on it.
 fn frame(camera: &str, at: usize) -> Image {
     let name = camera
         .bytes()
@@ -209,7 +208,7 @@ impl Thing {
     }
 }
 
-/// Smooth noise with two sizes of spots, in levels, by column and row.
+/// Returns smooth noise with spots of two sizes, in levels, by column and row.
 fn spots(key: u64) -> impl Fn(usize, usize) -> f64 {
     let layer = move |cell: usize, column: usize, row: usize| {
         let corner = |x: usize, y: usize| unit(mix(key ^ mix((cell * 4096 + y) as u64) ^ x as u64));

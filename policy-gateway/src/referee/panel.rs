@@ -1,5 +1,5 @@
-//! Two servers and what both are shown. Responsible for asking: every situation,
-//! changed as told, with as many seeds as told.
+//! The two compared servers with their situations. Queries a server in every situation, with the
+//! given changes and seeds.
 
 use proto::policy::{DescribeResponse, Observation};
 
@@ -10,37 +10,37 @@ use super::{
     variant::Variant,
 };
 
-/// First seed. No program of the field has it as its default.
+/// First seed, which is no program's default.
 pub const SEED: u64 = 4_711;
-/// Queries of one episode, the same observation each time, of policies that keep
-/// their chunks to themselves: an answer alone would show one action of them.
+/// Queries per episode, all with the same observation, for stateful policies that answer one
+/// action at a time from a chunk: a single answer would show only its first action.
 const HELD_QUERIES: u32 = 4;
 
-/// One of the two servers.
+/// Identifies one of the two servers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
     /// The first one named.
     A,
-    /// The other one.
+    /// The server named second.
     B,
 }
 
-/// The two servers and the situations.
+/// Both servers and their situations.
 pub struct Panel {
     a: Server,
     b: Server,
     situations: Vec<Situation>,
-    /// Each as the servers are shown it, unless it is changed.
+    /// Unchanged observations of all situations, by server.
     shown_to_a: Vec<Observation>,
     shown_to_b: Vec<Observation>,
     queries: u32,
 }
 
 impl Panel {
-    /// Prepares what both are shown.
+    /// Prepares the observations of both servers.
     ///
     /// # Errors
-    /// If a server wants what the situations lack.
+    /// If a server needs an input that the situations lack.
     pub fn new(a: Server, b: Server, situations: Vec<Situation>) -> Result<Self, RefereeError> {
         let shown = |server: &Server| -> Result<Vec<Observation>, RefereeError> {
             let shown = situations
@@ -67,12 +67,12 @@ impl Panel {
         })
     }
 
-    /// Returns a server's description of itself.
+    /// Returns a server's description.
     pub fn described(&self, side: Side) -> &DescribeResponse {
         &self.server(side).described
     }
 
-    /// One of the two.
+    /// Returns one of the two servers.
     pub fn server(&self, side: Side) -> &Server {
         match side {
             Side::A => &self.a,
@@ -85,7 +85,7 @@ impl Panel {
         self.situations.len()
     }
 
-    /// Returns the changes that can be made to a server's observations.
+    /// Returns the changes that apply to a server's observations in all situations.
     pub fn variants(&self, side: Side) -> Vec<Variant> {
         let other = match side {
             Side::A => Side::B,
@@ -100,8 +100,8 @@ impl Panel {
         variants
     }
 
-    /// Asks a server about the first `count` situations, changed by `variants`, once
-    /// with each of `seeds(situation)`.
+    /// Queries a server in the first `count` situations, changed by `variants`, once per seed of
+    /// `seeds(situation)`.
     ///
     /// # Errors
     /// If the server does not answer with actions.
@@ -131,7 +131,7 @@ impl Panel {
         Ok(Answers::of(asked))
     }
 
-    /// One episode's actions.
+    /// Plays one episode and returns its actions.
     async fn chunk(
         &self,
         side: Side,

@@ -1,10 +1,10 @@
-//! One orientation in the ways in which policies are told it. Pure.
+//! Conversions between the representations of an orientation that policies use. Pure functions.
 
 /// A unit quaternion, x y z w.
 pub type Quaternion = [f64; 4];
 
-/// Axis times angle, rad, with the angle in 0..2π: the antipode of a quaternion
-/// is another one, as in robosuite.
+/// Returns axis times angle, rad, with the angle in 0..2π: a quaternion and its antipode differ,
+/// as in robosuite.
 pub fn axis_angle([x, y, z, w]: Quaternion) -> [f64; 3] {
     let sine = (x * x + y * y + z * z).sqrt();
     if sine == 0.0 {
@@ -14,7 +14,7 @@ pub fn axis_angle([x, y, z, w]: Quaternion) -> [f64; 3] {
     [x, y, z].map(|it| it / sine * angle)
 }
 
-/// The quaternion of axis times angle; beyond π its w is negative.
+/// Returns the quaternion of an axis-angle; its w is negative for angles above π.
 pub fn from_axis_angle(rotation: [f64; 3]) -> Quaternion {
     let [x, y, z] = rotation;
     let angle = (x * x + y * y + z * z).sqrt();
@@ -26,7 +26,7 @@ pub fn from_axis_angle(rotation: [f64; 3]) -> Quaternion {
     [x, y, z, cosine]
 }
 
-/// The rotation matrix, row by row.
+/// Returns the rotation matrix in row-major order.
 pub fn matrix([x, y, z, w]: Quaternion) -> [f64; 9] {
     [
         1.0 - 2.0 * (y * y + z * z),
@@ -41,9 +41,9 @@ pub fn matrix([x, y, z, w]: Quaternion) -> [f64; 9] {
     ]
 }
 
-/// The quaternion of a rotation matrix, with w not below 0.
+/// Returns the quaternion of a rotation matrix, with w ≥ 0.
 pub fn from_matrix(m: [f64; 9]) -> Quaternion {
-    // Each component's square by the diagonal; the largest gives the signs.
+    // The diagonal gives each component's square; the largest component gives the signs.
     let squares = [
         1.0 + m[0] - m[4] - m[8],
         1.0 - m[0] + m[4] - m[8],
@@ -64,7 +64,7 @@ pub fn from_matrix(m: [f64; 9]) -> Quaternion {
     scaled.map(|it| sign * it / norm)
 }
 
-/// Roll, pitch and yaw, rad: turns about the fixed axes x, y, z, in this order.
+/// Returns roll, pitch and yaw, rad: rotations about the fixed axes x, y, z, in this order.
 pub fn roll_pitch_yaw(quaternion: Quaternion) -> [f64; 3] {
     let m = matrix(quaternion);
     [

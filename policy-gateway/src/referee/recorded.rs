@@ -1,12 +1,12 @@
-//! Situations out of recorded sessions: what a policy was really shown.
+//! Situations from recorded sessions, with a policy's actual inputs.
 
 use std::path::Path;
 
 use super::situation::Situation;
 use crate::recording::{self, Pair, Reader, RecordingError};
 
-/// Takes up to `count` situations from the recordings of a folder: from as many sessions as
-/// possible, spread over the length of each.
+/// Takes up to `count` situations from the recordings of a folder, from as many sessions as
+/// possible and spread over the length of each.
 ///
 /// # Errors
 /// If there is no recording, or one is damaged.
@@ -15,7 +15,7 @@ pub fn situations(folder: &Path, count: usize) -> Result<Vec<Situation>, Recordi
     let mut situations = vec![];
     for at in 0..count.min(files.len()) {
         let file = &files[at * files.len() / count.min(files.len())];
-        // The first files give one more where the numbers do not divide.
+        // The first sessions contribute one more if `count` is not divisible.
         let sessions = count.min(files.len());
         let of_this = count / sessions + usize::from(at < count % sessions);
         situations.extend(of_session(file, of_this)?);

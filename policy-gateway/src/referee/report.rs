@@ -1,5 +1,4 @@
-//! Printed reports: lines for a terminal of 80 columns, and JSON, which docs/JSON.md
-//! documents.
+//! Reports in lines of 80 columns, and in JSON as documented in docs/JSON.md.
 
 use proto::policy::DescribeResponse;
 use serde::Serialize;
@@ -13,10 +12,10 @@ use super::{
 };
 use crate::conformance::verdict::Verdict;
 
-/// Column at which the second line of a finding begins.
+/// Indentation of a finding's continuation lines, columns.
 const INDENT: usize = 6;
 
-/// A server that was asked.
+/// Queried server, by its description.
 #[derive(Clone, Debug, Serialize)]
 pub struct Asked {
     url: String,
@@ -25,7 +24,7 @@ pub struct Asked {
 }
 
 impl Asked {
-    /// The server at `url`, as it describes itself.
+    /// Creates the entry of the server at `url`.
     pub fn new(url: &str, described: &DescribeResponse) -> Self {
         Self {
             url: url.to_owned(),
@@ -34,7 +33,7 @@ impl Asked {
         }
     }
 
-    /// A line that names it.
+    /// Formats a line with the server's name.
     pub fn line(&self, letter: &str) -> String {
         let checkpoint = match self.checkpoint.is_empty() {
             true => String::new(),
@@ -45,7 +44,7 @@ impl Asked {
     }
 }
 
-/// A comparison in lines.
+/// Formats a comparison as lines.
 pub fn comparison(comparison: &Comparison) -> Vec<String> {
     let Comparison {
         descriptions,
@@ -76,7 +75,7 @@ fn difference(difference: &Difference) -> String {
     wrapped("FAIL  ", INDENT, &words)
 }
 
-/// A finding in lines.
+/// Formats a finding as lines.
 pub fn finding(finding: &Finding) -> String {
     let (word, text) = said(&finding.verdict);
     let word = if word == "fail" { "FAIL" } else { word };
@@ -93,7 +92,7 @@ fn said(verdict: &Verdict) -> (&'static str, &str) {
     }
 }
 
-/// `compare --json`.
+/// Output of `compare --json`.
 #[derive(Debug, Serialize)]
 pub struct ComparisonJson<'a> {
     a: Asked,
@@ -132,7 +131,7 @@ impl<'a> ComparisonJson<'a> {
     }
 }
 
-/// `doctor --json`.
+/// Output of `doctor --json`.
 #[derive(Debug, Serialize)]
 pub struct ExaminationJson<'a> {
     server: Asked,

@@ -1,6 +1,5 @@
-//! Search for the usual differences between two pipelines that make one server
-//! answer as the other does. Responsible for the order: the explanation with the
-//! fewest assumptions comes first.
+//! Searches for the usual differences between two pipelines that explain two servers' different
+//! answers. The explanation with the fewest assumptions comes first.
 
 use super::{
     answers::Answers,
@@ -10,13 +9,13 @@ use super::{
     variant::{Topic, Variant},
 };
 
-/// Differences in what servers are shown that are found together.
+/// Most changes to observations in one explanation.
 const MOST_TOGETHER: usize = 3;
-/// Largest share of the remaining difference that a change may leave to count
-/// as part of the explanation.
+/// Largest share of the remaining difference that another change may leave in order to be
+/// accepted.
 const PROGRESS: f64 = 0.75;
 
-/// Largest share of a difference that an explanation may leave; more is another
+/// Largest share of a difference that an explanation may leave; a larger remainder is a separate
 /// difference.
 const LEFT: f64 = 0.1;
 
@@ -24,21 +23,20 @@ const LEFT: f64 = 0.1;
 pub struct Course<'a> {
     /// The servers and the situations.
     pub panel: &'a Panel,
-    /// Seeds by situation: several are averaged over.
+    /// Seeds of a situation; answers to several are averaged.
     pub seeds: &'a (dyn Fn(usize) -> Vec<u64> + Sync),
-    /// Largest difference that counts as none.
+    /// Differences up to this size count as none.
     pub floor: Limit,
-    /// True if several differences at once are looked for.
+    /// True if several simultaneous differences are searched for.
     pub together: bool,
 }
 
-/// Changes to what is shown, and a map of the actions.
+/// Changes to the observations, and a map of the actions.
 #[derive(Clone, Debug)]
 pub struct Explanation {
-    /// Changes to the observations of either server that make the answers
-    /// alike.
+    /// Changes to either server's observations that make the answers alike.
     pub shown: Vec<(Side, Variant)>,
-    /// From A's actions to B's.
+    /// Map from A's actions to B's.
     pub fit: Fit,
 }
 
@@ -51,16 +49,16 @@ impl Explanation {
 /// Result of a search.
 #[derive(Clone, Debug)]
 pub enum Found {
-    /// This makes them alike.
+    /// This explanation makes the answers alike.
     Explained(Explanation),
-    /// Nothing does; this comes closest.
+    /// No explanation makes the answers alike; this one comes closest.
     Nothing(Explanation),
 }
 
 impl Course<'_> {
-    /// Looks for an explanation of what differs between the answers `a` and `b` to
-    /// the situations as they are. What a change explains by nine tenths it explains;
-    /// the last tenth is looked into by itself.
+    /// Searches for an explanation of the difference between the answers `a` and `b` to the
+    /// unchanged situations. A change that explains nine tenths of a difference is accepted; the
+    /// remaining tenth is then searched separately.
     ///
     /// # Errors
     /// If a server does not answer with actions.
@@ -94,13 +92,12 @@ impl Course<'_> {
         Ok(Found::Explained(explained))
     }
 
-    /// Returns the largest remainder that counts as none beside a difference of
-    /// this size.
+    /// Returns the largest remainder that counts as none for a difference of this size.
     fn limit(&self, apart: Limit) -> Limit {
         std::array::from_fn(|at| self.floor[at].max(LEFT * apart[at]))
     }
 
-    /// The simplest explanation that holds what is known already.
+    /// Finds the simplest explanation that extends the known one.
     async fn beyond(
         &self,
         known: &Explanation,
@@ -108,7 +105,7 @@ impl Course<'_> {
         a: &Answers,
         b: &Answers,
     ) -> Result<Found, RefereeError> {
-        // Nothing that is shown otherwise could be simpler.
+        // No change to the observations could be simpler.
         if known.fit.explains && known.fit.cost() <= 1 {
             return Ok(Found::Explained(known.clone()));
         }
@@ -151,7 +148,7 @@ impl Course<'_> {
         Ok(Found::Nothing(closest))
     }
 
-    /// One change more than these, on a topic that they do not touch.
+    /// Returns all extensions by one change, on a topic that is not yet used.
     fn further(&self, shown: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
         let touched: Vec<Topic> = shown.iter().map(|(_, it)| it.topic()).collect();
         let mut further = vec![];
@@ -168,7 +165,7 @@ impl Course<'_> {
         further
     }
 
-    /// Answers of both where this is shown otherwise.
+    /// Returns both servers' answers under these changes.
     async fn answers(
         &self,
         shown: &[(Side, Variant)],
@@ -183,7 +180,7 @@ impl Course<'_> {
         ))
     }
 
-    /// Answers of one side to what it is shown otherwise, if anything.
+    /// Returns one server's answers under its changes; `None` if it has none.
     async fn changed(
         &self,
         side: Side,

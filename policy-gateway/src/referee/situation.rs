@@ -1,6 +1,5 @@
-//! A situation of the robot, complete enough to be shown to servers that want
-//! different things of it. Responsible for making the observation that a
-//! description asks for: frames of its size, readings of its kind.
+//! Situation of the robot, from which observations for servers with different inputs are made:
+//! frames of the requested size, readings of the requested kind.
 
 use proto::policy::{
     DescribeResponse, Image, Observation, PrivilegedState, StateField, StateReading,
@@ -15,27 +14,26 @@ use crate::backend::openpi::frame::resize;
 pub struct Situation {
     /// Suite of the episode.
     pub suite: String,
-    /// Its instruction.
+    /// Instruction of the episode.
     pub instruction: String,
-    /// Frames by camera, row 0 at the BOTTOM.
+    /// Frames by camera, with row 0 at the bottom.
     pub frames: Vec<Image>,
-    /// Readings, each kind once.
+    /// Readings, at most one of each kind.
     pub readings: Vec<(StateField, Vec<f64>)>,
     /// The simulator's own state.
     pub privileged: Option<PrivilegedState>,
 }
 
-/// Input that a server wants and a situation does not have.
+/// Input that a server needs and a situation lacks.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{0}")]
 pub struct Missing(pub String);
 
 impl Situation {
-    /// Returns the observation for a server of this description.
+    /// Returns the observation for a server with this description.
     ///
     /// # Errors
-    /// If the server asks for something that is not there and cannot be
-    /// derived.
+    /// If the situation lacks a requested input that cannot be derived.
     pub fn observation(&self, described: &DescribeResponse) -> Result<Observation, Missing> {
         let mut observation = Observation::default();
         for camera in &described.cameras {
@@ -62,8 +60,7 @@ impl Situation {
         Ok(observation)
     }
 
-    /// A reading: as it is there, or derived from another form of the
-    /// orientation.
+    /// Returns a reading as stored, or derived from another representation of the orientation.
     pub fn reading(&self, field: StateField) -> Option<Vec<f64>> {
         if let Some((_, values)) = self.readings.iter().find(|(known, _)| *known == field) {
             return Some(values.clone());
@@ -77,7 +74,7 @@ impl Situation {
         }
     }
 
-    /// The hand's orientation, from whichever form of it is there.
+    /// Returns the hand's orientation, from any stored representation.
     pub fn quaternion(&self) -> Option<Quaternion> {
         self.readings
             .iter()
@@ -96,7 +93,7 @@ impl Situation {
     }
 }
 
-/// A frame in another size, as Pillow's bilinear filter makes it.
+/// Resizes a frame with Pillow's bilinear filter.
 pub fn resized(frame: &Image, width: u32, height: u32) -> Image {
     let size = |width: u32, height: u32| [width as usize, height as usize];
     let from = size(frame.width, frame.height);

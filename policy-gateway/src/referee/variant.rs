@@ -1,5 +1,5 @@
-//! Observations as another pipeline would show them: one mistake of the field's
-//! usual ones at a time. Pure.
+//! Modifies observations as another pipeline would, by one common mistake at a time. Pure
+//! functions.
 
 use std::fmt;
 
@@ -12,70 +12,70 @@ use super::{
     situation::Situation,
 };
 
-/// One way in which an observation may be shown otherwise.
+/// Change to an observation.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Variant {
-    /// Frames of some cameras turned over.
+    /// Rotates or flips the frames of one camera, or of all if `None`.
     Turned(Turn, Option<String>),
-    /// Frames scaled to this width and height, and back.
+    /// Scales frames to this width and height, and back.
     Resized([u32; 2], Filter),
-    /// The first two cameras' frames exchanged.
+    /// Swaps the first two cameras' frames.
     CamerasSwapped,
-    /// Blue, green, red.
+    /// Reverses the channels to blue, green, red.
     ColoursReversed,
-    /// Quaternions, and axis times angle, of the other sign.
+    /// Changes the sign of quaternions and axis-angles.
     Sign(SignRule),
-    /// The readings, end to end, hold these parts in place of what they are called.
+    /// Replaces the concatenated readings by these parts.
     State(Vec<Part>),
 }
 
-/// How a frame is turned over. As people see it: row 0 is its bottom.
+/// Rotation or flip of a frame in upright view, in which row 0 is at the bottom.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
-    /// Top to bottom.
+    /// Flip, top to bottom.
     UpsideDown,
-    /// Left to right.
+    /// Flip, left to right.
     Mirrored,
-    /// By 180°, which is both.
+    /// Rotation by 180°.
     Half,
-    /// By 90° to the left.
+    /// Rotation by 90° to the left.
     Left,
-    /// By 90° to the right.
+    /// Rotation by 90° to the right.
     Right,
 }
 
 /// Rule that selects one of the two quaternions of an orientation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SignRule {
-    /// The other one, always.
+    /// The other quaternion.
     Other,
-    /// The quaternion whose w is not below 0.
+    /// The quaternion with w ≥ 0.
     PositiveW,
 }
 
-/// Subject of a variant.
+/// Property of the observation that a variant changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Topic {
-    /// Frames turned over.
+    /// Rotation of frames.
     Orientation,
-    /// Frames in another resolution.
+    /// Resolution of frames.
     Size,
     /// Assignment of the cameras.
     Cameras,
     /// Channels of a frame.
     Colours,
-    /// The sign of quaternions.
+    /// Sign of quaternions.
     Sign,
-    /// Meaning of the robot's numbers.
+    /// Meaning of the robot's readings.
     State,
 }
 
-/// Widths and heights that networks of the field take, pixels.
+/// Common input sizes of networks, pixels.
 const SIDES: [u32; 7] = [64, 84, 112, 128, 160, 192, 224];
 
 impl Variant {
-    /// Every variant that can change what a server of this description sees, `other`
-    /// being that of the server it is compared with.
+    /// Returns all variants that can affect a server with this description. `other` is the
+    /// description of the server that it is compared with.
     pub fn all(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Self> {
         let mut variants = vec![];
         let cameras = &described.cameras;
@@ -112,7 +112,7 @@ impl Variant {
         variants
     }
 
-    /// Returns the subject of the variant.
+    /// Returns the property that the variant changes.
     pub fn topic(&self) -> Topic {
         match self {
             Self::Turned(..) => Topic::Orientation,
@@ -124,7 +124,7 @@ impl Variant {
         }
     }
 
-    /// Returns true if the situation has the inputs that the variant needs.
+    /// Returns true if the situation has the readings that the variant needs.
     pub fn applies(&self, situation: &Situation) -> bool {
         match self {
             Self::State(parts) => layout::numbers(parts, situation).is_some(),
@@ -132,8 +132,8 @@ impl Variant {
         }
     }
 
-    /// Returns true if the variant applied twice changes nothing, so that it makes
-    /// no difference which of two servers is shown it.
+    /// Returns true if applying the variant twice changes nothing, so that it is equivalent to
+    /// apply it to either of two servers.
     pub fn is_its_own_inverse(&self) -> bool {
         match self {
             Self::Turned(turn, _) => !matches!(turn, Turn::Left | Turn::Right),
@@ -142,7 +142,7 @@ impl Variant {
         }
     }
 
-    /// Changes an observation that was made of this situation.
+    /// Applies the variant to an observation of this situation.
     pub fn apply(&self, situation: &Situation, observation: &mut Observation) {
         match self {
             Self::Turned(turn, only) => {
@@ -187,7 +187,7 @@ impl Variant {
     }
 }
 
-/// Sizes other than the server's own, that of the other server first.
+/// Returns the variants with sizes below the server's own, the other server's size first.
 fn sizes(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Variant> {
     let size = |it: &DescribeResponse| it.cameras.first().map(|it| [it.width, it.height]);
     let Some([width, height]) = size(described) else {
@@ -206,7 +206,7 @@ fn sizes(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Variant>
 }
 
 impl Turn {
-    /// All of them.
+    /// All rotations and flips.
     const ALL: [Self; 5] = [
         Self::UpsideDown,
         Self::Half,
@@ -224,7 +224,7 @@ impl Turn {
             Self::UpsideDown => (height - 1 - row, column),
             Self::Mirrored => (row, width - 1 - column),
             Self::Half => (height - 1 - row, width - 1 - column),
-            // Of square frames. Rows count from the bottom.
+            // For square frames only. Rows count from the bottom.
             Self::Left => (width - 1 - column, row),
             Self::Right => (column, height - 1 - row),
         };
@@ -259,7 +259,7 @@ impl SignRule {
 }
 
 impl fmt::Display for Variant {
-    /// Writes the change to the observation: "its frames turned by 180°".
+    /// Describes the changed observation: "frames turned by 180°".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Turned(turn, only) => {

@@ -1,5 +1,4 @@
-//! The pools of a route, as last configured: one for all suites, or one per
-//! suite.
+//! Pools of a route: one for all suites, or one per suite.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -12,7 +11,7 @@ pub(super) enum Checkpoints {
 }
 
 impl Checkpoints {
-    /// Pools as `spec` says, with those of the `known` replicas that stay.
+    /// Creates the pools of `spec`, reusing the unchanged ones of the `known` replicas.
     ///
     /// # Errors
     /// See [`UnusableBackend`].
@@ -41,7 +40,7 @@ impl Checkpoints {
         })
     }
 
-    /// The pool that answers for a suite.
+    /// Returns the pool for a suite.
     pub(super) fn pool(&self, suite: &str) -> Option<&Arc<Pool>> {
         match self {
             Self::One(pool) => Some(pool),
@@ -49,7 +48,7 @@ impl Checkpoints {
         }
     }
 
-    /// The suites that have one of their own, as a list.
+    /// Lists the suites that have their own pool.
     pub(super) fn suites(&self) -> String {
         match self {
             Self::One(_) => String::new(),
@@ -57,7 +56,7 @@ impl Checkpoints {
         }
     }
 
-    /// The only replica, if there is but one for everything.
+    /// Returns the only replica; `None` if there are several replicas or pools.
     pub(super) fn only(&self) -> Option<(Arc<Pool>, Arc<Replica>)> {
         match self {
             Self::One(pool) => match pool.replicas() {
@@ -68,7 +67,7 @@ impl Checkpoints {
         }
     }
 
-    /// Every replica of every pool.
+    /// Returns every replica of every pool.
     pub(super) fn replicas(&self) -> Vec<Arc<Replica>> {
         match self {
             Self::One(pool) => pool.replicas().to_vec(),

@@ -1,4 +1,4 @@
-//! Errors of a route, as the worker's call returns them.
+//! Errors of a route, as returned to workers.
 
 use std::time::Duration;
 
@@ -11,21 +11,21 @@ use crate::{
     backend::BackendError, config::RouteName, held::MAX_HELD_BYTES, sessions::MAX_SESSION_BYTES,
 };
 
-/// Reason for which a route did not answer.
+/// Reason why a route did not answer.
 #[derive(Debug, Error)]
 pub enum RouteError {
-    /// The replica did not.
+    /// The replica did not answer.
     #[error("route {route}{}", of_replica(replica, source))]
     Replica {
         /// Name of the route.
         route: RouteName,
-        /// Its back-end as configured.
+        /// Back-end of the replica, as configured.
         replica: String,
-        /// The reason.
+        /// Error of the back-end.
         #[source]
         source: Box<BackendError>,
     },
-    /// The policy answered nonsense.
+    /// The answer is not a valid chunk of actions.
     #[error(
         "route {route} ({replica}) got an answer to query {query_index} that is no chunk of \
          actions: {source}; `policy-gateway doctor {replica}` looks for the cause"
@@ -33,7 +33,7 @@ pub enum RouteError {
     Action {
         /// Name of the route.
         route: RouteName,
-        /// Its back-end as configured.
+        /// Back-end of the replica, as configured.
         replica: String,
         /// Index of the query in its session.
         query_index: u32,
@@ -41,9 +41,8 @@ pub enum RouteError {
         #[source]
         source: ActionFault,
     },
-    /// A session that is not open, because it never was, or because the gateway
-    /// restarted or forgot it since: the episode is lost, through no fault of
-    /// the policy.
+    /// The session is not open: it was never reset, or the gateway restarted or discarded it. The
+    /// episode is lost, through no fault of the policy.
     #[error(
         "route {route}: session {session:?} is not open here (the gateway may have restarted \
          since its Reset); start the rollout again"
@@ -51,34 +50,34 @@ pub enum RouteError {
     SessionLost {
         /// Name of the route.
         route: RouteName,
-        /// The episode.
+        /// Name of the session.
         session: String,
     },
-    /// No checkpoint for what is asked.
+    /// The route has no checkpoint for the suite.
     #[error(
         "route {route} has a checkpoint per suite and none for {suite:?}; it has them for {known}"
     )]
     Suite {
         /// Name of the route.
         route: RouteName,
-        /// Suite as asked for.
+        /// Requested suite.
         suite: String,
-        /// The suites that it has.
+        /// Suites with a checkpoint.
         known: String,
     },
-    /// A session without a name, or with a book for one.
+    /// The session's name is empty or too long.
     #[error("a session's name has 1 to {MAX_SESSION_BYTES} bytes, this one {bytes}")]
     Session {
-        /// Length of the name.
+        /// Length of the name, bytes.
         bytes: usize,
     },
-    /// The configuration no longer names the route.
+    /// The route was removed from the configuration.
     #[error("route {route} takes no new sessions: it was taken out of the configuration")]
     Retired {
         /// Name of the route.
         route: RouteName,
     },
-    /// As many sessions are open as its replicas can answer in time.
+    /// The route has as many sessions as its replicas can answer in time.
     #[error(
         "route {route} has {sessions} rollouts under way, as many as its policy servers answer in \
          time at {:.2} s a query; run fewer slots, or give the route more replicas",
@@ -87,12 +86,12 @@ pub enum RouteError {
     Full {
         /// Name of the route.
         route: RouteName,
-        /// Open sessions.
+        /// Number of open sessions.
         sessions: usize,
-        /// Time of the slowest replica for one query.
+        /// Time per query of the slowest replica.
         per_query: Duration,
     },
-    /// Too many queries wait already.
+    /// The memory budget for waiting observations is exhausted.
     #[error(
         "this gateway holds {} MiB of observations that wait for their answers; try again later, \
          or give policies more replicas",
@@ -101,8 +100,8 @@ pub enum RouteError {
     Overloaded,
 }
 
-/// The part of a message after the route's name. The replica is named once: here, or by
-/// its error.
+/// Formats the message after the route's name. The replica is named exactly once, here or by its
+/// error.
 fn of_replica(replica: &str, source: &BackendError) -> String {
     let problem = source.to_string();
     let address = replica.split_once("://").map_or(replica, |(_, rest)| rest);
@@ -114,7 +113,7 @@ fn of_replica(replica: &str, source: &BackendError) -> String {
 }
 
 impl RouteError {
-    /// The gRPC code that says it to a worker: see [`BackendError`].
+    /// Returns the gRPC code to answer a worker with: see [`BackendError`].
     pub fn code(&self) -> Code {
         match self {
             Self::Replica { source, .. } => source.code(),

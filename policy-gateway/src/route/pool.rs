@@ -1,5 +1,5 @@
-//! The replicas of one checkpoint: which of them gets a session or a query, and
-//! whether they are replicas of one another at all.
+//! Replicas of one checkpoint: assigns sessions and queries to them, and checks that they describe
+//! themselves alike.
 
 use std::{
     fmt,
@@ -16,22 +16,20 @@ use sha2::{Digest, Sha256};
 use super::replica::Replica;
 use crate::{backend::BackendError, check, config::Batching, health::Call};
 
-/// Replicas that answer alike.
+/// Interchangeable replicas of a checkpoint.
 pub struct Pool {
-    /// The suite of its checkpoint; empty: all suites.
+    /// Suite of the checkpoint; empty for all suites.
     suite: String,
     replicas: Vec<Arc<Replica>>,
     batching: Batching,
-    /// Description by the first replica to answer, with which the others must
-    /// agree.
+    /// Description by the first replica to answer; the others must agree with it.
     agreed: Mutex<Option<Agreed>>,
     sessions_given: AtomicU64,
-    /// Sessions whose Reset is under way.
+    /// Number of sessions whose Reset is in flight.
     opening: AtomicUsize,
 }
 
-/// A session whose Reset is under way, among those that its pool may have; one less
-/// when dropped.
+/// Guard of a session whose Reset is in flight, counted against the pool's capacity until dropped.
 pub struct Opening(Arc<Pool>);
 
 impl Drop for Opening {
@@ -46,7 +44,7 @@ struct Agreed {
 }
 
 impl Pool {
-    /// A pool of at least one replica, for one suite or, if that is empty, all.
+    /// Creates a pool of at least one replica, for one suite or, if `suite` is empty, for all.
     pub fn new(suite: &str, replicas: Vec<Arc<Replica>>, batching: Batching) -> Self {
         Self {
             suite: suite.to_owned(),
@@ -58,8 +56,8 @@ impl Pool {
         }
     }
 
-    /// Counts one more session whose Reset is under way, if the replicas can answer it
-    /// in time beside the `open` ones. The caller keeps others from doing so meanwhile.
+    /// Reserves a place for a session's Reset if the replicas can answer it in time beside the
+    /// `open` ones. The caller must prevent concurrent calls.
     pub fn open_one_more(self: &Arc<Self>, open: usize) -> Option<Opening> {
         let sessions = open + self.opening.load(Ordering::Relaxed);
         if self.capacity().is_some_and(|most| sessions >= most) {
@@ -69,8 +67,8 @@ impl Pool {
         Some(Opening(Arc::clone(self)))
     }
 
-    /// Returns how many sessions the replicas can answer in time together; none if
-    /// the pace of one is not known, or all are out.
+    /// Returns the number of sessions that the replicas can answer in time together; `None` if the
+    /// pace of one is unknown, or all are out.
     pub fn capacity(&self) -> Option<usize> {
         let up = self.replicas.iter().filter(|it| !it.is_out());
         let capacities = up.map(|replica| replica.capacity());
@@ -78,36 +76,35 @@ impl Pool {
         capacity.filter(|&sessions| sessions > 0)
     }
 
-    /// Longest time that a Reset waits for another session to end: at 50 s for an answer
-    /// 20 s, so that the Reset itself still comes within the 60 s that a worker waits.
+    /// Returns the longest wait of a Reset for another session to end: 20 s if answers may take 50
+    /// s, so that the Reset completes within a worker's 60 s.
     pub fn reset_patience(&self) -> Duration {
         let longest = self.replicas.iter().map(|it| it.answer_within()).max();
         longest.unwrap_or_default() * 2 / 5
     }
 
-    /// Returns the time that the slowest replica takes for each query.
+    /// Returns the time per query of the slowest replica.
     pub fn per_query(&self) -> Option<Duration> {
         self.replicas.iter().filter_map(|it| it.per_query()).max()
     }
 
-    /// Returns true if another pool has the same replicas' sessions: it is for the
-    /// same suite of the same route, before or after a reload.
+    /// Returns true if another pool shares its replicas' sessions: the pools of a suite before and
+    /// after a reload do.
     pub fn shares_with(&self, other: &Self) -> bool {
         self.suite == other.suite
     }
 
-    /// In the order configured.
+    /// Returns the replicas in the configured order.
     pub fn replicas(&self) -> &[Arc<Replica>] {
         &self.replicas
     }
 
-    /// Returns true if a session must stay with the replica that it was given
-    /// to.
+    /// Returns true if a session must stay with its replica.
     pub fn pins(&self, described: &DescribeResponse) -> bool {
         described.stateful || self.batching == Batching::Deterministic
     }
 
-    /// The replica for a new session with `seed`, of those not in `tried`.
+    /// Chooses a replica outside `tried` for a new session with `seed`.
     pub fn for_session(
         &self,
         session: &str,
@@ -124,8 +121,8 @@ impl Pool {
         chosen.cloned()
     }
 
-    /// The replica for a query of a session that may move and is `open_on` some
-    /// already, of those not in `tried`.
+    /// Chooses a replica outside `tried` for a query of a session that may move and is already
+    /// open at `open_on`.
     pub fn for_query(
         &self,
         session: &str,
@@ -135,17 +132,16 @@ impl Pool {
         self.idlest(session, tried, open_on).cloned()
     }
 
-    /// One replica for all sessions of a seed, as long as it is configured:
-    /// the highest of the replicas' hashes with the seed, which leaves the
-    /// other seeds where they are when a replica comes or goes.
+    /// Returns the replica for all sessions of a seed, by rendezvous hashing: a replica that is
+    /// added or removed only moves the seeds that it gains or loses.
     fn fixed(&self, seed: u64) -> Option<&Arc<Replica>> {
         let rank = |replica: &&Arc<Replica>| Sha256::digest(format!("{seed} {replica}"));
         self.replicas.iter().max_by_key(rank)
     }
 
-    /// Returns the replica with the fewest queries under way that is not out;
-    /// of several, one that knows the session, and then the one whose last new
-    /// session is longest ago. If all are out, the first answers why.
+    /// Returns the replica with the fewest queries in flight that is not out; among equals, first
+    /// one that knows the session, then the one whose last new session is oldest. If all are out,
+    /// returns the first one, whose error tells why.
     fn idlest(
         &self,
         session: &str,
@@ -160,12 +156,11 @@ impl Pool {
         })
     }
 
-    /// Asks a replica what its policy is, and holds it against what the first
-    /// one said.
+    /// Reads a replica's description, and compares it with that of the first replica.
     ///
     /// # Errors
-    /// If the replica does not answer, describes itself wrongly, or differs
-    /// from the first.
+    /// If the replica does not answer, or its description is invalid or differs from the first
+    /// one.
     pub async fn describe(
         &self,
         replica: &Replica,
@@ -176,7 +171,7 @@ impl Pool {
                 self.agree(replica, described)
             })
             .await?;
-        // A gateway behind this one knows better how the policy is asked.
+        // A gateway behind this one knows the actual batch mode.
         if described.batch_mode.is_empty() {
             let batch_size = check::batch_size(&described);
             described.batch_mode = self.batching.describe(batch_size);

@@ -10,7 +10,7 @@ use scene::arena::arena;
 use scene::catalog::category;
 use scene::{AssetPack, Problem, SceneError, Sources, TaskFiles, compose, needed_files};
 
-/// Share of a pack in the needs of the 40 tasks.
+/// Part of the protocol's 40 tasks that a pack has the files for.
 #[derive(Debug)]
 pub struct Coverage {
     categories: Shelf,
@@ -18,11 +18,11 @@ pub struct Coverage {
     shown: Vec<TaskRef>,
     /// Tasks by the reason why they cannot be shown.
     broken: BTreeMap<String, Vec<TaskRef>>,
-    /// For a pack whose files are fetched when needed: those that are not there yet.
+    /// Files still to be fetched; `None` for a pack that is not fetched on demand.
     to_fetch: Option<BTreeMap<&'static str, &'static FileFacts>>,
 }
 
-/// Things of one kind.
+/// Present and missing models of one kind.
 #[derive(Debug, Default)]
 struct Shelf {
     present: BTreeSet<String>,
@@ -30,8 +30,8 @@ struct Shelf {
 }
 
 impl Coverage {
-    /// Checks all tasks. A file of LIBERO's is there if it has the right size: its
-    /// content is verified when it is used.
+    /// Checks all tasks. A file of LIBERO's counts as present if its size is right: its content is
+    /// verified at use.
     ///
     /// # Errors
     /// If the task files cannot be read.
@@ -70,7 +70,7 @@ impl Coverage {
         }
     }
 
-    /// The reason why a task cannot be shown. Reads after "failed to …".
+    /// Returns the reason why a task cannot be shown; reads after "failed to …".
     fn obstacle(
         &mut self,
         problem: &Problem,
@@ -92,8 +92,8 @@ impl Coverage {
         }))
     }
 
-    /// The tasks that cannot be shown and whose files are not fetched by themselves,
-    /// by the reason.
+    /// Returns the tasks that cannot be shown, by reason; empty for a pack that is fetched on
+    /// demand.
     pub fn broken(&self) -> Vec<(&str, &[TaskRef])> {
         if self.to_fetch.is_some() {
             return Vec::new();
@@ -104,12 +104,12 @@ impl Coverage {
             .collect()
     }
 
-    /// Returns true if every task can be shown, if need be after a fetch.
+    /// Returns true if every task can be shown, possibly after a fetch.
     pub fn is_whole(&self) -> bool {
         self.broken().is_empty()
     }
 
-    /// The number of tasks that can be shown, in one line.
+    /// Describes in one line how many tasks can be shown.
     pub fn summary(&self) -> String {
         let broken: usize = self.broken.values().map(Vec::len).sum();
         let all = self.shown.len() + broken;

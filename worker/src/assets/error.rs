@@ -10,10 +10,10 @@ use scene::SceneError;
 /// after "failed to …".
 #[derive(Debug, thiserror::Error)]
 pub enum PackError {
-    /// The pack cannot be opened or fetched.
+    /// The pack or a source file cannot be read or fetched.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The place to fetch from cannot be used.
+    /// The origin of the fetch cannot be used.
     #[error(transparent)]
     Assets(#[from] AssetsError),
     /// Files of a pack are not LIBERO's.
@@ -28,10 +28,10 @@ pub enum PackError {
         folder: PathBuf,
         /// The number of files that differ.
         count: usize,
-        /// The first of them, and how they differ.
+        /// The first of these files, with their differences.
         named: String,
     },
-    /// A pack cannot show all tasks.
+    /// The pack cannot show all tasks.
     #[error(
         "verify {}: it cannot show all tasks; `worker assets fetch --into DIR` fills a folder with \
          what they need\n{}",

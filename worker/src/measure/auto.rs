@@ -1,5 +1,4 @@
-//! `--slots auto`: the same measurement in a few seconds, and what follows from
-//! it.
+//! `--slots auto`: a short version of the measurement, and the choice that follows from it.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
@@ -13,36 +12,35 @@ use crate::child::SlotProgram;
 const ALL_SECS: f64 = 4.0;
 /// Longest measurement of one number at a time, seconds.
 const ONE_SECS: f64 = 1.0;
-/// Measurements of each number. The best time counts: whatever else runs on the
-/// machine only slows slots down.
+/// Measurements of each number of slots. The best one counts: other load on the machine only slows
+/// slots down.
 const ROUNDS: usize = 2;
 
-/// A number of slots, and why it is this one.
+/// Chosen number of slots, with the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Chosen {
     /// Number of slots.
     pub slots: NonZeroUsize,
-    /// Measurement and the limit that applies, in one line.
+    /// Measurements and applied limits, in one line.
     pub why: String,
 }
 
-/// Chooses by measurement how many slots this machine is worth having: no more
-/// than cores, no more than fit into memory if each keeps `scenes` compiled
-/// scenes. `program` starts a slot to measure with.
+/// Measures how many slots are worth running on this machine: at most one per core, and as many as
+/// fit into memory if each keeps `scenes` compiled scenes. `program` starts a measured slot.
 ///
 /// # Errors
-/// If the machine does not say what it has, or slots cannot be measured.
+/// If the machine's cores or memory cannot be read, or slots cannot be measured.
 pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, MeasureError> {
     let cores = cores()?;
     let available = room::available()?;
     let times = ROUNDS * numbers(cores).len();
     let secs = (ALL_SECS / times as f64).min(ONE_SECS);
     let mut slots = Slots::new(program);
-    // For its memory only: a third time would favour one slot over more.
+    // Only the memory is used: a third throughput of one slot would favour it over larger numbers.
     let per_slot = slots.measure(1, secs)?.per_slot(scenes);
     let fitting = fit(available, per_slot);
     let most = cores.min(fitting);
-    // All at once, so that starting them takes about as long as starting one.
+    // Starts all slots at once, which takes about as long as starting one.
     slots.start(most)?;
     let mut best = BTreeMap::new();
     for _ in 0..ROUNDS {

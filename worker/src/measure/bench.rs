@@ -1,5 +1,4 @@
-//! `worker bench`: measures one number of slots after the other and prints what
-//! they did.
+//! `worker bench`: measures several numbers of slots one after the other and prints a table.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -15,25 +14,25 @@ use crate::child::SlotProgram;
 pub struct Plan {
     /// Description of the simulated task.
     pub title: String,
-    /// Numbers of slots; none for 1, 2, 4, … and those that should keep all cores
-    /// busy, once and twice.
+    /// Numbers of slots to measure; if empty, 1, 2, 4, … up to those that should keep all cores
+    /// busy once and twice.
     pub numbers: BTreeSet<usize>,
     /// Duration of the measurement of each number, seconds.
     pub secs: f64,
-    /// Control steps between two looks of the policy.
+    /// Control steps between two queries of the policy.
     pub execute: u32,
     /// Time that the policy takes to answer, seconds.
     pub policy_secs: f64,
     /// Compiled scenes that a slot of a campaign keeps.
     pub scenes: usize,
-    /// Starts a slot to measure with.
+    /// Command line of a measured slot's process.
     pub program: SlotProgram,
 }
 
 const MIB: f64 = (1 << 20) as f64;
 
-/// Measures and prints a table to `out`, and in its last line the number of
-/// slots that is worth having.
+/// Measures the slots and prints a table to `out`, with the recommended number of slots in the
+/// last line.
 ///
 /// # Errors
 /// If slots cannot be measured, or the table cannot be printed.
@@ -103,7 +102,7 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
     Ok(())
 }
 
-/// Describes the stand-in for the policy, in lines of at most 80 columns.
+/// Describes the delay of the simulated policy, in lines of at most 80 columns.
 fn policy(secs: f64) -> String {
     match secs {
         0.0 => "The policy takes no time here. Slots that wait for a real one leave cores idle,\n\
@@ -132,7 +131,7 @@ fn line(row: &Measured) -> String {
     )
 }
 
-/// Returns the processor's model name, for readers of the figures.
+/// Returns the processor's model name for the table's heading.
 fn processor() -> String {
     let about = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = about

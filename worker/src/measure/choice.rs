@@ -1,14 +1,14 @@
-//! Choice of the number of slots. Pure.
+//! Rule for the number of slots. Pure functions.
 
 use std::collections::BTreeSet;
 
 use libero_ctrl::TaskRef;
 
-/// Share of the best throughput that a number of slots must reach to be enough.
-/// More slots for the rest would cost memory and cores that others can use.
+/// Share of the best throughput that a number of slots must reach. Further slots would take memory
+/// and cores from others for the remaining few per cent.
 pub(super) const ENOUGH: f64 = 0.95;
-/// Share of the available memory that slots may take. The rest is for videos
-/// and for tasks whose scenes are larger than the measured one.
+/// Share of the available memory that slots may take. The rest is for videos and for tasks whose
+/// scenes are larger than the measured one.
 const SHARE: f64 = 0.8;
 
 /// Combined throughput of a number of slots.
@@ -30,18 +30,18 @@ pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput>
         .min_by_key(|it| it.slots)
 }
 
-/// Returns the number of slots that should keep so many cores busy, if one alone
-/// makes so many control steps per second, asks the policy every `execute` of them
-/// and waits `policy_secs` for each answer. At most a hundred for each core.
+/// Returns the number of slots that should keep `cores` cores busy, if one slot alone makes
+/// `steps_per_sec` control steps, queries the policy every `execute` of them and waits
+/// `policy_secs` for each answer. At most 100 per core.
 pub(super) fn to_fill(cores: usize, steps_per_sec: f64, execute: u32, policy_secs: f64) -> usize {
     const LEAST_BUSY: f64 = 0.01;
     let waiting = policy_secs * steps_per_sec / f64::from(execute.max(1));
     let busy = (1.0 - waiting).clamp(LEAST_BUSY, 1.0);
-    // A cast stops at the ends of its range.
+    // A cast from float to integer saturates.
     (cores as f64 / busy).ceil() as usize
 }
 
-/// The numbers of slots to measure: 1, 2, 4, … up to `most`, and `most`.
+/// Returns the numbers of slots to measure: 1, 2, 4, … below `most`, and `most`.
 pub(super) fn numbers(most: usize) -> BTreeSet<usize> {
     let powers = (0..usize::BITS).map(|power| 1 << power);
     powers
@@ -50,14 +50,14 @@ pub(super) fn numbers(most: usize) -> BTreeSet<usize> {
         .collect()
 }
 
-/// Memory that a slot takes.
+/// Memory use of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PerSlot {
     /// Bytes that no other process can share.
     pub(super) own: u64,
-    /// Compiled scenes that it keeps.
+    /// Number of compiled scenes that the slot keeps.
     pub(super) scenes: usize,
-    /// Bytes of a scene's files that it uses; all slots with that scene share them.
+    /// Bytes of a scene's files in use; all slots with that scene share them.
     pub(super) scene_files: u64,
 }
 
@@ -73,7 +73,7 @@ pub(super) fn fit(available: u64, per_slot: PerSlot) -> usize {
         true => apart,
         false => (room - tasks * files) / own,
     };
-    // A cast stops at the ends of its range.
+    // A cast from float to integer saturates.
     (slots as usize).max(1)
 }
 
@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn noise_on_a_plateau_takes_no_more_slots_than_the_plateau_needs() {
-        // Four slots fill the machine; every figure is off by up to 2 %.
+        // Four slots saturate the machine; every measurement is off by up to 2 %.
         for noise in [
             [0.98, 1.02, 0.98, 1.02],
             [1.02, 0.98, 1.02, 0.98],
@@ -170,7 +170,7 @@ mod tests {
             scenes: 2,
             scene_files: GIB,
         };
-        // Slots of 3 GiB each, until the 40 tasks' scenes are there.
+        // Slots of 3 GiB each, until all 40 tasks' scenes are in memory.
         assert_eq!(fit(10 * GIB, per_slot), 2);
         assert_eq!(fit(75 * GIB, per_slot), 20);
         assert_eq!(fit(100 * GIB, per_slot), 40);
@@ -178,7 +178,7 @@ mod tests {
 
     #[test]
     fn slots_that_wait_for_a_policy_leave_room_for_others() {
-        // A query of ten steps takes 0.4 s; the policy has none, half and all of it.
+        // Ten steps take 0.4 s; the policy takes no time, half and all of that.
         assert_eq!(to_fill(8, 25.0, 10, 0.0), 8);
         assert_eq!(to_fill(8, 25.0, 10, 0.2), 16);
         assert_eq!(to_fill(8, 25.0, 10, 0.4), 800);

@@ -1,5 +1,5 @@
-//! How many slots a machine can hold at all. A number beyond that is refused before a
-//! process is started, and one that is hardly meant is warned about.
+//! Upper limits on a machine's number of slots. A number beyond them is refused before any process
+//! starts; an implausibly large one causes a warning.
 
 use std::num::NonZeroUsize;
 
@@ -9,22 +9,21 @@ use terminal::counted;
 
 use super::{MeasureError, cores, room};
 
-/// Memory that a slot takes at least, with the smallest scene and that in a file, bytes.
+/// Least memory of a slot, bytes: the smallest scene, mapped from a file.
 const LEAST_SLOT_BYTES: u64 = 16 << 20;
-/// Slots for each core that no policy, however slow, keeps busy: those of a policy that
-/// thinks 99 % of the time.
+/// Most slots per core that any policy can keep busy: those of a policy that takes 99 % of the
+/// time.
 const MAX_PER_CORE: usize = 100;
-/// Slots for each core that a policy as slow as the simulation keeps busy. More are only
-/// worth having with a slower one.
+/// Slots per core that a policy as slow as the simulation keeps busy. More only help with a slower
+/// policy.
 const USUAL_PER_CORE: usize = 2;
-/// Memory for filming one rollout, bytes: a compiled scene of LIBERO's own assets and its
-/// pictures.
+/// Memory for filming one rollout, bytes: a compiled scene of LIBERO's own assets, and frames.
 const FILM_BYTES: u64 = 1 << 30;
-/// The same where scenes lie in files.
+/// Memory for filming one rollout if scenes are mapped from files, bytes.
 const FILM_BYTES_WITH_FILES: u64 = 128 << 20;
-/// Open files of this process for each slot: a socket, two pipes, the process itself.
+/// Open files of the parent process per slot: a socket, two pipes, the process itself.
 const FILES_PER_SLOT: u64 = 4;
-/// Open files of everything else: libraries, the coordinator, videos on their way.
+/// Open files for everything else: libraries, the coordinator's connection, video uploads.
 const OTHER_FILES: u64 = 128;
 
 /// Resources of the machine for slots.
@@ -33,32 +32,32 @@ struct Machine {
     cores: usize,
     /// Memory that is available, bytes.
     memory: u64,
-    /// Files that this process may have open.
+    /// Limit of open files of this process.
     files: u64,
 }
 
-/// Reason for which a worker does not start so many slots.
+/// Reason why a number of slots is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum LimitError {
-    /// There is no room for them.
+    /// The machine cannot hold that many slots.
     #[error("start {slots} slots: {shortage}; `--slots auto` chooses a number by measurement")]
     TooMany {
         /// Number of slots asked for.
         slots: usize,
-        /// The resource that is exhausted.
+        /// Description of the exhausted resource.
         shortage: String,
     },
-    /// The machine does not say what it has.
+    /// The machine's cores or memory cannot be read.
     #[error(transparent)]
     Machine(#[from] MeasureError),
 }
 
-/// Checks that this machine can hold so many slots, and raises the limit of open files
-/// as far as this process may. Returns a warning if the number is hardly meant.
+/// Checks that this machine can hold `slots` slots, and raises the limit of open files as far as
+/// this process may. Returns a warning if the number is implausibly large.
 ///
 /// # Errors
-/// If there are not enough cores, memory or open files for them, or the machine does not
-/// say how much there is.
+/// If there are not enough cores, memory or open files for the slots, or the machine's resources
+/// cannot be read.
 pub fn check(slots: usize) -> Result<Option<String>, LimitError> {
     let machine = Machine {
         cores: cores()?,
@@ -71,10 +70,10 @@ pub fn check(slots: usize) -> Result<Option<String>, LimitError> {
     Ok(machine.doubt(slots))
 }
 
-/// Rollouts that this machine can film at a time: one for each core, if memory allows.
+/// Returns the number of rollouts to film in parallel: one per core, if memory allows.
 ///
 /// # Errors
-/// If the machine does not say what it has.
+/// If the machine's cores or memory cannot be read.
 pub fn films() -> Result<NonZeroUsize, MeasureError> {
     let bytes = match SceneFolder::of_process().map(SceneFolder::check) {
         Some(Ok(())) => FILM_BYTES_WITH_FILES,
@@ -84,7 +83,7 @@ pub fn films() -> Result<NonZeroUsize, MeasureError> {
     Ok(NonZeroUsize::new(cores()?.min(fitting)).unwrap_or(NonZeroUsize::MIN))
 }
 
-/// Raises the soft limit of open files to the hard one, and returns what holds then.
+/// Raises the soft limit of open files to the hard one, and returns the resulting limit.
 fn raise_open_files() -> u64 {
     let limit = getrlimit(Resource::Nofile);
     let raised = Rlimit {
@@ -99,7 +98,7 @@ fn raise_open_files() -> u64 {
 }
 
 impl Machine {
-    /// Reads after "start N slots:".
+    /// Describes the resource that `slots` slots exhaust; reads after "start N slots:".
     fn shortage(self, slots: usize) -> Option<String> {
         let count = slots as u64;
         if slots > self.cores.saturating_mul(MAX_PER_CORE) {

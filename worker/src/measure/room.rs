@@ -1,5 +1,4 @@
-//! Memory that slots could take: what the machine has left, or less where a
-//! control group limits this process.
+//! Memory available to slots: the machine's, or less if a control group limits this process.
 
 use std::fs;
 use std::path::Path;
@@ -7,9 +6,8 @@ use std::path::Path;
 use super::MeasureError;
 use crate::memory::group_folders;
 
-/// File names of a control group, in the unified hierarchy and in the memory
-/// hierarchy before it: the limit, the memory in use, and the part of it that
-/// the kernel takes back first (in `memory.stat`).
+/// File names of a control group's limit, its use, and the field of `memory.stat` with the part
+/// that the kernel reclaims first; for cgroup v2, then for v1's memory hierarchy.
 const FILES: [(&str, &str, &str); 2] = [
     ("memory.max", "memory.current", "inactive_file "),
     (
@@ -19,10 +17,10 @@ const FILES: [(&str, &str, &str); 2] = [
     ),
 ];
 
-/// Bytes that this process and its children could take now.
+/// Returns the bytes that this process and its children can still allocate.
 ///
 /// # Errors
-/// If the kernel does not say.
+/// If the kernel's memory statistics cannot be read.
 pub(super) fn available() -> Result<u64, MeasureError> {
     available_below(Path::new("/"))
 }
@@ -37,15 +35,15 @@ fn available_below(root: &Path) -> Result<u64, MeasureError> {
     let left = group_folders(root, &groups)
         .into_iter()
         .filter_map(|folder| {
-            // A limit of any group above holds too. In a container the folders
-            // below the first may be missing, because the path is the host's.
+            // The limits of all parent groups apply too. In a container, folders below the first
+            // may be missing, because the path is the host's.
             let above = folder.ancestors().take_while(|it| it.starts_with(&base));
             above.filter_map(left_in).min()
         });
     Ok(left.fold(machine, u64::min))
 }
 
-/// Returns the bytes that a control group may still take; none without a limit.
+/// Returns the bytes that a control group may still take; `None` without a limit.
 fn left_in(group: &Path) -> Option<u64> {
     let number = |file: &str| -> Option<u64> {
         let text = fs::read_to_string(group.join(file)).ok()?;
@@ -60,8 +58,7 @@ fn left_in(group: &Path) -> Option<u64> {
     })
 }
 
-/// The kibibytes behind a name in `/proc/meminfo` or `/proc/PID/status`, in
-/// bytes.
+/// Reads a field of `/proc/meminfo` or `/proc/PID/status`, converted from kibibytes to bytes.
 pub(super) fn bytes(text: &str, field: &str) -> Option<u64> {
     let behind = text.lines().find_map(|line| line.strip_prefix(field))?;
     let number: u64 = behind.split_whitespace().next()?.parse().ok()?;
@@ -110,7 +107,7 @@ mod tests {
             ),
         ];
         assert_eq!(machine(&unified), 100_000);
-        // The path is the host's, as in a container of the older hierarchy.
+        // The path is the host's, as in a container with cgroup v1.
         let before = [
             ("proc/self/cgroup", "4:memory:/docker/1f\n0::/\n"),
             ("sys/fs/cgroup/memory/memory.limit_in_bytes", "600000\n"),

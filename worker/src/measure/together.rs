@@ -1,5 +1,5 @@
-//! The parent of measured slots: starts their processes, lets them begin
-//! together, and adds up what they counted.
+//! The parent of measured slots: starts their processes, starts their periods together, and adds
+//! up their counts.
 
 use std::io::{self, BufRead, BufReader, Write};
 use std::os::fd::AsFd;
@@ -15,11 +15,11 @@ use super::counting::{Count, Said, SlotMemory};
 use crate::child::{SlotProgram, connection, explain_status};
 use crate::memory::OomKills;
 
-/// Longest time, beyond what it counts for, that a slot may be silent: it hashes
-/// an asset pack, compiles a scene, draws it, or does one control step.
+/// Longest silence of a slot beyond the measured period: it may hash an asset pack, compile a
+/// scene, render it, or finish a control step.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Slots that wait to be measured. Dropping them ends their processes.
+/// Processes of measured slots. Dropping them kills the processes.
 pub(super) struct Slots {
     program: SlotProgram,
     running: Vec<Running>,
@@ -37,14 +37,14 @@ struct Running {
 
 enum Heard {
     Said(Said),
-    /// It says nothing more.
+    /// The slot closed its connection.
     End,
 }
 
 /// Combined figures of a number of slots.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Measured {
-    /// Control steps.
+    /// Control steps per second, with the number of slots.
     pub(super) throughput: Throughput,
     /// Frames per second of all of them.
     pub(super) frames_per_sec: f64,
@@ -57,7 +57,7 @@ pub(super) struct Measured {
 }
 
 impl Slots {
-    /// None yet; each will be started by `program`.
+    /// Creates an empty set; `program` starts each slot.
     pub(super) fn new(program: SlotProgram) -> Self {
         let (tell, inbox) = channel();
         Self {
@@ -70,22 +70,21 @@ impl Slots {
         }
     }
 
-    /// Returns the renderer's own name; empty before there is a slot.
+    /// Returns the renderer's own name; empty before the first slot is ready.
     pub(super) fn renderer(&self) -> &str {
         &self.renderer
     }
 
-    /// Measures `slots` slots at once for some seconds. Starts those that are
-    /// missing, and lets all begin when the last one is ready. Slots beyond them
-    /// wait, which takes memory and no time.
+    /// Measures `slots` slots together for `secs` seconds. Starts missing ones first, and begins
+    /// when the last is ready. Surplus slots wait, which takes memory but no processor time.
     ///
     /// # Errors
-    /// If a slot cannot be started, ends, or says nothing for too long.
+    /// If a slot cannot be started, ends, or sends nothing for too long.
     pub(super) fn measure(&mut self, slots: usize, secs: f64) -> Result<Measured, MeasureError> {
         self.start(slots)?;
         let request = serde_json::to_string(&secs).map_err(io::Error::from)?;
         for slot in 0..slots {
-            // One that no longer reads has ended, which is heard of below.
+            // A failed write means that the slot has ended, which `hear` reports.
             let _ = writeln!(self.running[slot].connection, "{request}");
         }
         let deadline = Instant::now() + Duration::from_secs_f64(secs) + PATIENCE;
@@ -98,7 +97,7 @@ impl Slots {
         Ok(Measured::of(&counts))
     }
 
-    /// Starts what is missing of so many slots, and waits until all are ready.
+    /// Starts slots until there are `slots`, and waits until all are ready.
     pub(super) fn start(&mut self, slots: usize) -> Result<(), MeasureError> {
         let deadline = Instant::now() + PATIENCE;
         let mut missing = 0;
@@ -121,7 +120,7 @@ impl Slots {
         let child = Command::new(&self.program.program)
             .args(&self.program.arguments)
             .stdin(theirs)
-            // Output of native libraries is no part of this program's output.
+            // Native libraries must not write to this program's standard output.
             .stdout(io::stderr().as_fd().try_clone_to_owned()?)
             .spawn()
             .map_err(|source| MeasureError::Start {
@@ -157,7 +156,7 @@ impl Slots {
     }
 }
 
-/// Passes on what a slot says, until it says nothing more.
+/// Passes on a slot's messages until it closes the connection.
 fn listen(slot: usize, said: BufReader<UnixStream>, tell: &Sender<(usize, Heard)>) {
     for line in said.lines().map_while(Result::ok) {
         match serde_json::from_str(&line) {
@@ -169,20 +168,20 @@ fn listen(slot: usize, said: BufReader<UnixStream>, tell: &Sender<(usize, Heard)
             Err(_) => eprintln!("slot {slot} said what is no count: {line}"),
         }
     }
-    // A parent that is gone needs no end.
+    // If the receiver is gone, no one needs the message.
     let _ = tell.send((slot, Heard::End));
 }
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // It waits for requests and holds nothing that could be lost.
+        // A measured slot holds nothing that could be lost.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
 impl Measured {
-    /// Adds up; there is at least one count.
+    /// Combines at least one count.
     fn of(counts: &[Count]) -> Self {
         let rates = || counts.iter().map(|it| f64::from(it.steps) / it.secs);
         let frames = counts.iter().map(|it| f64::from(it.frames) / it.secs);
@@ -206,8 +205,8 @@ impl Measured {
         }
     }
 
-    /// Memory of a slot of a campaign: it keeps `scenes` compiled scenes, and one was
-    /// measured.
+    /// Returns the memory of a campaign's slot that keeps `scenes` compiled scenes, extrapolated
+    /// from the measured one.
     pub(super) fn per_slot(&self, scenes: usize) -> PerSlot {
         let further = (scenes as u64).saturating_sub(1);
         PerSlot {

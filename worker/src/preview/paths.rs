@@ -8,15 +8,14 @@ use sim::{SimError, Simulator};
 
 use super::request::{LEVELS, MOTION_STEPS, Request, motion, row};
 
-/// Colours that the colour-blind can tell apart (Okabe and Ito), and dashes
-/// that print can.
+/// Colours for colour-blind readers (Okabe and Ito), and dashes for black-and-white print.
 const STYLES: [(&str, &str); 4] = [
     ("#000000", ""),
     ("#0072B2", "8 3"),
     ("#D55E00", "3 3"),
     ("#009E73", "10 3 2 3"),
 ];
-/// Pixels of one view, and around it.
+/// Side of one view and the margin around it, pixels.
 const VIEW: f64 = 320.0;
 const MARGIN: f64 = 60.0;
 
@@ -77,7 +76,7 @@ fn draw(paths: &[(String, Path)], title: &str) -> String {
     svg
 }
 
-/// One view: both axes to the same scale, metres.
+/// Draws one view, with both axes to the same scale, metres.
 fn view(
     svg: &mut String,
     paths: &[(String, Path)],

@@ -1,5 +1,4 @@
-//! Requests for previews: rows of the protocol, and the motion that shows
-//! actuation.
+//! Rows of the protocol to preview, and the fixed motion that shows actuation.
 
 use libero_ctrl::{
     Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef, presets,
@@ -14,16 +13,16 @@ pub(super) const MOTION_STEPS: usize = 40;
 pub struct Request {
     /// The task.
     pub task: TaskRef,
-    /// The configuration: preset and initial state.
+    /// Index of the configuration, which selects preset and initial state.
     pub config: u16,
-    /// Severity of the sheets.
+    /// Severity of the preset sheets.
     pub level: Level,
     /// Source of random elements.
     pub realisation: Realisation,
 }
 
-/// The row of a condition; without a level, unperturbed from the same initial
-/// state and under the same id, so that only the perturbation differs.
+/// Returns a condition's row. Without a level it is unperturbed, but has the same initial state
+/// and id, so that only the perturbation differs.
 pub(super) fn row(
     task: TaskRef,
     condition: Condition,
@@ -46,7 +45,7 @@ pub(super) fn row(
     ManifestRow::new(id, config, init_id, perturbation)
 }
 
-/// A sweep outwards and down that brings out gain, bias and misalignment.
+/// Returns a step of a sweep outwards and down, which shows gain, bias and misalignment.
 pub(super) fn motion(step: usize) -> [f64; 7] {
     let phase = std::f64::consts::TAU * step as f64 / MOTION_STEPS as f64;
     [

@@ -1,4 +1,4 @@
-//! Pictures side by side, each with a line of text above it.
+//! Contact sheets: a grid of pictures, each with a line of text above it.
 
 use font8x8::{BASIC_FONTS, UnicodeFonts};
 use image::{Rgb, RgbImage};
@@ -7,19 +7,19 @@ use image::{Rgb, RgbImage};
 const LABEL_HEIGHT: u32 = 20;
 /// Space between cells, pixels.
 const GAP: u32 = 6;
-/// Pixels of a character.
+/// Side of a character, pixels.
 const CHARACTER: u32 = 8;
-/// Above and below a line's characters, pixels.
+/// Space above and below a line's characters, pixels.
 const PADDING: u32 = (LABEL_HEIGHT - CHARACTER) / 2;
 
-/// From one line of text to the next, pixels.
+/// Distance between lines of text, pixels.
 const LINE_HEIGHT: u32 = 16;
 
 const PAGE: Rgb<u8> = Rgb([240, 240, 232]);
 const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
 const INK: Rgb<u8> = Rgb([32, 32, 32]);
 
-/// A sheet under way.
+/// Contact sheet under construction.
 pub(super) struct Sheet {
     columns: usize,
     cell: u32,
@@ -27,7 +27,7 @@ pub(super) struct Sheet {
 }
 
 impl Sheet {
-    /// A sheet of square pictures of `cell` pixels.
+    /// Creates a sheet of square pictures of `cell` pixels.
     pub(super) fn new(columns: usize, cell: u32) -> Self {
         Self {
             columns,
@@ -40,7 +40,7 @@ impl Sheet {
         self.cells.push((label.to_owned(), picture));
     }
 
-    /// Adds a cell with words in place of a picture.
+    /// Adds a cell with text in place of a picture.
     pub(super) fn add_text(&mut self, label: &str, text: &str) {
         let mut page = RgbImage::from_pixel(self.cell, self.cell, PAGE);
         let columns = (self.cell / CHARACTER) as usize - 2;
@@ -59,7 +59,7 @@ impl Sheet {
         self.cells.push((label.to_owned(), page));
     }
 
-    /// The picture of all cells, row by row.
+    /// Composes all cells into one picture, row by row.
     pub(super) fn finish(self) -> RgbImage {
         let rows = self.cells.len().div_ceil(self.columns) as u32;
         let (wide, high) = (self.cell + GAP, self.cell + LABEL_HEIGHT + GAP);

@@ -1,14 +1,14 @@
-//! Order in which a policy's looks are tried, to find the last at which lifting
-//! the perturbations still saves a rollout. Pure.
+//! Search for the policy's last query at which lifting the perturbations saves a rollout. Pure
+//! functions.
 
 use std::collections::BTreeMap;
 
-/// Looks that are tried before any bracket is narrowed, evenly spread. A rollout that is
-/// saved later than one that is not is noticed among these.
+/// Evenly spread queries that are tried before the bracket is narrowed. They reveal rollouts for
+/// which an earlier lift fails and a later one succeeds.
 const SPREAD: usize = 8;
 
-/// Results so far for a failing rollout: at which of its looks, from 0, lifting
-/// the perturbations saves it. Lifting them after the last look does not.
+/// Trials so far: for each tried query, from 0, whether lifting the perturbations there saves the
+/// rollout. Lifting after the last query is taken to fail.
 #[derive(Clone, Debug)]
 pub(super) struct Search {
     looks: usize,
@@ -18,19 +18,19 @@ pub(super) struct Search {
 /// Result of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Found {
-    /// Nowhere that was tried, the first look included.
+    /// No tried query saves the rollout; the first was tried.
     NeverSaved,
-    /// Lifting at `saved` saves it, and at the look after that does not.
+    /// Lifting at `saved` saves the rollout, and lifting at the next query does not.
     SavedUntil {
-        /// The last look from which it is saved, as far as was tried.
+        /// Last query from which the rollout is saved.
         saved: usize,
-        /// True if it is saved wherever an earlier look was tried.
+        /// True if every earlier trial also saved the rollout.
         monotone: bool,
     },
 }
 
 impl Search {
-    /// Before anything was tried of a rollout in which the policy looked so often.
+    /// Starts a search over a rollout with `looks` queries.
     pub(super) fn new(looks: usize) -> Self {
         Self {
             looks,
@@ -38,12 +38,12 @@ impl Search {
         }
     }
 
-    /// Records whether lifting at a look saves the rollout and a placebo there does not.
+    /// Records a trial: `saved` if lifting at `look` saves the rollout and the placebo does not.
     pub(super) fn record(&mut self, look: usize, saved: bool) {
         self.tried.insert(look, saved);
     }
 
-    /// The look to try next; none if the answer is there.
+    /// Returns the next query to try; `None` once the result is known.
     pub(super) fn next(&self) -> Option<usize> {
         let spread = (0..SPREAD).map(|part| part * self.looks / SPREAD);
         let mut untried =
@@ -55,7 +55,7 @@ impl Search {
         })
     }
 
-    /// Returns the result once nothing is left to try.
+    /// Returns the result once [`Search::next`] has nothing left to try.
     pub(super) fn found(&self) -> Found {
         match self.last_saved() {
             None => Found::NeverSaved,
@@ -71,7 +71,7 @@ impl Search {
         saved.next_back().map(|(look, _)| *look)
     }
 
-    /// The first look after `saved` that is known not to save it, or the end.
+    /// Returns the first later query that is known to be lost, or the number of queries.
     fn first_lost_after(&self, saved: usize) -> usize {
         let after = self.tried.range(saved + 1..).next();
         after.map_or(self.looks, |(look, _)| *look)

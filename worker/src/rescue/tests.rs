@@ -1,4 +1,4 @@
-//! Lifting perturbations, on the built-in assets where `cargo xtask setup` has been run.
+//! Tests of lifted perturbations, on the built-in assets; skipped without `cargo xtask setup`.
 
 use libero_ctrl::{ManifestRow, Realisation, row_of};
 use sim::ObjectKind;
@@ -63,7 +63,7 @@ fn what_is_lifted_before_the_first_look_leaves_the_nominal_rollout() {
         return;
     };
     let mut simulator = simulator(sources);
-    // All axes but the robot's, whose displaced arm stays.
+    // All axes but the robot's, whose displacement of the arm would remain.
     let perturbed = row("object/t0/camera+lighting+sensor+actuation+language/L2/c00");
     let nominal = row(&format!("object/t0/clean/i{:02}", perturbed.init_id));
     let nominal = look(&mut simulator, nominal, None);
@@ -98,11 +98,11 @@ fn a_rollout_is_brought_back_to_the_step_at_which_it_goes_on() {
     assert_eq!(resumed.path[..=before], whole.path[..=before]);
     assert_eq!(resumed.path.len(), whole.path.len());
     assert_eq!(resumed.pictures.len(), STEPS as usize - before);
-    // The camera is back, and the actions are no longer distorted.
+    // The camera is nominal again, and actions are no longer distorted.
     assert!(resumed.pictures[0] != whole.pictures[before]);
     assert_ne!(resumed.path[STEPS as usize], whole.path[STEPS as usize]);
 
-    // The placebo lifts nothing, and the hand ends where it does, but for a micrometre.
+    // The placebo lifts nothing, and the hand stays within 0.1 mm of the unchanged path.
     let nudged = look(&mut simulator, perturbed, after(commands, Change::Nudge));
     assert!(!nudged.instruction_is_canonical);
     assert!(nudged.pictures[0] == whole.pictures[before]);

@@ -1,6 +1,5 @@
-//! Captures pictures and the trace while a rollout runs, and writes them
-//! afterwards, as PNG and NPZ. What cannot be drawn costs the pictures, never
-//! the rollout.
+//! Captures frames and the trace of a running rollout, and writes them afterwards as PNG and NPZ.
+//! A frame that cannot be rendered is logged; the rollout continues.
 
 use std::fs;
 use std::io;
@@ -16,18 +15,18 @@ use super::trace::Trace;
 use crate::filming::observe_both;
 use crate::rollout::{Step, Watcher};
 
-/// Trace and pictures of one rollout.
+/// Trace and frames of one rollout.
 pub(super) struct Capture {
     draw: bool,
     trace: Trace,
-    /// Before the first control step and after the last one.
+    /// Frames of both cameras, before the first control step and after the last one.
     ends: Vec<(&'static str, Vec<Frame>)>,
     first_query: Option<(u32, Vec<Frame>)>,
     last_query: Option<(u32, Vec<Frame>)>,
 }
 
 impl Capture {
-    /// Draws the first and the last picture only if `draw`.
+    /// Creates a capture; the first and the last frame are rendered only if `draw`.
     pub(super) fn new(draw: bool) -> Self {
         Self {
             draw,
@@ -38,8 +37,7 @@ impl Capture {
         }
     }
 
-    /// Writes `frames/` and `trace.npz`, each only if there is something for
-    /// it.
+    /// Writes `frames/` and `trace.npz`; leaves out either if it would be empty.
     pub(super) fn write(&self, output: &Path) -> Result<(), SingleError> {
         let queries = self.first_query.iter().chain(&self.last_query);
         let queries = queries.map(|(query, frames)| (format!("query-{query:03}"), frames));
@@ -102,7 +100,7 @@ impl Watcher for Capture {
     }
 }
 
-/// A frame with row 0 at its top.
+/// Converts a frame, whose row 0 is the bottom one, to an upright image.
 fn upright(frame: &Frame) -> RgbImage {
     let (width, height) = (frame.width, frame.height);
     RgbImage::from_fn(width, height, |x, y| {

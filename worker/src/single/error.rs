@@ -9,16 +9,16 @@ use scene::SceneError;
 use crate::actor::PolicyError;
 use crate::rollout::RolloutError;
 
-/// Reason for which there is no result.
+/// Reason why `worker rollout` failed.
 #[derive(Debug, thiserror::Error)]
 pub enum SingleError {
     /// The id names no rollout of the protocol.
     #[error(transparent)]
     Row(#[from] NoSuchRow),
-    /// A task of one's own cannot be read.
+    /// The user's own task cannot be read.
     #[error(transparent)]
     Task(#[from] SceneError),
-    /// There is no instruction for the policy.
+    /// The BDDL file has no instruction, and none was given.
     #[error(
         "find an instruction in {}: it has no `(:language …)`; give one with --instruction",
         bddl.display()
@@ -30,9 +30,9 @@ pub enum SingleError {
     /// Recorded actions cannot be read.
     #[error("read recorded actions {}: {problem}", path.display())]
     Recorded {
-        /// The file.
+        /// Path of the recording.
         path: PathBuf,
-        /// Problem of the file.
+        /// Description of the file's fault.
         problem: String,
     },
     /// The policy cannot be called.

@@ -1,6 +1,5 @@
-//! A task that is none of the protocol's: a BDDL file and its initial states.
-//! It stands in for the task of a row, which supplies the rest: the suite
-//! that the policy is given, seeds, step budget, and a perturbation.
+//! A user's own task: a BDDL file and its initial states, in place of the task of a row. The row
+//! supplies the suite that is sent to the policy, the seeds, the step budget and the perturbation.
 
 use std::fs;
 use std::path::PathBuf;
@@ -10,7 +9,7 @@ use scene::TaskFiles;
 
 use super::error::SingleError;
 
-/// A task of one's own.
+/// Task outside the protocol.
 #[derive(Debug)]
 pub struct OwnTask {
     /// The BDDL problem file.
@@ -19,12 +18,12 @@ pub struct OwnTask {
     pub init: PathBuf,
     /// Index of the initial state, from 0.
     pub init_id: u16,
-    /// The policy's instruction; none: the BDDL file's.
+    /// The policy's instruction; `None` for the BDDL file's.
     pub instruction: Option<String>,
-    /// Control steps that the policy has; none: as many as the row's suite.
+    /// Step budget of the policy; `None` for that of the row's suite.
     pub max_steps: Option<u32>,
-    /// The rollout whose place it takes; none: a nominal one of `libero_10`,
-    /// the suite with the largest budget.
+    /// Rollout whose place the task takes; `None` for a nominal one of `libero_10`, the suite with
+    /// the largest budget.
     pub id: Option<RolloutId>,
 }
 
@@ -37,12 +36,12 @@ impl OwnTask {
         }
     }
 
-    /// The row of its rollout. The language axis stays out of it: paraphrases
-    /// are of the protocol's own instructions.
+    /// Returns the manifest row of the task's rollout. The language axis is left out, because its
+    /// paraphrases exist only for the protocol's instructions.
     ///
     /// # Errors
-    /// If the protocol has no such rollout, the BDDL file is malformed, or
-    /// there is no instruction.
+    /// If the protocol has no such rollout, the BDDL file is malformed, or no instruction is
+    /// found.
     pub fn row(&self) -> Result<ManifestRow, SingleError> {
         self.files().problem()?;
         let nominal = || {
@@ -62,7 +61,8 @@ impl OwnTask {
     }
 
     fn instruction_of_the_file(&self) -> Result<String, SingleError> {
-        // It was read a moment ago; what fails now is no worse than an absence.
+        // The file was read a moment ago; if it cannot be read now, it counts as having no
+        // instruction.
         let text = fs::read_to_string(&self.bddl).unwrap_or_default();
         instruction_in(&text).ok_or_else(|| SingleError::NoInstruction {
             bddl: self.bddl.clone(),
@@ -70,7 +70,7 @@ impl OwnTask {
     }
 }
 
-/// The words of `(:language …)`, in lower case as the original reads them.
+/// Extracts the words of `(:language …)`, in lower case as the original LIBERO reads them.
 fn instruction_in(bddl: &str) -> Option<String> {
     let lines = bddl.lines();
     let code: Vec<&str> = lines.filter_map(|line| line.split(';').next()).collect();

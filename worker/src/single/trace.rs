@@ -1,21 +1,20 @@
-//! Trace of a rollout, step by step, as NumPy reads it. With n control steps of
-//! the policy and a goal of g predicates, `trace.npz` holds:
+//! Writes a rollout's trace as a NumPy archive. With n control steps of the policy and a goal of g
+//! predicates, `trace.npz` holds:
 //!
-//! | array | shape | what |
+//! | array | shape | content |
 //! | --- | --- | --- |
 //! | `actions` | n × 7 | as the policy sent them |
-//! | `executed` | n × 7 | what the actuation axis gets of them: clipped into -1..1, or as sent in `reference` realisation |
+//! | `executed` | n × 7 | input of the actuation axis: clipped to -1..1, or raw in `reference` |
 //! | `eef_pos` | n+1 × 3 | site between the fingertips, world frame, m |
 //! | `eef_quat_xyzw` | n+1 × 4 | hand body, world frame |
 //! | `joint_pos` | n+1 × 7 | arm, rad |
 //! | `gripper_pos` | n+1 × 2 | fingers, m |
 //! | `qpos` | n+1 × nq | all position coordinates of the model, m and rad |
-//! | `goal_truths` | n+1 × g | whether each predicate of the goal holds |
-//! | `success` | n+1 | whether all of them do |
+//! | `goal_truths` | n+1 × g | truth of each predicate of the goal |
+//! | `success` | n+1 | true if all predicates hold |
 //!
-//! Row 0 of the longer arrays is the scene at rest before the first action, row
-//! k after action k. Robot readings lag as in the policy's observations; `qpos`
-//! does not.
+//! Row 0 of the longer arrays is the scene at rest before the first action, row k the scene after
+//! action k. Robot readings lag as in the policy's observations; `qpos` does not.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
@@ -29,7 +28,7 @@ use zip::write::SimpleFileOptions;
 
 use crate::rollout::Step;
 
-/// A trace as it grows: arrays row after row.
+/// Trace under construction: arrays that grow by a row per step.
 #[derive(Default)]
 pub(super) struct Trace {
     actions: Vec<f64>,
@@ -44,12 +43,12 @@ pub(super) struct Trace {
 }
 
 impl Trace {
-    /// Whether nothing was ever seen.
+    /// Returns true if no scene was added.
     pub(super) fn is_empty(&self) -> bool {
         self.success.is_empty()
     }
 
-    /// Adds a scene, and the step that led to it unless it is the first.
+    /// Adds a scene, and the step that led to it; the first scene has none.
     pub(super) fn add(&mut self, step: Option<&Step>, environment: &mut Environment) {
         if let Some(step) = step {
             self.actions.extend(step.sent);
@@ -66,7 +65,7 @@ impl Trace {
         self.success.push(environment.succeeded());
     }
 
-    /// Writes the NPZ file, compressed.
+    /// Writes the trace as a compressed NPZ file.
     pub(super) fn write(&self, path: &Path) -> io::Result<()> {
         let mut npz = ZipWriter::new(BufWriter::new(File::create(path)?));
         let scenes = self.success.len();
@@ -80,8 +79,7 @@ impl Trace {
             ("gripper_pos", scenes, &self.gripper_pos),
             ("qpos", scenes, &self.qpos),
         ] {
-            // An array without rows has its width all the same: only actions
-            // can be without any.
+            // An empty array still needs its width; only the arrays of actions can be empty.
             let width = values.len().checked_div(rows).unwrap_or(ACTION_WIDTH);
             write_array(&mut npz, name, &[rows, width], values)?;
         }

@@ -21,34 +21,34 @@ pub struct Config {
     pub access: Access,
     /// Identity under which it registers with the coordinator.
     pub identity: Identity,
-    /// Rollouts at a time.
+    /// Number of slots, each with one rollout at a time.
     pub slots: usize,
     /// Command line of a slot's process.
     pub slot_program: SlotProgram,
-    /// Fetches what tasks need, for a pack whose files are fetched at first use.
+    /// Fetches the files of tasks, for a pack that is fetched on demand.
     pub provider: Option<Provider>,
-    /// Tasks that the asset pack cannot show, and that are not claimed.
+    /// Tasks that the asset pack cannot show; they are not claimed.
     pub lacking_tasks: Vec<TaskRef>,
     /// Endpoint of the policies, which overrides that of the leases.
     pub policy_endpoint: Option<String>,
-    /// Time that rollouts in flight may take once the worker is asked to end.
+    /// Longest time to finish rollouts in flight after the worker is asked to end.
     pub drain: Option<Duration>,
-    /// Time that the worker waits for work before it ends.
+    /// Idle time after which the worker ends.
     pub idle: Option<Duration>,
-    /// A folder for videos on their way to the coordinator.
+    /// Folder for videos before their upload.
     pub scratch: PathBuf,
     /// Seed of the jitter in waits.
     pub seed: u64,
 }
 
-/// A worker's id and what it runs on: goes with every result.
+/// Identity of a worker and its software, sent with every result.
 #[derive(Clone, Debug)]
 pub struct Identity {
-    /// New at every start.
+    /// Identifier of the worker, new at every start.
     pub worker: WorkerId,
     /// The machine's name.
     pub host: String,
-    /// Identifier of the machine; empty if there is none.
+    /// Identifier of the machine; empty if unknown.
     pub machine: String,
     /// The asset pack's name.
     pub asset_pack: String,
@@ -75,9 +75,8 @@ pub(super) fn registration(config: &Config, renderer: String) -> RegisterRequest
     }
 }
 
-/// The cores that this process may use, which its slots share: fewer than the
-/// machine's where its affinity or a control group's quota says so. 0 if the
-/// machine does not say.
+/// Returns the number of cores that this process and its slots may use; CPU affinity or a control
+/// group's quota may leave fewer than the machine has. 0 if unknown.
 fn cores() -> u32 {
     let cores = std::thread::available_parallelism();
     cores.map_or(0, |cores| u32::try_from(cores.get()).unwrap_or(u32::MAX))
@@ -90,20 +89,20 @@ pub(super) struct Timing {
     pub(super) progress_timeout: Duration,
 }
 
-/// Until the coordinator has said what it wants. Nothing is simulated by then.
+/// Time limits before registration, during which nothing is simulated.
 pub(super) const TIMING_UNTIL_REGISTERED: Timing = Timing {
     heartbeat: Duration::from_secs(5),
     progress_timeout: Duration::from_secs(180),
 };
 
-/// Bounds of what a coordinator may ask for, so that a nonsensical answer
-/// neither floods it nor stops the clock.
+/// Bounds of the coordinator's settings, so that a faulty answer neither causes a flood of
+/// heartbeats nor disables the timeouts.
 const HEARTBEAT_SECS: (f64, f64) = (0.05, 60.0);
 const PROGRESS_TIMEOUT_SECS: (f64, f64) = (0.1, 86_400.0);
 
 impl From<&RegisterResponse> for Timing {
     fn from(answer: &RegisterResponse) -> Self {
-        // `max` before `min`: a NaN becomes the lower bound.
+        // `max` before `min` turns a NaN into the lower bound.
         let secs = |secs: f64, (least, most): (f64, f64)| {
             Duration::from_secs_f64(secs.max(least).min(most))
         };

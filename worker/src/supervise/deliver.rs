@@ -1,6 +1,5 @@
-//! Telling the coordinator how a rollout ended: with a result and everything that
-//! it came out of, or without one and why. Responsible for the messages and for
-//! what is said about the answers in the log.
+//! Reports the end of a rollout to the coordinator: its result with the provenance, or the reason
+//! why it has none. Builds the messages, and logs the coordinator's answers.
 
 use libero_ctrl::Realisation;
 use proto::coordinator::commit_response::Verdict as CommitVerdict;
@@ -20,13 +19,13 @@ use crate::message::{Evidence, Failure, Finished};
 /// End of a rollout.
 #[derive(Debug)]
 pub(crate) enum Ending {
-    /// With a result.
+    /// The rollout has a result.
     Finished(Box<Finished>),
-    /// Without one.
+    /// The rollout has no result.
     Failed(Failure),
 }
 
-/// An ending on its way to the coordinator.
+/// End of a rollout that is to be reported to the coordinator.
 #[derive(Debug)]
 pub(crate) struct Delivery {
     pub(crate) attempt: AttemptId,
@@ -42,12 +41,12 @@ pub(crate) struct Delivery {
 pub(crate) enum Answer {
     Committed(CommitResponse),
     Released(ReleaseResponse),
-    /// It will not have it, and will not change its mind.
+    /// The coordinator refused the report for good.
     Refused(Status),
 }
 
 impl Delivery {
-    /// Says in the log how the rollout ended.
+    /// Logs how the rollout ended.
     pub(crate) fn tell(&self) {
         let label = &self.label;
         match &self.ending {
@@ -106,7 +105,7 @@ impl Answer {
         matches!(self, Self::Committed(answer) if matches!(answer.verdict(), Accepted | Duplicate))
     }
 
-    /// Returns the reason for which the worker must stop, if it must.
+    /// Returns the reason why the worker must stop leasing, if the coordinator gave one.
     pub(crate) fn stop_leasing(self) -> Option<String> {
         match self {
             Self::Released(answer) => Some(answer.stop_leasing).filter(|text| !text.is_empty()),
@@ -115,7 +114,7 @@ impl Answer {
     }
 }
 
-/// Delivers an ending; until it is answered.
+/// Reports the end of a rollout, and retries until the coordinator answers.
 pub(crate) async fn deliver(link: &Link, delivery: Delivery) -> Answer {
     let attempt_id = delivery.attempt.to_string();
     match delivery.ending {
@@ -180,7 +179,7 @@ fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) 
                 parameters,
                 elements,
             } => (parameters.clone(), elements.clone()),
-            // Of earlier releases' results; nothing is simulated into one.
+            // Only results of earlier releases have this variant; a simulation never produces it.
             RealisedAxis::Digest(_) => Default::default(),
         };
         wire::RealisedAxis {

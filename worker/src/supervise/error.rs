@@ -7,10 +7,10 @@ use transport::{AccessError, EndpointError};
 
 use super::slot_state::MAX_FAILED_STARTS;
 
-/// Reason for which a worker ended without a request to end.
+/// Reason why a worker ended unasked.
 #[derive(Debug, thiserror::Error)]
 pub enum SuperviseError {
-    /// The coordinator's URL is none.
+    /// The coordinator's address is not a valid URL.
     #[error(transparent)]
     Endpoint(#[from] EndpointError),
     /// The coordinator cannot be called over TLS.
@@ -21,25 +21,25 @@ pub enum SuperviseError {
     Refused {
         /// URL of the coordinator.
         url: String,
-        /// Reason in the coordinator's words.
+        /// The coordinator's reason.
         answer: String,
     },
     /// The coordinator stopped this worker.
     #[error("go on working: the coordinator stopped this worker because {0}")]
     Stopped(String),
-    /// A lease has no name.
+    /// The coordinator granted a lease with an invalid attempt id.
     #[error("take a lease of the coordinator at {url}")]
     Lease {
         /// URL of the coordinator.
         url: String,
-        /// Fault of the name.
+        /// Fault of the attempt id.
         #[source]
         source: AttemptIdError,
     },
-    /// A defect of this program.
+    /// A task of the worker panicked, which is a defect.
     #[error("go on working: a part of this worker broke off ({0}); this is a defect")]
     Panicked(String),
-    /// The slots would draw different pictures.
+    /// The slots have different renderers, whose pixels would differ.
     #[error(
         "keep slot {slot}: it draws with `{renderer}` and this worker is registered with \
          `{registered}`; start one worker for each renderer"
@@ -52,16 +52,16 @@ pub enum SuperviseError {
         /// Renderer of the slot that was ready first.
         registered: String,
     },
-    /// The machine has nothing left for another process.
+    /// The machine's limits allow no further process.
     #[error("start slot {slot}: the machine has nothing left for it; use fewer --slots")]
     Exhausted {
         /// Number of the slot, from 0.
         slot: usize,
-        /// The limit that was reached.
+        /// Error of the system that names the exhausted limit.
         #[source]
         error: io::Error,
     },
-    /// A slot's process does not survive its start.
+    /// A slot's process repeatedly ended before it finished a rollout.
     #[error(
         "keep slot {slot} running: its process ended {MAX_FAILED_STARTS} times in a row without \
          finishing a rollout; the last one {end}"
@@ -69,7 +69,7 @@ pub enum SuperviseError {
     Slot {
         /// Number of the slot, from 0.
         slot: usize,
-        /// End of the process, in words.
+        /// Description of the process's end.
         end: String,
     },
 }

@@ -1,4 +1,4 @@
-//! Events of a worker.
+//! Events of the supervisor's loop.
 
 use proto::coordinator::{ClaimResponse, HeartbeatResponse, RegisterResponse};
 use rollout_types::AttemptId;
@@ -8,17 +8,17 @@ use tonic::Status;
 use super::deliver::Answer;
 use crate::message::SlotEvent;
 
-/// End of a slot's process. Reads after its name.
+/// End of a slot's process. `how` reads after the process's name.
 #[derive(Debug)]
 pub(crate) struct ProcessEnd {
-    /// "was killed by signal 9", say.
+    /// Description of the end, such as "was killed by signal 9".
     pub(crate) how: String,
-    /// The last lines that it printed, which this worker has passed on already.
+    /// The last lines that the process printed; the worker has relayed them already.
     pub(crate) last_words: Vec<String>,
 }
 
 impl ProcessEnd {
-    /// For those who have not seen what it printed.
+    /// Describes the end with the last lines, for readers who do not see the worker's log.
     pub(crate) fn with_last_words(&self) -> String {
         match self.last_words.is_empty() {
             true => self.how.clone(),
@@ -38,7 +38,7 @@ impl From<String> for ProcessEnd {
     }
 }
 
-/// One life of one slot's process.
+/// Identifies one process of a slot, which may have several in succession.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ProcessKey {
     /// Number of the slot, from 0.
@@ -54,7 +54,7 @@ pub(crate) enum Event {
     Tick,
     /// The coordinator answered the worker's registration.
     Registered(Result<RegisterResponse, Status>),
-    /// Leases are to be renewed.
+    /// A heartbeat is due.
     HeartbeatDue,
     /// The coordinator answered a heartbeat.
     Renewed(Result<HeartbeatResponse, Status>),
@@ -63,26 +63,26 @@ pub(crate) enum Event {
         slot: usize,
         answer: Result<ClaimResponse, Status>,
     },
-    /// The files of an attempt's task are there, or cannot be had. The error reads
-    /// after "failed to …".
+    /// The files of an attempt's task were fetched or could not be. The error reads after "failed
+    /// to …".
     Provided {
         slot: usize,
         attempt: AttemptId,
         outcome: Result<(), String>,
     },
-    /// The coordinator knows how a slot's rollout ended.
+    /// The coordinator answered the report of a slot's rollout.
     Delivered {
         slot: usize,
-        /// The rollout that ended, and its campaign.
+        /// Campaign and rollout, for messages.
         label: String,
         answer: Answer,
     },
-    /// A slot's process said something.
+    /// A slot's process sent an event.
     Slot { key: ProcessKey, event: SlotEvent },
     /// A slot's process ended.
     Ended { key: ProcessKey, end: ProcessEnd },
     /// A task of this program panicked.
     Panicked { task: task::Id, error: String },
-    /// A request to end: the first one drains, the second gives rollouts back.
+    /// Shutdown was requested: the first request drains, the second gives rollouts back.
     Shutdown,
 }

@@ -1,6 +1,5 @@
-//! The way to the coordinator: every call of its worker service, repeated with
-//! back-off while the coordinator cannot be reached, and the outage logged once.
-//! Not responsible for what the answers mean.
+//! Client of the coordinator's worker service: retries calls with back-off while the coordinator
+//! is unreachable, and logs each outage once. Callers interpret the answers.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,21 +23,19 @@ use transport::{
 use super::error::SuperviseError;
 use crate::grpc::within;
 
-/// Longest time that the coordinator may wait for a job before it answers
-/// "none".
+/// Longest time that a claim may wait at the coordinator for a job.
 const CLAIM_WAIT: Duration = Duration::from_secs(5);
 /// Longest wait for any other answer.
 const CALL_DEADLINE: Duration = Duration::from_secs(30);
-/// Longest wait for the answer to a good-bye.
+/// Longest wait for the answer to a sign-off.
 const SIGN_OFF_DEADLINE: Duration = Duration::from_secs(2);
 /// Longest wait for a video to be stored.
 const UPLOAD_DEADLINE: Duration = Duration::from_secs(60);
-/// Attempts to send a video before it is given up: for about a minute, if it is
-/// refused at once.
+/// Attempts to send a video: about a minute's worth if each is refused at once.
 const UPLOAD_TRIES: u32 = 7;
 /// Bytes of a video per message.
 const CHUNK_BYTES: usize = 256 << 10;
-/// The largest video that is sent, bytes: far above any rollout's.
+/// Largest video that is sent, bytes; far above any rollout's.
 const MAX_VIDEO_BYTES: u64 = 256 << 20;
 
 /// Names, in messages, of the settings with which a worker's user addresses a
@@ -55,7 +52,7 @@ const SETTINGS: Settings = Settings {
 pub(crate) struct Link {
     grpc: WorkerServiceClient<Connection>,
     state: Arc<LinkState>,
-    /// Set once the worker takes on no more work.
+    /// Set once the worker claims no more work.
     draining: watch::Receiver<bool>,
 }
 
@@ -64,23 +61,23 @@ struct LinkState {
     url: String,
     peer: Peer,
     seed: u64,
-    /// True if a coordinator has ever answered there: then no mistake in the
-    /// settings keeps it from doing so again.
+    /// True if the coordinator has ever answered; a later failure then cannot be a mistake in the
+    /// settings.
     has_answered: AtomicBool,
-    /// Time since which no call got through.
+    /// Start of the current outage, if there is one.
     outage: Mutex<Option<Instant>>,
-    /// Rings when an outage has ended.
+    /// Notified when an outage ends.
     back: Notify,
 }
 
-/// A call that came to nothing, its message saying why.
+/// Failed call, with an explanation in the status.
 struct Failed {
     status: Status,
     may_pass: bool,
 }
 
 impl Link {
-    /// A link to the coordinator at `url`, which is called when needed.
+    /// Creates a link to the coordinator at `url`. The first call opens the connection.
     pub(crate) fn new(
         url: &str,
         access: &Access,
@@ -106,7 +103,7 @@ impl Link {
         })
     }
 
-    /// Announces the worker; until it is answered.
+    /// Registers the worker; retries until the coordinator answers.
     pub(crate) async fn register(
         &self,
         request: RegisterRequest,
@@ -118,9 +115,9 @@ impl Link {
         .await
     }
 
-    /// Asks for one job, until the worker drains. The same claim however often it
-    /// is asked, so a lost answer loses no lease. Draining takes the claim back;
-    /// a lease that is granted in that very moment expires uncharged.
+    /// Claims one job until the worker drains. Retries repeat the same claim id, so a lost answer
+    /// loses no lease. Draining drops the claim; a lease that is granted at that moment expires
+    /// without a charge.
     pub(crate) async fn claim(&self, mut request: ClaimRequest) -> Result<ClaimResponse, Status> {
         request.wait_secs = CLAIM_WAIT.as_secs_f64();
         let mut draining = self.draining.clone();
@@ -136,7 +133,7 @@ impl Link {
         }
     }
 
-    /// Renews leases; asked once, because the next one comes soon.
+    /// Renews leases. Not retried, because the next heartbeat follows soon.
     pub(crate) async fn heartbeat(
         &self,
         request: HeartbeatRequest,
@@ -147,7 +144,7 @@ impl Link {
         self.noted(answer).await.map_err(|failed| failed.status)
     }
 
-    /// Reports an outcome; until it is answered.
+    /// Reports a result; retries until the coordinator answers.
     pub(crate) async fn commit(&self, request: CommitRequest) -> Result<CommitResponse, Status> {
         self.insist(CALL_DEADLINE, |mut grpc| {
             let request = request.clone();
@@ -156,7 +153,7 @@ impl Link {
         .await
     }
 
-    /// Gives a job back; until it is answered.
+    /// Gives a job back; retries until the coordinator answers.
     pub(crate) async fn release(&self, request: ReleaseRequest) -> Result<ReleaseResponse, Status> {
         self.insist(CALL_DEADLINE, |mut grpc| {
             let request = request.clone();
@@ -165,14 +162,14 @@ impl Link {
         .await
     }
 
-    /// Says that this worker is gone; asked once, because nothing depends on it.
+    /// Signs the worker off. Not retried, because nothing depends on it.
     pub(crate) async fn sign_off(&self, request: SignOffRequest) -> Result<(), Status> {
         let mut grpc = self.grpc.clone();
         let answer = within(SIGN_OFF_DEADLINE, grpc.sign_off(request)).await;
         answer.map(drop)
     }
 
-    /// Asks for a rollout to film; until it is answered.
+    /// Requests a rollout to film; retries until the coordinator answers.
     pub(crate) async fn next_film(
         &self,
         request: NextFilmRequest,
@@ -184,8 +181,8 @@ impl Link {
         .await
     }
 
-    /// Sends a video; a few times. That a coordinator cannot store it is no
-    /// outage: everything else may go on.
+    /// Sends a video, with at most `UPLOAD_TRIES` attempts. A coordinator that cannot store videos
+    /// does not count as an outage, because everything else may work.
     pub(crate) async fn put_video(
         &self,
         attempt: AttemptId,
@@ -210,7 +207,7 @@ impl Link {
         }
     }
 
-    /// Calls until there is an answer, or a refusal that stays one.
+    /// Repeats a call until the coordinator answers or refuses for good.
     async fn insist<T, F>(
         &self,
         deadline: Duration,
@@ -232,14 +229,14 @@ impl Link {
         }
     }
 
-    /// An answer, or what is there in the coordinator's place.
+    /// Records the outcome of a call for the outage log, and explains a failure.
     async fn noted<T>(&self, answer: Result<T, Status>) -> Result<T, Failed> {
         let answer = match answer {
             Ok(answer) => {
                 self.state.has_answered.store(true, Ordering::Relaxed);
                 Ok(answer)
             }
-            // The diagnosis made when the outage began is reported already.
+            // The start of the outage was diagnosed and logged already.
             Err(status) if self.lock_outage().is_some() && self.has_answered() => {
                 let may_pass = may_succeed_later(&status);
                 Err(Failed { status, may_pass })
@@ -250,8 +247,8 @@ impl Link {
         answer
     }
 
-    /// A failure in words that say what was found. A mistake in the settings never
-    /// passes.
+    /// Explains a failure by a diagnosis of the peer. A mistake in the settings is never
+    /// transient.
     async fn explained(&self, status: Status) -> Failed {
         let may_pass = may_succeed_later(&status);
         match self.state.peer.trouble(&status).await {
@@ -267,7 +264,7 @@ impl Link {
         self.state.has_answered.load(Ordering::Relaxed)
     }
 
-    /// Tells the beginning and the end of an outage, once.
+    /// Logs the start and the end of an outage once each.
     fn note<T>(&self, answer: &Result<T, Failed>) {
         let url = &self.state.url;
         let mut outage = self.lock_outage();
@@ -283,7 +280,7 @@ impl Link {
                 );
             }
             (Err(failed), Some(_)) if failed.may_pass => {}
-            // The error says the rest, and ends the program.
+            // The returned error describes the failure and ends the program.
             (Err(_), Some(_)) if !self.has_answered() => {}
             (_, Some(since)) => {
                 *outage = None;
@@ -295,13 +292,13 @@ impl Link {
         }
     }
 
-    /// Returns true if the coordinator did not answer the last call.
+    /// Returns true if the last call got no answer.
     pub(crate) fn is_down(&self) -> bool {
         self.lock_outage().is_some()
     }
 
     fn lock_outage(&self) -> std::sync::MutexGuard<'_, Option<Instant>> {
-        // Nothing panics while it holds the lock.
+        // Ignores poisoning: no code panics while it holds the lock.
         let outage = self.state.outage.lock();
         outage.unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,5 +1,5 @@
-//! A slot's process as its parent sees it: started, given commands, listened to,
-//! killed, and its end explained. Not responsible for when any of that happens.
+//! A slot's process from the parent's side: start, commands, events, kill, and an explanation of
+//! its end. The supervisor decides when each happens.
 
 use std::collections::VecDeque;
 use std::io::{self, Write as _};
@@ -17,20 +17,19 @@ use crate::child::{SlotProgram, connection, explain_status};
 use crate::memory::OomKills;
 use crate::message::{MAX_LINE_BYTES, SlotCommand, SlotEvent};
 
-/// Commands that wait for a process to read them: a rollout, and to abandon it.
+/// Capacity of a process's command queue; a run and its abandonment need two.
 const COMMAND_QUEUE: usize = 4;
-/// Lines of a process's standard error that its end is explained with.
+/// Lines of a process's standard error that explain its end.
 const LAST_WORDS: usize = 5;
-/// Longest line that is relayed in one piece, bytes.
+/// Longest relayed line, bytes; longer ones are split.
 const MAX_RELAYED_LINE_BYTES: u64 = 4096;
 
-/// A started process. Dropping it closes the connection with the process, which
-/// then ends.
+/// Running process of a slot. Dropping it closes the connection, whereupon the process ends.
 #[derive(Debug)]
 pub(crate) struct SlotProcess {
     requests: mpsc::Sender<Request>,
     pub(crate) key: ProcessKey,
-    /// The task that owns the process.
+    /// Id of the task that owns the process.
     pub(crate) task: task::Id,
 }
 
@@ -41,8 +40,7 @@ enum Request {
 }
 
 impl SlotProcess {
-    /// Starts a process, and a task that tells `events` what it says and how it
-    /// ends.
+    /// Starts a process, and a task that forwards its events and its end to `events`.
     pub(crate) fn start(
         program: &SlotProgram,
         key: ProcessKey,
@@ -57,8 +55,8 @@ impl SlotProcess {
             .stdin(theirs)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // A Ctrl-C in the terminal is for the parent, which lets the slots
-            // finish their rollouts.
+            // A Ctrl-C in the terminal must reach only the parent, which lets the slots finish
+            // their rollouts.
             .process_group(0)
             .kill_on_drop(true)
             .spawn()?;
@@ -71,8 +69,8 @@ impl SlotProcess {
         })
     }
 
-    /// Sends a command. A process that reads no commands sends no events either,
-    /// and is killed for that: losing the command changes nothing.
+    /// Sends a command. If the queue is full, the process reads no commands; it then sends no
+    /// events either and is killed for that, so the command may be lost.
     pub(crate) fn send(&self, command: SlotCommand) {
         let _ = self.requests.try_send(Request::Send(command));
     }
@@ -83,7 +81,7 @@ impl SlotProcess {
     }
 }
 
-/// Owns a process until it has ended and all its messages are passed on.
+/// Owns a process until it has ended and all its output is forwarded.
 async fn attend(
     mut child: Child,
     connection: UnixStream,
@@ -109,7 +107,7 @@ async fn attend(
         how,
         last_words: last_words.into(),
     };
-    // A supervisor that is gone needs no explanation.
+    // The receiver may be gone if the supervisor has ended.
     let _ = events.send(Event::Ended { key, end }).await;
 }
 
@@ -127,7 +125,7 @@ async fn carry_out(
         let done = match (request, &mut commands) {
             (Some(Request::Send(command)), Some(commands)) => send(commands, &command).await,
             (Some(Request::Kill), _) => child.start_kill(),
-            // The end of the connection tells the process to end.
+            // Closing the connection tells the process to end.
             (None, _) => {
                 commands = None;
                 Ok(())
@@ -135,7 +133,7 @@ async fn carry_out(
             (Some(Request::Send(_)), None) => Ok(()),
         };
         if done.is_err() {
-            // It no longer reads: it has ended, or is about to.
+            // The process no longer reads: it has ended or is about to.
             commands = None;
         }
     }
@@ -156,7 +154,7 @@ async fn tell_events(said: OwnedReadHalf, key: ProcessKey, events: &mpsc::Sender
                     return;
                 }
             }
-            // Only the slot's own program writes here: this is a defect.
+            // Only the slot's own program writes to this socket, so this is a defect.
             Err(error) => {
                 let line = String::from_utf8_lossy(&line);
                 tracing::error!("slot {} said what is no event ({error}): {line}", key.slot);
@@ -165,14 +163,14 @@ async fn tell_events(said: OwnedReadHalf, key: ProcessKey, events: &mpsc::Sender
     }
 }
 
-/// Passes on what a process prints; returns its last lines.
+/// Relays the output of a process to standard error; returns its last lines.
 async fn relay(output: Option<impl AsyncRead + Unpin>, slot: usize) -> VecDeque<String> {
     let mut last = VecDeque::new();
     let Some(output) = output else { return last };
     let mut output = BufReader::new(output);
     while let Some(line) = next_line(&mut output, MAX_RELAYED_LINE_BYTES).await {
         let line = String::from_utf8_lossy(&line).into_owned();
-        // `eprintln` would panic where the log's disk is full.
+        // `eprintln` would panic if the log's disk is full.
         let _ = writeln!(io::stderr(), "[slot {slot}] {line}");
         if last.len() == LAST_WORDS {
             last.pop_front();
@@ -182,8 +180,8 @@ async fn relay(output: Option<impl AsyncRead + Unpin>, slot: usize) -> VecDeque<
     last
 }
 
-/// The next line without its end, or as much of it as the bound allows; none
-/// at the end of the stream.
+/// Reads the next line without its line break, at most `max_bytes` of it; `None` at the end of the
+/// stream.
 async fn next_line(stream: &mut (impl AsyncBufRead + Unpin), max_bytes: u64) -> Option<Vec<u8>> {
     let mut line = Vec::new();
     let read = stream.take(max_bytes).read_until(b'\n', &mut line).await;

@@ -1,9 +1,8 @@
-//! State of a slot, and the decisions that follow from it. Pure: executing the
-//! decisions is the supervisor's business.
+//! State machine of a slot. Pure functions: the supervisor carries out the decisions.
 //!
-//! A slot is a process, a piece of work, and the video of it, and each has a life
-//! of its own: work whose process died is still delivered, a process without
-//! work waits for some, and a video is made while the result is delivered.
+//! A slot consists of a process, its work, and the video of the last rollout, with separate life
+//! cycles: the work of a dead process is still delivered, an idle process waits for work, and a
+//! video is made while the result is delivered.
 
 use std::time::Duration;
 
@@ -12,26 +11,25 @@ use tokio::time::Instant;
 
 use crate::message::FailureKind;
 
-/// Longest time that a slot's process may take to be ready: it hashes an asset
-/// pack and loads libraries.
+/// Longest start of a slot's process, which hashes an asset pack and loads libraries.
 pub(crate) const START_DEADLINE: Duration = Duration::from_secs(120);
-/// Longest time that a process may take to abandon a rollout before it is
-/// killed. It looks for the command at every control step.
+/// Longest time to abandon a rollout before the process is killed. The process checks for the
+/// command at every control step.
 pub(crate) const ABANDON_DEADLINE: Duration = Duration::from_secs(5);
-/// Starts of a slot's process that may fail one after the other, without a
-/// rollout in between, before the worker gives up.
+/// Failed starts of a slot's process in a row, without a rollout in between, after which the
+/// worker gives up.
 pub(crate) const MAX_FAILED_STARTS: u32 = 5;
 
-/// Phase of the worker, which decides if it takes on work.
+/// Phase of the worker, which determines whether it claims work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mode {
-    /// It does.
+    /// Claims work.
     Serving,
-    /// It finishes what it has.
+    /// Finishes the rollouts in flight and claims none.
     Draining,
-    /// It has given up its rollouts and only delivers, until then at the latest.
+    /// Has given up its rollouts, and only delivers reports.
     Abandoning {
-        /// Time at which it goes, delivered or not.
+        /// Time at which the worker exits even if reports are undelivered.
         until: Instant,
     },
 }
@@ -39,28 +37,28 @@ pub(crate) enum Mode {
 /// The process of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ProcessState {
-    /// There is none.
+    /// No process is running.
     Down {
-        /// Time at which the next may be started.
+        /// Earliest time of the next start.
         until: Instant,
     },
-    /// It is not ready yet.
+    /// The process is starting.
     Starting {
-        /// Time at which it is killed if it is still not ready.
+        /// Time at which the process is killed unless it is ready.
         deadline: Instant,
     },
-    /// It takes commands.
+    /// The process accepts commands.
     Up,
-    /// It was killed and has not ended yet.
+    /// The process was killed and has not exited yet.
     Dying,
 }
 
 /// The work of a slot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
-    /// There is no work.
+    /// The slot is idle.
     Nothing,
-    /// The coordinator is being asked for a job.
+    /// A job is being claimed from the coordinator.
     Claiming,
     /// The files of the job's task are being fetched.
     Preparing { attempt: AttemptId },
@@ -68,30 +66,30 @@ pub(crate) enum Work {
     Running {
         /// Attempt at the rollout.
         attempt: AttemptId,
-        /// Control steps done.
+        /// Control steps so far.
         control_steps: u32,
-        /// Time at which the last of them was reported.
+        /// Time of the last reported progress.
         moved_at: Instant,
     },
-    /// The process was killed under a rollout that stood still.
+    /// The rollout made no progress and its process was killed.
     Stuck {
         /// Attempt at the rollout.
         attempt: AttemptId,
-        /// Control steps done.
+        /// Control steps so far.
         control_steps: u32,
     },
     /// The lease was lost; the process has been asked to abandon the rollout.
     Abandoning {
         /// Attempt at the rollout.
         attempt: AttemptId,
-        /// Time at which the process is killed if it has not.
+        /// Time at which the process is killed unless it has abandoned the rollout.
         deadline: Instant,
     },
     /// The end of the rollout is being reported to the coordinator.
     Delivering {
         /// Attempt at the rollout.
         attempt: AttemptId,
-        /// Control steps done.
+        /// Control steps so far.
         control_steps: u32,
     },
 }
@@ -99,32 +97,32 @@ pub(crate) enum Work {
 /// The video of the rollout that a slot simulated last.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Video {
-    /// None is made, and none waits.
+    /// No video is being made or waits for upload.
     None,
-    /// The slot's process makes it, and takes no other work.
+    /// The slot's process makes the video, and does no other work meanwhile.
     Filming {
         /// Attempt whose video it is.
         attempt: AttemptId,
-        /// Pictures that it has: never control steps of the rollout, which is over.
+        /// Frames of the video so far.
         pictures: u32,
-        /// Time at which the last of them was reported.
+        /// Time of the last reported progress.
         moved_at: Instant,
         /// State of the result that the video belongs to.
         result: ResultState,
     },
-    /// It is made, and its result is still being delivered.
+    /// The video is finished, and its result is still being delivered.
     Made {
         /// Attempt whose video it is.
         attempt: AttemptId,
     },
 }
 
-/// Progress of a result.
+/// Delivery state of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ResultState {
     /// It is being delivered.
     Delivering,
-    /// The coordinator has it.
+    /// The coordinator accepted the result.
     Committed,
     /// The coordinator refused it, or its lease was lost.
     Unwanted,
@@ -133,18 +131,18 @@ pub(crate) enum ResultState {
 /// Next action on a video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum VideoDecision {
-    /// Send it.
+    /// Upload the video.
     Upload(AttemptId),
-    /// Remove its file, if there is one.
+    /// Remove the video's file, if there is one.
     Drop(AttemptId),
-    /// Tell the process to stop making it.
+    /// Tell the process to abandon the video.
     Abandon(AttemptId),
 }
 
 /// Work lost with the end of a slot's process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Loss {
-    /// The attempt that was under way, to be delivered, and whose fault it was.
+    /// Attempt that was under way, to be reported as failed, with the party at fault.
     pub(crate) rollout: Option<(AttemptId, FailureKind)>,
     /// The attempt that was being filmed.
     pub(crate) video: Option<AttemptId>,
@@ -162,29 +160,29 @@ pub(crate) struct SlotState {
 /// Next action on a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Decision {
-    /// Start its process.
+    /// Start the slot's process.
     Start,
-    /// Ask the coordinator for a job.
+    /// Claim a job from the coordinator.
     Claim,
-    /// Kill its process, for this reason.
+    /// Kill the slot's process.
     Kill(Kill),
 }
 
-/// Reason for which a process is killed.
+/// Reason why a process is killed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kill {
-    /// It never became ready.
+    /// The process did not become ready in time.
     NotReady,
-    /// Its rollout stands still.
+    /// The rollout makes no progress.
     Stuck,
-    /// Its filming stands still.
+    /// The video makes no progress.
     StuckFilming,
-    /// It did not abandon its rollout.
+    /// The process did not abandon its rollout in time.
     NotAbandoned,
 }
 
 impl SlotState {
-    /// A slot whose first process may start at once.
+    /// Creates a slot whose first process may start at once.
     pub(crate) fn new(now: Instant, seed: u64) -> Self {
         Self {
             process: ProcessState::Down { until: now },
@@ -194,8 +192,7 @@ impl SlotState {
         }
     }
 
-    /// Returns the action that is due. The caller does it and writes down that
-    /// it did.
+    /// Returns the action that is due. The caller carries it out and records it in the state.
     pub(crate) fn decide(
         &self,
         mode: Mode,
@@ -225,13 +222,12 @@ impl SlotState {
         }
     }
 
-    /// Nothing is left to wait for, in a worker that takes on no more work.
+    /// Returns true if a draining worker has nothing left to wait for in this slot.
     pub(crate) fn is_done(&self) -> bool {
         self.work == Work::Nothing && self.video == Video::None
     }
 
-    /// The attempt whose lease a heartbeat renews, and the progress that it
-    /// carries.
+    /// Returns the attempt whose lease a heartbeat renews, with its control steps so far.
     pub(crate) fn progress(&self) -> Option<(AttemptId, u32)> {
         match self.work {
             Work::Running {
@@ -252,19 +248,19 @@ impl SlotState {
         }
     }
 
-    /// Returns true if a video is being made, or waits for its result.
+    /// Returns true if a video is being made or waits for its result.
     pub(crate) fn has_video(&self) -> bool {
         self.video != Video::None
     }
 
-    /// The process says that it takes commands.
+    /// Records that the process accepts commands.
     pub(crate) fn became_ready(&mut self) {
         if matches!(self.process, ProcessState::Starting { .. }) {
             self.process = ProcessState::Up;
         }
     }
 
-    /// The process reported progress with the rollout of an attempt.
+    /// Records the progress of an attempt's rollout.
     pub(crate) fn advanced(&mut self, of: AttemptId, steps: u32, now: Instant) {
         if let Work::Running {
             attempt,
@@ -279,7 +275,7 @@ impl SlotState {
         }
     }
 
-    /// The process reported progress with the video of an attempt.
+    /// Records the progress of an attempt's video.
     pub(crate) fn filming_advanced(&mut self, of: AttemptId, made: u32, now: Instant) {
         if let Video::Filming {
             attempt,
@@ -295,7 +291,7 @@ impl SlotState {
         }
     }
 
-    /// The process was killed.
+    /// Records that the process was killed.
     pub(crate) fn killed(&mut self, why: Kill) {
         self.process = ProcessState::Dying;
         if let (
@@ -314,8 +310,8 @@ impl SlotState {
         }
     }
 
-    /// The process has ended. Returns what went with it. A video costs its
-    /// rollout nothing: its result is on its way already.
+    /// Records that the process has ended; returns the rollout and the video that were lost with
+    /// it. Losing a video never costs a result, which is already being delivered.
     pub(crate) fn ended(&mut self, now: Instant) -> Loss {
         self.process = ProcessState::Down {
             until: now + self.restarts.next_wait(),
@@ -339,7 +335,7 @@ impl SlotState {
                 self.work = Work::Nothing;
                 return loss;
             }
-            // The fetch goes on; when it ends, the job is given back.
+            // The fetch continues; when it ends, the job is given back.
             Work::Preparing { .. } | Work::Nothing | Work::Claiming | Work::Delivering { .. } => {
                 return loss;
             }
@@ -352,9 +348,9 @@ impl SlotState {
         loss
     }
 
-    /// The process reported the end of an attempt, which it films next or not.
-    /// Returns whether it is still wanted; then it is to be delivered.
-    /// That a process was killed as stuck meanwhile changes nothing.
+    /// Records the end of an attempt, which is filmed next if `is_filmed`. Returns true if the
+    /// attempt is still wanted and must be delivered, also if its process was killed as stuck
+    /// meanwhile.
     pub(crate) fn rollout_ended(&mut self, of: AttemptId, is_filmed: bool, now: Instant) -> bool {
         let (result, control_steps) = match self.work {
             Work::Running {
@@ -389,8 +385,7 @@ impl SlotState {
         is_wanted
     }
 
-    /// The process reported that an attempt's video is in its file, or will
-    /// never be.
+    /// Records that an attempt's video is finished or cannot be made.
     pub(crate) fn filming_ended(&mut self, of: AttemptId, is_made: bool) -> Option<VideoDecision> {
         let Video::Filming {
             attempt, result, ..
@@ -412,8 +407,8 @@ impl SlotState {
         }
     }
 
-    /// The coordinator answered how the attempt in hand ended: with a result
-    /// that it has now, or otherwise.
+    /// Records the coordinator's answer to the slot's report; `is_committed` if the coordinator
+    /// has the result.
     pub(crate) fn delivered(&mut self, is_committed: bool) -> Option<VideoDecision> {
         self.work = Work::Nothing;
         match &mut self.video {
@@ -438,8 +433,8 @@ impl SlotState {
         }
     }
 
-    /// The worker ends at once: the process is killed, nothing is filmed to its
-    /// end, and the attempt under way, if there is one, is to be given back.
+    /// Ends the slot's work at once: the process is killed, its video is dropped, and the attempt
+    /// under way, if any, is returned to be given back.
     pub(crate) fn give_up(&mut self) -> Option<AttemptId> {
         self.process = ProcessState::Dying;
         self.video = Video::None;
@@ -456,7 +451,7 @@ impl SlotState {
         Some(attempt)
     }
 
-    /// Returns true if the slot's process never survives its start.
+    /// Returns true if the slot's process has failed `MAX_FAILED_STARTS` times in a row.
     pub(crate) fn cannot_start(&self) -> bool {
         self.restarts.failures() >= MAX_FAILED_STARTS
     }
@@ -485,7 +480,7 @@ mod tests {
         slot
     }
 
-    /// Its result is being delivered while its video is made.
+    /// Returns a slot whose result is being delivered while its video is made.
     fn filming(now: Instant) -> SlotState {
         let mut slot = running(now);
         assert!(slot.rollout_ended(attempt(1), true, now));
@@ -510,7 +505,7 @@ mod tests {
         slot.advanced(attempt(1), 10, now + secs(100));
         let decide = |slot: &SlotState, at| slot.decide(Mode::Serving, TIMEOUT, now + secs(at));
         assert_eq!(decide(&slot, 279), None);
-        // Saying the same again is no progress.
+        // A repeated report of the same step is no progress.
         slot.advanced(attempt(1), 10, now + secs(200));
         assert_eq!(decide(&slot, 280), Some(Decision::Kill(Kill::Stuck)));
         slot.killed(Kill::Stuck);
@@ -539,7 +534,7 @@ mod tests {
         let now = Instant::now();
         let mut slot = running(now);
         assert_eq!(slot.ended(now), lost(FailureKind::SlotCrashed));
-        // Until that is delivered, nothing is started or claimed.
+        // Until the report is delivered, nothing is started or claimed.
         assert_eq!(slot.decide(Mode::Serving, TIMEOUT, now + secs(60)), None);
         assert_eq!(slot.delivered(false), None);
         assert_eq!(slot.decide(Mode::Serving, TIMEOUT, now), None);
@@ -657,10 +652,9 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever happens in whatever order: a draining worker neither starts
-        /// nor claims, no attempt is forgotten before it is delivered, it is
-        /// delivered once, and its video is sent at most once, after its result
-        /// was committed.
+        /// Invariants under any sequence of events: a draining worker neither starts nor claims,
+        /// no attempt is forgotten before its report is delivered, each report is delivered once,
+        /// and a video is sent at most once, after its result was committed.
         #[test]
         fn a_draining_worker_takes_on_nothing_and_forgets_no_attempt(
             events in proptest::collection::vec(0..10_u8, 0..40),

@@ -1,5 +1,4 @@
-//! The loop that owns a worker's state: takes one event after the other, and
-//! carries out what `slot_state` decides.
+//! Event loop that owns a worker's state and carries out the decisions of `slot_state`.
 
 mod claiming;
 mod ending;
@@ -33,14 +32,13 @@ use super::slot_state::{
 use super::upload::{Upload, Uploader, remove};
 use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand, SlotEvent};
 
-/// Interval at which timeouts are checked, and leases that were just taken are
-/// acknowledged.
+/// Interval of the checks for timeouts, and longest delay before a new lease is acknowledged.
 const TICK: Duration = Duration::from_millis(250);
-/// Time that a worker that is otherwise done waits for videos on their way.
+/// Longest wait for unfinished uploads of a worker that is otherwise done.
 const UPLOAD_GRACE: Duration = Duration::from_secs(15);
-/// Processes started before the loop looks at signals and messages again.
+/// Processes started before the loop handles signals and messages again.
 const STARTS_AT_ONCE: usize = 8;
-/// Time that slots may take to end once nothing is wanted of them.
+/// Longest wait for slots' processes to end by themselves.
 const END_DEADLINE: Duration = Duration::from_secs(5);
 
 #[derive(Debug)]
@@ -48,43 +46,42 @@ struct Slot {
     state: SlotState,
     process: Option<SlotProcess>,
     lives: u64,
-    /// The rollout in hand, or the last one: its scene is compiled.
+    /// Current assignment, or the last one, whose scene is compiled.
     assignment: Option<Assignment>,
-    /// The campaign of that rollout.
+    /// Campaign of the assignment.
     campaign: String,
-    /// The rollout whose files are being fetched, and its campaign.
+    /// Assignment whose files are being fetched, with its campaign.
     preparing: Option<(Assignment, String)>,
 }
 
-/// The state of a worker and the way to change it.
+/// State of a worker.
 pub(super) struct Supervisor {
     config: Config,
     timing: Timing,
     link: Link,
     uploader: Uploader,
     slots: Vec<Slot>,
-    /// Registration of the worker: known once a slot has named its renderer,
-    /// which this process cannot find out without native code.
+    /// Registration of the worker; `None` until a slot reports its renderer, which this process
+    /// cannot determine without native code.
     registration: Option<RegisterRequest>,
-    /// Nothing is claimed before.
+    /// True once registered; no job is claimed before.
     is_registered: bool,
     mode: Mode,
-    /// Tells the link that no more work is wanted.
+    /// Tells the link to drop its claims.
     drain: watch::Sender<bool>,
     /// Time of the first request to end.
     told_to_end_at: Option<Instant>,
-    /// Time since which there has been no work, as far as the coordinator could
-    /// say so.
+    /// Start of the idle time. Outages of the coordinator do not count as idle.
     idle_since: Instant,
-    /// Reason for which the worker ends, if not on request.
+    /// Reason why the worker ends, unless it was asked to.
     fault: Option<SuperviseError>,
     heartbeat_under_way: bool,
-    /// True if a lease was taken that no heartbeat has named: the first one
-    /// acknowledges it.
+    /// True if a lease was taken that no heartbeat has named yet: the first heartbeat acknowledges
+    /// it.
     has_news: bool,
-    /// Fetches of assets that failed in a row.
+    /// Back-off of failed fetches of assets.
     fetches: Backoff,
-    /// No job is claimed before: assets could not be fetched.
+    /// Earliest time of the next claim after a failed fetch.
     claims_from: Instant,
     /// Coordinator's last reason for having no work.
     idle_reason: String,
@@ -92,7 +89,7 @@ pub(super) struct Supervisor {
     calls: JoinSet<()>,
     uploads: JoinSet<()>,
     processes: JoinSet<()>,
-    /// Time until which a worker that is otherwise done waits for `uploads`.
+    /// Time at which a worker that is otherwise done stops waiting for `uploads`.
     uploads_until: Option<Instant>,
 }
 
@@ -201,7 +198,7 @@ impl Supervisor {
         self.uploads.is_empty() || now >= until
     }
 
-    /// Lets the slots' processes end, and sees that they do.
+    /// Closes the slots' connections and waits for their processes to end.
     async fn end(&mut self, mut inbox: mpsc::Receiver<Event>) {
         for slot in &mut self.slots {
             if !matches!(slot.state.work, Work::Nothing | Work::Claiming) {
@@ -217,7 +214,7 @@ impl Supervisor {
         self.uploads.abort_all();
         let processes = &mut self.processes;
         let ending = async {
-            // Reports must be taken for the processes' tasks to end.
+            // The processes' tasks can only end while their events are received.
             loop {
                 tokio::select! {
                     ended = processes.join_next() => if ended.is_none() { return },
@@ -230,8 +227,8 @@ impl Supervisor {
         }
     }
 
-    /// Tells the coordinator, which would else count this worker as alive for the
-    /// length of a lease.
+    /// Signs off at the coordinator, which would otherwise count this worker as alive until a
+    /// lease's length has passed.
     async fn sign_off(&self) {
         if !self.is_registered {
             return;
@@ -331,8 +328,8 @@ impl Supervisor {
         }
     }
 
-    /// A process could not be started. A machine that has nothing left for another slot
-    /// will not have more for the next one: the worker stops at the first such answer.
+    /// Handles a failed start of a process. The worker stops if a slot's first process exceeds the
+    /// machine's limits, because later starts would too.
     fn start_failed(&mut self, slot: usize, error: io::Error, now: Instant) {
         if self.slots[slot].lives == 1 && is_exhaustion(&error) {
             return self.stop(SuperviseError::Exhausted { slot, error });
@@ -397,8 +394,8 @@ impl Supervisor {
         }
     }
 
-    /// A slot takes commands. The first one says as whom to register; the others
-    /// must draw alike, or some of their results would be refused.
+    /// Handles a slot's readiness. The first slot's renderer registers the worker; the others must
+    /// have the same one, or the coordinator would refuse some of their results.
     fn became_ready(&mut self, slot: usize, renderer: String, fingerprint: &str) {
         self.slots[slot].state.became_ready();
         tracing::info!("slot {slot} is ready: renderer {renderer}, fingerprint {fingerprint}");
@@ -441,7 +438,7 @@ impl Supervisor {
         }
     }
 
-    /// The rollout in hand and its campaign, for people.
+    /// Returns campaign and session of the slot's assignment, for messages.
     fn label(&self, slot: usize) -> String {
         let Slot {
             assignment,
@@ -457,7 +454,7 @@ impl Supervisor {
         let state = &mut self.slots[slot].state;
         let loss = state.ended(now);
         if state.cannot_start() {
-            // Its last output stands above.
+            // The process's last output is in the log already.
             let end = end.how.clone();
             self.stop(SuperviseError::Slot { slot, end });
         } else {
@@ -502,7 +499,7 @@ impl Supervisor {
         }
     }
 
-    /// Says in a sentence how a rollout was lost.
+    /// Describes in a sentence how a rollout was lost.
     fn explain_loss(&self, kind: FailureKind, end: &str) -> String {
         let host = &self.config.identity.host;
         if kind == FailureKind::SlotStuck {
@@ -545,7 +542,8 @@ impl Supervisor {
         }
     }
 
-    /// Videos that are being made, wait for their results, or are being sent.
+    /// Returns the number of videos that are being made, wait for their results, or are being
+    /// sent.
     fn videos_in_hand(&self) -> u32 {
         let made = self.slots.iter().filter(|slot| slot.state.has_video());
         u32::try_from(made.count() + self.uploads.len()).unwrap_or(u32::MAX)
@@ -577,7 +575,7 @@ impl Supervisor {
 
     fn renewed(&mut self, answer: Result<HeartbeatResponse, Status>, now: Instant) {
         self.heartbeat_under_way = false;
-        // The link logs a failure, and the next heartbeat is soon.
+        // The link logs the failure, and the next heartbeat follows soon.
         let Ok(answer) = answer else { return };
         for lost in &answer.lost_attempts {
             match lost.parse() {
@@ -614,9 +612,9 @@ impl Supervisor {
         };
     }
 
-    /// A slot's task that panicked is the end of the slot's process, which is
-    /// killed with it. Any other may be missed for ever, by a lease that is
-    /// renewed and never ended: the worker gives up.
+    /// Handles a task's panic. If the task attended a slot's process, the process has been killed
+    /// with it. For any other task the worker gives up: a rollout waiting for that task would have
+    /// its lease renewed for ever.
     fn panicked(&mut self, task: task::Id, error: String, now: Instant) {
         let owns = |slot: &Slot| slot.process.as_ref().is_some_and(|it| it.task == task);
         if let Some(slot) = self.slots.iter().position(owns) {
@@ -630,7 +628,7 @@ impl Supervisor {
     }
 }
 
-/// Returns true if a limit was reached: of open files, processes or memory.
+/// Returns true if an error reports an exhausted limit of open files, processes or memory.
 fn is_exhaustion(error: &io::Error) -> bool {
     use rustix::io::Errno;
     let limits = [Errno::MFILE, Errno::NFILE, Errno::AGAIN, Errno::NOMEM];
@@ -641,7 +639,7 @@ fn is_exhaustion(error: &io::Error) -> bool {
 }
 
 fn panicked(ended: Result<(), JoinError>) -> Option<Event> {
-    // Nothing is aborted while the worker serves.
+    // Tasks are only aborted after the loop, so a `JoinError` here is a panic.
     let error = ended.err()?;
     Some(Event::Panicked {
         task: error.id(),
@@ -658,8 +656,8 @@ mod tests {
     use crate::child::SlotProgram;
     use crate::ids::WorkerId;
 
-    /// A worker with one slot, whose process waits for its parent to go, and a
-    /// coordinator that is nowhere.
+    /// Returns a supervisor with one slot, whose process waits for its parent to end, and an
+    /// unreachable coordinator.
     fn supervisor(events: mpsc::Sender<Event>) -> Supervisor {
         supervisor_of(1, events)
     }
@@ -699,7 +697,8 @@ mod tests {
     async fn a_call_that_panics_ends_the_worker_with_an_error_that_says_so() {
         let (events, inbox) = mpsc::channel(8);
         let mut supervisor = supervisor(events);
-        // Its delivery never happens: its lease would be renewed for ever.
+        // Without the panic's detection, the delivery would never happen and its lease would be
+        // renewed for ever.
         supervisor.calls.spawn(async { panic!("a defect") });
         let (_requests, shutdown) = mpsc::channel(1);
         let serving = supervisor.serve(inbox, shutdown);

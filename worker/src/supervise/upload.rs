@@ -1,6 +1,5 @@
-//! Videos on their way to the coordinator, after their results. A video is worth
-//! less than anything else: it is tried for a while, a few at a time, and then
-//! dropped, so that neither a result, a lease nor a slot waits for it.
+//! Uploads videos after their results. Videos have the lowest priority: few are sent at a time,
+//! and one that cannot be sent in time is dropped, so that no result, lease or slot waits for it.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -13,12 +12,12 @@ use transport::chain;
 
 use super::link::Link;
 
-/// Videos that are sent at a time; others wait.
+/// Videos that are sent in parallel.
 const UPLOADS_AT_A_TIME: usize = 3;
-/// Longest time from a committed result to its stored video.
+/// Longest wait for a video's upload, including the queue.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A video of a committed result.
+/// Video of a committed result, to be uploaded.
 #[derive(Debug)]
 pub(crate) struct Upload {
     pub(crate) attempt: AttemptId,
@@ -27,7 +26,7 @@ pub(crate) struct Upload {
     pub(crate) label: String,
 }
 
-/// Sends videos, a few at a time.
+/// Uploads videos, a few in parallel.
 #[derive(Clone, Debug)]
 pub(crate) struct Uploader {
     link: Link,
@@ -42,10 +41,10 @@ impl Uploader {
         }
     }
 
-    /// Sends a video, or drops it and says so. The file is gone afterwards.
+    /// Uploads a video, or logs why it is dropped. Removes its file in either case.
     pub(crate) async fn upload(self, upload: Upload) {
         let sending = async {
-            // Never closed.
+            // The semaphore is never closed.
             let _place = self.places.acquire().await;
             self.link.put_video(upload.attempt, &upload.file).await
         };
@@ -59,7 +58,7 @@ impl Uploader {
     }
 }
 
-/// Removes a video, if there is one.
+/// Removes a video's file, if it exists.
 pub(crate) async fn remove(file: PathBuf) {
     match tokio::fs::remove_file(&file).await {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {

@@ -1,4 +1,4 @@
-//! What the chosen variants need, and which of them have it here, before anything starts.
+//! Checks before a run which of the chosen variants have all their files.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Write};
@@ -12,17 +12,17 @@ use scene::{AssetPack, Sources};
 use super::case::{Case, Subject};
 use super::error::VariantsError;
 
-/// Names that a report gives of each reason; the others are counted.
+/// Rollouts that a report names per reason; the others are counted.
 const MAX_NAMED: usize = 3;
 
-/// Reason for which a variant cannot run.
+/// Reason why a variant cannot run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Lack {
-    /// Its BDDL file or states.
+    /// The BDDL file or the initial states are missing.
     TaskFiles(Benchmark),
-    /// Files of LIBERO-Plus' archive.
+    /// Files of LIBERO-Plus' archive are missing.
     Assets(Assets),
-    /// Models of LIBERO-PRO.
+    /// Models of LIBERO-PRO are missing.
     Models,
 }
 
@@ -50,19 +50,19 @@ impl fmt::Display for Lack {
     }
 }
 
-/// The chosen rollouts, by what they lack.
+/// Chosen rollouts, grouped by their missing files.
 pub struct Audit {
-    /// Those that can run.
+    /// Rollouts with all their files.
     pub runnable: Vec<Case>,
-    /// The others.
+    /// Rollouts with missing files, by reason.
     pub lacking: Vec<(Lack, Vec<Case>)>,
 }
 
 impl Audit {
-    /// Looks for the files of cases.
+    /// Checks which cases have all their files.
     ///
     /// # Errors
-    /// If a BDDL file that is there cannot be read.
+    /// If an existing BDDL file cannot be read.
     pub fn new(
         cases: Vec<Case>,
         pack: &AssetPack,
@@ -72,7 +72,7 @@ impl Audit {
             runnable: Vec::new(),
             lacking: Vec::new(),
         };
-        // Trials of a task need the same.
+        // All trials of a task need the same files.
         let mut last: Option<(Case, Option<Lack>)> = None;
         for case in cases {
             let lack = match &last {
@@ -92,15 +92,15 @@ impl Audit {
         Ok(audit)
     }
 
-    /// Number of rollouts.
+    /// Returns the number of rollouts.
     pub fn count(&self) -> usize {
         self.runnable.len() + self.lacking.iter().map(|(_, it)| it.len()).sum::<usize>()
     }
 
-    /// Refuses to go on without those whose files are missing.
+    /// Checks that no rollout lacks files.
     ///
     /// # Errors
-    /// If there are any.
+    /// If any rollout lacks files.
     pub fn require_all(&self) -> Result<(), VariantsError> {
         match self.lacking.is_empty() {
             true => Ok(()),
@@ -112,7 +112,7 @@ impl Audit {
         }
     }
 
-    /// What is missing, and for which rollouts.
+    /// Lists the missing files, with the rollouts that need them.
     fn reasons(&self) -> String {
         let mut text = String::new();
         for (lack, cases) in &self.lacking {
@@ -128,7 +128,7 @@ impl Audit {
         text.trim_end().to_owned()
     }
 
-    /// A table of dimensions or suites, then what is missing.
+    /// Formats a table of dimensions or suites, followed by the missing files.
     pub fn report(&self) -> String {
         let mut counts: BTreeMap<String, [usize; 2]> = BTreeMap::new();
         let mut count = |cases: &[Case], runnable: usize| {
@@ -156,8 +156,8 @@ impl Audit {
         text
     }
 
-    /// A line for each rollout: suite, name, group, difficulty, what it needs beside
-    /// LIBERO's assets, and whether it can run; separated by tabs.
+    /// Formats a line per rollout, separated by tabs: suite, name, group, difficulty, files needed
+    /// beyond LIBERO's assets, and whether the rollout can run.
     pub fn list(&self) -> String {
         let mut text = String::new();
         let all = [(None, &self.runnable)];
@@ -184,7 +184,7 @@ impl Audit {
     }
 }
 
-/// Files of LIBERO-Plus' archive that a variant needs.
+/// Lists the files of LIBERO-Plus' archive that a variant needs.
 fn needs(case: &Case) -> String {
     let Subject::Plus(Entry {
         class: Some(class), ..
@@ -198,7 +198,7 @@ fn needs(case: &Case) -> String {
     files.collect::<Vec<_>>().join(" ")
 }
 
-/// What a rollout lacks.
+/// Returns the reason why a rollout cannot run; `None` if all its files exist.
 fn lack(case: &Case, pack: &AssetPack, sources: &Sources) -> Result<Option<Lack>, VariantsError> {
     let lack = match case.subject {
         Subject::Plus(entry) => assets_lack(entry, pack),
@@ -226,7 +226,7 @@ fn lack(case: &Case, pack: &AssetPack, sources: &Sources) -> Result<Option<Lack>
     }
 }
 
-/// What a variant of LIBERO-Plus lacks beside its task files.
+/// Returns the files that a LIBERO-Plus variant lacks, apart from its task files.
 fn assets_lack(entry: &Entry, pack: &AssetPack) -> Option<Lack> {
     let assets = entry.assets();
     let is_in_pack = |file: &str| pack.dir().join(file).is_file();

@@ -1,5 +1,5 @@
-//! One rollout of a run: a variant of LIBERO-Plus, a task of LIBERO-PRO, or a task as LIBERO
-//! has it, from one of its initial states.
+//! One rollout of a run: a variant of LIBERO-Plus, a task of LIBERO-PRO, or an unmodified task of
+//! LIBERO, from one of its initial states.
 
 use libero_ctrl::{ManifestRow, RolloutId, TaskRef, row_of};
 use libero_family::corruption::Corruption;
@@ -11,10 +11,10 @@ use sim::{Start, VariantStart};
 
 use super::error::VariantsError;
 
-/// What a rollout is of.
+/// Origin of a rollout's task.
 #[derive(Clone, Copy, Debug)]
 pub enum Subject {
-    /// A task as LIBERO has it.
+    /// An unmodified task of LIBERO.
     Unperturbed,
     /// A variant of LIBERO-Plus.
     Plus(&'static Entry),
@@ -25,16 +25,16 @@ pub enum Subject {
 /// One rollout under a protocol.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {
-    /// What it is of.
+    /// Origin of the task.
     pub subject: Subject,
     /// LIBERO's task.
     pub task: TaskRef,
-    /// Which trial, from 0: it begins at the initial state of this number.
+    /// Number of the trial, from 0, which is also the index of its initial state.
     pub trial: u16,
 }
 
 impl Case {
-    /// The unperturbed rollouts beside which cases stand: those of their tasks and trials.
+    /// Returns the unperturbed rollouts of the cases' tasks and trials, to compare with.
     pub fn unperturbed(cases: &[Self]) -> Vec<Self> {
         let mut beside: Vec<_> = cases.iter().map(|case| (case.task, case.trial)).collect();
         beside.sort();
@@ -47,7 +47,8 @@ impl Case {
         unperturbed.collect()
     }
 
-    /// True if another case is of the same files.
+    /// Returns true if another case is of the same LIBERO-PRO suite and task, and so has the same
+    /// files.
     pub(super) fn files_are_of(&self, other: &Self) -> bool {
         let suite = |case: &Self| match case.subject {
             Subject::Pro(suite) => Some(suite),
@@ -56,7 +57,7 @@ impl Case {
         self.task == other.task && suite(self).is_some() && suite(self) == suite(other)
     }
 
-    /// The benchmark; none of an unperturbed rollout.
+    /// Returns the benchmark; `None` for an unperturbed rollout.
     pub fn benchmark(&self) -> Option<Benchmark> {
         match self.subject {
             Subject::Unperturbed => None,
@@ -65,8 +66,8 @@ impl Case {
         }
     }
 
-    /// Name in results and of its folder: the benchmark's, with the trial of those that have
-    /// several.
+    /// Returns the name used in results and for the output folder: the benchmark's own, with the
+    /// trial's number if there are several.
     pub fn name(&self) -> String {
         let (task, trial) = (self.task.name(), self.trial);
         match self.subject {
@@ -76,8 +77,8 @@ impl Case {
         }
     }
 
-    /// Row of the tables that it counts in: a dimension of LIBERO-Plus or a suite of
-    /// LIBERO-PRO; none of an unperturbed rollout.
+    /// Returns the row of the result tables in which the case counts: a dimension of LIBERO-Plus
+    /// or a suite of LIBERO-PRO; `None` for an unperturbed rollout.
     pub fn group(&self) -> Option<String> {
         match self.subject {
             Subject::Unperturbed => None,
@@ -86,7 +87,7 @@ impl Case {
         }
     }
 
-    /// Difficulty, 1 to 5, where one is given.
+    /// Returns the difficulty, 1 to 5, if LIBERO-Plus gives one.
     pub fn difficulty(&self) -> Option<u8> {
         match self.subject {
             Subject::Plus(entry) => entry.difficulty,
@@ -94,7 +95,7 @@ impl Case {
         }
     }
 
-    /// Its task files.
+    /// Returns the task's files.
     pub fn files(&self, sources: &Sources) -> TaskFiles {
         match self.subject {
             Subject::Unperturbed => TaskFiles::of_task(sources, self.task),
@@ -103,11 +104,11 @@ impl Case {
         }
     }
 
-    /// The row of its rollout: the trial's initial state, the protocol's prompt, waits and
-    /// budget.
+    /// Returns the manifest row of the rollout, with the trial's initial state and the protocol's
+    /// prompt, waits and step budget.
     ///
     /// # Errors
-    /// If its BDDL file cannot be read.
+    /// If the BDDL file cannot be read.
     pub fn row(
         &self,
         files: &TaskFiles,
@@ -124,7 +125,7 @@ impl Case {
         Ok(row)
     }
 
-    /// How it begins.
+    /// Returns the initial conditions of the rollout.
     pub fn start(&self, protocol: &Protocol) -> VariantStart {
         let variant = match self.subject {
             Subject::Plus(entry) => Some(entry.variant),

@@ -1,4 +1,4 @@
-//! Which variants, and how they are run: the command line's filters and manner.
+//! Command-line options that select variants and the way to run them.
 
 use clap::Args;
 use libero_ctrl::Suite;
@@ -56,7 +56,7 @@ pub struct Manner {
 }
 
 impl Choice {
-    /// The benchmark that is chosen from.
+    /// Returns the benchmark of the chosen variants.
     pub fn benchmark(&self) -> Benchmark {
         match self.pro.is_empty() {
             true => Benchmark::Plus,
@@ -64,10 +64,10 @@ impl Choice {
         }
     }
 
-    /// The rollouts of what is chosen, in the benchmark's order.
+    /// Returns the chosen rollouts, in the benchmark's order.
     ///
     /// # Errors
-    /// If there is none, or the benchmark does not have one that is named.
+    /// If nothing matches, or a named variant does not exist.
     pub fn cases(&self) -> Result<Vec<Case>, VariantsError> {
         if self.benchmark() == Benchmark::Pro {
             let trials = self.trials.unwrap_or(STATES);
@@ -92,7 +92,7 @@ impl Choice {
         Ok(cases.collect())
     }
 
-    /// The chosen variants of LIBERO-Plus.
+    /// Returns the chosen variants of LIBERO-Plus.
     fn entries(&self) -> Result<Vec<&'static Entry>, VariantsError> {
         if let Some(unused) = self.variants.iter().find(|it| entry(it).is_none()) {
             return Err(VariantsError::Unused {
@@ -114,10 +114,10 @@ impl Choice {
 }
 
 impl Manner {
-    /// The protocol to run a benchmark under.
+    /// Returns the protocol for a benchmark.
     ///
     /// # Errors
-    /// If one of another benchmark was asked for.
+    /// If the chosen protocol belongs to another benchmark.
     pub fn protocol_of(&self, benchmark: Benchmark) -> Result<Protocol, VariantsError> {
         let protocol = self.protocol.unwrap_or(match benchmark {
             Benchmark::Plus => Protocol::PLUS_OFFICIAL,
@@ -133,7 +133,7 @@ impl Manner {
     }
 }
 
-/// True if nothing was asked for, or this was.
+/// Returns true if the filter is empty or contains the value.
 fn is_of<T: PartialEq>(asked: &[T], found: &T) -> bool {
     asked.is_empty() || asked.contains(found)
 }

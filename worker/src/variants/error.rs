@@ -8,13 +8,13 @@ use scene::SceneError;
 
 use crate::single::SingleError;
 
-/// Reason for which variants were not run.
+/// Reason why variants were not run.
 #[derive(Debug, thiserror::Error)]
 pub enum VariantsError {
-    /// No variant is of all that was asked for.
+    /// No variant matches all filters.
     #[error("choose variants: none is of all that was asked for; leave a filter out")]
     Nothing,
-    /// The protocol is another benchmark's.
+    /// The protocol belongs to another benchmark.
     #[error(
         "run {benchmark} under protocol `{protocol}`: it is another benchmark's; docs/FAMILY.md \
          lists the protocols of each"
@@ -25,26 +25,26 @@ pub enum VariantsError {
         /// The benchmark.
         benchmark: &'static str,
     },
-    /// LIBERO-Plus' task map does not have a variant.
+    /// LIBERO-Plus' task map lacks the variant.
     #[error(
         "choose variant `{name}`: its name is well-formed, and LIBERO-Plus' task map does not \
          have it; `worker variants --list` names those that it has"
     )]
     Unused {
-        /// Its name.
+        /// Name of the variant.
         name: String,
     },
-    /// Files of some are missing.
+    /// Files of some rollouts are missing.
     #[error(
         "run {lacking} of the {chosen} chosen rollouts, whose files are missing:\n{report}\nGive \
          --runnable to run the others without them"
     )]
     Lacking {
-        /// Number of those that cannot run.
+        /// Number of rollouts with missing files.
         lacking: usize,
-        /// Number of all.
+        /// Number of chosen rollouts.
         chosen: usize,
-        /// What is missing, and for which.
+        /// Missing files, with the rollouts that need them.
         report: String,
     },
     /// A task file is missing or wrong.
@@ -56,35 +56,35 @@ pub enum VariantsError {
     /// A rollout has no result.
     #[error(transparent)]
     Single(#[from] SingleError),
-    /// Earlier results cannot be pooled with those to come.
+    /// Earlier results cannot be pooled with the new ones.
     #[error(
         "add to {}: its results are of {what} `{found}`, and this run is of `{expected}`; numbers \
          of the two measure different things, so give another --output", path.display()
     )]
     Pinned {
-        /// The results.
+        /// Path of the results.
         path: PathBuf,
-        /// What differs.
+        /// Property that differs.
         what: &'static str,
-        /// In the results.
+        /// Value in the results.
         found: String,
-        /// In this run.
+        /// Value of this run.
         expected: String,
     },
     /// A line of earlier results is malformed.
     #[error("read line {line} of {}: {problem}; remove the line", path.display())]
     Malformed {
-        /// The results.
+        /// Path of the results.
         path: PathBuf,
-        /// Line, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// Problem of the line.
+        /// Description of the fault.
         problem: String,
     },
     /// A file cannot be read or written.
     #[error("use {}", path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Error of the system.
         #[source]

@@ -1,5 +1,5 @@
-//! `results.jsonl`: a line for each rollout, pinned to one protocol, policy and simulator;
-//! and what the lines say together.
+//! `results.jsonl`: one line per rollout, pinned to one protocol, policy and simulator; and the
+//! tally over the lines.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,11 +17,11 @@ use super::case::Case;
 use super::error::VariantsError;
 use crate::message::Finished;
 
-/// The libraries whose arithmetic corrupted pictures have.
+/// Versions of the libraries whose arithmetic the image corruptions reproduce.
 const CORRUPTION_RULES: &str =
     "numpy 1.26.4, scipy 1.13.1, scikit-image 0.24.0, ImageMagick 6.9.11-60 Q16";
 
-/// Circumstances that results have in common.
+/// Conditions that all results of a file share.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pin {
     /// The benchmark.
@@ -30,13 +30,13 @@ pub struct Pin {
     pub protocol: String,
     /// Source of the prompts.
     pub prompt_source: String,
-    /// State in which the waits begin.
+    /// State in which the settling waits begin: an initial state or a reset.
     pub beginning: String,
     /// Seed of the environment's generator.
     pub seed: u32,
-    /// Control steps before the policy's first look.
+    /// Control steps before the policy's first query.
     pub waits: u32,
-    /// Libraries whose arithmetic corrupted pictures have.
+    /// Versions of the libraries whose arithmetic the image corruptions reproduce.
     pub corruption_rules: String,
     /// Digest of the asset pack.
     pub asset_pack_digest: String,
@@ -47,19 +47,19 @@ pub struct Pin {
 /// A rollout's result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// The benchmark's name; of an unperturbed rollout the task's.
+    /// Name of the case: the benchmark's name of the variant, or the unperturbed task's.
     pub variant: String,
     /// LIBERO's task.
     pub task: TaskRef,
-    /// The trial: the number of its initial state.
+    /// Number of the trial, which is also the index of its initial state.
     pub trial: u16,
-    /// Dimension of LIBERO-Plus or suite of LIBERO-PRO; none: unperturbed.
+    /// Dimension of LIBERO-Plus or suite of LIBERO-PRO; `None` for an unperturbed rollout.
     pub group: Option<String>,
-    /// 1 to 5; none: not given.
+    /// Difficulty, 1 to 5; `None` if not given.
     pub difficulty: Option<u8>,
     /// The policy's instruction.
     pub prompt: String,
-    /// Control steps that the policy had.
+    /// Step budget of the policy.
     pub budget: u32,
     /// True if the goal was reached.
     pub success: bool,
@@ -67,11 +67,11 @@ pub struct Row {
     pub steps: u32,
     /// The policy's own name.
     pub policy: String,
-    /// Digest of its weights.
+    /// Digest of the policy's weights.
     pub policy_checkpoint_digest: String,
-    /// True if it gets the canonical instruction whatever the prompt.
+    /// True if the policy receives the canonical instruction in place of the prompt.
     pub policy_canonical_only: bool,
-    /// The renderer's own name; empty where none was opened.
+    /// The renderer's own name; empty if no renderer was opened.
     pub renderer: String,
     /// Digest of the composed scene.
     pub scene_digest: String,
@@ -79,13 +79,13 @@ pub struct Row {
     pub init_state_digest: String,
     /// Digest of the policy's first frames.
     pub first_frame_digest: String,
-    /// What it has in common with the others.
+    /// Conditions that all results share.
     #[serde(flatten)]
     pub pin: Pin,
 }
 
 impl Pin {
-    /// The circumstances of a run.
+    /// Returns the conditions of a run.
     pub fn new(protocol: &Protocol, pack: &AssetPack) -> Self {
         Self {
             benchmark: protocol.benchmark.name().to_owned(),
@@ -100,7 +100,7 @@ impl Pin {
         }
     }
 
-    /// The first thing in which another differs: its name, and both values.
+    /// Returns the first difference to another pin: its name, and both values.
     fn difference(&self, other: &Self) -> Option<(&'static str, String, String)> {
         let values = |pin: &Self| {
             [
@@ -167,7 +167,7 @@ impl Row {
     }
 }
 
-/// The results of a folder.
+/// Results of a folder, open for appending.
 pub(super) struct Results {
     path: PathBuf,
     file: File,
@@ -176,7 +176,7 @@ pub(super) struct Results {
 }
 
 impl Results {
-    /// Reads what is there, and goes on behind it.
+    /// Reads existing results, and opens the file for appending.
     pub(super) fn open(folder: &Path, pin: Pin) -> Result<Self, VariantsError> {
         let path = folder.join("results.jsonl");
         let file_error = |source: io::Error| VariantsError::File {
@@ -215,7 +215,7 @@ impl Results {
         self.rows.iter().any(|row| row.variant == variant)
     }
 
-    /// Adds a rollout of the same policy and simulator as the others.
+    /// Appends a result, if its policy and simulator are those of the others.
     pub(super) fn add(&mut self, row: Row) -> Result<(), VariantsError> {
         self.check(&row)?;
         let mut line = serde_json::to_string(&row).expect("texts and numbers");
@@ -230,7 +230,7 @@ impl Results {
         Ok(())
     }
 
-    /// Holds a row against the run and the first row.
+    /// Checks that a result agrees with the run's pin and with the first result.
     fn check(&self, row: &Row) -> Result<(), VariantsError> {
         let pinned = |what, found: &str, expected: &str| VariantsError::Pinned {
             path: self.path.clone(),
@@ -265,10 +265,10 @@ impl Results {
     }
 }
 
-/// Successes by dimension or suite, beside those of the same tasks unperturbed.
+/// Successes by dimension or suite, paired with the unperturbed rollouts of the same tasks.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Tally {
-    /// Of each group that has results, and of all.
+    /// Counts of each group with results, followed by those of all.
     pub lines: Vec<(String, Count)>,
 }
 
@@ -277,11 +277,11 @@ pub struct Tally {
 pub struct Count {
     /// Rollouts of variants.
     pub rollouts: usize,
-    /// Those that succeeded.
+    /// Successful rollouts of variants.
     pub successes: usize,
-    /// Those that failed, and whose task succeeds unperturbed.
+    /// Failed variants whose unperturbed task succeeds.
     pub broken: usize,
-    /// Those that succeeded, and whose task fails unperturbed.
+    /// Successful variants whose unperturbed task fails.
     pub gained: usize,
 }
 
@@ -295,7 +295,7 @@ impl Count {
 }
 
 impl Tally {
-    /// Counts rows.
+    /// Counts the rows.
     pub fn of(rows: &[Row]) -> Self {
         let unperturbed = rows.iter().filter(|row| row.group.is_none());
         let unperturbed: BTreeMap<(TaskRef, u16), bool> = unperturbed
@@ -318,8 +318,8 @@ impl Tally {
 }
 
 impl fmt::Display for Tally {
-    /// Success is that of the published tables: successes over rollouts; all of them together
-    /// in the last line.
+    /// Prints a table whose per cent are successes over rollouts, as in the published tables; the
+    /// last line counts all groups together.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,

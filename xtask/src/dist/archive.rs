@@ -1,4 +1,4 @@
-//! The archive: what was staged, in one file, with its checksum beside it.
+//! Packs the staged folder into one file, with its checksum beside it.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -13,20 +13,20 @@ use crate::step::step;
 use super::release::{VERSION, commit_time};
 use super::{native, stage};
 
-/// Names and digests of all files in it.
+/// File with the digests of all other files of the archive.
 pub(super) const SUMS: &str = "SHA256SUMS";
 
 /// A release archive.
 pub(super) struct Archive {
-    /// The file.
+    /// Path of the archive.
     pub(super) file: PathBuf,
-    /// Name of its only folder.
+    /// Name of its top-level folder.
     pub(super) name: String,
     /// Tool that reads and writes ELF files.
     pub(super) elf: native::Elf,
 }
 
-/// Makes the archive of these programs.
+/// Makes the archive of the programs in a folder.
 pub(super) fn make(root: &Path, cache: &Path, programs: &Path, output: &Path) -> Result<Archive> {
     let elf = native::Elf::provide(cache)?;
     println!("Packing");

@@ -1,6 +1,6 @@
-//! A root folder with glibc and nothing else: no shell, no library of the compiler, no
-//! OpenGL, no Python. What starts in it starts on any machine with a glibc that is new
-//! enough, and an image for containers is made of it.
+//! Root folder with glibc and nothing else: no shell, no compiler runtime, no OpenGL, no Python. A
+//! program that starts in it starts on any machine with a recent enough glibc. The container image
+//! is made from it.
 
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
@@ -14,27 +14,27 @@ use super::archive::Archive;
 use super::native;
 use super::release::PROGRAMS;
 
-/// Path of the unpacked archive in it.
+/// Path of the unpacked archive inside the root.
 pub(super) const PREFIX: &str = "/opt/rollout";
 
-/// The user whom programs run as, and who owns nothing but [`DATA`].
+/// User id of the programs, which owns nothing but [`DATA`].
 pub(super) const USER: u32 = 65_532;
 
-/// A folder of theirs.
+/// Folder that the programs' user may write to.
 pub(super) const DATA: &str = "/data";
 
-/// Gives the root its devices and processes, then becomes a program in it.
+/// Shell command that mounts /proc and /dev into the root and starts a program in it.
 const ENTER: &str = "mount --rbind /proc \"$0/proc\" && mount --rbind /dev \"$0/dev\" && \
                      exec chroot \"$@\"";
 
-/// The root, and how it is entered.
+/// Root folder, with the way to enter it.
 pub(super) struct BareRoot {
     dir: PathBuf,
     as_root: bool,
 }
 
 impl BareRoot {
-    /// Makes it in a folder, with the archive unpacked.
+    /// Creates the root in a folder, with the archive unpacked.
     pub(super) fn make(dir: &Path, archive: &Archive) -> Result<Self> {
         for folder in ["dev", "etc", "proc", "tmp", "opt"] {
             std::fs::create_dir_all(dir.join(folder))?;
@@ -69,7 +69,7 @@ impl BareRoot {
             std::fs::create_dir_all(to.parent().context("name a file")?)?;
             std::fs::copy(file, &to).with_context(|| format!("copy {}", file.display()))?;
         }
-        // A machine's programs are on its path.
+        // Puts the programs on the search path.
         std::fs::create_dir_all(dir.join("usr"))?;
         symlink(format!("{PREFIX}/bin"), dir.join("usr/bin"))?;
         let id = capture(Command::new("id").arg("-u"))?;
@@ -79,12 +79,12 @@ impl BareRoot {
         })
     }
 
-    /// Path of its folder.
+    /// Returns the root's folder.
     pub(super) fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// Makes the folder of the programs' user.
+    /// Creates the folder of the programs' user.
     pub(super) fn add_data(&self) -> Result<()> {
         let data = inside(&self.dir, Path::new(DATA));
         std::fs::create_dir_all(&data)?;
@@ -94,14 +94,14 @@ impl BareRoot {
         Ok(())
     }
 
-    /// Reason why this machine lets nobody in, if it does not.
+    /// Returns the reason why the root cannot be entered on this machine; `None` if it can.
     pub(super) fn closed(&self) -> Option<String> {
         capture(Command::new("unshare").args(self.spaces()).arg("true"))
             .err()
             .map(|error| format!("{error:#}").replace('\n', ": "))
     }
 
-    /// Namespaces in which one may mount and change the root.
+    /// Returns `unshare`'s options for namespaces in which mounts and `chroot` are allowed.
     fn spaces(&self) -> &'static [&'static str] {
         match self.as_root {
             true => &["--mount"],
@@ -109,7 +109,8 @@ impl BareRoot {
         }
     }
 
-    /// One of the archive's programs in it. Started by root, it runs as [`USER`].
+    /// Returns the command that starts a program of the archive in the root; for root, as
+    /// [`USER`].
     pub(super) fn program(&self, name: &str) -> Command {
         let mut command = Command::new("unshare");
         command
@@ -128,7 +129,7 @@ impl BareRoot {
     }
 }
 
-/// Path outside of a path of the root.
+/// Returns the outside path of a path inside the root.
 fn inside(dir: &Path, path: &Path) -> PathBuf {
     dir.join(path.strip_prefix("/").unwrap_or(path))
 }

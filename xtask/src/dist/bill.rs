@@ -1,4 +1,4 @@
-//! The bill of materials of the archive, in CycloneDX's JSON.
+//! Bill of materials of the archive, as CycloneDX JSON.
 
 use serde_json::{Value, json};
 
@@ -6,9 +6,9 @@ use super::components::Component;
 use super::crates::Crate;
 use super::release::VERSION;
 
-/// Everything in the archive that others made, with version, licence and, where it is
-/// known, the SHA-256 of the file that it came in. It names no time and no serial number,
-/// so that the same commit makes the same bill.
+/// Lists all third-party parts of the archive with version, licence and, if known, the SHA-256 of
+/// their source file. Has neither time nor serial number, so that it is reproducible from the
+/// commit.
 pub(super) fn of(crates: &[Crate], components: &[Component]) -> Value {
     let crates = crates.iter().map(|part| {
         let version = part.version.replace('+', "%2B");
@@ -43,7 +43,7 @@ pub(super) fn add(bill: &mut Value, component: &Component) {
     }
 }
 
-/// Names of the components of a bill of materials.
+/// Returns the names of a bill's components.
 pub(super) fn names(bill: &Value) -> Vec<&str> {
     let listed = bill["components"].as_array();
     let listed = listed.into_iter().flatten();

@@ -1,4 +1,4 @@
-//! Checks that the archive is whole, and runs where there is nothing but glibc.
+//! Checks that the archive is complete, and that its programs run with nothing but glibc.
 
 use std::path::Path;
 use std::process::Command;
@@ -14,7 +14,7 @@ use super::bare_root::{BareRoot, DATA, PREFIX};
 use super::release::{PROGRAMS, VERSION};
 use super::{bill, crates, image, stage};
 
-/// A campaign of two rollouts, which the expert solves: nominal, and with another camera.
+/// Options of a campaign of two rollouts that the expert solves: nominal, and with another camera.
 const CAMPAIGN: [&str; 8] = [
     "--tasks",
     "libero_object/1",
@@ -26,11 +26,11 @@ const CAMPAIGN: [&str; 8] = [
     "1",
 ];
 
-/// Packs the programs that tests use, and tries the archive. The image is made where
-/// `buildah` is.
+/// Packs the programs that tests use, and tests the archive; also the container image if `buildah`
+/// is installed.
 ///
 /// # Errors
-/// If it cannot be packed, or does not run.
+/// If the archive cannot be packed, or its programs do not run.
 pub(crate) fn test(
     root: &Path,
     cache: &Path,
@@ -49,7 +49,7 @@ pub(crate) fn test(
     }
 }
 
-/// Tries an archive; its bill of materials with an interpreter that has the schema.
+/// Tests an archive. `schemas` is an interpreter that validates the bill of materials.
 pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) -> Result<()> {
     println!("Trying {}", archive.file.display());
     let folder = tempfile::tempdir().context("make a folder")?;
@@ -85,7 +85,7 @@ fn whole(unpacked: &Path) -> Result<String> {
         .lines()
         .count();
     let there = stage::files(unpacked)?.len();
-    // The list itself is not in it.
+    // The list of digests does not include itself.
     ensure!(
         there == listed + 1,
         "find {listed} files: there are {there}"
@@ -129,7 +129,7 @@ fn documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
     Ok("whole")
 }
 
-/// Holds the bill against the schema.
+/// Validates the bill of materials against the schema.
 fn valid(python: &Path, bill: &Path) -> Result<&'static str> {
     let mut validate = Command::new(python);
     capture(validate.args(["-c", VALIDATE]).arg(bill)).map(|_| "valid")
@@ -161,7 +161,7 @@ fn versions(root: &Path, bare: &BareRoot) -> Result<String> {
     Ok(expected)
 }
 
-/// All three programs at work.
+/// Runs a campaign with all three programs of the archive.
 fn campaign(bare: &BareRoot, logs: &Path) -> Result<String> {
     let start = |name: &str, arguments: &[&str]| {
         Running::start(name, bare.program(name).args(arguments), logs)

@@ -1,4 +1,4 @@
-//! Third-party components of the archive beside its crates.
+//! Third-party components of the archive other than crates.
 
 use std::path::Path;
 use std::process::Command;
@@ -14,14 +14,14 @@ pub(super) struct Component {
     pub(super) version: String,
     /// SPDX expression.
     pub(super) licence: &'static str,
-    /// Licence texts and notices that must go with it.
+    /// Licence texts and notices that must be distributed with it.
     pub(super) texts: Vec<String>,
 }
 
-/// Licences of [`WHEELS`], in their order, as the packages' texts have them.
+/// Licences of [`WHEELS`], in their order, as named in the packages.
 const OF_WHEELS: [&str; 3] = ["Apache-2.0", "MIT", "MIT"];
 
-/// MuJoCo, the robot's models and LIBERO's task files, as PyPI has them.
+/// Describes MuJoCo, the robot's models and LIBERO's task files, from PyPI.
 pub(super) fn of_wheels(cache: &Path) -> Result<Vec<Component>> {
     let described = WHEELS.iter().zip(OF_WHEELS);
     let described = described.map(|(wheel, licence)| {
@@ -39,7 +39,7 @@ pub(super) fn of_wheels(cache: &Path) -> Result<Vec<Component>> {
     described.collect()
 }
 
-/// The compiler's libraries.
+/// Describes the compiler's runtime libraries.
 pub(super) fn of_compiler(libraries: &[&str]) -> Result<Vec<Component>> {
     if libraries.is_empty() {
         return Ok(Vec::new());

@@ -1,4 +1,4 @@
-//! The crates that the programs are made of.
+//! Crates that the programs link.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -11,16 +11,16 @@ use crate::process::capture;
 
 use super::release::PROGRAMS;
 
-/// A crate whose code is in a program.
+/// Crate whose code is part of a program.
 pub(super) struct Crate {
     pub(super) name: String,
     pub(super) version: String,
-    /// An SPDX expression; empty if it says none.
+    /// SPDX expression; empty if the crate declares no licence.
     pub(super) licence: String,
     pub(super) authors: Vec<String>,
-    /// Folder with its files.
+    /// Folder with the crate's files.
     pub(super) folder: PathBuf,
-    /// SHA-256 of the file that it comes in.
+    /// SHA-256 of the crate's archive.
     pub(super) checksum: Option<String>,
 }
 
@@ -66,12 +66,12 @@ struct Dependency {
 
 #[derive(Deserialize)]
 struct Kind {
-    /// None for a normal dependency.
+    /// Kind of the dependency; `None` for a normal one.
     kind: Option<String>,
 }
 
-/// All crates from elsewhere in the programs, by name. What only runs while they are
-/// compiled is not among them: build scripts, macros and what these use.
+/// Returns all third-party crates that the programs link, by name. Leaves out build-time code:
+/// build scripts, macros and their dependencies.
 pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
     let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
     let text = capture(cargo(root).args([
@@ -97,7 +97,7 @@ pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
                 .map(|checksum| (*checksum).to_owned()),
             name: package.name,
             version: package.version,
-            // As crates wrote it before SPDX expressions.
+            // Crates from before SPDX expressions separate licences by a slash.
             licence: package
                 .license
                 .unwrap_or_default()
@@ -111,7 +111,7 @@ pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
     Ok(crates)
 }
 
-/// Ids of what the programs link, themselves included.
+/// Returns the ids of all packages that the programs link, including their own.
 fn used(metadata: &Metadata) -> BTreeSet<String> {
     let nodes: BTreeMap<_, _> = metadata
         .resolve
@@ -136,7 +136,7 @@ fn used(metadata: &Metadata) -> BTreeSet<String> {
     seen
 }
 
-/// Checksums by name and version, from `Cargo.lock`.
+/// Reads the checksums from `Cargo.lock`, by name and version.
 fn checksums(lock: &str) -> BTreeMap<(&str, &str), &str> {
     let packages = lock.split("[[package]]").skip(1);
     let packages = packages.filter_map(|package| {

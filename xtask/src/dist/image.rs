@@ -1,4 +1,4 @@
-//! The image for containers: the archive in a root with glibc, and nothing else.
+//! Container image: the archive in a root with glibc and nothing else.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -13,17 +13,17 @@ use super::bare_root::{BareRoot, PREFIX, USER};
 use super::release::{VERSION, commit_time};
 use super::{bill, components, stage};
 
-/// Largest image, compressed, bytes.
+/// Largest allowed size of the compressed image, bytes.
 const LARGEST: u64 = 80_000_000;
 
-/// Whether there is what makes it.
+/// Checks that `buildah` is installed.
 pub(super) fn tool() -> Result<()> {
     capture(Command::new("buildah").arg("--version"))
         .map(drop)
         .context("find buildah (Debian: `apt-get install buildah`)")
 }
 
-/// Makes it beside the archive, as a file that container engines load.
+/// Makes the image beside the archive, as a file that container engines load.
 pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
     tool()?;
     println!("Making the image for containers");
@@ -38,7 +38,7 @@ pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
         .with_file_name(format!("{}.oci.tar", archive.name));
     let buildah = |arguments: &[&str]| {
         let mut buildah = Command::new("buildah");
-        // Nothing of it is left on the machine.
+        // Storage in the temporary folder leaves nothing on the machine.
         buildah
             .args(["--storage-driver", "vfs", "--root"])
             .arg(folder.path().join("images"));
@@ -76,7 +76,7 @@ pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
     Ok(file)
 }
 
-/// Adds the C library to the bill of materials in it.
+/// Adds the C library to the image's bill of materials.
 fn add_glibc(bare: &BareRoot) -> Result<&'static str> {
     let documents = bare
         .dir()
@@ -109,7 +109,7 @@ fn settings(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<String> {
     Ok(format!("user {user}"))
 }
 
-/// Starts a program in a container of it, which does not take a container engine.
+/// Starts a program in a container of the image, without a container engine.
 fn run(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<String> {
     let container = capture(&mut buildah(&["from", tag]))?;
     let started = capture(&mut buildah(&[

@@ -1,4 +1,4 @@
-//! The licences of everything in the archive, as one text.
+//! Collects the licences of everything in the archive into one text.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 use super::components::Component;
 use super::crates::Crate;
 
-/// Prefixes of the names of files with a licence.
+/// Prefixes of the names of licence files, in lower case.
 const NAMES: [&str; 6] = [
     "license",
     "licence",
@@ -19,14 +19,13 @@ const NAMES: [&str; 6] = [
     "copyright",
 ];
 
-/// How deep they lie: libraries in C have theirs in a folder of the crate.
+/// Depth to which licence files are searched: C libraries have theirs in a folder of their crate.
 const DEPTH: usize = 3;
 
-/// Separator of two texts.
+/// Separator between licence texts.
 const RULE: &str = "\n-----------------------------------------------------------------------\n";
 
-/// Names of all parts with the texts that their authors want to go with them; a text
-/// that several have stands there once.
+/// Lists all parts with their licence texts. A text that several parts share appears once.
 pub(super) fn text(root: &Path, crates: &[Crate], components: &[Component]) -> Result<String> {
     let mut text = "rollout is licensed under MIT or Apache-2.0, at your option. This archive \
                     contains, beside it:\n\n"
@@ -48,7 +47,7 @@ pub(super) fn text(root: &Path, crates: &[Crate], components: &[Component]) -> R
         let _ = writeln!(text, "{name}: {}", part.licence);
         let mut found = files(&part.folder, 0)?;
         if found.is_empty() {
-            // MIT asks for the authors' names, which the manifest has.
+            // MIT requires the authors' names, which are in the manifest.
             let authors = match part.authors.as_slice() {
                 [] => format!("the authors of {}", part.name),
                 authors => authors.join(", "),
@@ -69,7 +68,7 @@ pub(super) fn text(root: &Path, crates: &[Crate], components: &[Component]) -> R
     Ok(text)
 }
 
-/// The texts in a folder.
+/// Returns the licence texts in a folder.
 fn files(folder: &Path, depth: usize) -> Result<Vec<String>> {
     let mut found = Vec::new();
     let entries = std::fs::read_dir(folder);
@@ -91,7 +90,7 @@ fn files(folder: &Path, depth: usize) -> Result<Vec<String>> {
     Ok(found)
 }
 
-/// The text of a licence that a crate names and does not bring.
+/// Returns the standard text of a licence that a crate names but does not include.
 fn standard(root: &Path, licence: &str) -> Result<String> {
     let file = match licence {
         it if it.contains("MIT") => "LICENSE-MIT",
@@ -100,14 +99,14 @@ fn standard(root: &Path, licence: &str) -> Result<String> {
         _ => anyhow::bail!("find the text of {licence}: add it to xtask/src/dist/licences.rs"),
     };
     let text = std::fs::read_to_string(root.join(file))?;
-    // Without our own copyright.
+    // Leaves out this project's own copyright line.
     let lines = text
         .lines()
         .filter(|line| !line.starts_with("Copyright (c)"));
     Ok(lines.collect::<Vec<_>>().join("\n"))
 }
 
-/// Licence text as SPDX has it, without the copyright.
+/// Licence text from SPDX, without the copyright line.
 const BSD_2_CLAUSE: &str = "\
 Redistribution and use in source and binary forms, with or without modification, are \
 permitted provided that the following conditions are met:

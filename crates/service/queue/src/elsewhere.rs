@@ -1,11 +1,11 @@
-//! Storage of films beyond the data folder, as a trait, so that tests and programs can choose it.
+//! Storage of videos beyond the data folder, as a trait, so that tests and programs can choose it.
 
 use std::future::Future;
 use std::pin::Pin;
 
-/// Storage of films beyond the data folder, by their paths below it.
+/// Storage of videos beyond the data folder, addressed by their paths below the data folder.
 pub trait Elsewhere: Send + Sync {
-    /// Removes whatever is below a folder, or says why it cannot.
+    /// Removes everything below a folder, or returns the reason why it cannot.
     fn remove<'a>(
         &'a self,
         folder: &'a str,

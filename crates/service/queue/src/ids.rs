@@ -1,6 +1,5 @@
-//! Names of things: each its own type, so that a job number is never taken for
-//! an attempt, nor a worker's name for a campaign's. Not responsible for
-//! rollout ids, which belong to the protocol.
+//! Identifiers, each its own type, so that a job number is never taken for an attempt, nor a
+//! worker's name for a campaign's. Rollout ids are defined by the protocol crate.
 
 use std::fmt;
 
@@ -38,8 +37,8 @@ pub struct JobId(pub i64);
 #[sqlx(transparent)]
 pub struct PolicyId(pub i64);
 
-/// How many times a job has been leased; 0 before the first lease, only ever
-/// rises. A fact about an attempt, whose name is its `AttemptId`.
+/// Number of times that a job has been leased; 0 before the first lease, never decreasing. An
+/// attempt is identified by its `AttemptId`, not by this number.
 #[derive(
     Clone,
     Copy,
@@ -56,7 +55,7 @@ pub struct PolicyId(pub i64);
 #[sqlx(transparent)]
 pub struct AttemptNumber(pub u32);
 
-/// A worker process, by the name that it chose when it started.
+/// Id of a worker process, chosen by the worker when it starts.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, sqlx_macros::Type)]
 #[sqlx(transparent)]
 pub struct WorkerId(pub String);
@@ -67,7 +66,7 @@ pub struct WorkerId(pub String);
 #[sqlx(transparent)]
 pub struct CampaignName(String);
 
-/// A job by the names that people use.
+/// A job by its rollout id and replicate, as operators name it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JobName {
     /// Id of the rollout.
@@ -79,7 +78,7 @@ pub struct JobName {
 /// A name that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NameError {
-    /// Not a campaign's name.
+    /// Invalid name of a campaign.
     #[error(
         "read campaign name {name:?}: use 1 to {MAX_CAMPAIGN_NAME_BYTES} letters, digits, `-`, `_` and `.`, not starting with a dot"
     )]
@@ -87,7 +86,7 @@ pub enum NameError {
         /// The given name, shortened.
         name: String,
     },
-    /// Not a worker's id.
+    /// Invalid id of a worker.
     #[error(
         "read worker id `{id}`: use 1 to {MAX_WORKER_ID_BYTES} visible ASCII characters without spaces"
     )]
@@ -115,7 +114,7 @@ impl CampaignName {
         }
     }
 
-    /// The name as text.
+    /// Returns the name as text.
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -158,8 +157,8 @@ impl fmt::Display for JobName {
     }
 }
 
-/// The longest prefix of `text` that fits `max_bytes` and ends between
-/// characters: a client's text is bounded before it is kept or shown.
+/// Returns the longest prefix of `text` that fits in `max_bytes` and ends on a character boundary.
+/// Limits text from clients before it is stored or shown.
 pub fn shortened(text: &str, max_bytes: usize) -> &str {
     let end = (0..=max_bytes.min(text.len()))
         .rev()

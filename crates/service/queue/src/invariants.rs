@@ -1,6 +1,6 @@
-//! Invariants of a database, by name: one query each, whose rows are the violations in words.
-//! `coordinator check` runs them on a database that is at rest; tests run them after everything
-//! that may go wrong. They say nothing of a policy or of files beside the database.
+//! Named invariants of a database. Each is one query whose rows describe the violations.
+//! `coordinator check` runs them on a database at rest; tests run them after every injected fault.
+//! They do not cover policies or files beside the database.
 
 use std::path::{Path, PathBuf};
 
@@ -9,15 +9,15 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
 use crate::store::{self, DATABASE_FILE};
 
-/// Violations of one invariant that are described; the rest are counted.
+/// Violations of one invariant that are described; further ones are only counted.
 pub const MAX_EXAMPLES: usize = 5;
 
 /// An invariant of a database.
 #[derive(Clone, Copy, Debug)]
 pub struct Invariant {
-    /// Its name.
+    /// Name of the invariant.
     pub name: &'static str,
-    /// A query for its violations: one text column, no row if it holds.
+    /// Query for violations: one text column, no rows if the invariant holds.
     query: &'static str,
 }
 
@@ -28,47 +28,47 @@ pub struct Violation {
     pub invariant: &'static str,
     /// Number of violations.
     pub count: usize,
-    /// The first [`MAX_EXAMPLES`], in words.
+    /// Descriptions of the first [`MAX_EXAMPLES`] violations.
     pub examples: Vec<String>,
 }
 
 /// A database that cannot be checked.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckError {
-    /// There is none.
+    /// The database does not exist.
     #[error("check {}: there is no such database; name a data folder, or a database file", path.display())]
     Missing {
-        /// The path that was named.
+        /// Path that the caller named.
         path: PathBuf,
     },
-    /// It cannot be read.
+    /// The database cannot be read.
     #[error("check {}: is it a database of the coordinator?", path.display())]
     Read {
-        /// The path that was named.
+        /// Path that the caller named.
         path: PathBuf,
         /// Error of SQLite.
         source: sqlx::Error,
     },
-    /// Another schema.
+    /// The database has the schema of another version.
     #[error(
         "check {}: its schema is version {found} and this program knows version {known}; use the program that wrote it",
         path.display()
     )]
     OtherSchema {
-        /// The path that was named.
+        /// Path that the caller named.
         path: PathBuf,
-        /// Its version; 0 if it has none.
+        /// Schema version of the database; 0 if it has none.
         found: i64,
-        /// This program's.
+        /// Schema version of this program.
         known: i64,
     },
 }
 
-/// The invariant that a foreign database breaks.
+/// Name of the invariant that a database with a foreign schema violates.
 pub(crate) const SCHEMA_INVARIANT: &str = "schema_is_the_programs";
 
-/// All of them, in the order in which they are checked. A query uses
-/// `known_schema`, a temporary table of this program's schema.
+/// All invariants, in the order in which they are checked. Queries may use `known_schema`, a
+/// temporary table that holds this program's schema.
 pub const INVARIANTS: [Invariant; 19] = [
     // SQLite finds the file intact.
     Invariant {
@@ -91,8 +91,8 @@ pub const INVARIANTS: [Invariant; 19] = [
         query: "SELECT format('row %s of %s refers to no row of %s', rowid, \"table\", parent)
          FROM pragma_foreign_key_check",
     },
-    // A campaign has all the jobs that it was expanded into, each place in
-    // paired-unit order once, unless it is on its way in or out.
+    // A campaign has all the jobs that it was expanded into, each place in paired-unit order once,
+    // unless the campaign is being created or deleted.
     Invariant {
         name: "expansion_is_whole",
         query: "SELECT format('campaign %s was expanded into %d jobs and has %d, in %d places',
@@ -103,7 +103,7 @@ pub const INVARIANTS: [Invariant; 19] = [
              OR count(DISTINCT j.unit_order) <> c.jobs
              OR coalesce(max(j.unit_order), -1) <> c.jobs - 1",
     },
-    // The counts that triggers keep are those of the rows.
+    // The counts that triggers maintain equal the counts of the rows.
     Invariant {
         name: "tallies_are_true",
         query: "SELECT format('campaign %s is said to have %d queued, %d leased, %d committed, '
@@ -136,7 +136,7 @@ pub const INVARIANTS: [Invariant; 19] = [
              ON f.reason = e.reason
          WHERE coalesce(e.attempts, 0) <> coalesce(f.attempts, 0)",
     },
-    // A job is committed exactly if it has a result, of its newest attempt.
+    // A job is committed exactly if it has a result, and the result is of its newest attempt.
     Invariant {
         name: "committed_has_one_result",
         query: "SELECT format('job %d is %s at attempt %d and its result is of attempt %s',
@@ -145,7 +145,7 @@ pub const INVARIANTS: [Invariant; 19] = [
          WHERE (j.state = 'committed' AND r.attempt IS NOT j.attempt)
              OR (j.state <> 'committed' AND r.job_id IS NOT NULL)",
     },
-    // A job in quarantine ended with a failure that put it there, and says with which.
+    // A quarantined job's last failure is one that quarantines, and its reason is stored.
     Invariant {
         name: "quarantine_has_its_failure",
         query: "SELECT format('job %d is quarantined and its attempt %d ended with %s', j.id,
@@ -156,7 +156,7 @@ pub const INVARIANTS: [Invariant; 19] = [
                      ('takes_policy_down', 'takes_worker_down', 'skipped'), 0) = 0
                  OR j.last_error IS NOT f.error)",
     },
-    // Every attempt ended once, in one way, or is the lease that is held.
+    // Every attempt either ended exactly once or holds the job's current lease.
     Invariant {
         name: "attempts_are_accounted_for",
         query: "SELECT format('job %d is %s: %d attempts, of which %d failed', j.id, j.state,
@@ -173,7 +173,7 @@ pub const INVARIANTS: [Invariant; 19] = [
          FROM job j WHERE j.charged_attempts <> (SELECT count(*) FROM failure f
              WHERE f.job_id = j.id AND f.charged = 1 AND f.attempt > j.forgiven_attempt)",
     },
-    // A job's losses are its attempts that lost their policy since then.
+    // A job's losses are the attempts that lost their policy since the job last left quarantine.
     Invariant {
         name: "losses_are_accounted_for",
         query: "SELECT format('job %d has %d losses, forgiven up to attempt %d, and %s', j.id,
@@ -182,7 +182,7 @@ pub const INVARIANTS: [Invariant; 19] = [
              WHERE f.job_id = j.id AND f.reason IN ('policy_lost', 'takes_policy_down')
                  AND f.attempt > j.forgiven_attempt)",
     },
-    // Nothing that was reported is of an attempt that was never granted.
+    // Results, failures and reports belong to attempts that were granted.
     Invariant {
         name: "attempts_only_rise",
         query: "SELECT format('job %d is at attempt %d and has a %s of attempt %d', j.id,
@@ -259,7 +259,7 @@ pub const INVARIANTS: [Invariant; 19] = [
          FROM divergence d LEFT JOIN result r ON r.job_id = d.job_id
          WHERE r.job_id IS NULL OR (r.success = d.success AND r.steps = d.steps)",
     },
-    // A folder that is to be removed is of no campaign.
+    // A folder marked for removal belongs to no campaign.
     Invariant {
         name: "removals_are_of_no_campaign",
         query: "SELECT format('folder %s of campaign %s is to be removed', m.folder, c.name)
@@ -267,12 +267,11 @@ pub const INVARIANTS: [Invariant; 19] = [
     },
 ];
 
-/// Verifies every invariant of the database in a data folder, or of a database
-/// file. Reads only: one consistent view, whether or not a coordinator runs.
+/// Checks every invariant of the database in a data folder, or of a database file. Read-only, in
+/// one consistent view; a coordinator may be running on the database.
 ///
 /// # Errors
-/// When there is no database, it cannot be read, or it is of another schema
-/// version.
+/// If the database does not exist, cannot be read, or has another schema version.
 pub async fn check(path: &Path) -> Result<Vec<Violation>, CheckError> {
     let file = match path.is_dir() {
         true => path.join(DATABASE_FILE),
@@ -303,8 +302,9 @@ pub async fn check(path: &Path) -> Result<Vec<Violation>, CheckError> {
     Ok(violations)
 }
 
-/// Without a write-ahead log beside it the file is in use by no process and
-/// holds everything: it is read without even a lock. With one, SQLite has to read both.
+/// Opens a database for reading. A file without a write-ahead log is complete and used by no
+/// process, so it is opened as immutable, without a lock. With a log, SQLite has to read both
+/// files.
 async fn open(file: &Path) -> Result<SqliteConnection, sqlx::Error> {
     let mut log = file.as_os_str().to_owned();
     log.push("-wal");

@@ -1,10 +1,10 @@
-//! The job table: what is to be run, which worker holds it, what came out. It
-//! knows no wire, no page, no simulator and no policy.
+//! The job table: rollouts to run, the leases of workers, and results. Independent of the wire
+//! protocol, the web page, the simulator and policies.
 //!
-//! [`rules`] decide purely; `operations` read what a decision needs, let the
-//! rules decide and carry it out, one transaction for all that arrives
-//! together; `store` holds their statements. [`View`] is for
-//! reading: the page, the command line and reports. [`Queue`] is the way in.
+//! [`rules`] are pure decisions. `operations` read the inputs of a decision, apply the rules and
+//! write the outcome, with one transaction for all requests that arrive together. `store` holds the
+//! SQL statements. [`View`] reads for the web page, the command line and reports. [`Queue`] is the
+//! entry point.
 
 #![forbid(unsafe_code)]
 

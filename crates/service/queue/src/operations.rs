@@ -1,5 +1,5 @@
-//! Operations of workers and operators: each reads the inputs of a decision, lets the rules
-//! decide, and carries the decision out in the writing transaction.
+//! Operations of workers and operators: each reads the inputs of a decision, applies the rules, and
+//! writes the outcome in the writing transaction.
 
 pub(crate) mod alter;
 pub(crate) mod artifacts;

@@ -1,5 +1,5 @@
-//! The way in: everything that workers and operators ask for. Their answers are
-//! on the disk when they are given.
+//! Entry point for the requests of workers and operators. Every answer is given after its
+//! transaction is on disk.
 
 use std::collections::HashMap;
 use std::future::Future;
@@ -31,40 +31,39 @@ use crate::rules::lease::FailureReason;
 use crate::store::{Store, StoreError};
 use crate::timing::Timing;
 
-/// Between two checkpoints of the write-ahead log.
+/// Interval between checkpoints of the write-ahead log.
 const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The job table in operation.
 pub struct Queue {
     pub(crate) shared: Arc<Shared>,
-    /// Operations of workers, on their way into the next transaction.
+    /// Operations of workers, waiting for the next transaction.
     operations: mpsc::Sender<Operation>,
-    /// Tasks that execute operations, keep the log short, and add jobs or stop campaigns as
-    /// outcomes come; they end with the queue.
+    /// Tasks that execute operations, checkpoint the log, and derive jobs or stop campaigns as
+    /// outcomes arrive; they end with the queue.
     tasks: tokio::sync::Mutex<Tasks>,
     pub(crate) last_sweep: AtomicI64,
     pub(crate) filming: Filming,
-    /// Held while a campaign comes or goes: its files must not be removed
-    /// under a new one of the same name. Never across the network.
+    /// Held while a campaign is created or deleted, so that deleting one does not remove the files
+    /// of a new one of the same name. Never held across a network call.
     pub(crate) campaigns: tokio::sync::Mutex<()>,
-    /// Held while files of deleted campaigns are removed, here and elsewhere.
+    /// Held while files of deleted campaigns are removed, locally and remotely.
     pub(crate) removing: tokio::sync::Mutex<()>,
     pub(crate) backups: Arc<tokio::sync::Mutex<()>>,
 }
 
-/// Checkpoints the write-ahead log beside the writer, whose transactions would
-/// wait for it otherwise.
+/// Checkpoints the write-ahead log outside the writer, so that transactions do not wait for it.
 async fn keep_log_short(shared: Arc<Shared>) {
     loop {
         tokio::time::sleep(CHECKPOINT_INTERVAL).await;
-        // A disk that is full may have room again; the log is read on in any case.
+        // A full disk may have room later; the log stays readable in any case.
         if let Err(error) = shared.store.checkpoint().await {
             tracing::debug!("failed to {}", error.with_cause());
         }
     }
 }
 
-/// The tasks that a queue owns, with their names.
+/// Tasks of a queue, with their names.
 #[derive(Default)]
 struct Tasks {
     running: JoinSet<()>,
@@ -89,11 +88,11 @@ impl Tasks {
 }
 
 impl Queue {
-    /// Starts on an open store. Every lease gets its full time again: while the
-    /// coordinator was down, no heartbeat could arrive.
+    /// Starts on an open store. Every lease is restarted with its full duration, since no heartbeat
+    /// could arrive while the coordinator was down.
     ///
     /// # Errors
-    /// When the database cannot be written.
+    /// If the database cannot be written.
     pub async fn start(
         store: Store,
         clock: Arc<dyn Clock>,
@@ -103,10 +102,10 @@ impl Queue {
         Queue::start_with(store, clock, rng, timing, None).await
     }
 
-    /// As [`start`](Self::start), with films that are kept elsewhere in the end.
+    /// As [`start`](Self::start), with remote storage for videos.
     ///
     /// # Errors
-    /// When the database cannot be written.
+    /// If the database cannot be written.
     pub async fn start_with(
         store: Store,
         clock: Arc<dyn Clock>,
@@ -116,7 +115,7 @@ impl Queue {
     ) -> Result<Arc<Queue>, StoreError> {
         let shared = Arc::new(Shared::new(store, clock, rng, timing, elsewhere));
         start::start(&shared).await?;
-        // Elsewhere may not answer: then it is tried again and again, beside the rest.
+        // Remote storage may be unavailable; removals are then retried in the background.
         if shared.elsewhere.is_none() {
             for folder in removals::pending(&shared).await? {
                 removals::remove(&shared, &folder).await?;
@@ -148,12 +147,12 @@ impl Queue {
         self.shared.timing
     }
 
-    /// The present instant.
+    /// Returns the current instant.
     pub fn now(&self) -> UnixMillis {
         self.shared.now()
     }
 
-    /// The store.
+    /// Returns the store.
     pub fn store(&self) -> &Store {
         &self.shared.store
     }
@@ -169,19 +168,19 @@ impl Queue {
         View::begin(&shared.store, now, timing, settled, self.held(), filming).await
     }
 
-    /// Reports when something was committed.
+    /// Returns a watch for commits.
     ///
     /// # Errors
-    /// When the database cannot be read.
+    /// If the database cannot be read.
     pub async fn changes(&self) -> Result<Changes, StoreError> {
         Changes::begin(&self.shared.store).await
     }
 
-    /// Leases a job; waits up to `wait` for one.
+    /// Leases a job, waiting up to `wait` for one.
     ///
     /// # Errors
-    /// When the worker is unknown or must stop, while shutting down, or when
-    /// the database fails.
+    /// If the worker is unknown or stopped, the coordinator is shutting down, or the database
+    /// fails.
     pub async fn claim(
         &self,
         request: &ClaimRequest,
@@ -194,7 +193,7 @@ impl Queue {
             if *draining.borrow_and_update() {
                 return Err(QueueError::ShuttingDown);
             }
-            // Listening begins before looking: what is queued in between rings.
+            // Subscribes before the query, so that a job queued in between wakes this claim.
             let mut work = std::pin::pin!(self.shared.work.notified());
             work.as_mut().enable();
             let (pending, answer) = Pending::new((request.clone(), is_new));
@@ -215,7 +214,7 @@ impl Queue {
     /// Returns the attempts whose leases this worker no longer holds.
     ///
     /// # Errors
-    /// When the worker is unknown or the database fails.
+    /// If the worker is unknown or the database fails.
     pub async fn heartbeat(
         &self,
         worker: &WorkerId,
@@ -228,18 +227,17 @@ impl Queue {
         self.ask(Operation::Heartbeat(pending), answer).await
     }
 
-    /// Notes how many videos a worker draws or sends, as said by a heartbeat that
-    /// was accepted.
+    /// Notes the number of videos that a worker draws or sends, as its accepted heartbeat reports.
     pub fn note_filming(&self, worker: &WorkerId, videos: u32) {
         let now = self.now();
         let alive_since = now.minus(self.timing().worker_alive);
         self.filming.heard(worker, videos, now, alive_since);
     }
 
-    /// Stores a result and ends its lease, or says why not.
+    /// Stores a result and ends its lease, or answers with the reason for refusing it.
     ///
     /// # Errors
-    /// When the attempt is unknown or the database fails.
+    /// If the attempt is unknown or the database fails.
     pub async fn commit(&self, report: &CommitReport) -> Result<CommitReply, QueueError> {
         let (pending, answer) = Pending::new(Box::new(report.clone()));
         let reply = self.ask(Operation::Commit(pending), answer).await?;
@@ -252,7 +250,7 @@ impl Queue {
     /// Ends a lease without a result.
     ///
     /// # Errors
-    /// When the attempt is unknown or the database fails.
+    /// If the attempt is unknown or the database fails.
     pub async fn release(
         &self,
         attempt: AttemptId,
@@ -262,11 +260,11 @@ impl Queue {
         self.release_after(attempt, reason, error, None).await
     }
 
-    /// As [`release`](Self::release), of a policy that cannot be reached any more and had
-    /// answered so many queries; none if it was not there at the first.
+    /// As [`release`](Self::release), for a policy that became unreachable after `answered`
+    /// queries; `None` if it was unreachable at the first query.
     ///
     /// # Errors
-    /// When the attempt is unknown or the database fails.
+    /// If the attempt is unknown or the database fails.
     pub async fn release_after(
         &self,
         attempt: AttemptId,
@@ -288,16 +286,16 @@ impl Queue {
         Ok(reply)
     }
 
-    /// Leases nothing from now on; claims that wait are answered at once.
+    /// Stops leasing for good; waiting claims are answered at once.
     pub fn drain(&self) {
         self.shared.draining.send_replace(true);
     }
 
-    /// Leases nothing while there is a reason not to, and goes on when there is
-    /// none any more; logs both, once. What is under way goes on.
+    /// Suspends leasing while there is a reason to, and resumes when there is none; logs both
+    /// changes once. Attempts in progress continue.
     pub fn hold_leasing(&self, reason: Option<String>) {
         let changed = self.shared.hold.send_if_modified(|held| {
-            // The words may change with every look at a disk that fills.
+            // The text of the reason may change each time a disk that fills up is measured.
             let changed = held.is_some() != reason.is_some();
             held.clone_from(&reason);
             changed
@@ -312,13 +310,13 @@ impl Queue {
         }
     }
 
-    /// Why nothing is leased at the moment; none while jobs are leased.
+    /// Returns the reason why leasing is suspended; `None` while jobs are leased.
     pub fn held(&self) -> Option<String> {
         self.shared.held()
     }
 
-    /// Waits until one of the queue's own tasks ends, which only a panic can bring about, and
-    /// names it.
+    /// Waits until one of the queue's tasks ends, which only a panic can cause, and returns its
+    /// name.
     pub async fn broken(&self) -> &'static str {
         self.tasks.lock().await.next_ended().await
     }
@@ -326,12 +324,12 @@ impl Queue {
     /// Closes the database.
     ///
     /// # Errors
-    /// When the write-ahead log cannot be moved into the database.
+    /// If the write-ahead log cannot be moved into the database.
     pub async fn close(&self) -> Result<(), StoreError> {
         self.shared.store.close().await
     }
 
-    /// Hands an operation in and waits until it is on the disk.
+    /// Submits an operation and waits until it is committed to disk.
     async fn ask<T>(
         &self,
         operation: Operation,

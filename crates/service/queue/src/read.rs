@@ -1,8 +1,8 @@
-//! Reading: one consistent view, however many questions it answers. The page, the
-//! command line and reports use it; nothing that workers wait for does.
+//! Read access: one consistent view for any number of queries. Used by the web page, the command
+//! line and reports; workers never wait for it.
 
-/// The policy's control steps of a leased `job`: what workers report counts those
-/// in which the scene settles, and results and budgets do not.
+/// Policy control steps of a leased `job`: workers also count the steps in which the scene settles,
+/// which results and budgets leave out.
 macro_rules! policy_steps {
     () => {
         "iif(control_steps IS NULL, NULL, max(0, control_steps
@@ -46,17 +46,17 @@ pub use results::{Edition, ExportedRow, RecordRow, SetupRow};
 pub use speed::{Bottleneck, Rate, Spent};
 pub use standing::{MAX_WORKERS_LISTED, PolicyLine, QuarantinedLine, WorkerLine};
 
-/// The committed database, as of one instant.
+/// The committed database at one instant.
 pub struct View {
     transaction: Transaction<'static, Sqlite>,
-    /// The instant that ages are counted from.
+    /// Instant relative to which ages are computed.
     pub now: UnixMillis,
     timing: Timing,
-    /// Why nothing is leased at the moment; none while jobs are leased.
+    /// Reason why leasing is suspended; `None` while jobs are leased.
     held: Option<String>,
-    /// Videos that workers draw or send; those without any are left out.
+    /// Videos that workers draw or send; workers without any are left out.
     filming: BTreeMap<WorkerId, u32>,
-    /// Counts of settling transactions, and how many had been looked at when the view began.
+    /// Counts of settling transactions, and how many had been processed when the view began.
     settled: Arc<Settled>,
     looked_at: u64,
 }

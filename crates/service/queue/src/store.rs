@@ -1,7 +1,6 @@
-//! The SQLite database: opening, locking, migrating and closing it, and the
-//! transactions that its submodules' statements run in. The submodules hold the
-//! statements of `operations` and conversions only; what is to be done is
-//! decided elsewhere.
+//! The SQLite database: opening, locking, migrating and closing it, and its transactions.
+//! Submodules hold the SQL statements of `operations` and conversions only; decisions are made by
+//! the rules.
 //!
 //! One coordinator owns a data folder: one connection writes, several read, in
 //! WAL mode with `synchronous=FULL`, so that a committed transaction survives a
@@ -46,19 +45,19 @@ use failpoint::{Failpoints, Side, Step};
 
 /// The database's file in the data folder.
 pub const DATABASE_FILE: &str = "coordinator.sqlite";
-/// The file whose lock says that a coordinator owns the data folder.
+/// The file whose lock marks the data folder as owned by a coordinator.
 const LOCK_FILE: &str = "coordinator.lock";
-/// Permissions of a data folder and of the database in it: outcomes, films and the addresses of
-/// policies are nobody else's business, and other users of the machine ask the coordinator.
+/// Permissions of a data folder and of its database: outcomes, videos and addresses of policies are
+/// private. Other users of the machine go through the coordinator.
 const PRIVATE_FOLDER_MODE: u32 = 0o700;
 const PRIVATE_MODE: u32 = 0o600;
-/// Connections that read beside the writer.
+/// Read-only connections beside the writer.
 const READERS: u32 = 4;
-/// How long a statement waits for a lock that another process holds (a backup
-/// or a curious shell).
+/// Longest wait of a statement for a lock held by another process, such as a backup or an
+/// interactive shell.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Longest wait of closing for readers.
+/// Longest wait for readers when the store is closed.
 const READERS_GRACE: Duration = Duration::from_secs(2);
 
 static MIGRATIONS: Migrator = sqlx_macros::migrate!("../../../migrations");
@@ -69,11 +68,10 @@ pub struct Store {
     folder: PathBuf,
     writer: SqlitePool,
     readers: SqlitePool,
-    /// The database's file as it was opened: device and inode.
+    /// Device and inode of the database file at opening.
     file: (u64, u64),
     failpoints: Failpoints,
-    /// Held until the store is closed; the kernel lets go of it whichever way the
-    /// process ends.
+    /// Held until the store is closed; the kernel releases it however the process ends.
     lock: File,
 }
 
@@ -88,13 +86,13 @@ pub enum OpenError {
         /// Error of the system.
         source: io::Error,
     },
-    /// Another coordinator has it.
+    /// Another coordinator owns the data folder.
     #[error("open data folder {}: another coordinator is using it; stop that one, or choose another folder with --data", folder.display())]
     InUse {
         /// The folder.
         folder: PathBuf,
     },
-    /// A newer program wrote it.
+    /// A newer program wrote the database.
     #[error(
         "open database {}: its schema is version {found} and this program ({program}) knows versions up to {known}; run the newer program that wrote it, or choose another folder with --data",
         path.display()
@@ -102,24 +100,24 @@ pub enum OpenError {
     NewerSchema {
         /// The database.
         path: PathBuf,
-        /// Its version.
+        /// Schema version of the database.
         found: i64,
-        /// The newest version that this program knows.
+        /// Newest schema version that this program knows.
         known: i64,
-        /// This program's version.
+        /// Version of this program.
         program: &'static str,
     },
-    /// It is no database of this program, or its schema was altered.
+    /// The database is not of this program, or its schema was altered.
     #[error("bring database {} to schema version {known}: restore it from a backup, or choose another folder with --data", path.display())]
     Migrate {
         /// The database.
         path: PathBuf,
-        /// The version aimed at.
+        /// Schema version to migrate to.
         known: i64,
         /// Error of the migration.
         source: MigrateError,
     },
-    /// SQLite refuses to open it.
+    /// SQLite cannot open the database.
     #[error("open database {}: is it a SQLite file on a local disk?", path.display())]
     Database {
         /// The database.
@@ -141,8 +139,8 @@ pub enum StoreError {
         #[source]
         source: Arc<sqlx::Error>,
     },
-    /// The database's file was removed or replaced. SQLite goes on with the open file,
-    /// whose contents vanish with this process.
+    /// The database file was removed or replaced. SQLite continues with the open file, whose
+    /// contents are lost when this process ends.
     #[error(
         "write to the database: the data folder {} is gone, or another database is in its \
          place; `coordinator backup --output FILE` saves what was committed while this \
@@ -156,7 +154,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// The error and its cause, for the log.
+    /// Returns the error and its cause, for the log.
     pub(crate) fn with_cause(&self) -> String {
         match self {
             Self::Statement { source, .. } => format!("{self}: {source}"),
@@ -165,16 +163,16 @@ impl StoreError {
     }
 }
 
-/// The writing transaction. There is one at a time; dropping it undoes it.
+/// The writing transaction, of which there is one at a time. Rolled back on drop.
 #[derive(Debug)]
 pub(crate) struct Tx<'a> {
     transaction: Transaction<'a, Sqlite>,
-    /// Steps that the transaction carries out.
+    /// Steps carried out by the transaction, for failpoints.
     steps: Vec<Step>,
     failpoints: &'a Failpoints,
 }
 
-/// Says what a failed statement was for.
+/// Adds the purpose of a statement to its error.
 pub(crate) trait Doing<T> {
     fn doing(self, doing: &'static str) -> Result<T, StoreError>;
 }
@@ -188,23 +186,22 @@ impl<T> Doing<T> for Result<T, sqlx::Error> {
     }
 }
 
-/// A stored value that does not read back.
+/// Returns the error for a stored value that cannot be decoded.
 pub(crate) fn undecodable(
     error: impl Into<Box<dyn std::error::Error + Send + Sync>>,
 ) -> sqlx::Error {
     sqlx::Error::Decode(error.into())
 }
 
-/// The log's length at which a transaction moves it into the database itself,
-/// which everybody waits for: 64 MiB. [`Store::checkpoint`] is to come before.
+/// Length of the log at which a transaction checkpoints it while everybody waits, in pages: 64 MiB.
+/// [`Store::checkpoint`] normally runs before.
 const LARGEST_LOG_PAGES: &str = "16384";
-/// The writer's share of the database in memory, KiB, as SQLite takes it.
+/// Page cache of the writer, KiB, negative as SQLite's `cache_size` expects it.
 const WRITER_CACHE_KIB: &str = "-65536";
-/// Rows that one statement stores: a few numbers, so that a few statements stay
-/// prepared.
+/// Batch sizes of inserting statements: only a few, so that the statements stay prepared.
 const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
 
-/// Rows in pieces of such numbers.
+/// Splits rows into batches of these sizes.
 pub(crate) fn in_few_statements<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
     std::iter::from_fn(move || {
         let size = INSERTED_ROWS.into_iter().find(|size| *size <= rows.len())?;
@@ -214,14 +211,13 @@ pub(crate) fn in_few_statements<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]>
     })
 }
 
-/// Many values for one statement: it reads them with `json_each`.
+/// Serialises values for one statement that reads them with `json_each`.
 pub(crate) fn json(values: impl serde::Serialize) -> String {
     serde_json::to_string(&values).expect("numbers and text are JSON")
 }
 
 impl Store {
-    /// Opens the database of a data folder, creating and migrating it as
-    /// needed.
+    /// Opens the database of a data folder, creating or migrating it as needed.
     ///
     /// # Errors
     /// See [`OpenError`]. A database of a newer schema is left untouched.
@@ -252,8 +248,8 @@ impl Store {
         };
         let writer = SqlitePoolOptions::new()
             .max_connections(1)
-            // SQLite ends a transaction by itself when the disk is full; the
-            // connection would count it as open for ever.
+            // SQLite rolls back by itself when the disk is full, but the connection would still
+            // count its transaction as open.
             .before_acquire(|connection, _| {
                 let usable = !connection.is_in_transaction();
                 Box::pin(async move { Ok(usable) })
@@ -290,7 +286,7 @@ impl Store {
         })
     }
 
-    /// Lets the writer wait so long for a lock, instead of [`BUSY_TIMEOUT`].
+    /// Sets the writer's lock timeout, instead of [`BUSY_TIMEOUT`].
     #[cfg(test)]
     pub(crate) async fn wait_for_locks(&self, time: Duration) {
         let pragma = format!("PRAGMA busy_timeout = {}", time.as_millis());
@@ -300,13 +296,12 @@ impl Store {
             .expect("a pragma");
     }
 
-    /// The data folder.
+    /// Returns the data folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Begins the writing transaction, for these steps; waits for the one before
-    /// it.
+    /// Begins the writing transaction for these steps after the preceding one has ended.
     ///
     /// # Errors
     /// If the database's file is no longer in the data folder: what SQLite wrote to the
@@ -330,18 +325,18 @@ impl Store {
         there.is_ok_and(|there| there == self.file)
     }
 
-    /// Begins to read: what is committed now, however long it is looked at.
+    /// Begins a read transaction on the currently committed state, which it sees until it ends.
     pub(crate) async fn read(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
         self.readers.begin().await.doing("begin reading")
     }
 
-    /// A connection that sees what others commit.
+    /// Returns a read connection outside a transaction, which sees new commits.
     pub(crate) async fn reader(&self) -> Result<PoolConnection<Sqlite>, StoreError> {
         self.readers.acquire().await.doing("begin reading")
     }
 
-    /// Moves what is committed from the write-ahead log into the database, as far
-    /// as no reader still needs it, while the writer goes on.
+    /// Checkpoints the write-ahead log into the database, as far as no reader needs it, without
+    /// stopping the writer.
     pub(crate) async fn checkpoint(&self) -> Result<(), StoreError> {
         sqlx::query("PRAGMA wal_checkpoint(PASSIVE)")
             .execute(&self.readers)
@@ -350,8 +345,7 @@ impl Store {
             .map(drop)
     }
 
-    /// Writes the database anew, without the gaps that depend on how it came about: the
-    /// same rows are the same bytes then.
+    /// Rebuilds the database file without free pages, so that equal rows give equal bytes.
     pub(crate) async fn compact(&self) -> Result<(), StoreError> {
         sqlx::query("VACUUM")
             .execute(&self.writer)
@@ -360,34 +354,31 @@ impl Store {
             .map(drop)
     }
 
-    /// Moves everything from the write-ahead log into the database, closes it and
-    /// unlocks the data folder.
+    /// Checkpoints the entire write-ahead log, closes the database and unlocks the data folder.
     ///
     /// # Errors
-    /// When the log cannot be moved; nothing is lost then, the next start reads
-    /// it.
+    /// If the log cannot be checkpointed; nothing is lost, since the next start reads it.
     pub async fn close(&self) -> Result<(), StoreError> {
-        // An open reader must not keep the coordinator from ending.
+        // A slow reader must not keep the coordinator from shutting down.
         let _ = tokio::time::timeout(READERS_GRACE, self.readers.close()).await;
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)")
             .execute(&self.writer)
             .await
             .doing("checkpoint the write-ahead log")?;
         self.writer.close().await;
-        // Tasks that are being ended may still hold the store for a moment.
+        // Tasks that are shutting down may still hold the store.
         let unlocked = self.lock.unlock().map_err(sqlx::Error::Io);
         unlocked.doing("unlock the data folder")
     }
 }
 
-/// The third migration's checksum while it did what the third and the fourth do now.
+/// Checksum of the third migration before it was split into the third and the fourth.
 const UNDIVIDED_THIRD: [u8; 48] = *b"\
     \xc7\x2e\xdb\x7d\x6a\xb2\x3f\x7f\xec\x0c\x96\x14\x07\xd9\xc3\xda\
     \x30\x2b\xa4\x76\x20\xbd\x0b\x1f\xd5\x10\x42\x84\x08\x82\x47\x0f\
     \xdc\x2a\x62\x6d\x4a\xf0\x1e\x92\xd7\xfb\xb7\xec\x1d\xf4\xa6\x71";
 
-/// Writes into a database of the program that had one migration for two that it has
-/// both.
+/// Marks both migrations as applied in a database of a program that had them as one.
 async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> {
     let known = "SELECT count(*) FROM sqlite_schema WHERE name = '_sqlx_migrations'";
     if sqlx::query_scalar::<_, i64>(known)
@@ -423,7 +414,7 @@ async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> 
     Ok(())
 }
 
-/// The newest schema version that this program knows.
+/// Returns the newest schema version that this program knows.
 pub fn newest_known_schema() -> i64 {
     MIGRATIONS
         .iter()
@@ -433,7 +424,7 @@ pub fn newest_known_schema() -> i64 {
 }
 
 impl Tx<'_> {
-    /// Ends the transaction: what it wrote is on the disk.
+    /// Commits the transaction to disk.
     pub(crate) async fn commit(self) -> Result<(), StoreError> {
         for step in &self.steps {
             self.failpoints.reach(Side::Before, *step);
@@ -461,7 +452,7 @@ impl DerefMut for Tx<'_> {
     }
 }
 
-/// Device and inode of a file.
+/// Returns device and inode of a file.
 fn identity(path: &Path) -> io::Result<(u64, u64)> {
     let metadata = std::fs::metadata(path)?;
     Ok((metadata.dev(), metadata.ino()))
@@ -488,8 +479,8 @@ fn lock_folder(folder: &Path) -> Result<File, OpenError> {
     }
 }
 
-/// Closes a database to other users, and makes its file if there is none: SQLite would make one
-/// that everybody may read. The files that SQLite makes beside it get its permissions.
+/// Restricts a database to its owner, creating the file if needed, since SQLite would create it
+/// readable by everybody. Files that SQLite creates beside it inherit its permissions.
 fn make_private(database: &Path) -> io::Result<()> {
     if !database.exists() {
         let mut new = File::options();
@@ -503,7 +494,7 @@ fn make_private(database: &Path) -> io::Result<()> {
         let Ok(found) = path.metadata() else { continue };
         let mode = found.mode() & 0o777;
         if mode & !PRIVATE_MODE != 0 {
-            // A file that another user owns stays as it is.
+            // Fails harmlessly for a file that another user owns.
             let private = Permissions::from_mode(mode & PRIVATE_MODE);
             let _ = std::fs::set_permissions(path, private);
         }
@@ -511,7 +502,7 @@ fn make_private(database: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Looks at an existing database without writing to it.
+/// Checks the schema version of an existing database without writing to it.
 async fn refuse_newer_schema(path: &Path) -> Result<(), OpenError> {
     let database = |source| OpenError::Database {
         path: path.to_owned(),
@@ -551,8 +542,7 @@ pub(crate) async fn schema_version(
         .await
 }
 
-/// Lays this program's schema beside that of the open database, as the
-/// temporary table `known_schema`.
+/// Creates the temporary table `known_schema` with this program's schema in the open database.
 pub(crate) async fn know_schema(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let mut fresh = SqliteConnection::connect("sqlite::memory:").await?;
     MIGRATIONS
@@ -577,10 +567,11 @@ pub(crate) async fn know_schema(connection: &mut SqliteConnection) -> Result<(),
     Ok(())
 }
 
-/// Compares the schema of a database from elsewhere with those that this program's versions have
-/// had. Returns what is foreign to all of them; `None` if it is one of theirs.
+/// Compares the schema of an untrusted database with those of all versions of this program. Returns
+/// a description of the first foreign, altered or missing object; `None` if the schema matches a
+/// version.
 ///
-/// It reads nothing but the list of what there is, so that nothing of the database is executed.
+/// Reads only the schema table, so that nothing in the database is executed.
 pub(crate) async fn foreign_schema(path: &Path) -> Result<Option<String>, sqlx::Error> {
     let mut known = SqliteConnection::connect("sqlite::memory:").await?;
     let options = SqliteConnectOptions::new().filename(path).read_only(true);
@@ -611,9 +602,9 @@ pub(crate) async fn foreign_schema(path: &Path) -> Result<Option<String>, sqlx::
     }))
 }
 
-/// Everything in a database that has a name, with the statement that made it, in order. Indices
-/// that SQLite makes by itself and its own tables are part of it: a database that was edited by
-/// hand can hold anything under their names.
+/// Returns all named objects of a database with their SQL, in order. This includes SQLite's
+/// automatic indices and internal tables, since a manipulated database can hold anything under
+/// their names.
 async fn objects(
     connection: &mut SqliteConnection,
 ) -> Result<Vec<(String, String, Option<String>)>, sqlx::Error> {

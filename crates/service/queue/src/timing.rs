@@ -5,19 +5,19 @@ use std::time::Duration;
 /// Durations of leases, heartbeats and timeouts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timing {
-    /// A lease, from its grant or its last heartbeat.
+    /// Duration of a lease from its grant or its last heartbeat.
     pub lease: Duration,
-    /// Between two heartbeats.
+    /// Interval between heartbeats.
     pub heartbeat: Duration,
-    /// A rollout whose progress stops for so long is killed by its worker.
+    /// Time without progress after which a worker kills a rollout.
     pub progress_timeout: Duration,
-    /// An attempt may take so long for each control step of its budget, settling
-    /// included; after that its lease is renewed no more.
+    /// Time that an attempt may take per control step of its budget, settling included; past that,
+    /// its lease is not renewed.
     pub ceiling_per_step: Duration,
-    /// A worker counts as alive for so long after its last call, unless it has
-    /// said good-bye: as long as its leases last without a heartbeat.
+    /// Time after its last call for which a worker counts as alive, unless it has signed off.
+    /// Equals the duration of a lease.
     pub worker_alive: Duration,
-    /// Between two looks for expired leases.
+    /// Interval between sweeps for expired leases.
     pub sweep: Duration,
 }
 

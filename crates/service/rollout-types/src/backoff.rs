@@ -1,18 +1,17 @@
-//! Waiting times before something that failed is tried again: longer after
-//! every failure in a row, and not in step with others.
+//! Exponential back-off with jitter.
 
 use std::time::Duration;
 
-/// The waits between two attempts at something: doubled after every failure.
+/// Bounds of a back-off, which doubles after every failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Waits {
-    /// Wait after the first failure.
+    /// Back-off after the first failure.
     pub first: Duration,
-    /// Wait after many failures.
+    /// Longest back-off.
     pub longest: Duration,
 }
 
-/// Failures in a row, and how long to wait after the next one.
+/// Number of failures in a row, and the resulting back-off.
 #[derive(Clone, Debug)]
 pub struct Backoff {
     waits: Waits,
@@ -21,15 +20,15 @@ pub struct Backoff {
 }
 
 impl Waits {
-    /// Waits of one second to a minute: for machines that call one another.
+    /// Back-off of one second up to a minute, for calls between machines.
     pub const USUAL: Waits = Waits {
         first: Duration::from_secs(1),
         longest: Duration::from_secs(60),
     };
 
-    /// The wait after the `failures`-th failure in a row. `random` is spread
-    /// over all its values; it takes off up to half, so that what failed
-    /// together does not come back together. Nought takes off nothing.
+    /// Returns the back-off after the `failures`-th failure in a row. `random` is uniform over
+    /// `u32` and shortens the back-off by up to half, so that clients that failed together do not
+    /// retry together. A `random` of 0 shortens nothing.
     pub fn after(self, failures: u32, random: u32) -> Duration {
         let doublings = failures.saturating_sub(1).min(16);
         let full = self.first.saturating_mul(1 << doublings).min(self.longest);
@@ -39,7 +38,7 @@ impl Waits {
 }
 
 impl Backoff {
-    /// No failures yet; jitter that follows from `seed`.
+    /// Starts without failures; the jitter is seeded with `seed`.
     pub fn new(waits: Waits, seed: u64) -> Self {
         Self {
             waits,
@@ -48,19 +47,19 @@ impl Backoff {
         }
     }
 
-    /// Failures in a row so far.
+    /// Returns the number of failures in a row.
     pub fn failures(&self) -> u32 {
         self.failures
     }
 
-    /// Counts a failure and says how long to wait after it.
+    /// Counts a failure and returns the back-off after it.
     pub fn next_wait(&mut self) -> Duration {
         self.failures = self.failures.saturating_add(1);
         let random = (self.draw() >> 32) as u32;
         self.waits.after(self.failures, random)
     }
 
-    /// Forgets the failures, after a success.
+    /// Resets the count after a success.
     pub fn reset(&mut self) {
         self.failures = 0;
     }

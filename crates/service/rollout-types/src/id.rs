@@ -1,27 +1,26 @@
-//! The name of an attempt.
+//! Id of an attempt.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Names one attempt at one rollout, everywhere and for ever: 128 random bits,
-/// drawn when its lease is granted and never used again. As text, 32 digits of
-/// lower-case hex.
+/// Globally unique id of an attempt at a rollout: 128 random bits, drawn when its lease is granted.
+/// As text, 32 digits of lower-case hex.
 ///
-/// Job numbers, attempt numbers and worker names do not identify an attempt: a
-/// deleted campaign's numbers are reused, and two coordinators count alike.
+/// Job numbers, attempt numbers and worker names do not identify an attempt: numbers of deleted
+/// campaigns are reused, and two coordinators assign the same numbers.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct AttemptId(u128);
 
-/// A text that names no attempt.
+/// Invalid text of an attempt's id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("read an attempt id: it is 32 digits of lower-case hex")]
 pub struct AttemptIdError;
 
 impl AttemptId {
-    /// The attempt of these bits, which are to be random.
+    /// Creates an id from random bits.
     pub fn from_random(bits: [u8; 16]) -> AttemptId {
         AttemptId(u128::from_be_bytes(bits))
     }

@@ -1,21 +1,21 @@
-//! A perturbation as it was realised, and when two of them are the same.
+//! Realised perturbations and their comparison.
 
 use std::collections::BTreeMap;
 
 use libero_ctrl::Axis;
 use serde::{Deserialize, Serialize};
 
-/// Two realised values are the same if they differ by no more than this, in
-/// their own unit (metres, radians, shares of full brightness). Values come from
-/// trigonometry and inverse kinematics, whose last bits differ from one kind of
-/// processor to another; different perturbations differ by far more.
+/// Tolerance for equal realised values, in their own unit (metres, radians, fractions of full
+/// brightness). Values come from trigonometry and inverse kinematics, whose last bits differ
+/// between processors; different perturbations differ by far more.
 ///
-/// Ten times the 1e-9 that must agree, so that rounding does not decide at the
-/// edge, and a hundredth of the 1e-6 that must not.
+/// Values within 1e-9 must be equal and values 1e-6 apart must differ. The tolerance lies ten times
+/// above the one and a hundred times below the other, so that rounding at the edges does not
+/// matter.
 pub const TOLERANCE: f64 = 1e-8;
 
-/// The perturbed axes of a rollout, each with what was realised of it. Empty for
-/// a nominal rollout. Language has no values and is never among them.
+/// The perturbed axes of a rollout with their realised values. Empty for a nominal rollout. Never
+/// contains language, which has no values.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Realised(BTreeMap<Axis, RealisedAxis>);
@@ -31,13 +31,13 @@ pub enum RealisedAxis {
         /// Realised elements: poses, light arrays, joints, drawn elements.
         elements: Vec<f64>,
     },
-    /// Their SHA-256, hex: all that database schema 2 and before kept. It agrees
-    /// with everything, since there is nothing to compare it with.
+    /// SHA-256 of the values, hex, in results of database schema 2 and earlier. Counts as equal to
+    /// any realisation, since it cannot be compared within a tolerance.
     Digest(String),
 }
 
 impl Realised {
-    /// Adds an axis: its parameters, and what became of them.
+    /// Adds an axis with its parameters and realised elements.
     pub fn add(&mut self, axis: Axis, parameters: Vec<f64>, elements: Vec<f64>) {
         let values = RealisedAxis::Values {
             parameters,
@@ -46,7 +46,7 @@ impl Realised {
         self.0.insert(axis, values);
     }
 
-    /// The perturbed axes, in the protocol's order, with what was realised.
+    /// Returns the perturbed axes with their realisations, in the protocol's order.
     pub fn axes(&self) -> impl Iterator<Item = (Axis, &RealisedAxis)> {
         self.0.iter().map(|(axis, realised)| (*axis, realised))
     }
@@ -58,8 +58,8 @@ impl Realised {
 }
 
 impl RealisedAxis {
-    /// The first difference from another realisation of the same axis, in
-    /// words; none if they agree.
+    /// Describes the first difference from another realisation of the same axis; `None` if they
+    /// agree.
     pub fn difference(&self, other: &RealisedAxis) -> Option<String> {
         let (
             RealisedAxis::Values {
@@ -84,7 +84,7 @@ fn differing(what: &str, here: &[f64], there: &[f64]) -> Option<String> {
         let (here, there) = (here.len(), there.len());
         return Some(format!("it has {here} {what}s here and {there}"));
     }
-    // A NaN agrees with nothing.
+    // NaN is equal to nothing.
     let agree = |(a, b): (&f64, &f64)| (a - b).abs() <= TOLERANCE || a == b;
     let place = here.iter().zip(there).position(|pair| !agree(pair))?;
     let (here, there) = (here[place], there[place]);
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn values_a_billionth_apart_agree_wherever_they_lie_and_a_millionth_apart_differ() {
-        // Among them values at which rounding to any number of digits has an edge.
+        // Includes values that lie on a rounding edge at any number of digits.
         for at in [0.0, 0.5e-9, 0.3, 1.0 - 0.5e-9, -2.5, 4.999_999_999_5, 1e3] {
             for direction in [1.0, -1.0] {
                 let near = values(&[7.0, at + direction * 1e-9]);

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 pub struct RolloutResult {
     /// True if the goal was reached within the step budget.
     pub success: bool,
-    /// The policy's control steps: up to the one that reached the goal, or all.
+    /// The policy's control steps: up to the one that reached the goal, or the whole budget.
     pub steps: u32,
     /// Duration from the start of composition to the last step, seconds.
     pub wall_secs: f64,
@@ -15,12 +15,12 @@ pub struct RolloutResult {
     pub ik: Option<IkResidual>,
     /// Executed actions that were clipped into [-1, 1].
     pub clipped_actions: u32,
-    /// Observations that the policy answered.
+    /// Queries that the policy answered.
     pub policy_queries: u32,
-    /// Parts of `wall_secs`. None from workers of the first release.
+    /// Parts of `wall_secs`. `None` from workers of the first release.
     #[serde(default)]
     pub parts: Option<Parts>,
-    /// Progress towards the goal. None from workers of earlier releases.
+    /// Progress towards the goal. `None` from workers of earlier releases.
     #[serde(default)]
     pub goal: Option<GoalProgress>,
 }
@@ -33,7 +33,7 @@ pub struct GoalProgress {
     pub predicates: u32,
     /// Predicates that held after the last control step.
     pub at_end: u32,
-    /// The most that held together, from rest to the last control step.
+    /// Most predicates that held together, from the initial rest to the last control step.
     pub at_most: u32,
 }
 
@@ -60,15 +60,15 @@ impl GoalProgress {
     }
 }
 
-/// Parts of a rollout's duration, seconds. The rest of the duration was spent
-/// waiting: for a core that others used, for a graphics card, for a disk.
+/// Parts of a rollout's duration, seconds. The rest was spent waiting for a core, a graphics card
+/// or a disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Parts {
     /// Processor time of loading the initial state, settling and control steps.
     pub physics_secs: f64,
-    /// Processor time of drawing what the policy looks at.
+    /// Processor time of rendering the policy's observations.
     pub drawing_secs: f64,
-    /// Time from asking the policy to its answer, by the clock.
+    /// Wall time between the policy's queries and its answers.
     pub policy_secs: f64,
 }
 
@@ -83,16 +83,15 @@ pub struct IkResidual {
     pub clamped_joints: u32,
 }
 
-/// Motion of a rollout's robot, packed as it is sent and stored: little endian,
-/// without gaps.
+/// Packed motion of a rollout's robot, as sent and stored: little endian, without padding.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Motion {
     /// Position of the site between the fingertips, at rest and after every
     /// control step of the policy: x, y, z in the world frame, tenths of a
     /// millimetre, 16 bits each.
     pub path: Vec<u8>,
-    /// The action of every control step, clipped into [-1, 1]: seven 32-bit
-    /// floats; empty unless the campaign keeps them.
+    /// Action of every control step, clipped into [-1, 1]: seven 32-bit floats each; empty unless
+    /// the campaign stores actions.
     pub actions: Vec<u8>,
 }
 
@@ -106,21 +105,21 @@ impl Motion {
         }
     }
 
-    /// The positions.
+    /// Unpacks the positions.
     pub fn path(&self) -> Vec<[i16; 3]> {
         let numbers = self.path.as_chunks().0.iter();
         let numbers: Vec<i16> = numbers.map(|it| i16::from_le_bytes(*it)).collect();
         numbers.as_chunks().0.to_vec()
     }
 
-    /// The actions.
+    /// Unpacks the actions.
     pub fn actions(&self) -> Vec<[f32; 7]> {
         let numbers = self.actions.as_chunks().0.iter();
         let numbers: Vec<f32> = numbers.map(|it| f32::from_le_bytes(*it)).collect();
         numbers.as_chunks().0.to_vec()
     }
 
-    /// Returns true if both hold whole positions and actions.
+    /// Returns true if the packed lengths are whole numbers of positions and actions.
     pub fn is_whole(&self) -> bool {
         self.path.len().is_multiple_of(6) && self.actions.len().is_multiple_of(28)
     }

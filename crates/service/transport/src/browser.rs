@@ -1,12 +1,12 @@
-//! Gate rules for browsers: a session's name in a cookie, because a browser sends no
-//! `Authorization` by itself; refusals as pages and text instead of gRPC statuses; and the rules
-//! that keep another site's page, open in the same browser, away from this server.
+//! Gate rules for browsers: session ids in cookies, because browsers do not send `Authorization` on
+//! their own; refusals as pages and text instead of gRPC statuses; and protection against
+//! cross-site requests from other pages in the same browser.
 //!
-//! A browser sends requests for any page that a person visits, with cookies and from inside the
-//! firewall. Two kinds of headers tell such a request from a program's: `Origin` and
-//! `Sec-Fetch-…`, which no page can leave out or forge. And three things are beyond a page
-//! without the server's consent: HTTP/2 without TLS, a content type like gRPC's, and a header
-//! like `Authorization`. Calls require all of them, so that no page makes a call.
+//! A browser sends requests on behalf of any page that its user visits, with cookies and from
+//! inside the firewall. `Origin` and `Sec-Fetch-…` headers, which no page can omit or forge,
+//! distinguish such requests from a program's. A page also cannot, without the server's consent,
+//! use HTTP/2 without TLS, a content type like gRPC's, or a header like `Authorization`. Calls
+//! require all of these, so that no page can make a call.
 
 use std::net::IpAddr;
 
@@ -16,9 +16,9 @@ use tonic::codegen::http::{
 };
 use tonic::{Code, Status};
 
-/// Longest path that a log-in leads back to, bytes.
+/// Longest path that a log-in redirects to, bytes.
 const MAX_NEXT_BYTES: usize = 512;
-/// Longest name of a session that is looked up, bytes.
+/// Longest session id that is looked up, bytes.
 const MAX_SESSION_BYTES: usize = 64;
 /// Headers that tell the origin of a request, relative to the page's site. Browsers send these
 /// three with every request to a trustworthy address, loopback included.
@@ -26,8 +26,8 @@ const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
 const FETCH_DEST: HeaderName = HeaderName::from_static("sec-fetch-dest");
 
-/// The cookie of one server. Browsers share cookies between the ports of a host, so each server
-/// draws a name of its own at its start, or two of them would log each other's readers out.
+/// Session cookie of one server. Browsers share cookies between the ports of a host, so each server
+/// draws a cookie name at its start; otherwise two servers would log each other's users out.
 #[derive(Clone, Debug)]
 pub(crate) struct SessionCookie {
     name: String,
@@ -35,8 +35,8 @@ pub(crate) struct SessionCookie {
 }
 
 impl SessionCookie {
-    /// `suffix`: what tells this server's cookie from another's. Over TLS, the prefix `__Host-`
-    /// makes browsers refuse a cookie that another host or a page in the clear tries to set.
+    /// `suffix` distinguishes this server's cookie. Over TLS, the prefix `__Host-` makes browsers
+    /// reject a cookie set by another host or over plain HTTP.
     pub(crate) fn new(suffix: &str, is_encrypted: bool) -> SessionCookie {
         let prefix = if is_encrypted { "__Host-" } else { "" };
         SessionCookie {
@@ -45,15 +45,15 @@ impl SessionCookie {
         }
     }
 
-    /// The `Set-Cookie` that keeps a session's name in a browser: out of reach of scripts and of
-    /// other sites, and over TLS sent over TLS only. It ends with the session.
+    /// Returns the `Set-Cookie` value that stores a session id: inaccessible to scripts and other
+    /// sites, sent only over TLS if this server uses TLS. It expires with the session.
     pub(crate) fn set(&self, session: &str, secs: u64) -> String {
         let secure = if self.is_encrypted { "; Secure" } else { "" };
         let name = &self.name;
         format!("{name}={session}; Path=/; Max-Age={secs}; HttpOnly; SameSite=Strict{secure}")
     }
 
-    /// The session's name in a request's cookies.
+    /// Returns the session id in a request's cookies.
     pub(crate) fn session<'a>(&self, headers: &'a HeaderMap) -> Option<&'a str> {
         let cookies = headers.get_all(header::COOKIE).iter();
         let pairs = cookies.filter_map(|cookies| cookies.to_str().ok());
@@ -63,8 +63,8 @@ impl SessionCookie {
     }
 }
 
-/// Returns true if a request's content is gRPC's: `application/grpc`, alone or with a suffix or
-/// parameters. `application/grpc-web`, which is what pages speak, is another type.
+/// Returns true if a request's content type is gRPC's: `application/grpc`, alone or with a suffix
+/// or parameters. `application/grpc-web`, which pages can send, does not count.
 pub(crate) fn is_grpc(headers: &HeaderMap) -> bool {
     let kind = headers
         .get(header::CONTENT_TYPE)
@@ -94,13 +94,13 @@ pub(crate) fn check_call<B>(request: &Request<B>) -> Result<(), Status> {
     }
 }
 
-/// Refuses a request for a page that another site's page sends: all but links that a person
-/// follows. Where no token is required, the name that a browser used must also be one that
-/// cannot be owned on the Internet: a page there can let its own name lead to an address of
-/// this machine, and the browser takes this server for that page's own.
+/// Refuses a request for a page if it is cross-site, unless the user followed a link. If no token
+/// is required, the host name must also be one that nobody can own on the Internet. Otherwise a
+/// page could rebind its own DNS name to an address of this machine, and the browser would treat
+/// this server as same-origin with that page.
 pub(crate) fn check_page<B>(request: &Request<B>, asks_for_tokens: bool) -> Result<(), Status> {
     let host = host(request);
-    // Browsers speak HTTP/2 only over TLS, where the certificate holds the name.
+    // Browsers use HTTP/2 only over TLS, where the certificate covers the name.
     let may_be_rebound = request.version() < Version::HTTP_2 && !asks_for_tokens;
     if may_be_rebound && !is_private_name(host) {
         return Err(Status::permission_denied(
@@ -116,7 +116,7 @@ pub(crate) fn check_page<B>(request: &Request<B>, asks_for_tokens: bool) -> Resu
     }
 }
 
-/// The host and port that a request names.
+/// Returns the host and port that a request names.
 fn host<B>(request: &Request<B>) -> &str {
     let named = request.headers().get(header::HOST);
     let named = named.and_then(|host| host.to_str().ok());
@@ -127,8 +127,8 @@ fn host<B>(request: &Request<B>) -> &str {
     named.or(authority).unwrap_or_default()
 }
 
-/// Returns false if the page that sends a request says that it is from elsewhere. Schemes are not
-/// compared: a server behind a proxy that adds TLS does not know its own.
+/// Returns false if the request's `Origin` is another site. Schemes are not compared, since a
+/// server behind a TLS proxy does not know its own.
 fn is_own_origin(headers: &HeaderMap, host: &str) -> bool {
     let mut origins = headers.get_all(header::ORIGIN).iter();
     origins.all(|origin| {
@@ -138,8 +138,8 @@ fn is_own_origin(headers: &HeaderMap, host: &str) -> bool {
     })
 }
 
-/// Returns true if the browser says that a page of another origin, one on another port included,
-/// sends a request by itself: all but links that a person follows.
+/// Returns true if the browser reports a request by a page of another origin, which includes
+/// another port, other than a link that the user followed.
 fn is_foreign_fetch<B>(request: &Request<B>) -> bool {
     let says = |name: HeaderName, value: &str| {
         let said = request.headers().get(name);
@@ -154,7 +154,7 @@ fn is_foreign_fetch<B>(request: &Request<B>) -> bool {
     is_foreign && !is_link
 }
 
-/// Returns true if a `Host` is an address in numbers or a name without dots.
+/// Returns true if a `Host` is a numeric address or a name without dots.
 fn is_private_name(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => rest.split(']').next().unwrap_or_default(),
@@ -218,8 +218,7 @@ fn answer(code: StatusCode, headers: &[(HeaderName, &str)], text: &str) -> Respo
     answer
 }
 
-/// As the value of a query: everything but letters, digits and `/-_.` in
-/// percent.
+/// Percent-encodes text for a query value: everything but letters, digits and `/-_.`.
 fn escaped(text: &str) -> String {
     let mut escaped = String::new();
     for byte in text.bytes() {

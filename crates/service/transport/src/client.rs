@@ -1,5 +1,4 @@
-//! Credentials of a client: the certificate authority that it trusts, and the
-//! token that it shows.
+//! Client credentials: the trusted certificate authority and the token.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -47,43 +46,43 @@ pub struct ClientArguments {
 #[derive(Clone, Debug, Default)]
 pub struct Access {
     token: Option<Token>,
-    /// PEM.
+    /// Trusted certificates, PEM.
     ca: Option<Vec<u8>>,
 }
 
-/// A connection that shows its token with every call.
+/// A connection that sends its token with every call.
 pub type Connection = InterceptedService<Channel, Bearer>;
 
 /// Adds the token to a call.
 #[derive(Clone, Debug)]
 pub struct Bearer {
     value: Option<MetadataValue<Ascii>>,
-    /// Server that the token is shown to, if it is shown in the clear.
+    /// Listener to check before the token is sent unencrypted, if it is.
     listener: Option<Listener>,
 }
 
-/// A client that cannot be what it should. Reads after "failed to …".
+/// Client credentials that cannot be used. The message follows "failed to …".
 #[derive(Debug, thiserror::Error)]
 pub enum AccessError {
-    /// The tokens are no use.
+    /// The token file is invalid.
     #[error(transparent)]
     Tokens(#[from] TokenError),
     /// The token file has no token for this program.
     #[error("find a token of role {roles}: add a line `ROLE TOKEN` to the token file")]
     NoToken {
-        /// The roles that would do.
+        /// Acceptable roles.
         roles: String,
     },
     /// The certificate authority cannot be read.
     #[error(transparent)]
     Certificate(#[from] SecurityError),
-    /// The certificate authority is none.
+    /// The file does not hold a valid certificate authority.
     #[error("use {} as a certificate authority: it must hold certificates as PEM", path.display())]
     Authority {
         /// Path of the file.
         path: PathBuf,
     },
-    /// The host is nothing that a certificate could be for.
+    /// No certificate can be issued for the host.
     #[error("call {host} over TLS: write the name of a host, or its IP address")]
     Host {
         /// Host as given.
@@ -92,8 +91,8 @@ pub enum AccessError {
 }
 
 impl ClientArguments {
-    /// Reads what the arguments and the environment name. `roles`: the ones
-    /// that this program can use, best first.
+    /// Reads the credentials that the arguments and the environment name. `roles` are those that
+    /// this program can use, best first.
     ///
     /// # Errors
     /// See [`AccessError`].
@@ -109,8 +108,8 @@ impl Access {
         Access::default()
     }
 
-    /// Reads files, and nothing from the environment: for a program that is a
-    /// server with tokens of its own as well as a client of others.
+    /// Reads files only, not the environment: for a program that is both a server with its own
+    /// tokens and a client of other servers.
     ///
     /// # Errors
     /// See [`AccessError`].
@@ -147,8 +146,8 @@ impl Access {
         Ok(Access { token, ca })
     }
 
-    /// A connection that is made at the first call. A token goes over TLS, or to
-    /// this machine; to anybody else it is not shown.
+    /// Returns a connection that is opened at the first call. The token is sent only over TLS or to
+    /// this machine.
     ///
     /// # Errors
     /// If no certificate can be for the endpoint's host.
@@ -171,11 +170,11 @@ impl Access {
         guarded.map_err(|_| AccessError::Host { host })
     }
 
-    /// Encrypts a connection to `host` that is no gRPC.
+    /// Opens a TLS connection to `host` for protocols other than gRPC.
     ///
     /// # Errors
-    /// If the certificate authority is no use, the host's name is none, or the
-    /// server's certificate is not to be trusted.
+    /// If the certificate authority or the host's name is invalid, or the server's certificate is
+    /// not trusted.
     pub async fn encrypt(
         &self,
         stream: TcpStream,
@@ -186,11 +185,11 @@ impl Access {
         tokio::time::timeout(HANDSHAKE_TIMEOUT, handshake).await?
     }
 
-    /// Returns the TLS connector for connections that speak one of these
-    /// protocols; any, if none is named.
+    /// Returns the TLS connector for connections that use one of these protocols, or any protocol
+    /// if the list is empty.
     pub(crate) fn tls(&self, protocols: &[&[u8]]) -> std::io::Result<TlsConnector> {
         let wrong = std::io::Error::other;
-        // Parsed and checked when it was read.
+        // Was parsed and checked when it was read.
         let roots =
             roots(self.ca.as_deref().unwrap_or_default()).unwrap_or_else(RootCertStore::empty);
         let provider = Arc::new(crypto::ring::default_provider());
@@ -203,7 +202,7 @@ impl Access {
         Ok(TlsConnector::from(Arc::new(config)))
     }
 
-    /// A connection that is made now, and shows no token.
+    /// Opens a connection now, without a token.
     pub(crate) async fn channel(&self, endpoint: Endpoint) -> Option<Channel> {
         self.guarded(endpoint).ok()?.connect().await.ok()
     }
@@ -216,8 +215,7 @@ impl Access {
         matches!(uri.scheme_str(), Some("https" | "wss"))
     }
 
-    /// The value of an `authorization` header of this scheme, where the token
-    /// may be shown.
+    /// Returns the `authorization` header of this scheme, if the token may be sent to `uri`.
     pub fn authorization(&self, uri: &Uri, scheme: &str) -> Option<HeaderValue> {
         let token = self.token_for(uri)?;
         // A token is visible ASCII: it always fits a header.
@@ -263,7 +261,7 @@ impl Interceptor for Bearer {
     }
 }
 
-/// A certificate authority that can be used.
+/// Reads and checks a certificate authority.
 fn authority(path: &Path) -> Result<Vec<u8>, AccessError> {
     let pem = read_pem(path)?;
     match roots(&pem) {
@@ -274,7 +272,7 @@ fn authority(path: &Path) -> Result<Vec<u8>, AccessError> {
     }
 }
 
-/// Returns none if one of the certificates is invalid.
+/// Returns `None` if one of the certificates is invalid.
 fn roots(pem: &[u8]) -> Option<RootCertStore> {
     let mut roots = RootCertStore::empty();
     for certificate in CertificateDer::pem_slice_iter(pem) {

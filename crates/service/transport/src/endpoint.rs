@@ -3,7 +3,7 @@
 
 use tonic::transport::Endpoint;
 
-/// A URL that is none. Reads after "failed to …".
+/// Invalid URL of a server. The message follows "failed to …".
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("read {given:?} as a server's address: {}", EndpointError::REMEDY)]
 pub struct EndpointError {
@@ -12,12 +12,12 @@ pub struct EndpointError {
 }
 
 impl EndpointError {
-    /// Remedy: the form of a valid address.
+    /// Form of a valid address, as the remedy in messages.
     pub const REMEDY: &str = "write http://HOST:PORT or grpc://HOST:PORT, and for a server over \
                               TLS https:// or grpcs://";
 }
 
-/// Reads a gRPC server's URL.
+/// Parses a gRPC server's URL.
 ///
 /// # Errors
 /// If it has another scheme, or no host.

@@ -1,11 +1,11 @@
-//! Failed calls: what they are in words, and whose fault they are.
+//! Description and classification of failed calls.
 
 use std::error::Error;
 
 use tonic::{Code, Status};
 
-/// An error and what lies behind it, in one line: what a cause repeats of the
-/// error before it is said once.
+/// Formats an error and its causes in one line, without text that a cause repeats from the error
+/// before it.
 pub fn chain(error: &(dyn Error + 'static)) -> String {
     let mut text = words(error);
     let mut cause = error.source();
@@ -19,7 +19,7 @@ pub fn chain(error: &(dyn Error + 'static)) -> String {
     text
 }
 
-/// The last error of a chain, which is the one that names the cause.
+/// Returns the message of the last error in a chain, which names the cause.
 pub fn innermost(error: &(dyn Error + 'static)) -> String {
     let mut innermost = error;
     while let Some(source) = innermost.source() {
@@ -28,8 +28,8 @@ pub fn innermost(error: &(dyn Error + 'static)) -> String {
     words(innermost)
 }
 
-/// A status displays with its code in the library's words, and with its details,
-/// which are bytes.
+/// Formats one error. A gRPC status is reduced to its message, since its `Display` adds the code
+/// and the raw details.
 fn words(error: &(dyn Error + 'static)) -> String {
     match error.downcast_ref::<Status>() {
         Some(status) => answer(status),
@@ -45,8 +45,8 @@ pub fn answer(status: &Status) -> String {
     }
 }
 
-/// Returns true if a server's answer of this code is about the server or the way
-/// to it, rather than about what was asked.
+/// Returns true if a status code means a fault of the server or the network, rather than of the
+/// request.
 pub fn is_outage_code(code: Code) -> bool {
     matches!(
         code,
@@ -54,18 +54,16 @@ pub fn is_outage_code(code: Code) -> bool {
     )
 }
 
-/// Returns true if a call failed because of the server or the way to it, rather
-/// than because of what was asked. INTERNAL is an answer: of a policy, that it
-/// failed on this observation.
+/// Returns true if a call failed because of the server or the network, rather than because of the
+/// request. INTERNAL counts as an answer: a policy failed on this observation.
 pub fn is_outage(status: &Status) -> bool {
-    // A status that this side made out of a broken connection has a cause; one
-    // that the server sent has none.
+    // A status that this side created for a broken connection has a source; a status from the
+    // server has none.
     is_outage_code(status.code()) || status.source().is_some()
 }
 
-/// Returns true if the same call may succeed later: everything but a refusal that
-/// says why. INTERNAL is a failure to try again after: of a coordinator, that its
-/// disk is full.
+/// Returns true if the same call may succeed later: everything but a refusal with a reason.
+/// INTERNAL is retried: a coordinator returns it when its disk is full.
 pub fn may_succeed_later(status: &Status) -> bool {
     !matches!(
         status.code(),

@@ -1,5 +1,4 @@
-//! Diagnosis of a failed call and its remedy, in words. Pure: `probe` does the
-//! probing.
+//! Diagnosis of a failed call, with its remedy as text. Pure; `probe` does the network access.
 
 use std::fmt;
 
@@ -8,16 +7,16 @@ use std::fmt;
 pub enum ServerKind {
     /// A coordinator.
     Coordinator,
-    /// A server of `rollout.policy.v1`: a policy, or a gateway before policies.
+    /// A server of `rollout.policy.v1`: a policy, or a gateway in front of policies.
     Policy,
-    /// An openpi server, which speaks WebSocket.
+    /// An openpi server, which uses WebSocket.
     Openpi,
-    /// A model server of vla-eval's, which speaks WebSocket.
+    /// A vla-eval model server, which uses WebSocket.
     VlaEval,
 }
 
 impl ServerKind {
-    /// Kinds that a gRPC call tells apart.
+    /// Kinds that a gRPC call can distinguish.
     pub(crate) const OF_GRPC: [ServerKind; 2] = [ServerKind::Coordinator, ServerKind::Policy];
 
     /// Name with the indefinite article.
@@ -47,8 +46,7 @@ impl ServerKind {
         }
     }
 
-    /// The path of a call that only this kind of server has, and that changes
-    /// nothing whatever its argument.
+    /// Path of a call that only this kind of server has and that has no side effects.
     pub(crate) fn call(self) -> Option<&'static str> {
         match self {
             ServerKind::Coordinator => {
@@ -77,21 +75,21 @@ pub struct Settings {
 /// Fault of a server's certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CertificateFault {
-    /// No known authority signed it.
+    /// The issuer is unknown.
     Untrusted,
-    /// It has expired.
+    /// The certificate has expired.
     Expired {
         /// Days since it expired.
         days: u64,
     },
-    /// It is not valid yet.
+    /// The certificate is not valid yet.
     NotYetValid,
-    /// It is for other names.
+    /// It is for other host names.
     OtherName {
-        /// The names that it is for.
+        /// Host names in the certificate.
         names: Vec<String>,
     },
-    /// It is a certificate authority's own.
+    /// It is the certificate of an authority, not of a server.
     Authority,
     /// Any other fault.
     Unusable(
@@ -100,62 +98,62 @@ pub enum CertificateFault {
     ),
 }
 
-/// Finding at an address where a call failed.
+/// Result of probing an address at which a call failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Found {
-    /// The name has no address.
+    /// The host name does not resolve.
     UnknownHost,
-    /// Connections are refused.
+    /// The connection is refused.
     Nothing,
-    /// Connections get no answer.
+    /// The connection times out.
     NoAnswer,
-    /// The system would not connect.
+    /// The operating system failed to connect.
     System(
         /// Message of the system.
         String,
     ),
-    /// A server over TLS, asked in the clear.
+    /// The server uses TLS, and the client does not.
     Encrypted,
-    /// A server in the clear, asked over TLS.
+    /// The server does not use TLS, and the client does.
     Clear,
-    /// A certificate that is not to be trusted.
+    /// The certificate is not trusted.
     Certificate(CertificateFault),
-    /// TLS, of a kind that this side does not speak.
+    /// The TLS handshake failed for another reason.
     OtherTls(
-        /// In TLS's words.
+        /// Message of the TLS library.
         String,
     ),
-    /// A web server that does not speak what it is asked.
+    /// A web server that does not speak the expected protocol.
     Web {
         /// The first line of its answer, or its HTTP status.
         said: String,
-        /// True if it is a proxy whose own server is away.
+        /// True if it is a proxy whose backend is unavailable.
         is_proxy_waiting: bool,
     },
     /// An SSH server.
     Ssh,
-    /// Something else that speaks.
+    /// A server of an unknown protocol.
     Other {
         /// Beginning of its answer.
         said: String,
     },
-    /// Something that takes the connection, and says nothing or hangs up.
+    /// A server that accepts the connection and sends nothing or closes it.
     Mute,
-    /// Another kind of this project's servers.
+    /// A server of another kind of this project.
     OtherKind(ServerKind),
-    /// A gRPC server that is none of ours.
+    /// A gRPC server of another project.
     OtherGrpc,
-    /// The right server, without this call.
+    /// The right kind of server, but a version without this call.
     Older,
-    /// The right server, now.
+    /// The right server, reachable now; the connection broke.
     Broken,
 }
 
-/// HTTP statuses of a proxy whose own server is away.
+/// HTTP statuses of a proxy whose backend is unavailable.
 const PROXY_WAITING: [u16; 3] = [502, 503, 504];
 
 impl Found {
-    /// A web server that answered with this HTTP status.
+    /// Classifies a web server that answered with this HTTP status.
     pub fn web(status: u16) -> Found {
         Found::Web {
             said: format!("HTTP status {status}"),
@@ -163,7 +161,7 @@ impl Found {
         }
     }
 
-    /// A web server whose answer begins with this line.
+    /// Classifies a web server whose answer begins with this line.
     pub(crate) fn web_line(said: String) -> Found {
         let status = said
             .split_whitespace()
@@ -175,8 +173,7 @@ impl Found {
         }
     }
 
-    /// Returns true if the client's settings or the server's are wrong, so that
-    /// trying again changes nothing.
+    /// Returns true if the settings of client or server are wrong, so that retrying is useless.
     pub fn is_final(&self) -> bool {
         match self {
             Found::Encrypted
@@ -201,20 +198,20 @@ impl Found {
     }
 }
 
-/// Reason why a server could not be called: the finding in its place, and the
-/// remedy. Reads after the server's address and a colon.
+/// Reason why a server could not be called, with its remedy. The message follows the server's
+/// address and a colon.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}; {}", self.finding(), Remedy(self))]
 pub struct Trouble {
-    /// Kind of server expected there.
+    /// Kind of server that was expected.
     pub expected: ServerKind,
-    /// The host's name.
+    /// Host name of the server.
     pub host: String,
     /// Finding at the address.
     pub found: Found,
     /// True if the client knows a certificate authority.
     pub has_authority: bool,
-    /// Settings that the remedy names.
+    /// Names of the settings for the remedy.
     pub settings: Settings,
 }
 

@@ -1,7 +1,7 @@
-//! The gate before a server's calls and pages: counts the requests of each connection, looks up
-//! in the server's table what is at a path and who may have it, and logs refusals, its own and
-//! those of the calls behind it, which it keeps short. The path alone decides whether a request
-//! is a call, never its headers, which a stranger's page chooses. It never sees a message.
+//! The gate before a server's calls and pages. It limits the request rate of each connection,
+//! checks access by the server's table of paths, and logs refusals, including those of the calls
+//! behind it, whose messages it truncates. The path alone decides whether a request is a call;
+//! headers do not, because another site's page can choose them. Message bodies are not inspected.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -25,22 +25,22 @@ use crate::users::{Caller, Users};
 /// Kind of the resource at a path, and the callers that are let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Resource {
-    /// A gRPC call. Programs make it, over HTTP/2, and no page in any browser.
+    /// A gRPC call, made by programs over HTTP/2 and never by a page in a browser.
     Call(Allowed),
-    /// A page, or a file that pages load. To read it changes nothing but who is logged in.
+    /// A page, or a file that pages load. Reading it changes nothing but the log-in state.
     Page(Allowed),
 }
 
-/// Callers that are let in.
+/// Callers that are allowed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowed {
-    /// Everybody: it reveals nothing and changes nothing.
+    /// Everybody: the resource reveals nothing and changes nothing.
     Everybody,
     /// Callers with one of these roles.
     OneOf(&'static [Role]),
 }
 
-/// Puts a gate before a server's calls.
+/// Middleware that puts a gate before a server's calls.
 #[derive(Clone, Debug)]
 pub struct Gate {
     shared: Arc<Shared>,
@@ -55,13 +55,13 @@ pub struct Gated<S> {
 
 #[derive(Debug)]
 struct Shared {
-    /// Tokens that are let in; with none, everybody is, because only this machine can connect,
-    /// or because the operator said so.
+    /// Accepted tokens; `None` accepts every caller, because only this machine can connect or
+    /// because the operator chose `--insecure`.
     tokens: Option<Tokens>,
     users: Users,
     /// Returns the resource at a path.
     resource: fn(&str) -> Resource,
-    /// Path of the log-in page; none where there are no pages, only calls.
+    /// Path of the log-in page; `None` for a server without pages.
     log_in: Option<&'static str>,
     readers: Readers,
     rates: Mutex<Rates>,
@@ -69,7 +69,7 @@ struct Shared {
 }
 
 impl Gate {
-    /// A gate that knows these tokens; without any, it lets in whoever is one of these users.
+    /// Creates a gate with these tokens; without tokens, it accepts connections of `users`.
     pub(crate) fn new(
         tokens: Option<Tokens>,
         users: Users,
@@ -211,7 +211,7 @@ impl Shared {
             let why = why.escape_debug().take(MAX_LOGGED_CHARS);
             let (path, why) = (path.collect::<String>(), why.collect::<String>());
             let why = match why.is_empty() {
-                // The router's own answer, which has no words.
+                // The router's own status, which has no message.
                 true => "find such a call here".to_owned(),
                 false => why,
             };
@@ -224,10 +224,10 @@ impl Shared {
     }
 }
 
-/// Longest piece of a caller's text in the log.
+/// Longest part of a caller's text in the log, characters.
 const MAX_LOGGED_CHARS: usize = 300;
-/// Longest refusal. It travels in a header, and one that quotes a megabyte of
-/// the request would break the connection.
+/// Longest refusal, characters. It travels in a header, so one that quotes a megabyte of the
+/// request would break the connection.
 const MAX_STATUS_CHARS: usize = 2_000;
 
 fn caller<B>(request: &Request<B>) -> Option<&Caller> {
@@ -247,8 +247,8 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     value.strip_prefix("Bearer ")
 }
 
-/// Returns true if a call was the caller's fault, not the server's, which is logged where it is
-/// handled.
+/// Returns true if a call failed by the caller's fault. Faults of the server are logged where they
+/// occur.
 fn is_refusal(code: Code) -> bool {
     matches!(
         code,
@@ -261,6 +261,6 @@ fn is_refusal(code: Code) -> bool {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Nothing panics while it holds one of these.
+    // No thread panics while it holds such a lock.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,11 +1,11 @@
-//! The connections of a server: how many there may be, in all and of one address, and how long one
-//! may say nothing.
+//! Incoming connections of a server: limits on their number, in total and per address, and timeouts
+//! for silent ones.
 //!
-//! A connection costs a file descriptor, and whoever can reach the port can open thousands. Three
-//! rules keep room for callers who have something to say: a connection whose first bytes do not come
-//! is closed, and so is one over which nothing passes for minutes (live HTTP/2 connections carry
-//! pings); and where there are too many, the oldest that has said nothing makes room for the next.
-//! An address that fills its share with connections that do speak is refused more of them.
+//! Each connection costs a file descriptor, and anyone who can reach the port can open thousands.
+//! Three rules keep room for active callers. A connection is closed if its first bytes do not
+//! arrive in time, or if nothing passes for minutes (live HTTP/2 connections carry pings). Beyond
+//! the limit, the oldest connection that has sent nothing yet is evicted for the next one. An
+//! address that fills its share with active connections is refused further ones.
 
 use std::collections::HashMap;
 use std::future::Future;
@@ -30,26 +30,26 @@ use crate::users::Caller;
 
 /// Longest wait for the first [`GREETING_BYTES`] of a connection.
 pub const GREETING_TIMEOUT: Duration = Duration::from_secs(10);
-/// Bytes after which a connection has said something: HTTP/2's preface has as many, and no request
-/// of HTTP/1 and no handshake of TLS has fewer.
+/// Bytes after which a connection counts as active: the length of HTTP/2's preface; no HTTP/1
+/// request or TLS handshake is shorter.
 const GREETING_BYTES: usize = 24;
-/// Longest silence in both directions. Pings pass every thirty seconds over HTTP/2, and events
-/// every five to a page that follows.
+/// Longest time without traffic in either direction. HTTP/2 sends pings every thirty seconds, and
+/// pages that follow events get one every five.
 pub const IDLE_TIMEOUT: Duration = Duration::from_secs(180);
-/// Descriptors that connections leave to databases, films and back-ends.
+/// File descriptors reserved for databases, videos and backends.
 const KEPT_DESCRIPTORS: u64 = 96;
-/// Fewest connections, however few descriptors there may be.
+/// Fewest connections, however low the descriptor limit is.
 const MIN_CONNECTIONS: usize = 8;
-/// Most descriptors that are asked for.
+/// Highest descriptor limit that is requested.
 const WANTED_DESCRIPTORS: u64 = 65_536;
-/// Pauses after a failure to accept, doubling: what is missing then (descriptors, memory) comes back
-/// when others let go of it, not sooner because one asks at once.
+/// Pauses after a failed accept, doubling. Descriptors or memory become available when others
+/// release them, so retrying at once does not help.
 const FIRST_PAUSE: Duration = Duration::from_millis(10);
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
-/// Raises the number of files that this process may have open, to what the system allows it or to
-/// 65,536. Returns the number. Each connection is one, and the usual number, 1,024, is less than a
-/// large campaign's workers and slots.
+/// Raises the limit of open files to what the system allows, at most 65,536, and returns the limit.
+/// Each connection needs a file, and a large campaign has more workers and slots than the default
+/// of 1,024.
 pub fn raise_file_limit() -> u64 {
     let mut limit = getrlimit(Resource::Nofile);
     let most = limit.maximum.unwrap_or(u64::MAX);
@@ -71,7 +71,8 @@ struct Limits {
 }
 
 impl Limits {
-    /// For so many descriptors. No address may have them all.
+    /// Derives the limits from the number of descriptors. A single address never gets all
+    /// connections.
     fn of_descriptors(descriptors: u64) -> Limits {
         let total = descriptors.saturating_sub(KEPT_DESCRIPTORS);
         let total = usize::try_from(total).unwrap_or(usize::MAX);
@@ -93,11 +94,11 @@ struct Open {
 #[derive(Debug)]
 struct Entry {
     address: IpAddr,
-    /// Closes the connection; none once it has said something.
+    /// Notified to evict the connection; `None` once the connection is active.
     silent: Option<Arc<Notify>>,
 }
 
-/// A place among the open connections; given back when it is dropped.
+/// A slot among the open connections, released on drop.
 #[derive(Debug)]
 struct Seat {
     open: Arc<Open>,
@@ -106,15 +107,15 @@ struct Seat {
 
 impl Open {
     fn lock(&self) -> MutexGuard<'_, HashMap<u64, Entry>> {
-        // Nothing panics while it holds this lock.
+        // No thread panics while it holds this lock.
         self.connections
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a place for connection `number`, which are counted in the order in which they came.
-    /// Returns `None` if there is none. Where there are too many, the oldest silent connection
-    /// loses its place: of the same address if that has too many, of any otherwise.
+    /// Takes a slot for connection `number`; numbers follow the order of arrival. At a limit, the
+    /// oldest silent connection is evicted: of the same address if that one is over its share,
+    /// otherwise of any address. Returns `None` if no slot is free.
     fn seat(self: &Arc<Open>, number: u64, address: IpAddr) -> Option<(Seat, Arc<Notify>)> {
         let mut connections = self.lock();
         let of_address = |entry: &Entry| entry.address == address;
@@ -150,17 +151,17 @@ impl Drop for Seat {
     }
 }
 
-/// An accepted connection that is closed when it says nothing for too long.
+/// An accepted connection that is closed after a silence.
 #[derive(Debug)]
 pub struct Watched {
     stream: TcpStream,
     seat: Seat,
-    /// Is told when the connection lost its place to another.
+    /// Resolves when the connection is evicted.
     evicted: Pin<Box<OwnedNotified>>,
     deadline: Pin<Box<Sleep>>,
     /// Bytes received, up to [`GREETING_BYTES`].
     greeting_bytes: usize,
-    /// Time at which bytes last passed, in either direction.
+    /// Time of the last traffic in either direction.
     last_passed: Instant,
 }
 
@@ -193,7 +194,7 @@ impl Watched {
         }
     }
 
-    /// Fails once the connection is to be closed.
+    /// Returns the error once the connection must be closed.
     fn poll_closed(&mut self, context: &mut Context<'_>) -> Poll<io::Error> {
         let silence = || {
             let why = "nothing was said over this connection for too long";
@@ -207,7 +208,7 @@ impl Watched {
             if !self.has_spoken() || end <= Instant::now() {
                 return silence();
             }
-            // Moved once it is over, not with every byte.
+            // The timer is reset when it fires, not with every byte.
             self.deadline.as_mut().reset(end);
         }
         Poll::Pending
@@ -274,22 +275,22 @@ impl Connected for Watched {
     }
 }
 
-/// The connections that arrive at a listener, for `serve_with_incoming`. It never fails: where the
-/// system refuses a connection, it waits and tries again.
+/// Stream of accepted connections for `serve_with_incoming`. It never fails: after an error of
+/// accept it waits and retries.
 #[derive(Debug)]
 pub struct Incoming {
     listener: TcpListener,
     open: Arc<Open>,
     accepted: u64,
     pause: Duration,
-    /// End of the pause in which nothing is accepted.
+    /// Pause after a failed accept.
     waiting: Option<Pin<Box<Sleep>>>,
     /// Time of the last log entry about too many connections.
     logged: Option<Instant>,
 }
 
 impl Incoming {
-    /// Takes as many connections as this process may have files open.
+    /// Allows as many connections as this process may open files.
     pub fn new(listener: TcpListener) -> Incoming {
         let descriptors = getrlimit(Resource::Nofile).current;
         let limits = Limits::of_descriptors(descriptors.unwrap_or(WANTED_DESCRIPTORS));
@@ -307,7 +308,7 @@ impl Incoming {
         }
     }
 
-    /// The next connection that finds a place.
+    /// Returns the next connection that gets a slot.
     pub fn poll_accept(&mut self, context: &mut Context<'_>) -> Poll<Watched> {
         loop {
             if let Some(waiting) = &mut self.waiting {
@@ -316,7 +317,7 @@ impl Incoming {
             }
             let (stream, address) = match ready!(self.listener.poll_accept(context)) {
                 Ok(accepted) => accepted,
-                // The other side has gone already.
+                // The peer has already disconnected.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionAborted => continue,
                 Err(error) => {
                     if self.pause == FIRST_PAUSE {
@@ -389,7 +390,7 @@ mod tests {
         })
     }
 
-    /// Takes a place and says something.
+    /// Takes a slot for an active connection.
     fn speaking(open: &Arc<Open>, number: u64, of: IpAddr) -> Option<Seat> {
         let (seat, _) = open.seat(number, of)?;
         open.lock().get_mut(&number).expect("an entry").silent = None;
@@ -422,7 +423,7 @@ mod tests {
             open.lock().contains_key(&1),
             "another's silence is not its room"
         );
-        // Elsewhere there is room, of what says nothing.
+        // Another address evicts the silent connection.
         assert!(open.seat(6, address(3)).is_some());
         assert!(!open.lock().contains_key(&1));
         drop((others, taken));

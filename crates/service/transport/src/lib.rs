@@ -1,15 +1,14 @@
-//! Access: where the programs' servers listen, over what, which callers get in
-//! with which role, how often one caller may call, clients' credentials, and
-//! of a failed call, whose fault it is and what is there in the server's place.
-//! One crate for all programs, so that a rule holds everywhere. Not responsible
-//! for what is called: which call requires which role is each server's table.
+//! Access control and connections: listening addresses, TLS, roles and tokens of callers, rate
+//! limits, client credentials, and the diagnosis of failed calls. All programs use this crate, so
+//! that its rules hold everywhere. The role that each call requires is defined by the server's own
+//! table.
 //!
-//! A server on a loopback address asks for nothing and lets in the user that started it, whom the
-//! kernel tells from the machine's other users; `--insecure-loopback` lets all of them in. On any
-//! other address it must have a certificate and tokens, or the flag `--insecure`. Tokens come from a file or
-//! the environment, never from an argument, which every process list shows; they
-//! are kept as digests, compared in constant time, and never logged. A browser keeps no token but
-//! the name of a session, which opens pages for some hours and no call.
+//! A server on a loopback address requires no token and accepts the user that started it, whom the
+//! kernel distinguishes from other users; `--insecure-loopback` accepts all local users. On any
+//! other address it must have a certificate and tokens, or the flag `--insecure`. Tokens come from
+//! a file or the environment, never from an argument, which process lists show; they are stored as
+//! digests, compared in constant time, and never logged. A browser stores a session id instead of a
+//! token; the id gives access to pages for some hours, and to no call.
 
 #![forbid(unsafe_code)]
 

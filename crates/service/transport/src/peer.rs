@@ -1,5 +1,5 @@
-//! The server that a client calls: where it is and what it should be, and, when
-//! a call fails, what is there in its place.
+//! The server that a client calls: its address and expected kind, and the diagnosis of failed
+//! calls.
 
 use std::error::Error;
 use std::future::poll_fn;
@@ -16,11 +16,11 @@ use crate::client::Access;
 use crate::found::{Found, ServerKind, Settings, Trouble};
 use crate::probe::{self, Place, Speech};
 
-/// Beginning of tonic's message that an answer is no gRPC server's.
+/// Start of tonic's message for an answer that is not from a gRPC server.
 const NO_GRPC_STATUS: &str = "grpc-status header missing";
-/// Longest wait for a second connection, and for its answer.
+/// Timeout of the probing connection, and of its answer.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// An empty message: not compressed, of no bytes.
+/// An empty gRPC message: uncompressed, length 0.
 const EMPTY_MESSAGE: &str = "\0\0\0\0\0";
 
 /// A server that a client calls.
@@ -44,8 +44,8 @@ impl Peer {
         }
     }
 
-    /// Returns the reason why a call failed, if that was not the server's own
-    /// answer. Takes a few seconds at most: it probes the address.
+    /// Diagnoses a failed call; `None` if the failure was the server's own answer. Probes the
+    /// address, which takes a few seconds at most.
     pub async fn trouble(&self, status: &Status) -> Option<Trouble> {
         let found = match status.source() {
             Some(_) => match refused(status) {
@@ -56,7 +56,7 @@ impl Peer {
             None if status.message().starts_with(NO_GRPC_STATUS) => self.look().await,
             None => return None,
         };
-        // The server has this call, or there is none by which to tell.
+        // The probe found the right server, which lacks only the requested call.
         let found = match found {
             Found::Broken if status.code() == Code::Unimplemented => Found::Older,
             found => found,
@@ -64,12 +64,12 @@ impl Peer {
         Some(self.found(found))
     }
 
-    /// Probes the server's address, for a client that speaks no gRPC.
+    /// Probes the server's address, for clients that do not use gRPC.
     pub async fn look_around(&self) -> Trouble {
         self.found(self.look().await)
     }
 
-    /// Trouble of this server's.
+    /// Returns the diagnosis for a finding at this server.
     pub fn found(&self, found: Found) -> Trouble {
         Trouble {
             expected: self.kind,
@@ -106,7 +106,7 @@ impl Peer {
         }
     }
 
-    /// Determines which kind of this project's servers answers there.
+    /// Determines the kind of this project's server at the address.
     async fn kind_there(&self) -> Found {
         let Some(channel) = self.access.channel(self.http_endpoint()).await else {
             return Found::Broken;
@@ -121,7 +121,7 @@ impl Peer {
                 Ok(true) if kind == self.kind => return Found::Broken,
                 Ok(true) => return Found::OtherKind(kind),
                 Ok(false) => {}
-                // A coordinator answers what it does not know with a page.
+                // A coordinator answers unknown paths with a page.
                 Err(found) => there = found,
             }
         }
@@ -131,7 +131,7 @@ impl Peer {
     /// Returns true if a gRPC server has the call of a path.
     ///
     /// # Errors
-    /// The finding, if there is no gRPC server.
+    /// The finding, if no gRPC server answers.
     async fn has_call(&self, mut channel: Channel, path: &str) -> Result<bool, Found> {
         let mut request = Request::post(path)
             .body(Body::new(EMPTY_MESSAGE.to_owned()))
@@ -143,7 +143,7 @@ impl Peer {
         ] {
             headers.insert(name, header::HeaderValue::from_static(value));
         }
-        // A guarded server tells strangers nothing.
+        // Without a token, a protected server refuses every path alike.
         if let Some(token) = self.access.authorization(self.endpoint.uri(), "Bearer") {
             headers.insert(header::AUTHORIZATION, token);
         }
@@ -158,7 +158,7 @@ impl Peer {
         Ok(status.is_none_or(|status| status.code() != Code::Unimplemented))
     }
 
-    /// A WebSocket server's address as a gRPC server's.
+    /// Converts a WebSocket server's address to an HTTP one.
     fn http_endpoint(&self) -> Endpoint {
         let uri = self.endpoint.uri();
         let scheme = if Access::is_encrypted(uri) {
@@ -174,8 +174,8 @@ impl Peer {
     }
 }
 
-/// Returns the system's error of the connection, if it is clear without another
-/// probe.
+/// Returns the finding for the system's connection error, if the status contains one, so that no
+/// probe is needed.
 fn refused(status: &Status) -> Option<Found> {
     let mut cause = status.source();
     while let Some(error) = cause {

@@ -1,4 +1,4 @@
-//! Files that hold secrets, which nobody but their owner may read.
+//! Files with secrets, which only their owner may read.
 
 use std::fs::File;
 use std::io;
@@ -6,15 +6,15 @@ use std::os::unix::fs::MetadataExt;
 
 use rustix::process::geteuid;
 
-/// Permissions of a file that let others read or write it.
+/// Permission bits that let others read or write a file.
 const OF_GROUP_AND_OTHERS: u32 = 0o077;
 const OF_OTHERS: u32 = 0o007;
 
-/// Returns the permissions of an open file of secrets if they let other users in.
+/// Returns the permissions of an open secret file if they are too broad.
 ///
-/// A file of this user must be closed to its group as well, as `ssh` demands of its keys. One of
-/// another user, such as a mounted secret or a credential of systemd, is given to this program by
-/// its group and must be closed to everybody else. A pipe has no permissions that matter.
+/// A file of this user must not be accessible to its group, as `ssh` demands of its keys. A file of
+/// another user, such as a mounted secret or a systemd credential, is shared with this program
+/// through its group and must not be accessible to others. The permissions of a pipe do not matter.
 pub(crate) fn exposed(file: &File) -> io::Result<Option<u32>> {
     let metadata = file.metadata()?;
     if !metadata.is_file() {

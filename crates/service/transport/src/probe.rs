@@ -1,6 +1,5 @@
-//! Looks at what listens at an address: connects, and lets it say enough to be
-//! told apart. Asked after a call has failed, since the errors of a call say only
-//! that something there did not fit.
+//! Probe of an address: connects and reads enough to identify the server. Used after a failed call,
+//! whose error says only that the protocol did not match.
 
 use std::io;
 use std::time::Duration;
@@ -14,31 +13,30 @@ use tokio_rustls::rustls::{CertificateError, Error as TlsError};
 
 use crate::found::{CertificateFault, Found};
 
-/// Longest wait for each answer.
+/// Timeout of each answer.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// First bytes of an HTTP/2 client: its preface, and settings that change
-/// nothing.
+/// First bytes of an HTTP/2 client: the preface and an empty SETTINGS frame.
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
-/// The protocol's name in TLS.
+/// ALPN protocol name of HTTP/2.
 pub(crate) const HTTP2: &[u8] = b"h2";
-/// Bytes of a frame's head in HTTP/2, and where its type is.
+/// Length of an HTTP/2 frame header, and the offset of the frame type.
 const FRAME_HEAD: usize = 9;
 const FRAME_TYPE: usize = 3;
 const SETTINGS_FRAME: u8 = 4;
-/// Characters quoted of what a server says.
+/// Longest quotation from a server, characters.
 const QUOTED_CHARS: usize = 60;
 
 /// Address to probe.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place<'a> {
-    /// Name or address, without brackets.
+    /// Host name or address, without brackets.
     pub(crate) host: &'a str,
     pub(crate) port: u16,
-    /// True if the client asks over TLS.
+    /// True if the client uses TLS.
     pub(crate) is_encrypted: bool,
 }
 
-/// Protocol of a server that can be connected to as the client does.
+/// HTTP version of a server that accepts the client's kind of connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Speech {
     Http2,
@@ -57,10 +55,10 @@ enum Heard {
     Silence,
 }
 
-/// Connects as the client does, and listens.
+/// Connects like the client and identifies the protocol.
 ///
 /// # Errors
-/// The finding, if the server does not speak HTTP as the client would.
+/// The finding, if the server does not speak HTTP over the client's kind of connection.
 pub(crate) async fn look(place: Place<'_>, tls: &TlsConnector) -> Result<Speech, Found> {
     let stream = connect(place).await?;
     if !place.is_encrypted {
@@ -68,8 +66,8 @@ pub(crate) async fn look(place: Place<'_>, tls: &TlsConnector) -> Result<Speech,
             Heard::Silence => match encrypt(connect(place).await?, place, tls).await {
                 Err(Handshake::NotTls) => {
                     let web = ask_web(connect(place).await?).await?;
-                    // A coordinator serves pages over HTTP/1 as well: it must not pass for a web
-                    // server of another kind because the network lost its first answer.
+                    // A coordinator also serves pages over HTTP/1. Retry, so that it is not
+                    // mistaken for another kind of web server because its first answer was lost.
                     match greet(connect(place).await?).await {
                         Heard::Http2 => Ok(Speech::Http2),
                         _ => Ok(web),
@@ -108,7 +106,7 @@ async fn connect(place: Place<'_>) -> Result<TcpStream, Found> {
     }
 }
 
-/// Maps the system's error to a finding about the way to a server, if it tells.
+/// Maps a connection error of the system to a finding, if the error is specific enough.
 pub(crate) fn no_connection(error: &io::Error) -> Option<Found> {
     match error.kind() {
         io::ErrorKind::ConnectionRefused => Some(Found::Nothing),
@@ -124,16 +122,16 @@ fn system(error: &io::Error) -> Found {
 }
 
 enum Handshake {
-    /// The server does not speak TLS, or said nothing of it.
+    /// The server does not use TLS, or did not answer the handshake.
     NotTls,
-    /// The server speaks TLS, and something is wrong.
+    /// The server uses TLS and the handshake failed.
     Failed(Found),
 }
 
 trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
 impl<S: AsyncRead + AsyncWrite + Send + Unpin> Stream for S {}
 
-/// Over TLS, and whether both sides agreed on HTTP/2.
+/// Performs the TLS handshake. Returns true in the second place if HTTP/2 was negotiated.
 async fn encrypt(
     stream: TcpStream,
     place: Place<'_>,
@@ -151,7 +149,7 @@ async fn encrypt(
     }
 }
 
-/// Maps a failed handshake to a finding about the server, if it speaks TLS.
+/// Maps a handshake error to a finding, if the server uses TLS.
 fn of_tls(error: &io::Error) -> Option<Found> {
     let inner = error.get_ref()?.downcast_ref::<TlsError>()?;
     match inner {
@@ -163,7 +161,7 @@ fn of_tls(error: &io::Error) -> Option<Found> {
 
 fn certificate(fault: &CertificateError) -> CertificateFault {
     match fault {
-        // A signature is wrong where an authority has the name of a known one.
+        // A bad signature means an issuer with the name of a known authority but another key.
         CertificateError::UnknownIssuer | CertificateError::BadSignature => {
             CertificateFault::Untrusted
         }
@@ -178,24 +176,24 @@ fn certificate(fault: &CertificateError) -> CertificateFault {
         CertificateError::NotValidForNameContext { presented, .. } => CertificateFault::OtherName {
             names: presented.iter().map(|name| bare(name)).collect(),
         },
-        // The library has no name of its own for it.
+        // The library has no variant for this error.
         other if other.to_string().contains("CaUsedAsEndEntity") => CertificateFault::Authority,
         other => CertificateFault::Unusable(other.to_string()),
     }
 }
 
-/// A name without what the library writes around it, `DnsName("a.b")`.
+/// Extracts the name from the library's notation `DnsName("a.b")`.
 fn bare(name: &str) -> String {
     let inner = name.split_once('(').map_or(name, |(_, inner)| inner);
     inner.trim_end_matches(')').trim_matches('"').to_owned()
 }
 
-/// Says what a client of HTTP/2 says, and hears what comes back.
+/// Sends the HTTP/2 preface and classifies the answer.
 async fn greet(mut stream: impl Stream) -> Heard {
     let mut bytes = [0; 128];
     let mut count = 0;
     let listening = async {
-        // A server may speak first, and hang up because of what it reads.
+        // Errors are ignored: a server may send first, and close because of the preface.
         let _ = stream.write_all(PREFACE).await;
         while count < FRAME_HEAD {
             match stream.read(&mut bytes[count..]).await {
@@ -208,7 +206,7 @@ async fn greet(mut stream: impl Stream) -> Heard {
     heard(&bytes[..count])
 }
 
-/// Asks as a browser does.
+/// Sends an HTTP/1 request and classifies the answer.
 async fn ask_web(mut stream: TcpStream) -> Result<Speech, Found> {
     let mut bytes = [0; 128];
     let asking = async {
@@ -264,7 +262,7 @@ mod tests {
 
     use super::*;
 
-    /// Looks at a server that gives one of `answers` on each connection, in order, and hangs up.
+    /// Probes a server that gives one of `answers` on each connection, in order, and closes it.
     async fn look_at(answers: &'static [&'static [u8]]) -> Result<Speech, Found> {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();

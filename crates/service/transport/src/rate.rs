@@ -1,17 +1,17 @@
-//! Rate limit of one connection: a bucket per connection that fills with time
-//! and empties with requests. Pure; the gate passes the time in.
+//! Rate limit per connection: a token bucket that refills over time. Pure; the gate passes the
+//! time.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
 
 use tokio::time::Instant;
 
-/// Requests per second that one connection may make for any length of time: far
-/// above a worker of a hundred slots, far below what would starve the others.
+/// Sustained requests per second of one connection: far above a worker with a hundred slots, far
+/// below what would starve the others.
 pub const MAX_REQUESTS_PER_SEC: f64 = 10_000.0;
-/// Requests that a connection may make at once.
+/// Burst of requests of one connection.
 pub const BURST_REQUESTS: f64 = 20_000.0;
-/// Buckets that are kept. Full ones are forgotten first, which changes nothing.
+/// Most buckets in memory. Full ones are dropped first, which has no effect.
 const MAX_BUCKETS: usize = 8_192;
 
 /// The buckets of all connections.
@@ -34,7 +34,7 @@ impl Bucket {
 }
 
 impl Rates {
-    /// Counts a request; whether there is room for it.
+    /// Counts a request; returns false if the connection is over its limit.
     pub(crate) fn admit(&mut self, caller: SocketAddr, now: Instant) -> bool {
         if self.buckets.len() >= MAX_BUCKETS && !self.buckets.contains_key(&caller) {
             self.buckets

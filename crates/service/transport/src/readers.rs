@@ -1,6 +1,6 @@
-//! Sessions of browsers that logged in: each has a random name, which the browser keeps in a
-//! cookie in place of a token, opens pages for some hours, and nothing else. They live in memory:
-//! a server that starts again asks its readers to log in again.
+//! Browser sessions. A random session id in a cookie replaces the token and opens pages, but no
+//! calls, for some hours. Sessions live in memory only: after a restart of the server, users log in
+//! again.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,14 +13,14 @@ use tonic::codegen::http::HeaderMap;
 
 use crate::browser::SessionCookie;
 
-/// Duration of a session, however much it is used: a working day.
+/// Lifetime of a session, regardless of its use: a working day.
 pub const SESSION_LIFETIME: Duration = Duration::from_secs(12 * 3600);
-/// Sessions at a time. The oldest makes room for the next.
+/// Most concurrent sessions. Beyond them, the oldest is dropped.
 pub const MAX_SESSIONS: usize = 1_024;
-/// Random bytes in a session's name.
+/// Random bytes in a session id.
 const NAME_BYTES: usize = 16;
 
-/// The browsers that logged in at one server.
+/// Sessions of one server.
 #[derive(Clone, Debug)]
 pub(crate) struct Readers {
     cookie: SessionCookie,
@@ -36,13 +36,13 @@ impl Readers {
         }
     }
 
-    /// Begins a session. Returns the `Set-Cookie` that keeps its name in the browser.
+    /// Starts a session. Returns the `Set-Cookie` value with its id.
     pub(crate) fn log_in(&self) -> Option<String> {
         let session = self.sessions().begin(Instant::now())?;
         Some(self.cookie.set(&session, SESSION_LIFETIME.as_secs()))
     }
 
-    /// Ends the session of a request. Returns the `Set-Cookie` that makes the browser forget it.
+    /// Ends the session of a request. Returns the `Set-Cookie` value that deletes the cookie.
     pub(crate) fn log_out(&self, headers: &HeaderMap) -> String {
         if let Some(session) = self.cookie.session(headers) {
             self.sessions().end(session);
@@ -50,27 +50,27 @@ impl Readers {
         self.cookie.set("", 0)
     }
 
-    /// Returns true if a request carries the name of an open session.
+    /// Returns true if a request carries the id of an open session.
     pub(crate) fn has_session(&self, headers: &HeaderMap) -> bool {
         let session = self.cookie.session(headers);
         session.is_some_and(|session| self.sessions().is_open(session, Instant::now()))
     }
 
     fn sessions(&self) -> MutexGuard<'_, Sessions> {
-        // Nothing panics while it holds this lock.
+        // No thread panics while it holds this lock.
         self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 #[derive(Debug, Default)]
 struct Sessions {
-    /// End of each session, by the SHA-256 of its name: the duration of a lookup tells nothing
-    /// about the names.
+    /// End of each session, keyed by the SHA-256 of its id, so that lookup times reveal nothing
+    /// about ids.
     ends: HashMap<[u8; 32], Instant>,
 }
 
 impl Sessions {
-    /// Begins a session. Returns its name, or `None` if the system gives no randomness.
+    /// Starts a session. Returns its id, or `None` if the system provides no randomness.
     fn begin(&mut self, now: Instant) -> Option<String> {
         self.ends.retain(|_, end| *end > now);
         if self.ends.len() >= MAX_SESSIONS {
@@ -83,7 +83,7 @@ impl Sessions {
         Some(name)
     }
 
-    /// Returns true if a session of this name has begun and not ended.
+    /// Returns true if the session exists and has not ended.
     fn is_open(&self, name: &str, now: Instant) -> bool {
         self.ends.get(&digest(name)).is_some_and(|end| *end > now)
     }
@@ -94,7 +94,7 @@ impl Sessions {
     }
 }
 
-/// 128 random bits of the system, in hex.
+/// Returns 128 random bits from the operating system, in hex.
 fn random_hex() -> Option<String> {
     let mut bytes = [0; NAME_BYTES];
     let read = getrandom(&mut bytes, GetRandomFlags::empty()).ok()?;

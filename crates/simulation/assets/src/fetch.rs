@@ -1,7 +1,6 @@
-//! Fetches files of a table into a pack's folder. Every file is held against its
-//! SHA-256 before it gets its name, so a folder with some of the files is a sound
-//! part of the pack. What has arrived of a file waits in `.incoming`, and the next
-//! try, or the next fetch, asks for the rest.
+//! Fetches files of a table into a pack's folder. Every file is checked against its SHA-256 before
+//! it gets its final name, so an incomplete folder is a valid part of the pack. Partially received
+//! files stay in `.incoming`, and the next try or fetch resumes them.
 
 mod receive;
 
@@ -19,44 +18,44 @@ use crate::progress::{Progress, Report};
 use crate::table::FileFacts;
 use crate::verify::{Difference, VerifiedFolder};
 
-/// Time between two looks at the lock of another fetch.
+/// Interval of polling the lock that another fetch holds.
 const LOCK_POLL: Duration = Duration::from_millis(200);
-/// Folder inside the pack for what has arrived of a file.
+/// Folder inside the pack for partially received files.
 const INCOMING: &str = ".incoming";
-/// File inside the pack that the fetch under way has locked.
+/// File inside the pack that a running fetch locks.
 const LOCK: &str = ".lock";
 
 /// A fetch to do.
 pub struct Fetch<'a> {
-    /// The place to fetch from.
+    /// Source of the files.
     pub origin: &'a Origin,
-    /// The pack's folder, made if need be.
+    /// Folder of the pack, created if necessary.
     pub into: &'a VerifiedFolder,
-    /// Waits.
+    /// Sleeps for a duration.
     pub pause: &'a mut dyn FnMut(Duration),
-    /// Is told how far the fetch is; says whether to go on.
+    /// Receives progress reports; returns whether to continue.
     pub progress: &'a mut dyn FnMut(Report) -> ControlFlow<()>,
 }
 
 /// Outcome of a fetch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Fetched {
-    /// Files that were there already and are the table's.
+    /// Files that were already present and match the table.
     pub present: usize,
-    /// Files that were fetched.
+    /// Files that were downloaded.
     pub fetched: usize,
-    /// Files among those that were there before, and altered.
+    /// Downloaded files that replace altered ones.
     pub replaced: usize,
-    /// Bytes that came over the network for them.
+    /// Bytes received over the network.
     pub bytes: u64,
 }
 
 impl Fetch<'_> {
-    /// Sees that `wanted` files are there, and fetches those that are missing or
-    /// altered. A fetch of another process into the same folder is waited for.
+    /// Fetches those `wanted` files that are missing or altered. Waits for another process that
+    /// fetches into the same folder.
     ///
     /// # Errors
-    /// If files cannot be had or written. Files that arrived whole are kept.
+    /// If files cannot be downloaded or written. Completely received files are kept.
     pub fn run(&mut self, wanted: &[&FileFacts]) -> Result<Fetched, AssetsError> {
         if self.lacking(wanted)?.0.is_empty() {
             let present = wanted.len();
@@ -68,7 +67,7 @@ impl Fetch<'_> {
         let incoming = self.into.folder().join(INCOMING);
         fs::create_dir_all(&incoming).map_err(|source| write_error(&incoming, source))?;
         let _lock = self.lock()?;
-        // Another process may have fetched them meanwhile.
+        // Another process may have fetched them while this one waited for the lock.
         let (lacking, replaced) = self.lacking(wanted)?;
         let mut progress = Progress {
             files: 0,
@@ -85,7 +84,7 @@ impl Fetch<'_> {
             let parcel = self.persistently(progress, || origin.locate(table, &group))?;
             self.receive(&parcel, &incoming, &mut progress)?;
         }
-        // Not empty where another fetch was interrupted.
+        // Not empty after an interrupted fetch.
         let _ = fs::remove_dir(&incoming);
         Ok(Fetched {
             present: wanted.len() - lacking.len(),
@@ -95,7 +94,7 @@ impl Fetch<'_> {
         })
     }
 
-    /// The files that are missing or altered, and the number of the latter.
+    /// Returns the files that are missing or altered, and the number of altered ones.
     fn lacking<'f>(
         &self,
         wanted: &[&'f FileFacts],
@@ -117,16 +116,16 @@ impl Fetch<'_> {
         Ok((lacking, altered))
     }
 
-    /// Keeps other fetches out of the folder for as long as the file lives: two
-    /// would mix their bytes.
+    /// Locks the folder until the returned file is dropped: concurrent fetches would mix their
+    /// bytes.
     fn lock(&mut self) -> Result<File, AssetsError> {
         let path = self.into.folder().join(LOCK);
         let file = File::options().create(true).append(true).open(&path);
         let file = file.map_err(|source| write_error(&path, source))?;
         loop {
             match file.try_lock() {
-                // Not every network file system knows locks. Mixed bytes would be
-                // noticed, and fetched again.
+                // Some network file systems do not support locks. Mixed bytes would fail
+                // verification and be fetched again.
                 Ok(()) | Err(TryLockError::Error(_)) => return Ok(file),
                 Err(TryLockError::WouldBlock) => {
                     self.tell(Report::WaitingForAnotherFetch)?;
@@ -136,7 +135,7 @@ impl Fetch<'_> {
         }
     }
 
-    /// Receives all members of a parcel.
+    /// Receives all files of a parcel.
     fn receive(
         &mut self,
         parcel: &Parcel<'_>,
@@ -162,8 +161,8 @@ impl Fetch<'_> {
         Ok(())
     }
 
-    /// Repeats a request until it succeeds, fails for good, or has failed
-    /// [`receive::MAX_TRIES`] times.
+    /// Repeats a request until it succeeds, fails permanently, or has failed [`receive::MAX_TRIES`]
+    /// times.
     fn persistently<T>(
         &mut self,
         progress: Progress,
@@ -181,7 +180,7 @@ impl Fetch<'_> {
         }
     }
 
-    /// Waits between two tries, unless the caller wants no more.
+    /// Waits between two tries, unless the caller cancels.
     fn wait(&mut self, time: Duration, progress: Progress) -> Result<(), AssetsError> {
         self.tell(Report::Arriving(progress))?;
         (self.pause)(time);
@@ -196,7 +195,7 @@ impl Fetch<'_> {
     }
 }
 
-/// Tries in vain.
+/// Failed tries.
 struct Tries(Backoff);
 
 impl Default for Tries {
@@ -206,7 +205,7 @@ impl Default for Tries {
 }
 
 impl Tries {
-    /// Counts one, and says how long to wait after it.
+    /// Counts a failed try and returns the time to wait after it.
     fn next(&mut self, url: String, problem: String) -> Result<Duration, AssetsError> {
         let wait = self.0.next_wait();
         let tries = self.0.failures();

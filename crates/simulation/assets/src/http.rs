@@ -1,5 +1,5 @@
-//! Single HTTP requests: deadlines, certificates, credentials, and which answers
-//! are worth another try.
+//! HTTP requests: timeouts, certificates, credentials, and the distinction between transient and
+//! permanent failures.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -14,30 +14,30 @@ use url::Url;
 
 use crate::error::AssetsError;
 
-/// Longest answer that is read as a text, bytes; an index's page has a few kB.
+/// Largest text answer, bytes; an index page has a few kB.
 const MAX_TEXT_BYTES: u64 = 16 << 20;
-/// Variables that name a file of certificates, as pip, requests and OpenSSL know them.
+/// Variables that name a certificate file, as used by pip, OpenSSL and requests.
 const CERTIFICATES: [&str; 3] = ["PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
 
 /// Reason why one request failed.
 #[derive(Debug)]
 pub(crate) enum RequestError {
-    /// Another try may succeed.
+    /// A transient failure: another try may succeed.
     Passing {
         /// Address, without credentials.
         url: String,
         problem: String,
     },
-    /// Another try would end the same.
+    /// A permanent failure.
     Final(AssetsError),
 }
 
-/// Longest waits of a request.
+/// Timeouts of a request.
 #[derive(Debug, Clone, Copy)]
 pub struct Deadlines {
-    /// For a connection.
+    /// Timeout of connecting.
     pub connect: Duration,
-    /// For an answer, and for the next bytes of one.
+    /// Timeout of the answer, and of each read.
     pub read: Duration,
 }
 
@@ -50,10 +50,10 @@ impl Default for Deadlines {
     }
 }
 
-/// An address, with the credentials that go with it.
+/// URL with its credentials.
 #[derive(Clone)]
 pub(crate) struct Address {
-    /// Without credentials.
+    /// URL without credentials.
     url: Url,
     authorization: Option<String>,
 }
@@ -62,7 +62,7 @@ impl Address {
     /// Parses an HTTP URL.
     ///
     /// # Errors
-    /// A remedy, if it is none.
+    /// A remedy, if the text is not a valid URL.
     pub(crate) fn parse(text: &str) -> Result<Self, &'static str> {
         const REMEDY: &str = "write https://HOST/PATH, or http://HOST:PORT/PATH for a local mirror";
         let mut url = Url::parse(text.trim()).map_err(|_| REMEDY)?;
@@ -70,18 +70,18 @@ impl Address {
             return Err(REMEDY);
         }
         let authorization = authorization(&url);
-        // Neither fails for an address with a host.
+        // Cannot fail for a URL with a host.
         let _ = url.set_username("");
         let _ = url.set_password(None);
         Ok(Self { url, authorization })
     }
 
-    /// The address without credentials.
+    /// Returns the URL without credentials.
     pub(crate) fn as_str(&self) -> &str {
         self.url.as_str()
     }
 
-    /// The address below this one.
+    /// Appends a path to the URL.
     pub(crate) fn below(&self, path: &str) -> Self {
         let mut url = self.url.clone();
         let base = url.path().trim_end_matches('/');
@@ -90,8 +90,7 @@ impl Address {
         Self { url, authorization }
     }
 
-    /// The address that a page at this one refers to. Credentials go along to the
-    /// same host only.
+    /// Resolves a reference in the page at this URL. Credentials are kept only for the same host.
     pub(crate) fn refer(&self, reference: &str) -> Option<Self> {
         let mut url = self.url.join(reference).ok()?;
         url.set_fragment(None);
@@ -103,7 +102,7 @@ impl Address {
     }
 }
 
-/// The header for a URL's user and password.
+/// Returns the `Authorization` header for a URL's user and password.
 fn authorization(url: &Url) -> Option<String> {
     if url.username().is_empty() && url.password().is_none() {
         return None;
@@ -115,7 +114,7 @@ fn authorization(url: &Url) -> Option<String> {
     Some(format!("Basic {}", BASE64_STANDARD.encode(words)))
 }
 
-/// A client of package indices and hubs. Proxies come from the environment.
+/// HTTP client for package indices and the hub. Uses the proxies that the environment names.
 #[derive(Debug)]
 pub(crate) struct Client(Agent);
 
@@ -135,8 +134,7 @@ impl Client {
         Ok(Self(config.into()))
     }
 
-    /// Asks for the bytes from `range.start` to before `range.end`. The server may
-    /// send everything instead: the status says which.
+    /// Requests a byte range. The server may send everything instead, which the status tells.
     pub(crate) fn get(
         &self,
         address: &Address,
@@ -169,7 +167,7 @@ impl Client {
         }
     }
 
-    /// A whole answer as a text, and its content type.
+    /// Returns a whole answer as text, and its content type.
     pub(crate) fn text(
         &self,
         address: &Address,
@@ -190,7 +188,7 @@ impl Client {
     }
 }
 
-/// The certificates that the environment names in place of the built-in ones.
+/// Reads the certificates that the environment names; they replace the built-in ones.
 fn certificates() -> Result<Option<RootCerts>, AssetsError> {
     let named = CERTIFICATES.iter().filter_map(std::env::var_os);
     let Some(path) = named.map(PathBuf::from).find(|path| path.is_file()) else {
@@ -207,7 +205,7 @@ fn certificates() -> Result<Option<RootCerts>, AssetsError> {
     Ok((!certificates.is_empty()).then(|| RootCerts::from(certificates)))
 }
 
-/// The reason why a server does not answer.
+/// Describes why a server did not answer.
 fn describe(error: &ureq::Error) -> String {
     match error {
         ureq::Error::Io(error) => error.to_string(),

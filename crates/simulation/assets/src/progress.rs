@@ -1,22 +1,22 @@
-//! The progress of a fetch, in one line on standard error.
+//! Progress of a fetch, as a line on standard error.
 
 use std::fmt;
 use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant};
 
-/// Cells of the bar.
+/// Width of the progress bar, characters.
 const CELLS: u64 = 24;
-/// Without a terminal, a line is printed this often, per cent.
+/// Interval of progress lines without a terminal, per cent.
 const QUIET_STEP_PERCENT: u64 = 10;
-/// Time before a rate is shown.
+/// Time before the rate is displayed.
 const SETTLE: Duration = Duration::from_secs(1);
 
-/// News of a fetch.
+/// Progress report of a fetch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Report {
-    /// Another process fetches into the same folder.
+    /// Another process is fetching into the same folder.
     WaitingForAnotherFetch,
-    /// Files arrive.
+    /// Files are being received.
     Arriving(Progress),
 }
 
@@ -27,14 +27,14 @@ pub struct Progress {
     pub files: usize,
     /// Files to fetch.
     pub of_files: usize,
-    /// Bytes that have arrived.
+    /// Bytes received.
     pub bytes: u64,
     /// Bytes to fetch.
     pub of_bytes: u64,
 }
 
 impl Progress {
-    /// Share of the bytes that has arrived, per cent.
+    /// Returns the percentage of bytes received.
     pub fn percent(self) -> u64 {
         (self.bytes * 100).checked_div(self.of_bytes).unwrap_or(100)
     }
@@ -49,7 +49,7 @@ impl Progress {
         )
     }
 
-    /// Rate since `first`, and the time left at it.
+    /// Formats the rate since `first` and the remaining time at that rate.
     fn pace(self, first: Self, elapsed: Duration) -> Option<String> {
         let rate = (self.bytes - first.bytes.min(self.bytes)) as f64 / elapsed.as_secs_f64();
         if elapsed < SETTLE || rate < 1.0 || self.bytes >= self.of_bytes {
@@ -77,8 +77,8 @@ impl fmt::Display for Progress {
     }
 }
 
-/// Draws reports on standard error, and only what has changed: one line where that
-/// is a terminal, else a line now and then.
+/// Displays changed reports on standard error: as one updated line on a terminal, otherwise as
+/// occasional lines.
 #[derive(Debug)]
 pub struct Bar {
     is_terminal: bool,
@@ -99,7 +99,7 @@ impl Default for Bar {
 }
 
 impl Bar {
-    /// Draws a report.
+    /// Displays a report.
     pub fn show(&mut self, report: Report) {
         let (key, line) = match report {
             Report::WaitingForAnotherFetch => {
@@ -119,7 +119,7 @@ impl Bar {
         } else {
             format!("{line}\n")
         };
-        // A closed standard error is no reason to stop fetching.
+        // A closed standard error must not stop the fetch.
         let _ = io::stderr().lock().write_all(text.as_bytes());
     }
 
@@ -138,7 +138,7 @@ impl Bar {
         }
     }
 
-    /// Leaves the line.
+    /// Ends the progress line.
     pub fn finish(&self) {
         if self.is_terminal && self.last.is_some() {
             eprintln!();
@@ -146,7 +146,7 @@ impl Bar {
     }
 }
 
-/// A size for people.
+/// Formats a size in bytes for messages.
 pub fn size_in_words(bytes: u64) -> String {
     match bytes {
         0..1_000 => format!("{bytes} bytes"),

@@ -1,7 +1,6 @@
-//! The table of LIBERO's assets: every file's size and SHA-256, its place in the
-//! wheels of the package index, and the files that each model names. The table is
-//! data of the program (`assets/libero`), so that nothing that is fetched has to
-//! be trusted.
+//! Table of LIBERO's assets: size and SHA-256 of every file, its position in the wheels of the
+//! package index, and the files that each model references. The table is compiled into the program
+//! (`assets/libero`), so that downloads need not be trusted.
 
 use std::collections::HashMap;
 use std::sync::OnceLock;
@@ -9,17 +8,17 @@ use std::sync::OnceLock;
 /// A file of the table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FileFacts {
-    /// Path in the pack's folder, with `/`.
+    /// Path in the pack's folder, with `/` as separator.
     pub path: &'static str,
     /// Size in bytes.
     pub bytes: u64,
     /// SHA-256, hex.
     pub sha256: &'static str,
-    /// Index of its wheel.
+    /// Index of the wheel that contains the file.
     pub(crate) wheel: usize,
-    /// Position of its deflated bytes in the wheel.
+    /// Position of the deflated bytes in the wheel.
     pub(crate) offset: u64,
-    /// Number of its deflated bytes.
+    /// Size of the deflated bytes.
     pub(crate) stored: u64,
 }
 
@@ -33,7 +32,7 @@ pub(crate) struct Wheel {
     pub(crate) sha256: &'static str,
 }
 
-/// The content of an asset pack, known in advance.
+/// Expected content of an asset pack.
 #[derive(Debug)]
 pub struct Table {
     pub(crate) wheels: Vec<Wheel>,
@@ -43,7 +42,7 @@ pub struct Table {
     digest: &'static str,
 }
 
-/// The parts of a table as text: tab-separated values under a heading.
+/// Source texts of a table: tab-separated values with a header line.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Text {
     /// project, version, file, bytes, sha256
@@ -62,7 +61,7 @@ const LIBERO: Text = Text {
     digest: include_str!("../../../../assets/libero/digest.txt"),
 };
 
-/// The wheels with the task files of LIBERO's family, whole.
+/// Whole wheels with the task files of the LIBERO family.
 const LIBERO_FAMILY: Text = Text {
     wheels: include_str!("../../../../assets/libero-family/wheels.tsv"),
     files: include_str!("../../../../assets/libero-family/files.tsv"),
@@ -71,32 +70,32 @@ const LIBERO_FAMILY: Text = Text {
 };
 
 impl FileFacts {
-    /// True if it is fetched as it is: a whole wheel, not a member of one.
+    /// Returns true if the file is a whole wheel rather than a member of one.
     pub(crate) fn is_a_wheel(&self) -> bool {
         self.stored == self.bytes
     }
 
-    /// Bytes that the file takes on its way from the package index.
+    /// Returns the number of bytes transferred from the package index.
     pub fn transfer_bytes(&self) -> u64 {
         self.stored
     }
 }
 
 impl Table {
-    /// LIBERO's 585 files.
+    /// Returns the table of LIBERO's 585 files.
     pub fn libero() -> &'static Self {
         static TABLE: OnceLock<Table> = OnceLock::new();
         TABLE.get_or_init(|| Self::parse(LIBERO).expect("the committed table is well-formed"))
     }
 
-    /// The wheels with the task files of LIBERO's family, each a file.
+    /// Returns the table of the wheels with the task files of the LIBERO family, each as one file.
     pub fn libero_family() -> &'static Self {
         static TABLE: OnceLock<Table> = OnceLock::new();
         TABLE
             .get_or_init(|| Self::parse(LIBERO_FAMILY).expect("the committed table is well-formed"))
     }
 
-    /// Parses a table; none if it is malformed.
+    /// Parses a table; `None` if it is malformed.
     pub(crate) fn parse(text: Text) -> Option<Self> {
         let mut wheels = Vec::new();
         for row in rows(text.wheels) {
@@ -138,35 +137,34 @@ impl Table {
         })
     }
 
-    /// All files, sorted by path.
+    /// Returns all files, sorted by path.
     pub fn files(&self) -> &[FileFacts] {
         &self.files
     }
 
-    /// The file at a path in the pack.
+    /// Returns the file at a path in the pack.
     pub fn get(&self, path: &str) -> Option<&FileFacts> {
         Some(&self.files[*self.by_path.get(path)?])
     }
 
-    /// The files that a model names, itself not included.
+    /// Returns the files that a model references, without the model itself.
     pub fn references(&self, model: &str) -> &[&'static str] {
         self.references.get(model).map_or(&[], Vec::as_slice)
     }
 
-    /// The pack's digest: SHA-256 over the names and contents of all files, hex.
-    /// A pack of some of the files has the same, because it is a part of the same
-    /// content.
+    /// Returns the pack's digest: SHA-256 over the names and contents of all files, hex. A partial
+    /// pack has the same digest, because it is part of the same content.
     pub fn digest(&self) -> &str {
         self.digest
     }
 
-    /// The file names of the wheels.
+    /// Returns the file names of the wheels.
     pub fn wheel_files(&self) -> impl Iterator<Item = &str> {
         self.wheels.iter().map(|wheel| wheel.file)
     }
 }
 
-/// The rows below the heading; none for a row with another number of columns.
+/// Parses the rows below the header; `None` for a row with another number of columns.
 fn rows<const N: usize>(text: &'static str) -> impl Iterator<Item = Option<[&'static str; N]>> {
     let lines = text.lines().skip(1);
     lines.map(|line| line.split('\t').collect::<Vec<_>>().try_into().ok())
@@ -179,8 +177,8 @@ mod tests {
     use super::*;
     use crate::verify::hex;
 
-    /// The digest of the pack is that of the files' contents, so no edit of the
-    /// table may go without one of the digest: `assets/libero/table.py` writes both.
+    /// The pack's digest depends on the files' contents, so every edit of the table must also
+    /// change the digest: `assets/libero/table.py` writes both.
     #[test]
     fn the_committed_table_is_the_one_that_was_proved_from_the_wheels() {
         let mut hash = Sha256::new();

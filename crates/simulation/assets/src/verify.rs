@@ -12,13 +12,13 @@ use sha2::{Digest, Sha256};
 
 use crate::table::{FileFacts, Table};
 
-/// Bytes that are hashed at a time.
+/// Size of a read while hashing, bytes.
 const BLOCK_BYTES: usize = 1 << 16;
 
 /// Difference of a file from the table.
 #[derive(Debug)]
 pub enum Difference {
-    /// The file is not there.
+    /// The file does not exist.
     Missing,
     /// The file cannot be read.
     Unreadable(io::Error),
@@ -46,8 +46,8 @@ impl fmt::Display for Difference {
     }
 }
 
-/// A folder with files of a table. Each file is hashed when it is first asked
-/// for, and again only after its size or time of modification has changed.
+/// A folder with files of a table. Each file is hashed on first use, and again only after its size
+/// or modification time has changed.
 #[derive(Debug)]
 pub struct VerifiedFolder {
     table: &'static Table,
@@ -55,7 +55,7 @@ pub struct VerifiedFolder {
     verified: Mutex<HashMap<&'static str, Stamp>>,
 }
 
-/// Facts of a file that change when it is written.
+/// Size and modification time, which change when a file is written.
 type Stamp = (u64, Option<SystemTime>);
 
 impl VerifiedFolder {
@@ -81,7 +81,7 @@ impl VerifiedFolder {
     /// Verifies one file.
     ///
     /// # Errors
-    /// If the file is not the table's.
+    /// If the file differs from the table.
     pub fn verify(&self, file: &FileFacts) -> Result<(), Difference> {
         let path = self.folder.join(file.path);
         let stamp = stamp(&fs::metadata(&path).map_err(unreadable)?);
@@ -99,13 +99,12 @@ impl VerifiedFolder {
         Ok(())
     }
 
-    /// Returns true if a file of the table's size is there, without reading it.
+    /// Returns true if a file of the expected size exists. Does not read the file.
     pub fn seems_present(&self, file: &FileFacts) -> bool {
         fs::metadata(self.folder.join(file.path)).is_ok_and(|found| found.len() == file.bytes)
     }
 
-    /// All files of the table that are there and differ from it, and the number of
-    /// those that are there.
+    /// Returns all existing files that differ from the table, and the number of existing files.
     pub fn differences(&self) -> (Vec<(&'static str, Difference)>, usize) {
         let mut differences = Vec::new();
         let mut present = 0;
@@ -120,7 +119,7 @@ impl VerifiedFolder {
         (differences, present)
     }
 
-    /// Nothing panics while it holds the lock.
+    /// No thread panics while it holds the lock.
     fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<&'static str, Stamp>> {
         self.verified.lock().unwrap_or_else(PoisonError::into_inner)
     }

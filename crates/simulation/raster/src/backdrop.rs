@@ -1,7 +1,7 @@
-//! The part of a picture that does not change from frame to frame. While a camera
-//! and its lights rest, the geoms that rest too are drawn once and kept, with
-//! depths, so that only what moves is drawn over them. Which triangle is seen at a sample does not
-//! depend on the order in which they are drawn, so no bit of a frame does.
+//! Cache of the static part of a picture. While a camera and its lights are unchanged, unchanged
+//! geoms are drawn once and cached with their depths, and only moving geoms are drawn over them.
+//! The visible triangle at a sample does not depend on the drawing order, so the cache changes no
+//! bit of a frame.
 
 use crate::clip::ClippedTriangle;
 use crate::instance::Instance;
@@ -10,32 +10,32 @@ use crate::scene::{Camera, Geom, Light, LightKind, Scene, TextureUse};
 use crate::visible::{Record, SAMPLES};
 use crate::window::Window;
 
-/// Frames that a geom must rest before it is kept, at first and at most: one
-/// that was kept and moves must rest longer the next time.
+/// Frames for which a geom must be at rest before it is cached, at first and at most: the number is
+/// multiplied by four whenever a cached geom moves.
 const FIRST_REST: u16 = 1;
 const LONGEST_REST: u16 = 256;
-/// Frames after which a geom that rests is worth drawing everything anew.
+/// Frames at rest after which a further geom justifies redrawing the whole cached picture.
 const WORTH_ADDING: u16 = 8;
 
-/// Starting point of a frame.
+/// How the drawing of a frame starts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Start {
-    /// Draw everything: no geom is known to rest.
+    /// Draw everything: no geom is known to be at rest.
     Anew,
-    /// Draw the resting geoms and keep their picture.
+    /// Draw the geoms at rest and cache their picture.
     Keep,
-    /// Reuse the kept picture, which still holds.
+    /// Reuse the cached picture, which is still valid.
     Kept,
 }
 
-/// Tracks the geoms that rest, and keeps a picture of them.
+/// Tracks geoms at rest, and caches a picture of them.
 #[derive(Default)]
 pub(crate) struct Backdrop {
     last: Option<(Scene, [usize; 2])>,
     /// Per geom: frames that it has rested, and frames that it must rest.
     rested: Vec<u16>,
     needed: Vec<u16>,
-    /// True per geom if it is in the picture.
+    /// True per geom if it is in the cached picture.
     is_kept: Vec<bool>,
     is_drawn: bool,
     instances: Vec<Instance>,
@@ -47,7 +47,7 @@ pub(crate) struct Backdrop {
 }
 
 impl Backdrop {
-    /// Compares a scene with the last one.
+    /// Compares a scene with the previous one.
     pub(crate) fn compare(&mut self, scene: &Scene, size: [usize; 2]) -> Start {
         let count = scene.geoms.len();
         let same = self.last.as_ref().is_some_and(|(last, last_size)| {
@@ -103,7 +103,7 @@ impl Backdrop {
         self.is_drawn && self.is_kept[geom]
     }
 
-    /// Keeps a picture of what rests.
+    /// Caches the picture of the geoms at rest.
     pub(crate) fn keep(&mut self, picture: &Picture) {
         let visible = &picture.visible;
         self.instances.clone_from(&picture.instances);
@@ -114,7 +114,7 @@ impl Backdrop {
         self.samples.clone_from(&picture.samples);
     }
 
-    /// Brings a window of the picture back.
+    /// Restores a window of the cached picture.
     pub(crate) fn restore(&self, picture: &mut Picture, window: Option<Window>) {
         let visible = &mut picture.visible;
         for row in window
@@ -134,7 +134,7 @@ impl Backdrop {
     }
 }
 
-/// A camera, to be compared: zeros of both signs differ.
+/// Bits of a camera for comparison; zeros of different sign are unequal.
 fn camera_bits(camera: &Camera) -> ([[u32; 3]; 3], [u32; 6], bool) {
     let vectors = [camera.pos, camera.forward, camera.up];
     let numbers = [
@@ -152,7 +152,7 @@ fn camera_bits(camera: &Camera) -> ([[u32; 3]; 3], [u32; 6], bool) {
     )
 }
 
-/// The same of a light.
+/// Bits of a light for comparison.
 fn light_bits(light: &Light) -> ([[u32; 3]; 5], Option<[u32; 5]>) {
     let vectors = [
         light.pos,
@@ -172,13 +172,13 @@ fn light_bits(light: &Light) -> ([[u32; 3]; 5], Option<[u32; 5]>) {
     (vectors.map(|vector| vector.map(f32::to_bits)), spot)
 }
 
-/// The same of a texture's use.
+/// Bits of a texture use for comparison.
 fn texture_bits(used: &TextureUse) -> (usize, [u32; 2], bool, bool) {
     let repeat = used.repeat.map(f32::to_bits);
     (used.texture, repeat, used.uniform, used.by_corner)
 }
 
-/// Returns true if two geoms give the same picture: zeros of both signs differ.
+/// Returns true if two geoms give the same picture; zeros of different sign are unequal.
 fn same_bits(a: &Geom, b: &Geom) -> bool {
     let numbers = |geom: &Geom| {
         let [px, py, pz] = geom.pos;

@@ -10,22 +10,22 @@ use crate::setup::{extent, has_samples, is_large, turned};
 /// A cluster's triangles that may cover a sample.
 pub(crate) struct Candidates {
     pub(crate) count: usize,
-    /// Places in the cluster.
+    /// Indices of the triangles in the cluster.
     pub(crate) at: [u8; ROOM],
-    /// Rows of their corners among the positions, as they are gone round.
+    /// Rows of the corners among the positions, in winding order.
     pub(crate) corners: [[u8; ROOM]; 3],
-    /// Bits of the triangles of which a part is beyond a side, by place in the
-    /// cluster.
+    /// Bit per triangle, by its index in the cluster: set if a part of it lies outside the view
+    /// frustum.
     pub(crate) cut: u64,
 }
 
-/// Room for a cluster, and for reading eight at a time.
+/// Capacity for a cluster, plus room for reading eight at a time.
 const ROOM: usize = CLUSTER + LANES;
 const _: () = assert!(CLUSTER <= u64::BITS as usize, "a bit for each triangle");
 
 impl Candidates {
-    /// Finds them. `beyond` says whether any position is beyond a side; triangles
-    /// that reach there are left to be cut.
+    /// Selects the candidates. `beyond` is true if any position lies outside the view frustum;
+    /// triangles that extend there are kept for clipping.
     #[inline(always)]
     pub(crate) fn find(
         instance: &Instance,
@@ -69,7 +69,7 @@ impl Candidates {
             }
             let (x, y) = corners.snapped();
             let ([x0, x1], [y0, y1]) = (extent(&x), extent(&y));
-            // Samples lie in every fourth of a pixel, once in a row and column.
+            // Samples lie at every fourth of a pixel, one per row and column.
             let (column0, column1) = (
                 ((x0 + splat(31)) >> 6i32).max(left),
                 ((x1 - splat(32)) >> 6i32).min(right),
@@ -110,18 +110,18 @@ impl Candidates {
     }
 }
 
-/// Columns and rows of samples that a small triangle spans at most; in two pixels
-/// each has one sample in four rows.
+/// Most columns and rows of samples that a small triangle spans: those of two adjacent pixels, each
+/// of which contains one sample.
 const SMALL: [i32; 2] = [8, 4];
 
-/// The column within a pixel that has the sample of a row.
+/// Returns the column of a row's sample within a pixel.
 #[inline(always)]
 fn column_of(row: I) -> I {
     (I::splat(0x8d) >> ((row & I::splat(3)) << 1i32)) & I::splat(3)
 }
 
-/// Mask of the small triangles, of eight, that cover a sample. Columns and rows are the
-/// first and the last that they may cover.
+/// Returns the mask of those of eight small triangles that cover a sample. `columns` and `rows` are
+/// the first and last that they may cover.
 #[inline(always)]
 fn small_covers(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
     let splat = |value: i32| I::splat(value);

@@ -1,5 +1,5 @@
-//! A frame from beginning to end, in the order of MuJoCo's renderer: everything
-//! opaque and the sky, what a mirror shows, and what one can see through.
+//! Drawing of a frame in the order of MuJoCo's renderer: opaque geoms and the sky, reflections, and
+//! translucent geoms.
 
 use std::cell::RefCell;
 
@@ -16,9 +16,8 @@ use crate::visible::{SAMPLES, Visible};
 use crate::window::Window;
 use crate::{glass, mirror};
 
-/// Drawing surface of one camera, and the state that is kept between its frames. The
-/// result does not depend on earlier frames; a camera with a canvas of its own is drawn
-/// fastest.
+/// Drawing surface of one camera, with caches that persist between frames. The result does not
+/// depend on earlier frames; drawing is fastest if every camera has its own canvas.
 #[derive(Default)]
 pub struct Canvas {
     picture: Picture,
@@ -28,8 +27,8 @@ pub struct Canvas {
     rgb: Vec<u8>,
 }
 
-/// Buffers that no frame keeps for the next: a thread has one set for all its canvases,
-/// so that many cameras need little memory.
+/// Buffers whose contents do not persist between frames. One set per thread serves all its
+/// canvases, so that many cameras need little memory.
 #[derive(Default)]
 struct Scratch {
     reflection: Picture,
@@ -41,17 +40,17 @@ thread_local! {
 }
 
 impl Canvas {
-    /// An empty canvas.
+    /// Creates an empty canvas.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Draws a frame; red, green and blue of every pixel, row by row from the
-    /// lowest. The model is the same from frame to frame; `largest` are the bytes
-    /// that its textures were made from.
+    /// Draws a frame. Returns red, green and blue of every pixel, row by row from the bottom. The
+    /// model must be the same for all frames of a canvas; `largest` are the bytes that its textures
+    /// were made from.
     ///
     /// # Errors
-    /// If the scene's numbers cannot be drawn, or name what the model lacks.
+    /// If the scene contains invalid numbers or refers to items that the model lacks.
     pub fn draw(
         &mut self,
         model: &Model,
@@ -96,9 +95,8 @@ impl Canvas {
         Ok(&self.rgb)
     }
 
-    /// Depths of the last frame at each pixel's first sample: 0 at the near plane, 1 at
-    /// the far one, as OpenGL keeps them; row by row from the lowest. Translucent geoms
-    /// are ignored.
+    /// Returns the depths of the last frame at each pixel's first sample: 0 at the near plane, 1 at
+    /// the far plane, as in OpenGL; row by row from the bottom. Translucent geoms are ignored.
     pub fn depths(&self) -> impl Iterator<Item = f32> {
         let Visible {
             width,
@@ -112,7 +110,7 @@ impl Canvas {
         rows.flatten().map(depth)
     }
 
-    /// Draws what is opaque, and the sky.
+    /// Draws opaque geoms and the sky.
     fn draw_opaque(
         &mut self,
         pass: Pass<'_>,
@@ -167,7 +165,7 @@ impl Canvas {
         start
     }
 
-    /// Adds what is not opaque: reflections, and what one can see through.
+    /// Adds reflections and translucent geoms.
     fn draw_special(
         &mut self,
         pass: Pass<'_>,
@@ -187,7 +185,7 @@ impl Canvas {
         self.dirty = Window::around(self.dirty, changed);
     }
 
-    /// The means of pixels' samples.
+    /// Averages the samples of pixels.
     fn resolve(&mut self, window: Window) {
         let (width, stride) = (self.picture.visible.width, self.picture.visible.stride);
         let rows = window.rows(stride).zip(window.rows(width));

@@ -1,40 +1,39 @@
-//! Cutting triangles at the sides of what the camera sees, in clip space and in
-//! Mesa's order. Few triangles reach there, so this takes them one by one.
+//! Clipping of triangles against the view frustum, in clip space and in Mesa's order. Few triangles
+//! need it, so they are processed one by one.
 
 use crate::instance::Instance;
 use crate::lanes::{F, LANES};
 use crate::matrix::Vec3;
 
-/// A corner that came out of cutting, with the values that were cut along.
+/// A corner of a clipped triangle, with its interpolated values.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ClippedCorner<V> {
-    /// Place in the picture, pixels, and depth.
+    /// Position in the picture, pixels, and depth.
     pub(crate) window: [f32; 3],
     pub(crate) over_w: f32,
     /// Interpolated values, not divided by w.
     pub(crate) values: V,
 }
 
-/// A piece of a triangle.
+/// A piece of a clipped triangle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ClippedTriangle {
-    /// The whole one's place in its mesh, and where its cluster's vertices
-    /// start.
+    /// Index of the original triangle in its mesh, and first vertex of its cluster.
     pub(crate) triangle: u32,
     pub(crate) vertices: u32,
-    /// Cut that made it, and its index among the pieces.
+    /// The clipping that made the piece, and the piece's index.
     pub(crate) cut: Cut,
     pub(crate) piece: u32,
 }
 
-/// Cut of a triangle.
+/// Clipping of a triangle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cut {
-    /// Bits of the sides that it reaches beyond.
+    /// Bit per plane that the triangle extends beyond.
     pub(crate) beyond: i32,
-    /// The plane of the last of them.
+    /// The mirror plane, the last of these planes.
     pub(crate) plane: Option<[f32; 4]>,
-    /// Half the picture's size, pixels.
+    /// Half the size of the picture, pixels.
     pub(crate) half: [f32; 2],
 }
 
@@ -43,16 +42,16 @@ pub(crate) const VARYING: usize = LANES;
 
 /// Values that vary over a triangle, as held by one corner.
 pub(crate) trait Values: Copy + Default {
-    /// Interpolates towards another corner's values by this share.
+    /// Interpolates towards another corner's values by the fraction `share`.
     fn toward(self, other: Self, share: f32) -> Self;
 }
 
-/// Only places are of interest.
+/// For clipping without interpolated values.
 impl Values for () {
     fn toward(self, (): Self, _: f32) -> Self {}
 }
 
-/// A lane for each number that varies.
+/// One lane per interpolated value.
 impl Values for F {
     #[inline(always)]
     fn toward(self, other: Self, share: f32) -> Self {
@@ -65,11 +64,11 @@ impl Values for F {
 struct Corner<V> {
     pos: [f32; 4],
     values: V,
-    /// Of whole triangles' corners, which were not divided by w yet.
+    /// True for corners of the original triangle, which are not divided by w yet.
     fused: bool,
 }
 
-/// Sides of what the camera sees, and a mirror's plane.
+/// Planes of the view frustum and a mirror's plane.
 const SIDES: usize = 7;
 const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
     [-1.0, 0.0, 0.0, 1.0],
@@ -80,19 +79,19 @@ const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
     [0.0, 0.0, -1.0, 1.0],
 ];
 
-/// Corners of a triangle that every side has cut: each adds one, and rounding may add
-/// another where a side touches.
+/// Most corners after clipping by every plane: each adds one, and rounding may add another where a
+/// plane touches.
 const MOST_CORNERS: usize = 3 + SIDES + 2;
 
-/// Remainder of a triangle after clipping.
+/// Polygon that remains of a triangle after clipping.
 pub(crate) struct Polygon<V> {
     corners: [ClippedCorner<V>; MOST_CORNERS],
     count: usize,
 }
 
 impl<V: Values> Polygon<V> {
-    /// Pieces in drawing order, each corner in the order of the whole triangle's. Pieces
-    /// that have no place are left out.
+    /// Returns the pieces in drawing order, with corners in the original order. Pieces without a
+    /// finite position are left out.
     pub(crate) fn pieces(&self) -> impl Iterator<Item = [ClippedCorner<V>; 3]> {
         let is_placed = |corners: &[ClippedCorner<V>; 3]| {
             let mut places = corners.iter().flat_map(|it| it.window);
@@ -104,7 +103,7 @@ impl<V: Values> Polygon<V> {
     }
 }
 
-/// Cuts a triangle, with what varies over it.
+/// Clips a triangle with its interpolated values.
 pub(crate) fn clip<V: Values>(
     instance: &Instance,
     corners: [Vec3; 3],
@@ -144,8 +143,8 @@ fn carried(instance: &Instance, [x, y, z]: Vec3) -> [f32; 4] {
     std::array::from_fn(|row| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12])
 }
 
-/// Cuts a convex polygon; returns how many corners the part on the inner side has,
-/// none if that cannot be told.
+/// Clips a convex polygon by a plane; returns the number of corners of the inner part, or 0 if
+/// distances are not comparable.
 fn cut<V: Values>(
     polygon: &[Corner<V>],
     plane: [f32; 4],
@@ -189,7 +188,7 @@ fn cut<V: Values>(
     Some(count)
 }
 
-/// Interpolates from one corner towards another by this share.
+/// Interpolates between two corners by the fraction `share`.
 fn toward<V: Values>(from: &Corner<V>, to: &Corner<V>, share: f32) -> Corner<V> {
     let mix = |from: f32, to: f32| from + share * (to - from);
     Corner {
@@ -199,8 +198,8 @@ fn toward<V: Values>(from: &Corner<V>, to: &Corner<V>, share: f32) -> Corner<V> 
     }
 }
 
-/// Divides by w and carries into the picture. Mesa fuses the last operation for
-/// corners of whole triangles only.
+/// Divides by w and applies the viewport transform. Mesa fuses the last operation only for corners
+/// of original triangles.
 fn finish<V: Values>(it: &Corner<V>, half: [f32; 2]) -> ClippedCorner<V> {
     let over_w = 1.0 / it.pos[3];
     let place = |axis: usize| {

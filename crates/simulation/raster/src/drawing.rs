@@ -11,13 +11,13 @@ pub(crate) struct Drawing<'a> {
     pub(crate) model: &'a Model,
     pub(crate) instances: &'a [Instance],
     pub(crate) window: Window,
-    /// Plane of clip space beyond which geometry is cut off.
+    /// Clip-space plane beyond which geometry is clipped.
     pub(crate) plane: Option<[f32; 4]>,
     pub(crate) positions: &'a mut Positions,
     pub(crate) visible: &'a mut Visible,
     /// Bounds of the samples that became visible.
     pub(crate) touched: Around,
-    /// Sink for every layer that is not behind the visible one; without it, the nearest
+    /// Receives every layer that is not behind the visible one; without it, the nearest layer
     /// becomes visible.
     pub(crate) layers: Option<Layers<'a>>,
 }

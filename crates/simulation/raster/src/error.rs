@@ -18,19 +18,19 @@ pub enum ModelError {
         /// Bytes that were given.
         bytes: usize,
     },
-    /// Bytes of no prepared mesh or texture.
+    /// The bytes are not a prepared mesh or texture.
     #[error("these bytes are of no prepared mesh or texture: prepare it again")]
     Bytes,
-    /// Shapes without pieces.
+    /// The number of pieces of a shape is out of range.
     #[error(
         "shapes of {slices} slices, {stacks} stacks and {quads} quads cannot be made: give 3 to 512 slices, 4 to 512 stacks and 1 to 64 quads"
     )]
     Quality {
-        /// Around an axis.
+        /// Pieces around an axis.
         slices: usize,
-        /// Along an axis.
+        /// Pieces along an axis.
         stacks: usize,
-        /// Along a side.
+        /// Pieces along a side.
         quads: usize,
     },
 }
@@ -46,7 +46,7 @@ pub enum DrawError {
         /// Pixels.
         height: usize,
     },
-    /// Camera that sees no space.
+    /// The camera's view frustum is empty or invalid.
     #[error("the camera's {what} is {value}: {needed}")]
     Camera {
         /// Name of the invalid camera parameter.
@@ -68,7 +68,7 @@ pub enum DrawError {
         /// Number of such items in the model.
         count: usize,
     },
-    /// Source bytes of a texture that have another length.
+    /// The source bytes of a texture have another length.
     #[error(
         "texture {texture} was made from {needed} bytes, and {given} are given: give the same ones"
     )]

@@ -1,5 +1,5 @@
-//! Rasterises a triangle: from its edges and depths to the samples that it covers, two
-//! pixels at a time; a large one block by block.
+//! Rasterisation of a triangle from its edges and depths to the covered samples: two pixels at a
+//! time, and block by block for large triangles.
 
 use crate::drawing::Drawing;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
@@ -13,7 +13,7 @@ const LANE_X: [i32; LANES] = [3, 7, 1, 5, 11, 15, 9, 13];
 const LANE_Y: [i32; LANES] = [1, 3, 5, 7, 1, 3, 5, 7];
 /// Position of the first pixel's first sample, in pixels along x and y.
 pub(crate) const FIRST_SAMPLE: [f32; 2] = [0.375, 0.125];
-/// Parts of a pixel from one lattice point to the next.
+/// Subpixel units between two lattice points.
 const LATTICE: i32 = 32;
 const POINTS_PER_PIXEL: i32 = SUBPIXELS / LATTICE;
 
@@ -24,13 +24,13 @@ const ROW_SHIFT: i32 = POINTS_PER_PIXEL.ilog2() as i32;
 /// Offsets of the parts of a block, in lattice points from its corner, and in pixels.
 const PART_X: [i32; LANES] = [0, 64, 0, 64, 0, 64, 0, 64];
 const PART_Y: [i32; LANES] = [0, 0, 32, 32, 64, 64, 96, 96];
-/// Triangles that reach into more pairs of pixels than this are filled part by part.
+/// Triangles that span more pairs of pixels than this are filled part by part.
 const MOST_PAIRS: i32 = 16;
 
-/// Fills one of the triangles that were set up.
+/// Fills one triangle of a setup.
 #[inline(always)]
 pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Drawing<'_>) {
-    // The remainder is the lane itself; it spares a bounds check at each read.
+    // Already below `LANES`; the remainder spares a bounds check at each read.
     let lane = lane % LANES;
     let (x, y) = (setup.x.map(|end| end[lane]), setup.y.map(|end| end[lane]));
     let id = drawing.visible.records.len() as u32;
@@ -53,10 +53,10 @@ pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Dra
     }
 }
 
-/// Pixels, ends inside, and the triangle in them.
+/// Inclusive ranges of pixels, and the triangle in them.
 type Part = ([i32; 2], [i32; 2], (Record, u32));
 
-/// The first pixels of the blocks that some pixels are in, and which they are.
+/// Returns the first pixels and the indices of the blocks that contain a range of pixels.
 fn blocks(x: [i32; 2], y: [i32; 2]) -> impl Iterator<Item = ([i32; 2], [i64; 2])> {
     let [left, low] = [x[0], y[0]].map(|first| first / BLOCK);
     (low..=y[1] / BLOCK).flat_map(move |row| {
@@ -95,7 +95,7 @@ fn fill_large(lane: usize, setup: &Setup, place: Part, drawing: &mut Drawing<'_>
     touched
 }
 
-/// Fills a triangle whose products stay within 32 bits.
+/// Fills a triangle whose products fit in 32 bits.
 #[inline(never)]
 fn fill_medium(lane: usize, setup: &Setup, place: Part, drawing: &mut Drawing<'_>) -> bool {
     let (x, y, _) = place;
@@ -111,8 +111,8 @@ fn fill_medium(lane: usize, setup: &Setup, place: Part, drawing: &mut Drawing<'_
     touched
 }
 
-/// Fills those parts of a block that the triangle reaches and that do not hide it;
-/// `at` are the edges at the block's corner. An `INSIDE` block has no edge there.
+/// Fills those parts of a block that the triangle reaches and that do not occlude it; `at` are the
+/// edge values at the block's corner. An `INSIDE` block contains no edge.
 #[inline(always)]
 fn fill_parts<const INSIDE: bool>(
     lane: usize,
@@ -182,8 +182,8 @@ fn fill_parts<const INSIDE: bool>(
     touched
 }
 
-/// The largest depths of a triangle's plane in the parts of a block, rounding
-/// allowed for.
+/// Returns upper bounds of the depths of a triangle's plane in the parts of a block, including
+/// rounding.
 #[inline(always)]
 fn most_depths(lane: usize, setup: &Setup, [x, y]: [i32; 2]) -> F {
     let real = |value: f32| F::splat(value);
@@ -202,7 +202,7 @@ fn most_depths(lane: usize, setup: &Setup, [x, y]: [i32; 2]) -> F {
     real(depth) + most_x + most_y + slack
 }
 
-/// An edge of a large triangle, block by block.
+/// Edge function of a large triangle, evaluated per block.
 struct LongEdge {
     /// Value at the corner of the first block, and its change per block.
     value: i64,
@@ -217,7 +217,7 @@ impl LongEdge {
         let is_in = i64::from(dx < 0 || dx == 0 && dy > 0);
         let block = i64::from(BLOCK * POINTS_PER_PIXEL);
         Self {
-            // Rounded down, so that the sign is that of the whole value.
+            // Rounded down, which preserves the sign.
             value: (value + is_in - 1).div_euclid(i64::from(LATTICE)),
             along: [-dx * block, dy * block],
         }
@@ -227,27 +227,27 @@ impl LongEdge {
         self.value + right * self.along[0] + down * self.along[1]
     }
 
-    /// Returns true if a block is wholly on the edge's outer side.
+    /// Returns true if a block lies entirely outside the edge.
     fn is_beyond(&self, block: [i64; 2]) -> bool {
         self.value_at(block) + self.along[0].max(0) + self.along[1].max(0) < 0
     }
 
-    /// Returns true if a block is wholly on the edge's inner side.
+    /// Returns true if a block lies entirely inside the edge.
     fn is_before(&self, block: [i64; 2]) -> bool {
         self.value_at(block) + self.along[0].min(0) + self.along[1].min(0) >= 0
     }
 
-    /// Value at a block's corner. If 32 bits are not enough, the block is far from the
-    /// edge.
+    /// Returns the value at a block's corner. A value that exceeds 32 bits is clamped, since the
+    /// block is far from the edge.
     fn at(&self, block: [i64; 2]) -> i32 {
         const FAR: i64 = 1 << 30;
         self.value_at(block).clamp(-FAR, FAR) as i32
     }
 }
 
-/// Fills the part of a triangle in some pixels; `edges` are at the corner of the
-/// first even pixel. An `INSIDE` part has no edge there. Returns whether the
-/// triangle is seen anywhere.
+/// Fills the part of a triangle in a range of pixels; `edges` are the values at the corner of the
+/// first even pixel. An `INSIDE` part contains no edge. Returns true if the triangle is visible
+/// anywhere.
 #[inline(always)]
 fn fill_block<const INSIDE: bool>(
     lane: usize,

@@ -1,16 +1,16 @@
-//! View frustum of a camera, and tests of balls against it.
+//! View frustum of a camera, and its tests against spheres.
 
 use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::matrix::Vec3;
 
-/// Sides of the view frustum, in a mesh's frame.
+/// Planes of the view frustum, in a mesh's frame.
 pub(crate) struct Frustum {
     sides: [[f32; 4]; 6],
     lengths: [f32; 6],
-    /// Sides of the whole picture, exactly.
+    /// Planes of the whole picture, without a margin.
     frame: [[f32; 4]; 6],
-    /// True if the camera sees without perspective.
+    /// True for an orthographic camera.
     pub(crate) orthographic: bool,
 }
 
@@ -22,7 +22,7 @@ impl Frustum {
         let sum = |a: [f32; 4], b: [f32; 4], sign: f32| -> [f32; 4] {
             std::array::from_fn(|at| a[at] + sign * b[at])
         };
-        // The window's own sides, half a pixel wider.
+        // Planes of the window, with a margin of half a pixel.
         let (wide, high) = (
             drawing.visible.width as f32 * 0.5,
             drawing.visible.height as f32 * 0.5,
@@ -56,8 +56,7 @@ impl Frustum {
         }
     }
 
-    /// Returns true if a ball is wholly on the inner side of all sides of the whole
-    /// picture.
+    /// Returns true if a sphere lies entirely inside the frustum of the whole picture.
     pub(crate) fn contain(&self, center: Vec3, radius: f32) -> bool {
         self.frame.iter().all(|side| {
             let (distance, slack) = distance(side, center);
@@ -65,7 +64,7 @@ impl Frustum {
         })
     }
 
-    /// Returns true if a ball is wholly beyond one of the sides, rounding allowed for.
+    /// Returns true if a sphere lies entirely outside one plane, including a margin for rounding.
     pub(crate) fn hide(&self, center: Vec3, radius: f32) -> bool {
         self.sides.iter().zip(&self.lengths).any(|(side, length)| {
             let (distance, slack) = distance(side, center);
@@ -74,7 +73,7 @@ impl Frustum {
     }
 }
 
-/// Distance of a point on the inner side, in lengths of the normal, and the bound of its
+/// Returns the scaled distance of a point from a plane, positive inside, and the bound of its
 /// rounding error.
 fn distance(side: &[f32; 4], [x, y, z]: Vec3) -> (f32, f32) {
     let parts = [side[0] * x, side[1] * y, side[2] * z, side[3]];
@@ -82,7 +81,7 @@ fn distance(side: &[f32; 4], [x, y, z]: Vec3) -> (f32, f32) {
     (parts.iter().sum(), slack)
 }
 
-/// The length of a side's normal.
+/// Returns the length of a plane's normal.
 fn length(side: &[f32; 4]) -> f32 {
     (side[0] * side[0] + side[1] * side[1] + side[2] * side[2]).sqrt()
 }

@@ -1,5 +1,5 @@
-//! Translucent geoms: blended over the geoms behind them, first from near to far, and
-//! then all of them again from far to near, as MuJoCo does.
+//! Translucent geoms, blended over the geoms behind them: first from near to far, then again from
+//! far to near, as in MuJoCo.
 
 use crate::drawing::Drawing;
 use crate::instance::{self, Instance, View, is_behind, is_plane};
@@ -11,17 +11,16 @@ use crate::shade::{self, Fragment, Lists};
 use crate::visible::{Layer, Layers, SAMPLES, Visible};
 use crate::window::{Around, Window};
 
-/// Geoms of less opacity are seen through.
+/// Geoms with an opacity below this are translucent.
 const OPAQUE_FROM: f64 = 0.995;
-/// Planes are taken to be this far away.
+/// Distance assumed for planes when sorting.
 const PLANE_DISTANCE: f32 = 1e10;
-/// Most pixels that are blended at once, and most triangles in pairs of them: a
-/// mesh may have any number of triangles one behind the other. It bounds the
-/// memory of a frame to some hundred megabytes.
+/// Most pixels blended at once, and most triangles in pairs of pixels: a mesh may have any number
+/// of overlapping triangles. This bounds the memory of a frame to some hundred megabytes.
 const MOST_PIXELS: i32 = 1 << 17;
 const MOST_LAYERS: usize = 1 << 21;
 
-/// The geoms that one can see through, the near ones first.
+/// Returns the translucent geoms, which include planes seen from behind, nearest first.
 pub(crate) fn see_through(scene: &Scene, view: &View) -> Vec<usize> {
     let mut found: Vec<(f32, usize)> = Vec::new();
     for (index, geom) in scene.geoms.iter().enumerate() {
@@ -42,7 +41,7 @@ pub(crate) fn see_through(scene: &Scene, view: &View) -> Vec<usize> {
     found.into_iter().map(|(_, index)| index).collect()
 }
 
-/// Radius of a geom around its middle, by which MuJoCo sorts.
+/// Returns the radius of a geom around its centre, by which MuJoCo sorts.
 fn reach(geom: &Geom) -> f32 {
     let [x, y, z] = geom.size;
     match geom.shape {
@@ -54,7 +53,7 @@ fn reach(geom: &Geom) -> f32 {
     }
 }
 
-/// Blends geoms, the nearest first, over a picture; returns where.
+/// Blends geoms over a picture, nearest first; returns the changed window.
 pub(crate) fn add(
     picture: &mut Picture,
     pass: Pass<'_>,
@@ -86,7 +85,7 @@ fn pixels(window: Window) -> i32 {
     (window.x[1] - window.x[0] + 1) * (window.y[1] - window.y[0] + 1)
 }
 
-/// Both halves of a window; none of a single pair of pixels.
+/// Splits a window into halves; `None` for a single pair of pixels.
 fn halves(Window { x, y }: Window) -> Option<[Window; 2]> {
     let row = y[0] + (y[1] - y[0]) / 2;
     let column = (x[0] + (x[1] - x[0]) / 2) | 1;
@@ -97,10 +96,10 @@ fn halves(Window { x, y }: Window) -> Option<[Window; 2]> {
     }
 }
 
-/// Colours of a geom in drawing order.
+/// Fragments and colours of a geom, in drawing order.
 type Painted = Vec<(Fragment, u32)>;
 
-/// All geoms in a window; none if they have more layers there than that.
+/// Paints all geoms in a window; `None` if they exceed the limit of layers.
 fn paint_all(
     picture: &mut Picture,
     pass: Pass<'_>,
@@ -119,7 +118,7 @@ fn paint_all(
         .collect()
 }
 
-/// Blends what was painted of each geom over a picture; returns where.
+/// Blends the painted fragments of each geom over a picture; returns the changed window.
 fn blend(picture: &mut Picture, painted: &[Painted]) -> Option<Window> {
     let stride = picture.visible.stride;
     let mut window = None;
@@ -136,8 +135,8 @@ fn blend(picture: &mut Picture, painted: &[Painted]) -> Option<Window> {
     window
 }
 
-/// The fragments of a geom that are in front of what is visible, in drawing order;
-/// none if they have more layers than the limit.
+/// Returns the fragments of a geom in front of the visible samples, in drawing order; `None` if
+/// they exceed the limit of layers.
 fn paint(
     picture: &mut Picture,
     pass: Pass<'_>,
@@ -183,22 +182,22 @@ fn paint(
     painted
 }
 
-/// Colours what was drawn of a geom, in drawing order.
+/// Colours the layers of a geom, in drawing order.
 fn colour(
     (instances, visible, first): (&[Instance], &Visible, usize),
     pass: Pass<'_>,
     layers: &mut [Layer],
     lists: &mut Lists,
 ) -> Painted {
-    // Stable: the pixels of one triangle do not overlap.
+    // A stable sort suffices: the pixels of one triangle do not overlap.
     layers.sort_by_key(|layer| layer.rank);
     lists.clear(first, visible.records.len(), pass.model.textures.len());
-    // Colours come back list by list; this puts them in order again.
+    // Colours are computed list by list; `order` restores the drawing order.
     let mut order = Vec::with_capacity(2 * layers.len());
     for layer in &*layers {
         let (surface, list) = lists.need(layer.id, &visible.records, instances);
         for (pixel, samples) in [(0, layer.samples & 0xf), (1, layer.samples >> SAMPLES)] {
-            // Pixels are drawn in pairs, of which one may lie beside the window.
+            // Pixels are drawn in pairs, of which one may lie outside the window.
             let x = i32::from(layer.x + pixel);
             let is_inside = (pass.window.x[0]..=pass.window.x[1]).contains(&x);
             if is_inside && samples != 0 {
@@ -220,7 +219,7 @@ fn colour(
     painted
 }
 
-/// A colour over another, by its opacity, in 8 bits.
+/// Blends a colour over another by its opacity, in 8 bits.
 fn blended(under: u32, over: u32) -> u32 {
     let (under, over) = (under.to_le_bytes(), over.to_le_bytes());
     let opacity = over[3];

@@ -1,5 +1,4 @@
-//! One pass of a frame, and the meshes in it: with the matrices that carry them
-//! to the picture, and what they look like.
+//! A drawing pass and its mesh instances, with their transformations and materials.
 
 use crate::matrix::{Matrix, Vec3, dot, minus};
 use crate::mesh::Mesh;
@@ -15,9 +14,9 @@ pub(crate) struct View {
     pub(crate) world_to_eye: Matrix,
     /// Position of the camera, world frame.
     pub(crate) head: Vec3,
-    /// True if left and right are swapped, as in a mirror.
+    /// True if left and right are swapped by a mirror.
     pub(crate) mirrored: bool,
-    /// Plane of clip space beyond which geometry is cut off.
+    /// Clip-space plane beyond which geometry is clipped.
     pub(crate) clip: Option<[f32; 4]>,
     pub(crate) orthographic: bool,
     pub(crate) far: f32,
@@ -46,8 +45,8 @@ impl View {
         }
     }
 
-    /// View in a mirror through `pos` with this normal; nothing on this side of the
-    /// mirror is shown.
+    /// Returns the view through a mirror at `pos` with this normal; geometry behind the mirror is
+    /// clipped.
     pub(crate) fn in_mirror(&self, pos: Vec3, normal: Vec3) -> Self {
         let plane = [
             -normal[0],
@@ -63,11 +62,11 @@ impl View {
         }
     }
 
-    /// A plane of the world as one of clip space.
+    /// Transforms a plane from the world into clip space.
     fn plane_in_clip_space(&self, [a, b, c, d]: [f32; 4]) -> Option<[f32; 4]> {
         let view = &self.world_to_eye;
         let turn = view.inverse_of_linear_part()?;
-        // The normal turns with the rotation; the offset follows from a point.
+        // The normal is rotated; the offset follows from a point.
         let normal: Vec3 =
             std::array::from_fn(|row| turn[row] * a + turn[3 + row] * b + turn[6 + row] * c);
         let shift = [view.0[12], view.0[13], view.0[14]];
@@ -90,13 +89,13 @@ impl View {
 pub(crate) enum Mapping {
     /// No texture.
     None,
-    /// Flat, at the texture coordinates of the mesh's corners.
+    /// A flat texture, at the texture coordinates of the mesh's corners.
     Corners,
-    /// Flat, over x and y, scaled so.
+    /// A flat texture over x and y, with this scale.
     Flat([f32; 2]),
-    /// A cube, in the direction from the centre, scaled so.
+    /// A cube texture in the direction from the centre, with this scale.
     Cube([f32; 3]),
-    /// A cube around everything.
+    /// A cube texture around the whole scene.
     Sky,
 }
 
@@ -108,15 +107,14 @@ pub(crate) struct Instance {
     pub(crate) geom: usize,
     pub(crate) to_eye: Matrix,
     pub(crate) to_clip: Matrix,
-    /// Inverse of the upper left of `to_eye`, row by row.
+    /// Inverse of the upper left 3 × 3 part of `to_eye`, row by row.
     pub(crate) normals: [f32; 9],
     /// Position of the eye in the mesh's frame, or the viewing direction if the eye is
     /// infinitely far away.
     pub(crate) eye: Vec3,
-    /// True if the front of a triangle shows its corners counter-clockwise.
+    /// True if front faces are wound counter-clockwise.
     pub(crate) counter_clockwise: bool,
-    /// True if the back of its triangles is drawn: the side that does not show to an eye
-    /// outside.
+    /// True if back faces are drawn instead of front faces.
     pub(crate) inside_out: bool,
     /// True if lights determine its colour; otherwise it is white.
     pub(crate) is_lit: bool,
@@ -126,16 +124,15 @@ pub(crate) struct Instance {
     pub(crate) shininess: f32,
     pub(crate) texture: Option<usize>,
     pub(crate) mapping: Mapping,
-    /// Distance of its far end, for drawing first what is near and does not reach
-    /// behind others.
+    /// Distance of its far end. Instances are drawn by this distance, so that near ones come first.
     pub(crate) distance: f32,
-    /// Position in the order in which OpenGL would draw.
+    /// Position in OpenGL's drawing order.
     pub(crate) rank: u32,
-    /// Upper bound of the window in which it became visible.
+    /// Bounding window of the pixels in which it became visible.
     pub(crate) window: Option<Window>,
 }
 
-/// Names a mesh of a model.
+/// Reference to a mesh of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum MeshOf {
     Mesh(usize),
@@ -165,10 +162,10 @@ impl MeshOf {
     }
 }
 
-/// Meshes that a geom consists of at most.
+/// Most meshes of one geom.
 const MOST_PARTS: u32 = 4;
 
-/// Adds what a geom consists of.
+/// Adds the instances of a geom.
 pub(crate) fn add(geom: usize, it: &Geom, view: &View, model: &Model, into: &mut Vec<Instance>) {
     let placed = view
         .world_to_eye
@@ -187,7 +184,7 @@ pub(crate) fn add(geom: usize, it: &Geom, view: &View, model: &Model, into: &mut
         parts += 1;
         instance.rgba = it.rgba;
         if behind {
-            // Computed in double precision, as C multiplies by such a constant.
+            // In double precision, as C multiplies by such a constant.
             instance.rgba[3] = (f64::from(instance.rgba[3]) * 0.3) as f32;
         }
         instance.emission = it.emission;
@@ -221,7 +218,7 @@ pub(crate) fn add(geom: usize, it: &Geom, view: &View, model: &Model, into: &mut
     }
 }
 
-/// The sky: a cylinder around the head, seen from inside.
+/// Returns the sky: a cylinder around the camera, seen from inside.
 pub(crate) fn sky(texture: usize, view: &View, model: &Model) -> Option<Instance> {
     // Just below the reciprocal of √2, so that no corner is beyond the far plane.
     let size = (f64::from(view.far) * f64::from(0.70f32)) as f32;
@@ -237,14 +234,14 @@ pub(crate) fn sky(texture: usize, view: &View, model: &Model) -> Option<Instance
 }
 
 impl Instance {
-    /// `None` if nothing of the mesh can be seen, whatever the camera looks at.
+    /// Returns `None` if no part of the mesh can be visible.
     fn new(mesh: MeshOf, geom: usize, to_eye: Matrix, view: &View, model: &Model) -> Option<Self> {
         let bounds = mesh.of(model).bounds;
         let finite = to_eye.0.iter().all(|value| value.is_finite());
         if bounds.radius == 0.0 || !finite {
             return None;
         }
-        // Mesa takes the identity for the inverse of what has none.
+        // Mesa uses the identity as the inverse of a singular matrix.
         const IDENTITY: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
         let inverse = to_eye.inverse_of_linear_part();
         let normals = inverse.unwrap_or(IDENTITY);
@@ -254,7 +251,7 @@ impl Instance {
                 normals[3 * row] * v[0] + normals[3 * row + 1] * v[1] + normals[3 * row + 2] * v[2]
             })
         };
-        // A NaN eye hides nothing.
+        // A NaN eye culls nothing.
         let eye = match (inverse, view.orthographic) {
             (None, _) => [f32::NAN; 3],
             (_, true) => back([0.0, 0.0, -1.0]),

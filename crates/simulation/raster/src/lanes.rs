@@ -1,6 +1,6 @@
-//! Eight numbers at a time. Every operation is one of IEEE 754's or of two's
-//! complement, so that a result does not depend on which instructions do it; a
-//! fused multiply-add is fused, by software if need be.
+//! Vectors of eight numbers. Every operation follows IEEE 754 or two's complement exactly, so that
+//! results do not depend on the instruction set. Fused multiply-adds are always fused, in software
+//! if necessary.
 
 use std::ops::{BitAnd, BitOr, Not};
 
@@ -10,7 +10,7 @@ pub(crate) use wide::{f32x4, f32x8 as F, i16x16, i32x4, i32x8 as I};
 /// Number of lanes of a vector.
 pub(crate) const LANES: usize = 8;
 
-/// A truth of each: all bits set or none.
+/// Truth value per lane: all bits set or none.
 #[derive(Clone, Copy)]
 pub(crate) struct Mask(I);
 
@@ -26,7 +26,7 @@ impl Mask {
         self.0.bitselect(yes, no)
     }
 
-    /// Bit `n` is that of lane `n`.
+    /// Packs the lanes into bits: bit `n` is lane `n`.
     #[inline(always)]
     pub(crate) fn bits(self) -> u32 {
         self.0.to_bitmask()
@@ -42,7 +42,7 @@ impl Mask {
         self.0.all()
     }
 
-    /// -1 where true, 0 elsewhere.
+    /// Returns -1 in true lanes and 0 in false ones.
     #[inline(always)]
     pub(crate) fn ints(self) -> I {
         self.0
@@ -83,20 +83,20 @@ impl Not for Mask {
     }
 }
 
-/// Operations of [`F`] beside arithmetic.
+/// Operations of [`F`] besides arithmetic.
 pub(crate) trait Floats: Sized {
     fn load(from: &[f32]) -> Self;
     fn store(self, to: &mut [f32]);
-    /// `self * by + plus`, rounded once.
+    /// Returns `self * by + plus`, rounded once.
     fn fused(self, by: Self, plus: Self) -> Self;
     fn lt(self, other: Self) -> Mask;
     fn le(self, other: Self) -> Mask;
     fn gt(self, other: Self) -> Mask;
     fn ge(self, other: Self) -> Mask;
     fn equals(self, other: Self) -> Mask;
-    /// Rounds to the nearest whole number, halves to the even one.
+    /// Rounds to the nearest integer, ties to even.
     fn nearest(self) -> I;
-    /// Rounds to the next whole number towards zero.
+    /// Truncates towards zero.
     fn whole(self) -> I;
     fn to_signed_bits(self) -> I;
     fn from_signed_bits(bits: I) -> Self;
@@ -177,7 +177,7 @@ impl Floats for F {
     }
 }
 
-/// Operations of [`I`] beside arithmetic.
+/// Operations of [`I`] besides arithmetic.
 pub(crate) trait Ints: Sized {
     fn store(self, to: &mut [i32]);
     fn load_unsigned(from: &[u32]) -> Self;

@@ -1,11 +1,11 @@
-//! MuJoCo's classic look, drawn in software: triangles, lights, textures,
-//! mirrors and glass, as MuJoCo's renderer draws them through Mesa's software
-//! OpenGL, with the same bits on every machine. No OpenGL, no MuJoCo: a
-//! [`Model`] is prepared once, a [`Scene`] is drawn on a [`Canvas`].
+//! Software renderer with MuJoCo's classic look: triangles, lights, textures, mirrors and
+//! translucency, as MuJoCo's renderer draws them through Mesa's software OpenGL, with the same bits
+//! on every machine. Depends on neither OpenGL nor MuJoCo. A [`Model`] is prepared once; a
+//! [`Scene`] is drawn on a [`Canvas`].
 //!
-//! Every operation is one of IEEE 754's, in a stated order: sums, products,
-//! quotients, square roots, and fused multiply-adds where they are called so.
-//! None is approximate, none depends on how many lanes a processor has.
+//! Every operation is an IEEE 754 operation in a fixed order: sums, products, quotients, square
+//! roots, and explicit fused multiply-adds. No operation is approximate or depends on the
+//! processor's vector width.
 
 #![forbid(unsafe_code)]
 
@@ -50,10 +50,10 @@ pub use segments::segments;
 pub use shapes::{Quality, mesh_triangle, plane, plane_grid};
 pub use texture::{Texture, TextureKind};
 
-/// This renderer and its version, which changes whenever any frame of any scene
-/// changes by a bit.
+/// Name and version of the renderer. The version changes whenever any bit of any frame of any scene
+/// changes.
 pub const NAME: &str = "rollout-raster 2";
 
-/// Digest of this crate's sources: models that are kept as bytes are read by the code that
-/// prepared them, or prepared again.
+/// Digest of this crate's sources. Serialised models are only valid for the sources that wrote
+/// them, and are prepared again otherwise.
 pub const SOURCES: &str = env!("RASTER_SOURCES");

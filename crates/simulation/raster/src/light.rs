@@ -1,15 +1,14 @@
-//! OpenGL's lighting of vertices, as Mesa's vertex programs do it: a local
-//! viewer, one side, highlights added before the texture. Eight corners at a
-//! time.
+//! OpenGL's vertex lighting, as in Mesa's vertex programs: local viewer, one-sided, highlights
+//! added before texturing. Eight corners at a time.
 
 use crate::instance::{Instance, View};
 use crate::lanes::{F, Floats as _, I, Ints as _};
 use crate::matrix::{Vec3, dot};
 use crate::scene::{Light, LightKind, Scene};
 
-/// Lights that OpenGL has.
+/// Most lights in OpenGL.
 const MOST_LIGHTS: usize = 8;
-/// Light that reaches everything in a scene without lights.
+/// Ambient light in a scene without lights.
 const AMBIENT_WITHOUT_LIGHTS: f32 = 0.3;
 /// Largest exponent of a highlight.
 const MOST_SHININESS: f32 = 128.0;
@@ -17,12 +16,11 @@ const MOST_SHININESS: f32 = 128.0;
 /// A light in the eye's frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct EyeLight {
-    /// Position of the light; for a directional one, the direction that its light comes
-    /// from.
+    /// Position of the light; for a directional light, the direction towards the light.
     place: Vec3,
     cone: Option<Cone>,
     is_directional: bool,
-    /// Attenuation with distance, where there is any.
+    /// Distance attenuation, if any.
     attenuation: Option<Vec3>,
     ambient: Vec3,
     diffuse: Vec3,
@@ -36,7 +34,7 @@ struct Cone {
     exponent: f32,
 }
 
-/// Scales to unit length, except the zero vector; by Mesa's operations.
+/// Normalises a vector with Mesa's operations; leaves the zero vector unchanged.
 fn unit(v: Vec3) -> Vec3 {
     let square = dot(v, v);
     if square == 0.0 {
@@ -47,7 +45,7 @@ fn unit(v: Vec3) -> Vec3 {
 }
 
 impl EyeLight {
-    /// Lights of the scene, as many as OpenGL has.
+    /// Returns the lights of the scene, up to OpenGL's limit.
     pub(crate) fn all(scene: &Scene, view: &View) -> Vec<Self> {
         let lights = scene.lights.iter().take(MOST_LIGHTS);
         lights.map(|light| Self::new(light, view)).collect()
@@ -97,8 +95,8 @@ pub(crate) struct Shading<'a> {
     /// Colour without any light.
     base: Vec3,
     products: [[Vec3; 3]; MOST_LIGHTS],
-    /// True per light if it adds only its ambient part to corners that face away from it.
-    /// Its numbers must be finite for that, since infinity times zero is not zero.
+    /// True per light if it adds only its ambient part to corners that face away. Requires finite
+    /// values, since infinity times zero is not zero.
     is_tame: [bool; MOST_LIGHTS],
     shininess: f32,
 }
@@ -148,7 +146,7 @@ impl<'a> Shading<'a> {
 
 type Vec3x8 = [F; 3];
 
-/// The last part first, as Mesa adds up.
+/// Dot product in Mesa's order of summation, last component first.
 #[inline(always)]
 fn dot8(a: Vec3x8, b: Vec3x8) -> F {
     a[2] * b[2] + a[1] * b[1] + a[0] * b[0]
@@ -165,8 +163,8 @@ fn minus8(a: Vec3x8, b: Vec3x8) -> Vec3x8 {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// The colours of corners at `pos` with `normal`, both as the eye has them, the
-/// latter of any length.
+/// Returns the colours of corners at `pos` with `normal`, both in the eye frame; `normal` may have
+/// any length.
 #[inline(always)]
 pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x8 {
     let splat = |value: f32| F::splat(value);
@@ -201,7 +199,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
             false => attenuated(light, to_light, over_distance),
         };
         let (is_lit, lit) = (facing.gt(zero), facing.max(zero));
-        // Without a shininess, Mesa's program reads the same number in its place.
+        // Without shininess, Mesa's program reads the same register in its place.
         let (near, exponent) = if has_highlights && products[2] != [0.0; 3] {
             let half = unit8(minus8(to_light, towards_pos));
             (
@@ -211,7 +209,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
         } else {
             (facing, facing)
         };
-        // Highlights that are not visible add nothing.
+        // Invisible highlights add nothing.
         let highlight = if products[2] == [0.0; 3] {
             zero
         } else if has_highlights || attenuation.is_some() {
@@ -232,7 +230,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
     colour.map(|part| part.max(zero).min(one))
 }
 
-/// Attenuation of a light; `None` if all of it arrives.
+/// Returns the attenuation of a light; `None` if it is not attenuated.
 #[inline(always)]
 fn attenuated(light: &EyeLight, to_light: Vec3x8, over_distance: F) -> Option<F> {
     let splat = |value: f32| F::splat(value);
@@ -265,7 +263,7 @@ const LOG2: [f32; 5] = [
     0.403_343_86,
     0.406_718_05,
 ];
-/// The same of the power of two, in the fraction.
+/// Coefficients of Mesa's polynomial for the power of two of a fraction.
 const EXP2: [f32; 6] = [
     1.0,
     0.693_153_1,
@@ -275,8 +273,8 @@ const EXP2: [f32; 6] = [
     0.001_877_576_7,
 ];
 
-/// `base` to the power of `exponent`, for a base that is not negative; zero for
-/// a base of zero, whatever the exponent.
+/// Returns `base` to the power of `exponent` for a non-negative base; zero for a base of zero,
+/// whatever the exponent.
 #[inline(always)]
 fn power(base: F, exponent: F) -> F {
     let splat = |value: f32| F::splat(value);

@@ -1,6 +1,6 @@
-//! Four-by-four matrices in single precision, column by column as OpenGL keeps
-//! them. The order of every operation is Mesa's, because a difference in the
-//! last place of a vertex shows where surfaces coincide.
+//! Four-by-four matrices in single precision, column-major as in OpenGL. Every operation follows
+//! Mesa's order, because a difference in the last bit of a vertex becomes visible where surfaces
+//! coincide.
 
 use crate::lanes::F;
 
@@ -8,9 +8,9 @@ use crate::lanes::F;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Matrix(pub(crate) [f32; 16]);
 
-/// Below this, Mesa takes a difference between matrix elements for rounding.
+/// Mesa treats smaller differences between matrix elements as rounding errors.
 const SMALL: f32 = 1e-6;
-/// Below this, Mesa takes a matrix for singular.
+/// Mesa treats a matrix with a smaller determinant as singular.
 const SINGULAR: f32 = 1e-25;
 
 pub(crate) type Vec3 = [f32; 3];
@@ -25,7 +25,7 @@ impl Matrix {
         Self(values)
     };
 
-    /// The matrix product.
+    /// Returns the matrix product.
     pub(crate) fn times(&self, other: &Self) -> Self {
         let (a, b) = (&self.0, &other.0);
         Self(std::array::from_fn(|index| {
@@ -37,7 +37,7 @@ impl Matrix {
         }))
     }
 
-    /// Rows of the product with eight points.
+    /// Returns a function that computes rows of the product with eight points.
     #[inline(always)]
     pub(crate) fn rows(&self, [x, y, z]: [F; 3]) -> impl Fn(usize) -> F + use<> {
         let m = self.0.map(F::splat);
@@ -52,8 +52,7 @@ impl Matrix {
         self
     }
 
-    /// A projection that carries everything so much further along x and y of the
-    /// picture, which reaches from -1 to 1.
+    /// Shifts a projection along x and y of the picture, which extends from -1 to 1.
     pub(crate) fn shifted(mut self, shift: [f32; 2]) -> Self {
         for column in self.0.chunks_exact_mut(4) {
             column[0] += shift[0] * column[3];
@@ -72,7 +71,7 @@ impl Matrix {
         self
     }
 
-    /// A rotation, given row by row, without translation.
+    /// Creates a rotation from its rows, without translation.
     pub(crate) fn rotation(rows: &[f32; 9]) -> Self {
         let r = rows;
         Self([
@@ -80,8 +79,8 @@ impl Matrix {
         ])
     }
 
-    /// Perspective with depth reversed: 1 at the near plane, 0 at the far one.
-    /// The sides are those of the near plane's rectangle.
+    /// Creates a reversed-depth perspective: 1 at the near plane, 0 at the far plane. The sides are
+    /// those of the near plane's rectangle.
     pub(crate) fn perspective(
         [left, right]: [f32; 2],
         [bottom, top]: [f32; 2],
@@ -98,7 +97,7 @@ impl Matrix {
         reversed_depth().times(&Self(m))
     }
 
-    /// The same without perspective.
+    /// Creates an orthographic projection with the same conventions.
     pub(crate) fn orthographic(
         [left, right]: [f32; 2],
         [bottom, top]: [f32; 2],
@@ -115,7 +114,7 @@ impl Matrix {
         reversed_depth().times(&Self(m))
     }
 
-    /// Transformation from the world to the eye.
+    /// Creates the transformation from the world to the eye.
     pub(crate) fn look_at(eye: Vec3, forward: Vec3, up: Vec3) -> Self {
         let f = normalized(forward);
         let s = normalized(cross(f, up));
@@ -141,7 +140,7 @@ impl Matrix {
         Self::IDENTITY.times(&m)
     }
 
-    /// Mirrors at a plane through `pos` with this unit normal.
+    /// Creates a reflection at a plane through `pos` with this unit normal.
     pub(crate) fn mirror(pos: Vec3, normal: Vec3) -> Self {
         let v = normal;
         let outer: [f32; 9] = std::array::from_fn(|index| v[index / 3] * v[index % 3]);
@@ -166,20 +165,20 @@ impl Matrix {
         ])
     }
 
-    /// A point, carried along.
+    /// Transforms a point.
     pub(crate) fn point(&self, [x, y, z]: Vec3) -> Vec3 {
         let m = &self.0;
         std::array::from_fn(|row| m[row] * x + m[row + 4] * y + m[row + 8] * z + m[row + 12])
     }
 
-    /// A direction, carried along.
+    /// Transforms a direction.
     pub(crate) fn direction(&self, [x, y, z]: Vec3) -> Vec3 {
         let m = &self.0;
         std::array::from_fn(|row| m[row] * x + m[row + 4] * y + m[row + 8] * z)
     }
 
-    /// The inverse of the upper left three by three elements, row by row; none
-    /// if they have none. Mesa transposes what it takes for a rotation.
+    /// Returns the inverse of the upper left 3 × 3 part, row by row; `None` if it is singular. Mesa
+    /// transposes matrices that it considers rotations.
     pub(crate) fn inverse_of_linear_part(&self) -> Option<[f32; 9]> {
         let m = &self.0;
         let (c1, c2, c3): (Vec3, Vec3, Vec3) =
@@ -204,7 +203,7 @@ fn reversed_depth() -> Matrix {
         .scaled([1.0, 1.0, -0.5])
 }
 
-/// Inverse by cofactors, row by row.
+/// Returns the inverse by cofactors, row by row.
 fn general_inverse(at: impl Fn(usize, usize) -> f32) -> Option<[f32; 9]> {
     let (mut positive, mut negative) = (0.0f32, 0.0f32);
     for term in [
@@ -258,7 +257,7 @@ pub(crate) fn minus(a: Vec3, b: Vec3) -> Vec3 {
     std::array::from_fn(|axis| a[axis] - b[axis])
 }
 
-/// A vector of length one; the z axis for one without direction.
+/// Normalises a vector; returns the z axis for a vector without direction.
 pub(crate) fn normalized(v: Vec3) -> Vec3 {
     let length = dot(v, v).sqrt();
     if length < 1e-10 {

@@ -1,7 +1,6 @@
-//! Triangles, prepared once: in clusters of neighbours that face the same way,
-//! so that whole clusters can be passed over. Corners in one place are one position of
-//! their cluster, which is carried to the picture once; corners that have everything in
-//! common are one vertex, which is lit once.
+//! Meshes, prepared once. Triangles are grouped into clusters of neighbours with similar normals,
+//! so that whole clusters can be culled. Corners at one place share a position of their cluster,
+//! which is transformed once; identical corners share a vertex, which is lit once.
 
 use std::collections::HashMap;
 
@@ -12,10 +11,10 @@ use crate::lanes::LANES;
 use crate::matrix::{Vec3, cross, dot, minus};
 use crate::values::{Blob, Values};
 
-/// Triangles in a cluster at most. Their corners fit a byte.
+/// Most triangles in a cluster, so that indices of their corners fit a byte.
 pub(crate) const CLUSTER: usize = 64;
-/// Weight of a difference in facing against a distance when clusters are cut, in radii of
-/// the mesh.
+/// Weight of the difference in normals against distance when clusters are split, in radii of the
+/// mesh.
 const FACING_WEIGHT: f32 = 0.35;
 
 /// A corner of a triangle.
@@ -30,8 +29,7 @@ pub struct Corner {
 }
 
 impl Corner {
-    /// Bit patterns of all fields, by which corners are compared; zeros of both signs
-    /// differ.
+    /// Returns the bits of all fields for comparison; zeros of different sign are unequal.
     fn bits(&self) -> [u32; 8] {
         let ([x, y, z], [nx, ny, nz], [s, t]) = (self.pos, self.normal, self.st);
         [x, y, z, nx, ny, nz, s, t].map(f32::to_bits)
@@ -48,10 +46,10 @@ pub struct Mesh {
     pub(crate) zs: Values<f32>,
     /// Vertices, cluster by cluster: position, normal and texture coordinates.
     pub(crate) vertices: Values<Vertex>,
-    /// Triangles, cluster by cluster, each padded to a multiple of eight: in which of
-    /// the cluster's positions its corners are.
+    /// Per triangle, cluster by cluster, padded to a multiple of eight: position indices of its
+    /// corners within the cluster.
     pub(crate) places: [Values<u8>; 3],
-    /// Corners of the same triangles, as indices of the cluster's vertices.
+    /// Vertex indices of the same triangles' corners within the cluster.
     pub(crate) corners: [Values<u8>; 3],
     /// Per triangle: position in the mesh's drawing order.
     pub(crate) order: Values<u32>,
@@ -61,7 +59,7 @@ pub struct Mesh {
 /// Vertex in the layout of [`Mesh::vertices`].
 pub(crate) type Vertex = [f32; 8];
 
-/// A ball around something.
+/// A bounding sphere.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sphere {
     pub(crate) center: Vec3,
@@ -72,8 +70,7 @@ pub(crate) struct Sphere {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cluster {
     pub(crate) bounds: Sphere,
-    /// All its triangles face away from an eye that is further than `1 / away` in
-    /// this sense: see [`Cluster::faces_away_from`].
+    /// Axis of the normal cone; see [`Cluster::faces_away_from`].
     axis: Vec3,
     sine: f32,
     pub(crate) first_position: u32,
@@ -85,41 +82,42 @@ pub(crate) struct Cluster {
 }
 
 impl Cluster {
-    /// Returns true if no triangle shows its front to an eye, in the mesh's own frame.
+    /// Returns true if every triangle is back-facing for an eye in the mesh's frame.
     pub(crate) fn faces_away_from(&self, eye: Vec3) -> bool {
         let to = minus(self.bounds.center, eye);
         let distance = dot(to, to).sqrt();
-        // Rounding, of poses too, must not hide a triangle on edge.
+        // Tolerates rounding, including that of poses, for triangles seen edge-on.
         dot(to, self.axis) > (self.sine + 2e-3) * distance + 1.01 * self.bounds.radius
     }
 
-    /// The same for an eye infinitely far away, which looks this way.
+    /// Returns true if every triangle is back-facing for an infinitely distant eye with this
+    /// viewing direction.
     pub(crate) fn faces_along(&self, forward: Vec3) -> bool {
         let length = dot(forward, forward).sqrt();
         dot(forward, self.axis) > (self.sine + 2e-3) * length
     }
 }
 
-/// Gathers the triangles of a mesh in the order in which they are drawn.
+/// Collects the triangles of a mesh in drawing order.
 #[derive(Debug, Default)]
 pub struct MeshBuilder {
     triangles: Vec<[Corner; 3]>,
 }
 
 impl MeshBuilder {
-    /// Adds a triangle; its front shows its corners counter-clockwise.
+    /// Adds a triangle whose front is wound counter-clockwise.
     pub fn triangle(&mut self, corners: [Corner; 3]) {
         self.triangles.push(corners);
     }
 
-    /// Adds a quadrilateral, cut as Mesa cuts it.
+    /// Adds a quadrilateral, split into triangles as in Mesa.
     pub fn quad(&mut self, [a, b, c, d]: [Corner; 4]) {
         self.triangle([a, b, d]);
         self.triangle([b, c, d]);
     }
 
-    /// Prepares the mesh. Triangles with a position that is no number, and
-    /// those with two corners in one place, are never seen and left out.
+    /// Prepares the mesh. Triangles with a NaN position or with two corners at one place are
+    /// invisible and left out.
     pub fn build(self) -> Mesh {
         let bits = |corner: &Corner| corner.pos.map(f32::to_bits);
         let seen = |corners: &[Corner; 3]| {
@@ -151,11 +149,11 @@ impl MeshBuilder {
     }
 }
 
-/// A triangle on its way into a cluster.
+/// A triangle to be assigned to a cluster.
 struct Piece {
     order: u32,
     pos: [Vec3; 3],
-    /// Unit normal of its plane; zero where it has none.
+    /// Unit normal of its plane; zero if degenerate.
     facing: Vec3,
     key: [f32; 6],
 }
@@ -182,7 +180,7 @@ impl Piece {
     }
 }
 
-/// Cuts along the widest direction until the pieces are small enough.
+/// Splits along the widest dimension until the pieces fit a cluster.
 fn cut(pieces: &mut [Piece], emit: &mut impl FnMut(&mut [Piece])) {
     if pieces.is_empty() {
         return;
@@ -202,7 +200,7 @@ fn cut(pieces: &mut [Piece], emit: &mut impl FnMut(&mut [Piece])) {
         })
         .max_by(|a, b| a.1.total_cmp(&b.1));
     let axis = widest.map_or(0, |(axis, _)| axis);
-    // Full clusters on the left, whatever is over on the right.
+    // Fills the clusters on the left completely; the remainder goes to the right.
     let middle = (pieces.len() / 2).next_multiple_of(CLUSTER);
     pieces.select_nth_unstable_by(middle - 1, |a, b| a.key[axis].total_cmp(&b.key[axis]));
     let (left, right) = pieces.split_at_mut(middle);
@@ -212,7 +210,7 @@ fn cut(pieces: &mut [Piece], emit: &mut impl FnMut(&mut [Piece])) {
 
 impl Mesh {
     fn add_cluster(&mut self, pieces: &mut [Piece], triangles: &[[Corner; 3]]) {
-        // Drawing order: later triangles win where depths are equal.
+        // In drawing order: a later triangle wins at equal depth.
         pieces.sort_unstable_by_key(|piece| piece.order);
         let (first_position, first_vertex) = (self.xs.len() as u32, self.vertices.len() as u32);
         let first_triangle = self.order.len() as u32;
@@ -267,7 +265,7 @@ impl Mesh {
         self.zs.push(z);
     }
 
-    /// The mesh as bytes, for [`Mesh::from_bytes`] of the same [`SOURCES`](crate::SOURCES) on
+    /// Serialises the mesh for [`Mesh::from_bytes`] with the same [`SOURCES`](crate::SOURCES) on
     /// the same kind of machine.
     pub fn to_bytes(&self) -> Vec<u8> {
         let Self {
@@ -299,11 +297,11 @@ impl Mesh {
         bytes
     }
 
-    /// A mesh whose arrays stay where they are in the bytes of [`Mesh::to_bytes`]; those are
-    /// aligned to four.
+    /// Deserialises a mesh without copying its arrays out of the bytes of [`Mesh::to_bytes`], which
+    /// must be aligned to four.
     ///
     /// # Errors
-    /// If the bytes are of no mesh.
+    /// If the bytes are not a mesh.
     pub fn from_bytes(bytes: Bytes) -> Result<Self, ModelError> {
         Self::read(Blob::new(bytes)).ok_or(ModelError::Bytes)
     }
@@ -341,7 +339,7 @@ impl Mesh {
         (blob.is_empty() && mesh.clusters.iter().all(lies_inside)).then_some(mesh)
     }
 
-    /// Number of triangles.
+    /// Returns the number of triangles.
     pub fn triangles(&self) -> usize {
         let counts = self
             .clusters
@@ -372,7 +370,7 @@ impl Sphere {
     }
 }
 
-/// Numbers that a cluster is kept as.
+/// Words in a serialised cluster.
 const WORDS: usize = 14;
 
 impl Cluster {
@@ -402,7 +400,7 @@ impl Cluster {
     }
 }
 
-/// A ball around points; not the smallest.
+/// Returns a bounding sphere of points, not necessarily the smallest.
 fn ball(points: impl Iterator<Item = Vec3> + Clone) -> Sphere {
     let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for point in points.clone() {
@@ -414,7 +412,7 @@ fn ball(points: impl Iterator<Item = Vec3> + Clone) -> Sphere {
     if low[0] > high[0] {
         return Sphere::default();
     }
-    // Halves first: the sum of two large numbers may be none.
+    // Halves before adding, since the sum of two large numbers may overflow.
     let center: Vec3 = std::array::from_fn(|axis| low[axis] * 0.5 + high[axis] * 0.5);
     let furthest = points
         .map(|point| {
@@ -428,8 +426,8 @@ fn ball(points: impl Iterator<Item = Vec3> + Clone) -> Sphere {
     }
 }
 
-/// The mean direction that triangles face, and the sine of the widest angle
-/// from it; an axis of zero where they face everywhere.
+/// Returns the mean normal of triangles and the sine of the largest angle from it; a zero axis if
+/// the normals differ too much.
 fn cone(pieces: &[Piece]) -> (Vec3, f32) {
     const EVERYWHERE: (Vec3, f32) = ([0.0; 3], 1.0);
     let mut sum = [0.0; 3];
@@ -512,7 +510,7 @@ mod tests {
             builder.triangle([lifted, corner(x, x, 1.0), corner(x, -x, 2.0)]);
         }
         let bytes = builder.build().to_bytes();
-        // Vectors of bytes need not be aligned, mapped files are.
+        // Vectors of bytes may be misaligned; mapped files are aligned.
         let words: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
         let aligned = Bytes::from_owner(Aligned(words)).slice(..bytes.len());
         let back = Mesh::from_bytes(aligned.clone()).expect("a mesh");

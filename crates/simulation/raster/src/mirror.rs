@@ -12,7 +12,7 @@ use crate::shapes::is_upper_face;
 use crate::visible::{Ranks, SAMPLES};
 use crate::window::Window;
 
-/// The geom that mirrors, if the camera is before its face.
+/// Returns the mirroring geom, if the camera is in front of its face.
 pub(crate) fn find(scene: &Scene, view: &View, glassy: &[usize]) -> Option<usize> {
     let can = |geom: &Geom| is_plane(geom) || geom.shape == Shape::Box;
     let found = (0..scene.geoms.len()).find(|index| {
@@ -27,7 +27,7 @@ pub(crate) fn find(scene: &Scene, view: &View, glassy: &[usize]) -> Option<usize
     (scene.reflections && !is_behind(view.head, &face)).then_some(found)
 }
 
-/// A point of the face, and its normal.
+/// Returns a point of the face, and its normal.
 fn plane(geom: &Geom) -> ([f32; 3], [f32; 3]) {
     let normal = [geom.mat[2], geom.mat[5], geom.mat[8]];
     let raised = match geom.shape {
@@ -38,8 +38,8 @@ fn plane(geom: &Geom) -> ([f32; 3], [f32; 3]) {
     (pos, normal)
 }
 
-/// Adds what the face mirrors to the samples at which it is visible; returns
-/// where. `other` is a picture to draw it in.
+/// Adds the reflection to the samples at which the mirror face is visible; returns the changed
+/// window. `other` is the picture in which the reflection is drawn.
 pub(crate) fn add(
     picture: &mut Picture,
     other: &mut Picture,
@@ -92,7 +92,7 @@ pub(crate) fn add(
 /// Visible samples of the mirror face.
 struct Face {
     window: Window,
-    /// Pixel indices, each with the bits of its samples.
+    /// Pixel indices, each with the bits of its visible samples.
     pixels: Vec<(usize, u8)>,
 }
 

@@ -7,23 +7,23 @@ use crate::mesh::Mesh;
 use crate::shapes::{Quality, Shapes};
 use crate::texture::Texture;
 
-/// The meshes, planes and textures of a model, ready to be drawn.
+/// Meshes, planes and textures of a model, ready to be drawn.
 #[derive(Debug)]
 pub struct Model {
-    /// Meshes, named by their place; other models may have the same.
+    /// Meshes, by index; may be shared with other models.
     pub meshes: Vec<Arc<Mesh>>,
-    /// Planes with a grid, named by their place.
+    /// Plane grids, by index.
     pub planes: Vec<Mesh>,
-    /// Textures, named by their place; other models may have the same.
+    /// Textures, by index; may be shared with other models.
     pub textures: Vec<Arc<Texture>>,
     pub(crate) shapes: Shapes,
 }
 
 impl Model {
-    /// A model of built-in shapes only, to be filled.
+    /// Creates a model with only built-in shapes.
     ///
     /// # Errors
-    /// If shapes cannot be made of this many pieces.
+    /// If the number of pieces is out of range.
     pub fn new(quality: Quality) -> Result<Self, ModelError> {
         let Quality {
             slices,

@@ -1,5 +1,4 @@
-//! A picture in the making: what is visible of some instances, and the colours of
-//! its samples.
+//! A picture being drawn: the visible surfaces of some instances, and the colours of their samples.
 
 use crate::drawing::Drawing;
 use crate::instance::{Instance, View};
@@ -11,7 +10,7 @@ use crate::shade::{self, Lists};
 use crate::visible::{SAMPLES, Visible};
 use crate::window::{Around, Window};
 
-/// A picture in the making.
+/// A picture being drawn.
 #[derive(Default)]
 pub(crate) struct Picture {
     pub(crate) instances: Vec<Instance>,
@@ -32,7 +31,7 @@ pub(crate) struct Pass<'a> {
     pub(crate) window: Window,
 }
 
-/// Room for what is worked out on the way, used again from frame to frame.
+/// Buffers for intermediate results, reused from frame to frame.
 #[derive(Default)]
 pub(crate) struct Workspace {
     pub(crate) positions: Box<Positions>,
@@ -40,7 +39,7 @@ pub(crate) struct Workspace {
     order: Vec<usize>,
 }
 
-/// Per set of samples: all bits of the samples in it, and none of the others.
+/// Per set of samples: a mask with all bits of these samples' colours.
 const OWN_SAMPLES: [[u32; SAMPLES]; 1 << SAMPLES] = {
     let mut masks = [[0; SAMPLES]; 1 << SAMPLES];
     let mut at = 0;
@@ -55,7 +54,7 @@ const OWN_SAMPLES: [[u32; SAMPLES]; 1 << SAMPLES] = {
 };
 
 impl Picture {
-    /// Starts over with nothing in a window.
+    /// Clears a window.
     pub(crate) fn clear(&mut self, size: [usize; 2], window: Window) {
         self.instances.clear();
         self.visible.clear(size, window);
@@ -66,8 +65,8 @@ impl Picture {
         }
     }
 
-    /// Makes visible what is nearest of the instances from `first` on. The near
-    /// ones go first, which hide much of the others.
+    /// Rasterises the instances from `first` on, keeping the nearest surface at each sample. Near
+    /// instances go first, since they occlude much of the others.
     pub(crate) fn rasterise(&mut self, pass: Pass<'_>, first: usize, work: &mut Workspace) {
         work.order.clear();
         work.order.extend(first..self.instances.len());
@@ -92,7 +91,7 @@ impl Picture {
         }
     }
 
-    /// Colours what is visible of the records from `first` on.
+    /// Colours the visible samples of the records from `first` on.
     pub(crate) fn paint(&mut self, pass: Pass<'_>, first: usize, work: &mut Workspace) {
         let Some(window) = self.visible.touched else {
             return;

@@ -1,4 +1,4 @@
-//! Carrying a cluster's positions from the mesh to the picture.
+//! Transformation of a cluster's positions from the mesh to the picture.
 
 use crate::drawing::Drawing;
 use crate::instance::Instance;
@@ -6,16 +6,16 @@ use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::mesh::{Cluster, Mesh};
 use crate::positions::{EightPositions, FURTHEST, SUBPIXELS};
 
-/// Extent of a cluster once its positions are in the picture.
+/// Extent of a cluster after its positions were transformed.
 pub(crate) struct Placed {
     /// True if any position lies beyond a side of the view frustum.
     pub(crate) beyond: bool,
-    /// True if the whole cluster lies beside the window.
+    /// True if the whole cluster lies outside the window.
     pub(crate) outside: bool,
 }
 
-/// Carries a cluster's positions to the picture. `inside` are those of which none
-/// can be beyond a side.
+/// Transforms a cluster's positions to the picture. `inside` clusters cannot extend beyond the view
+/// frustum.
 #[inline(always)]
 pub(crate) fn place(
     instance: &Instance,
@@ -57,7 +57,7 @@ pub(crate) fn place(
         let over_w = one / cw;
         let wx = (cx * over_w).fused(half_width, half_width);
         let wy = (cy * over_w).fused(half_height, half_height);
-        // Depth: the viewport's scale is 1 and its shift 0.
+        // Depth needs no viewport transform: its scale is 1 and its offset 0.
         let wz = cz * over_w;
         let subpixels = F::splat(SUBPIXELS as f32);
         let snapped = [wx, wy].map(|at| {

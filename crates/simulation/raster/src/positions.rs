@@ -1,21 +1,20 @@
-//! A cluster's positions in the picture.
+//! Positions of a cluster in the picture.
 
 use crate::lanes::{F, Floats as _, I, LANES};
 
 /// Positions are snapped to this fraction of a pixel.
 pub(crate) const SUBPIXELS: i32 = 256;
-/// Furthest that a corner is taken to be from the picture's, in parts of a pixel.
-/// Few are beyond the picture at all: those so near to the eye that their place
-/// cannot be told. Twice this, multiplied, stays within 64 bits.
+/// Limit of a corner's distance from the picture, subpixel units. Few corners lie that far out:
+/// those so close to the eye that their position is unreliable. The product of two such distances
+/// fits in 64 bits.
 pub(crate) const FURTHEST: i32 = 1 << 24;
 
-/// Positions of a cluster at most: as many as a byte can name, so that no name needs
-/// a check.
+/// Most positions of a cluster: as many as a byte can index, so that indices need no bounds check.
 const MOST: usize = 256;
 
-/// The positions of a cluster in the picture, a row of eight numbers each: x, y and
-/// depth in pixels, and the bits of x and y snapped and of the planes of
-/// [`clip`](crate::clip) that it is beyond. All of a corner is read by one load.
+/// Positions of a cluster in the picture, eight numbers per row: x, y and depth in pixels, snapped
+/// x and y as bits, and the bits of the planes of [`clip`](crate::clip) that the position lies
+/// beyond. One load reads a whole row.
 pub(crate) struct Positions {
     rows: [[f32; LANES]; MOST],
 }
@@ -44,7 +43,7 @@ impl Default for Positions {
 }
 
 impl Positions {
-    /// Keeps eight positions, the first in row `at`.
+    /// Stores eight positions, the first in row `at`.
     #[inline(always)]
     pub(crate) fn store(&mut self, at: usize, eight: &EightPositions) {
         let [x, y, z] = eight.exact;
@@ -57,17 +56,17 @@ impl Positions {
         }
     }
 
-    /// Bits of all the planes that any of three positions is beyond.
+    /// Returns the bits of all planes that any of three positions lies beyond.
     pub(crate) fn any_beyond(&self, ids: [u8; 3]) -> i32 {
         let [a, b, c] = ids.map(|id| self.rows[usize::from(id)][BEYOND].to_bits());
         (a | b | c).cast_signed()
     }
 
-    /// The corners of eight triangles, named by their rows.
+    /// Loads the corners of eight triangles by their rows.
     #[inline(always)]
     pub(crate) fn corners(&self, ids: &[[u8; LANES]; 3]) -> EightTriangles {
         let mut rows = [[F::splat(0.0); LANES]; 3];
-        // Loops: closures of `map` become calls.
+        // Loops are used because closures of `map` become calls.
         for (rows, ids) in rows.iter_mut().zip(ids) {
             for (row, id) in rows.iter_mut().zip(ids) {
                 *row = F::new(self.rows[usize::from(*id)]);
@@ -78,21 +77,21 @@ impl Positions {
 }
 
 impl EightTriangles {
-    /// Snapped corners in parts of a pixel: x of each corner, and y.
+    /// Returns the snapped corners in subpixel units: x of each corner, and y.
     #[inline(always)]
     pub(crate) fn snapped(&self) -> ([I; 3], [I; 3]) {
         let of = |column: usize| self.ints(column);
         (of(SNAPPED), of(SNAPPED + 1))
     }
 
-    /// Corners in pixels before they were snapped, and their depths.
+    /// Returns the unsnapped corners in pixels, and their depths.
     #[inline(always)]
     pub(crate) fn exact(&self) -> [[F; 3]; 3] {
         let Self([a, b, c]) = self;
         [EXACT, EXACT + 1, EXACT + 2].map(|column| [a[column], b[column], c[column]])
     }
 
-    /// Bits of the planes that each corner is beyond.
+    /// Returns the bits of the planes that each corner lies beyond.
     #[inline(always)]
     pub(crate) fn beyond(&self) -> [I; 3] {
         self.ints(BEYOND)

@@ -1,5 +1,5 @@
-//! Pipeline from the instances of a mesh to visible samples, cluster by cluster:
-//! positions, the triangles that may cover a sample, their edges, the samples.
+//! Pipeline from mesh instances to visible samples, cluster by cluster: positions, candidate
+//! triangles, edges, samples.
 
 use crate::candidates::Candidates;
 use crate::clip::{self, ClippedTriangle, Cut};
@@ -12,7 +12,7 @@ use crate::place::{Placed, place};
 use crate::setup::Setup;
 use crate::visible::{CLIPPED, Record};
 
-/// Draws an instance into what is visible.
+/// Rasterises an instance.
 #[inline(always)]
 pub(crate) fn draw(index: usize, drawing: &mut Drawing<'_>) {
     let instance = &drawing.instances[index];
@@ -77,7 +77,7 @@ fn draw_cluster(
     }
 }
 
-/// Cuts off what is beyond a side of those triangles of a cluster whose bits are set.
+/// Clips those triangles of a cluster whose bits are set.
 #[inline(never)]
 fn cut_off(
     index: usize,

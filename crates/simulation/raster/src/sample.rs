@@ -1,5 +1,5 @@
-//! Sampling textures, eight places at a time, with llvmpipe's arithmetic: flat
-//! ones of plain colours in 8 bits, those of sRGB and cubes in single precision.
+//! Texture sampling at eight places, with llvmpipe's arithmetic: 8 bits for flat textures in linear
+//! colours, single precision for sRGB textures and cubes.
 
 use bytemuck::cast;
 
@@ -12,15 +12,15 @@ const CHANNELS: usize = 4;
 /// Scale from 8 bits to the range 0 to 1.
 const OVER_255: f32 = 1.0 / 255.0;
 
-/// Eight places on a texture; on a cube, eight directions.
+/// Eight places on a flat texture, or eight directions for a cube.
 #[derive(Clone, Copy)]
 pub(crate) struct Place {
     pub(crate) at: [F; 3],
 }
 
-/// Samples a flat texture at eight places. `corner`, `right` and `above` are the places
-/// of three pixels of the square of four that each lies in: the whole square takes the
-/// level of detail of its first pixel.
+/// Samples a flat texture at eight places. `corner`, `right` and `above` are places of three pixels
+/// of the 2 × 2 quad that contains each place: the whole quad uses the level of detail of its first
+/// pixel.
 #[inline(always)]
 pub(crate) fn flat(
     texels: Texels<'_>,
@@ -37,10 +37,9 @@ pub(crate) fn flat(
     }
 }
 
-/// Samples a cube in eight directions. `beside` and `over` are the directions of the
-/// neighbours along x and y in the square of four pixels that each lies in: on a cube
-/// every pixel has its own level of detail. The sign of a change makes no difference,
-/// so a neighbour may be on either side.
+/// Samples a cube in eight directions. `beside` and `over` are the directions of the neighbours
+/// along x and y in each 2 × 2 quad: on a cube every pixel has its own level of detail. The sign of
+/// a difference does not matter, so a neighbour may be on either side.
 #[inline(always)]
 pub(crate) fn cube(texels: Texels<'_>, own: Place, [beside, over]: [Place; 2]) -> Colour {
     let changes = [beside, over].map(|to| [0, 1, 2].map(|axis| to.at[axis] - own.at[axis]));
@@ -53,8 +52,7 @@ pub(crate) fn cube(texels: Texels<'_>, own: Place, [beside, over]: [Place; 2]) -
     between(first, cube_on(texels, &levels.second, &face), levels.share)
 }
 
-/// The larger of the squared lengths of two changes of place, in texels of the largest
-/// level.
+/// Returns the larger of the squared lengths of two differences, in texels of the largest level.
 #[inline(always)]
 fn footprint(texels: Texels<'_>, changes: [[F; 2]; 2]) -> F {
     let base = texels.texture.levels[0];
@@ -66,17 +64,17 @@ fn footprint(texels: Texels<'_>, changes: [[F; 2]; 2]) -> F {
     a.max(b)
 }
 
-/// The two levels that eight places are sampled on.
+/// The two mipmap levels that eight places are sampled from.
 struct Levels {
     first: [u8; LANES],
     second: [u8; LANES],
-    /// Share of the second, 0 to 1.
+    /// Weight of the second level, 0 to 1.
     share: F,
     is_one: bool,
 }
 
 impl Levels {
-    /// Chooses levels by the square of a pixel's size in texels of the largest level.
+    /// Chooses levels from the squared size of a pixel in texels of the largest level.
     #[inline(always)]
     fn choose(texels: Texels<'_>, square: F) -> Self {
         let whole = |value: i32| I::splat(value);
@@ -105,7 +103,7 @@ impl Levels {
     }
 }
 
-/// One level of each of eight places.
+/// Sizes of the mipmap level of each of eight places.
 struct Sizes {
     width: I,
     height: I,
@@ -143,13 +141,13 @@ impl Sizes {
     }
 }
 
-/// Eight texels. Places outside are none that sampling makes.
+/// Fetches eight texels. Sampling never produces indices out of range.
 #[inline(always)]
 fn fetch(texels: Texels<'_>, at: I) -> I {
     I::new(texels.eight(&at.into()).map(u32::cast_signed))
 }
 
-/// Two texels of each of eight rows; `is_beside` says that the second ones follow the
+/// Fetches two texels in each of eight rows; with `is_beside` the second texels directly follow the
 /// first.
 #[inline(always)]
 fn fetch_two(texels: Texels<'_>, row: I, [x0, x1]: [I; 2], is_beside: bool) -> [I; 2] {
@@ -163,8 +161,8 @@ fn fetch_two(texels: Texels<'_>, row: I, [x0, x1]: [I; 2], is_beside: bool) -> [
     }
 }
 
-/// The texels around eight places of a flat texture, and the shares of the
-/// second ones along both directions, in whatever the arithmetic is.
+/// The texels around eight places of a flat texture, and the weights of the second ones in both
+/// directions, in the type `W` of the arithmetic.
 struct Around<W> {
     texels: [I; 4],
     shares: [W; 2],
@@ -228,17 +226,17 @@ fn flat_in_bytes(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
     })
 }
 
-/// Eight texels, their channels in 16 bits each: red and blue, green and opacity.
+/// Eight texels with 16 bits per channel: red and blue, green and opacity.
 struct Bytes([i16x16; 2]);
 
-/// A share in 256ths for each channel of eight texels, as [`Bytes::blended`] has it.
+/// A weight in 256ths for each channel of eight texels, in the form that [`Bytes::blended`] needs.
 #[derive(Clone, Copy)]
 struct Share(i16x16);
 
 impl Share {
     #[inline(always)]
     fn new(share: I) -> Self {
-        // 256ths are multiplied as 32,768ths, and the product rounded to whole ones.
+        // Weights in 256ths are shifted to 32,768ths; the product is rounded to integers.
         Self(cast((share << 7i32) | (share << 23i32)))
     }
 }
@@ -261,7 +259,7 @@ impl Bytes {
     }
 }
 
-/// The texel before a place that repeats, and how far behind it that is.
+/// Returns the texel before a place of a repeating texture, and the distance from it in 256ths.
 #[inline(always)]
 fn texel_in_256ths(at: F, size: I, is_power_of_two: bool) -> (I, I) {
     let whole = |value: i32| I::splat(value);
@@ -336,7 +334,7 @@ fn linear(value: F) -> F {
     value.le(splat(SRGB_LINEAR_TO)).select(straight, curved)
 }
 
-/// As [`texel_in_256ths`], with a fraction.
+/// Like [`texel_in_256ths`], with the distance as a fraction.
 #[inline(always)]
 fn texel_and_share(at: F, size: I, is_power_of_two: bool) -> (I, F) {
     let whole = |value: i32| I::splat(value);
@@ -355,7 +353,7 @@ fn texel_and_share(at: F, size: I, is_power_of_two: bool) -> (I, F) {
     (texel, place - floor)
 }
 
-/// Intersections of directions with a cube.
+/// Intersections of directions with the faces of a cube.
 struct Face {
     number: I,
     s: F,
@@ -363,8 +361,8 @@ struct Face {
 }
 
 impl Face {
-    /// The faces that directions meet, and how the places on them change with
-    /// two changes of direction.
+    /// Returns the faces that directions meet, and the derivatives of the places on them for two
+    /// changes of direction.
     #[inline(always)]
     fn of(place: &Place, changes: &[[F; 3]; 2]) -> (Self, [[F; 2]; 2]) {
         let [x, y, z] = place.at;
@@ -410,7 +408,7 @@ fn cube_on(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colour {
         let place = at.max(F::splat(0.0)) * side - F::splat(0.5);
         let floor = place.floor();
         let texel: I = floor.whole();
-        // Directions too short to be told meet a face far outside it.
+        // Directions too short for a valid face are clamped.
         let texel = texel.max(whole(-1)).min(sizes.width);
         (texel, place - floor)
     };
@@ -418,7 +416,7 @@ fn cube_on(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colour {
     let last = sizes.width - whole(1);
     let inside = |at: I| at.ge(whole(0)) & at.lt(last);
     let is_inside: Mask = inside(x) & inside(y);
-    // Clamped for those that reach over an edge, which are done again below.
+    // Places that extend over an edge are clamped here and resampled below.
     let clamped = |at: I| at.max(whole(0)).min(last);
     let (x0, x1) = (clamped(x), clamped(x + whole(1)));
     let (y0, y1) = (clamped(y), clamped(y + whole(1)));
@@ -446,7 +444,7 @@ fn cube_on(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colour {
     colour
 }
 
-/// A place on a cube beside an edge of a face.
+/// A place on a cube near an edge of a face.
 struct EdgePlace<'a> {
     level: &'a Level,
     face: i32,
@@ -455,8 +453,8 @@ struct EdgePlace<'a> {
     shares: [f32; 2],
 }
 
-/// Blends the texels of the neighbouring faces beyond the edge; in a corner only the
-/// three that meet.
+/// Blends with the texels of the neighbouring face beyond an edge; at a corner, the three that
+/// meet.
 #[inline(never)]
 fn over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
     let side = at.level.width as i32;
@@ -505,9 +503,9 @@ fn texel(cube: Texels<'_>, level: &Level, face: i32, x: i32, y: i32) -> [f32; CH
         .map(|part| f32::from(part) * OVER_255)
 }
 
-/// The texel over an edge: face, column, row.
+/// Returns the texel beyond an edge: face, column, row.
 fn neighbour(side: i32, face: i32, x: i32, y: i32) -> (i32, i32, i32) {
-    // On the edge itself, −1 to 1 across each face, in double texels.
+    // Coordinates across each face from -`side` to `side`, in half texels, clamped to the edge.
     let on_face = |index: i32| (2 * index + 1 - side).clamp(-side, side);
     let (s, t, one) = (on_face(x), on_face(y), side);
     let [dx, dy, dz] = match face {
@@ -518,7 +516,7 @@ fn neighbour(side: i32, face: i32, x: i32, y: i32) -> (i32, i32, i32) {
         4 => [s, -t, one],
         _ => [-s, -t, -one],
     };
-    // The axis of the edge that is not this face's own.
+    // The axis of the edge that is not the face's own axis.
     let is_own = |axis: i32| face / 2 == axis;
     let (face, s, t) = if dx.abs() == side && !is_own(0) {
         (i32::from(dx < 0), if dx < 0 { dz } else { -dz }, -dy)

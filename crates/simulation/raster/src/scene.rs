@@ -31,7 +31,7 @@ pub struct TextureUse {
     pub repeat: [f32; 2],
     /// True if it repeats by metres rather than by the geom's size.
     pub uniform: bool,
-    /// True if the mesh's corners hold the coordinates on a flat texture.
+    /// True if the mesh's corners hold the texture coordinates.
     pub by_corner: bool,
 }
 
@@ -58,10 +58,10 @@ pub struct Geom {
     pub reflectance: f32,
     /// Texture of the surface.
     pub texture: Option<TextureUse>,
-    /// Radius of the bounding ball by which translucent geoms are ordered; 0 takes it
-    /// from the shape.
+    /// Radius of the bounding sphere by which translucent geoms are sorted; 0 derives it from the
+    /// shape.
     pub reach: f32,
-    /// Number in segmentation images; `None` leaves the geom out of them.
+    /// Id in segmentation images; `None` leaves the geom out of them.
     pub segment: Option<u32>,
 }
 
@@ -81,7 +81,7 @@ pub enum LightKind {
     },
 }
 
-/// A light. None casts shadows.
+/// A light, which casts no shadow.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Light {
     /// Kind of the light.
@@ -90,11 +90,11 @@ pub struct Light {
     pub pos: [f32; 3],
     /// Direction of the light, world frame.
     pub dir: [f32; 3],
-    /// Light that reaches every face.
+    /// Ambient light.
     pub ambient: [f32; 3],
-    /// Light that faces reflect in all directions.
+    /// Diffuse light.
     pub diffuse: [f32; 3],
-    /// Light that faces reflect as highlights.
+    /// Specular light.
     pub specular: [f32; 3],
 }
 
@@ -107,34 +107,33 @@ pub struct Camera {
     pub forward: [f32; 3],
     /// Up direction, world frame.
     pub up: [f32; 3],
-    /// The near plane's rectangle: centre and half width; half the width that
-    /// the picture's proportions give where it is 0.
+    /// Horizontal centre of the near plane's rectangle.
     pub center: f32,
-    /// See `center`.
+    /// Half the width of the near plane's rectangle; 0 derives it from the picture's aspect ratio.
     pub half_width: f32,
-    /// Lower and upper end of the near plane's rectangle.
+    /// Lower end of the near plane's rectangle.
     pub bottom: f32,
-    /// See `bottom`.
+    /// Upper end of the near plane's rectangle.
     pub top: f32,
     /// Distance of the near plane.
     pub near: f32,
     /// Distance of the far plane.
     pub far: f32,
-    /// True for a camera without perspective.
+    /// True for an orthographic camera.
     pub orthographic: bool,
 }
 
-/// Everything that is drawn in one frame.
+/// Complete description of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// Geoms, in drawing order.
     pub geoms: Vec<Geom>,
-    /// Lights, of which the first eight count.
+    /// Lights; only the first eight are used.
     pub lights: Vec<Light>,
     /// The camera.
     pub camera: Camera,
     /// Index of the sky texture, if there is one.
     pub sky: Option<usize>,
-    /// True if mirrors reflect.
+    /// True if mirrors are rendered.
     pub reflections: bool,
 }

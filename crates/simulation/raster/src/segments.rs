@@ -1,5 +1,5 @@
-//! Segmentation: the geom that is visible in the middle of every pixel, as in MuJoCo's
-//! segmentation rendering: no lights, no sky, no mirrors, and no translucency.
+//! Segmentation: the visible geom at the centre of every pixel, as in MuJoCo's segmentation
+//! rendering, without lights, sky, mirrors and translucency.
 
 use crate::canvas::check;
 use crate::error::DrawError;
@@ -11,11 +11,11 @@ use crate::scene::Scene;
 use crate::visible::SAMPLES;
 use crate::window::Window;
 
-/// Draws the numbers that geoms have in segmentation images, row by row from the
-/// lowest; none where nothing is that has one.
+/// Draws the segmentation ids of geoms, row by row from the bottom; `None` where no geom with an id
+/// is visible.
 ///
 /// # Errors
-/// If the scene's numbers cannot be drawn, or name what the model lacks.
+/// If the scene contains invalid numbers or refers to items that the model lacks.
 pub fn segments(
     model: &Model,
     scene: &Scene,
@@ -23,7 +23,7 @@ pub fn segments(
 ) -> Result<Vec<Option<u32>>, DrawError> {
     check(model, scene, width, height)?;
     let mut view = View::new(&scene.camera, width, height);
-    // Moves the middle of each pixel to where its first sample is.
+    // Shifts the picture so that each pixel's first sample lies at the pixel's centre.
     let [x, y] = FIRST_SAMPLE.map(|place| place - 0.5);
     view.projection = view
         .projection

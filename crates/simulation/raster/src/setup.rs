@@ -1,5 +1,4 @@
-//! Triangles on their way to the picture's samples: their edges, their depths,
-//! and the pixels that they may cover.
+//! Triangle setup: edge functions, depths, and the range of pixels that a triangle may cover.
 
 use crate::clip::ClippedCorner;
 use crate::drawing::Drawing;
@@ -8,12 +7,12 @@ use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::positions::{FURTHEST, SUBPIXELS};
 use crate::window::Window;
 
-/// Triangles of at least this extent, in parts of a pixel, are cut into blocks,
-/// so that no product leaves 32 bits.
+/// Triangles of at least this extent, in subpixel units, are split into blocks, so that no product
+/// exceeds 32 bits.
 const LARGE: i32 = 32 * SUBPIXELS;
 
-/// A triangle's corners as they are gone round: Mesa swaps the first two of those
-/// that show their front counter-clockwise.
+/// Returns the winding order of a triangle's corners: Mesa swaps the first two of triangles whose
+/// front is wound counter-clockwise.
 #[inline(always)]
 pub(crate) fn turned(counter_clockwise: bool) -> [usize; 3] {
     match counter_clockwise {
@@ -22,33 +21,32 @@ pub(crate) fn turned(counter_clockwise: bool) -> [usize; 3] {
     }
 }
 
-/// The least and the largest of three corners' places along an axis.
+/// Returns the least and the largest of three corners' coordinates along an axis.
 #[inline(always)]
 pub(crate) fn extent([a, b, c]: &[I; 3]) -> [I; 2] {
     [a.min(*b).min(*c), a.max(*b).max(*c)]
 }
 
-/// Mask of the triangles whose extents are so large that they are cut into blocks.
+/// Returns the mask of triangles that are large enough to be split into blocks.
 #[inline(always)]
 pub(crate) fn is_large(x: [I; 2], y: [I; 2]) -> Mask {
     let [wide, high] = [x, y].map(|[least, most]| (most - least).ge(I::splat(LARGE)));
     wide | high
 }
 
-/// Mask of the edges whose own samples are inside, by the differences of their ends along
-/// y and x: true for left and lower edges, false for the others. This is the top-left
-/// rule in a frame buffer object, whose first row is the lowest.
+/// Returns the mask of the edges whose own samples count as covered, from the differences of their
+/// ends along y and x: true for left and lower edges. This is the top-left rule in a frame buffer
+/// object, whose first row is the lowest.
 #[inline(always)]
 pub(crate) fn has_samples(dx: I, dy: I) -> Mask {
     let zero = I::splat(0);
     dx.lt(zero) | dx.equals(zero) & dy.gt(zero)
 }
 
-/// Eight triangles, ready to be filled.
+/// Setup of eight triangles.
 #[derive(Default)]
 pub(crate) struct Setup {
-    /// Per edge: value at the first sample's lattice point of its block; not negative
-    /// inside.
+    /// Per edge: value at the first sample's lattice point of its block; non-negative inside.
     pub(crate) edge: [[i32; LANES]; 3],
     /// Change per lattice point.
     pub(crate) along_x: [[i32; LANES]; 3],
@@ -57,11 +55,10 @@ pub(crate) struct Setup {
     pub(crate) depth: [f32; LANES],
     pub(crate) depth_x: [f32; LANES],
     pub(crate) depth_y: [f32; LANES],
-    /// Pixels, ends inside.
+    /// Inclusive ranges of pixels.
     pub(crate) x: [[i32; LANES]; 2],
     pub(crate) y: [[i32; LANES]; 2],
-    /// Bits of those whose products may leave 32 bits, and of all the snapped
-    /// corners.
+    /// Bits of the triangles whose products may exceed 32 bits, and the snapped corners of all.
     pub(crate) large: u32,
     pub(crate) corners: [[[i32; LANES]; 2]; 3],
 }
@@ -106,7 +103,7 @@ impl Setup {
         per_y.store(&mut self.depth_y);
     }
 
-    /// Sets up one piece of a triangle, in lane 0; false if it covers no sample.
+    /// Sets up one piece of a clipped triangle, in lane 0; returns false if it covers no sample.
     pub(crate) fn clipped(
         &mut self,
         instance: &Instance,
@@ -161,8 +158,8 @@ impl Setup {
     }
 }
 
-/// Interpolation from three values at corners to one everywhere: eight triangles at once,
-/// with llvmpipe's order of operations.
+/// Coefficients for interpolating a value from three corners: eight triangles at once, with
+/// llvmpipe's order of operations.
 pub(crate) struct Slopes {
     x: F,
     y: F,
@@ -188,7 +185,7 @@ impl Slopes {
         }
     }
 
-    /// Slopes of each triangle, in all lanes.
+    /// Broadcasts the coefficients of each triangle to all lanes.
     #[inline(always)]
     pub(crate) fn each(&self) -> [Self; LANES] {
         let Self {
@@ -212,7 +209,7 @@ impl Slopes {
         })
     }
 
-    /// The value at the picture's corner, and its changes per pixel.
+    /// Returns the value at the picture's corner, and its changes per pixel.
     #[inline(always)]
     pub(crate) fn of(&self, values: &[F; 3]) -> [F; 3] {
         let (d01, d20) = (values[0] - values[1], values[2] - values[0]);

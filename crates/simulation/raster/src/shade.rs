@@ -1,5 +1,5 @@
-//! Shading: every triangle that is visible in a pixel is coloured once, at the pixel's
-//! centre, for all samples that it has there.
+//! Shading: every triangle visible in a pixel is coloured once, at the pixel's centre, for all its
+//! samples in the pixel.
 
 use crate::clip::VARYING;
 use crate::instance::Instance;
@@ -12,10 +12,10 @@ use crate::texture::{Texels, TextureKind};
 use crate::visible::{CLIPPED, NOTHING, Record, SAMPLES, Visible};
 use crate::window::Window;
 
-/// A triangle in a pixel, in few bytes: there are more of them than pixels.
+/// A triangle in a pixel. Kept small, since there are more fragments than pixels.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Fragment {
-    /// Column, row, and bits of the samples that it has.
+    /// Column, row, and bits of the covered samples.
     place: u32,
     /// Index of its surface.
     surface: u32,
@@ -23,7 +23,7 @@ pub(crate) struct Fragment {
 
 /// Longest side of a frame, pixels.
 pub(crate) const MAX_SIDE: usize = 4096;
-/// Bits of a column or a row, which are less than [`MAX_SIDE`].
+/// Bits of a column or row number, which is below [`MAX_SIDE`].
 const SIDE_BITS: u32 = MAX_SIDE.ilog2();
 const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
 const _: () = assert!(MAX_SIDE.is_power_of_two(), "each side fits its bits");
@@ -51,17 +51,17 @@ impl Fragment {
         (self.place >> SIDE_BITS & SIDE_MASK) as usize
     }
 
-    /// Bits of the samples that it has.
+    /// Returns the bits of the covered samples.
     #[inline(always)]
     pub(crate) fn samples(&self) -> usize {
         (self.place >> (2 * SIDE_BITS)) as usize & ((1 << SAMPLES) - 1)
     }
 }
 
-/// Lists that are used again from frame to frame.
+/// Lists that are reused from frame to frame.
 #[derive(Debug, Default)]
 pub(crate) struct Lists {
-    /// Per record from `first` on: its surface, if it is listed.
+    /// Per record from `first` on: its surface, if listed.
     pub(crate) surfaces: Vec<Surface>,
     first: usize,
     /// Per record from `first` on: list that holds its fragments, or [`NOTHING`].
@@ -69,7 +69,7 @@ pub(crate) struct Lists {
     /// Work list of one cluster.
     wanted: Vec<Wanted>,
     vertices: Box<Vertices>,
-    /// Fragments by texture; the last list is of those without any.
+    /// Fragments by texture; the last list holds those without a texture.
     pub(crate) fragments: Vec<Vec<Fragment>>,
 }
 
@@ -83,8 +83,8 @@ impl Lists {
         self.fragments.iter_mut().for_each(Vec::clear);
     }
 
-    /// Notes that a record's surface is needed; returns its place among the surfaces,
-    /// and the list that its fragments are in.
+    /// Notes that a record's surface is needed; returns the surface's index, and the list for its
+    /// fragments.
     #[inline(always)]
     pub(crate) fn need(
         &mut self,
@@ -102,7 +102,7 @@ impl Lists {
     }
 }
 
-/// Lists the fragments of a window whose records the lists were emptied for.
+/// Lists the fragments in a window whose records the lists were cleared for.
 pub(crate) fn list_fragments(
     visible: &Visible,
     instances: &[Instance],
@@ -129,19 +129,18 @@ pub(crate) fn list_fragments(
     listing.close();
 }
 
-/// No record's place, and not [`NOTHING`] either.
+/// Matches no record, and differs from [`NOTHING`].
 const NO_RECORD: u32 = NOTHING - 1;
 
-/// Fragments on their way into the lists. Neighbours are mostly of the same triangle,
-/// and of the same list.
+/// Appends fragments to the lists. Optimised for runs of fragments of the same triangle and list.
 struct Listing<'a> {
     lists: &'a mut Lists,
     records: &'a [Record],
     instances: &'a [Instance],
-    /// The last record, and its surface.
+    /// The last record and its surface.
     id: u32,
     surface: u32,
-    /// The list of the last fragment, taken out of the others, and its place among them.
+    /// The last fragment's list, moved out of the others, and its index.
     number: usize,
     list: Vec<Fragment>,
 }
@@ -179,7 +178,7 @@ impl Listing<'_> {
         self.list.push(Fragment::new(x, y, samples, self.surface));
     }
 
-    /// Makes a record the last one; false if it is not listed.
+    /// Makes a record the current one; returns false if it is not listed.
     #[inline(always)]
     fn turn_to(&mut self, id: u32) -> bool {
         if id == NOTHING || (id as usize) < self.lists.first {
@@ -204,7 +203,7 @@ impl Listing<'_> {
     }
 }
 
-/// Works out the surfaces that were listed.
+/// Computes the listed surfaces.
 #[inline(always)]
 pub(crate) fn work_out_surfaces(
     model: &Model,
@@ -213,7 +212,7 @@ pub(crate) fn work_out_surfaces(
     lights: &[EyeLight],
     lists: &mut Lists,
 ) {
-    // Leftovers of another frame are overwritten before they are read.
+    // Stale entries of an earlier frame are overwritten before they are read.
     if lists.surfaces.len() < lists.list_of.len() {
         lists
             .surfaces
@@ -261,14 +260,14 @@ pub(crate) fn work_out_surfaces(
     }
 }
 
-/// The shading of the instance that was asked for last.
+/// Cached shading of the last instance.
 struct ShadingOf<'a> {
     lights: &'a [EyeLight],
     last: Option<(u32, Option<Shading<'a>>)>,
 }
 
 impl<'a> ShadingOf<'a> {
-    /// `None` if lights do not determine its colour.
+    /// Returns `None` if lights do not affect the instance's colour.
     fn of(&mut self, index: u32, instance: &Instance) -> Option<&Shading<'a>> {
         if self.last.as_ref().is_none_or(|(last, _)| *last != index) {
             let shading = instance.is_lit.then(|| Shading::new(instance, self.lights));
@@ -278,8 +277,8 @@ impl<'a> ShadingOf<'a> {
     }
 }
 
-/// Colours the fragments of every list; each goes to `paint` with its colour,
-/// red in the lowest byte.
+/// Colours the fragments of every list and passes each to `paint` with its colour, red in the
+/// lowest byte.
 #[inline(always)]
 pub(crate) fn colour(
     model: &Model,
@@ -302,7 +301,7 @@ pub(crate) fn colour(
     }
 }
 
-/// One of a surface's numbers for each of eight fragments.
+/// One interpolated value for each of eight fragments.
 #[derive(Clone, Copy)]
 struct Planes {
     at_corner: F,
@@ -311,7 +310,7 @@ struct Planes {
 }
 
 impl Planes {
-    /// Gathers every interpolated value for each of eight surfaces.
+    /// Gathers every interpolated value of eight surfaces.
     #[inline(always)]
     fn gather(of: &[&Surface; LANES]) -> [Self; VARYING] {
         let first = of[0];
@@ -365,8 +364,7 @@ fn colour_eight(
     let mut colour = [r, g, b, a];
     if let Some(texture) = texture {
         let along = [0, 1, 2].map(|axis| planes(COORDINATES + axis));
-        // Texture coordinates are divided by a fourth one, which is 1 but for
-        // rounding.
+        // Texture coordinates are divided by a fourth coordinate, which is 1 except for rounding.
         let at = |px: F, py: F| {
             let share = over_w.at(px, py);
             let w = one / share;

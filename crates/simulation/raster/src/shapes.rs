@@ -1,23 +1,23 @@
-//! MuJoCo's built-in shapes, of unit size, cut into as many pieces as the model
-//! says. Angles are reckoned as MuJoCo does, in double precision, and rounded.
+//! MuJoCo's built-in shapes at unit size, tessellated as the model specifies. Angles are computed
+//! like in MuJoCo, in double precision, then rounded.
 
 use std::f64::consts::PI;
 
 use crate::matrix::{Vec3, normalized};
 use crate::mesh::{Corner, Mesh, MeshBuilder};
 
-/// Pieces that round and flat shapes are cut into.
+/// Tessellation of round and flat shapes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Quality {
-    /// Around an axis.
+    /// Pieces around an axis.
     pub slices: usize,
-    /// Along an axis.
+    /// Pieces along an axis.
     pub stacks: usize,
-    /// Along each side of a rectangle.
+    /// Pieces along each side of a rectangle.
     pub quads: usize,
 }
 
-/// The shapes that things are made of.
+/// The built-in shapes.
 #[derive(Debug)]
 pub(crate) struct Shapes {
     pub(crate) rectangle: Mesh,
@@ -29,7 +29,8 @@ pub(crate) struct Shapes {
     pub(crate) open_cylinder: Mesh,
 }
 
-/// Triangles of a cuboid come side by side in six faces; this is the upper one.
+/// Number of a cuboid's faces. The triangles of a face are consecutive, and the upper face comes
+/// first.
 const CUBOID_FACES: u32 = 6;
 const TRIANGLES_PER_QUAD: u32 = 2;
 
@@ -135,12 +136,12 @@ fn cuboid(builder: &mut MeshBuilder, quads: usize) {
     }
 }
 
-/// A slice's angle about the axis.
+/// Returns a slice's angle about the axis.
 fn azimuth(slice: usize, slices: usize) -> f32 {
     ((2.0 * PI * slice as f64) / f64::from(slices as f32)) as f32
 }
 
-/// A point of the unit sphere, raised along the axis.
+/// Returns a point of the unit sphere, shifted along the axis.
 fn on_sphere(azimuth: f32, elevation: f32, raised: f32) -> Corner {
     let (ca, sa) = (libm::cosf(azimuth), libm::sinf(azimuth));
     let (ce, se) = (libm::cosf(elevation), libm::sinf(elevation));
@@ -148,7 +149,7 @@ fn on_sphere(azimuth: f32, elevation: f32, raised: f32) -> Corner {
     corner([ca * ce, sa * ce, z], [ca * ce, sa * ce, z - raised])
 }
 
-/// The part of a sphere on one side of its equator.
+/// Adds the half of a sphere on one side of its equator.
 fn dome(
     builder: &mut MeshBuilder,
     side: i32,
@@ -258,9 +259,8 @@ fn open_cylinder(builder: &mut MeshBuilder, slices: usize, stacks: usize) {
 
 /// Positions of the lines of a plane's grid along one direction.
 ///
-/// `half` is half the plane's length, 0 for an infinite one; `spacing` that of
-/// its lines; `period` that of its texture, if it has one; `far` how far one
-/// can see.
+/// `half` is half the plane's length, 0 for an infinite plane; `spacing` is the distance of its
+/// lines; `period` is the repeat length of its texture, if any; `far` is the viewing distance.
 pub fn plane_grid(half: f64, spacing: f64, period: Option<f64>, far: f64) -> Vec<f64> {
     /// `mjMAXPLANEGRID`.
     const MAX_LINES: usize = 200;
@@ -294,7 +294,7 @@ pub fn plane_grid(half: f64, spacing: f64, period: Option<f64>, far: f64) -> Vec
         .collect()
 }
 
-/// A plane of rectangles between such lines.
+/// Creates a plane of rectangles between grid lines.
 pub fn plane(xs: &[f64], ys: &[f64]) -> Mesh {
     let mut builder = MeshBuilder::default();
     let at = |x: f64, y: f64| corner([x as f32, y as f32, 0.0], [0.0, 0.0, 1.0]);
@@ -311,9 +311,9 @@ pub fn plane(xs: &[f64], ys: &[f64]) -> Mesh {
     builder.build()
 }
 
-/// The corners of a mesh's triangle, from its positions, normals and texture
-/// coordinates. Without the latter a corner whose normal is far from the
-/// face's takes the face's: edges are sharp.
+/// Returns the corners of a mesh's triangle from its positions, normals and texture coordinates.
+/// Without texture coordinates, a corner whose normal is far from the face's normal takes the
+/// latter, which keeps edges sharp.
 pub fn mesh_triangle(pos: [Vec3; 3], normals: [Vec3; 3], st: Option<[[f32; 2]; 3]>) -> [Corner; 3] {
     let (u, v) = (
         crate::matrix::minus(pos[1], pos[0]),
@@ -322,7 +322,7 @@ pub fn mesh_triangle(pos: [Vec3; 3], normals: [Vec3; 3], st: Option<[[f32; 2]; 3
     let face = normalized(crate::matrix::cross(u, v));
     std::array::from_fn(|index| {
         let normal = normals[index];
-        // Compared in double precision, as C does with such a constant.
+        // In double precision, as C compares with such a constant.
         let sharp = st.is_none() && f64::from(crate::matrix::dot(normal, face)) < 0.8;
         Corner {
             pos: pos[index],

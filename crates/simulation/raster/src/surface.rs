@@ -1,5 +1,5 @@
-//! Colour and texture coordinates over the triangles that are seen: worked out
-//! at their corners, and from there as planes over the picture.
+//! Colours and texture coordinates of visible triangles, computed at the corners and interpolated
+//! as planes over the picture.
 
 use crate::clip::{self, VARYING};
 use crate::instance::{Instance, Mapping};
@@ -15,8 +15,8 @@ pub(crate) const COLOUR: usize = 1;
 pub(crate) const COORDINATES: usize = 4;
 pub(crate) const OPACITY: usize = 7;
 
-/// A triangle's planes: values at the picture's corner and their changes per
-/// pixel along x and y.
+/// Interpolation planes of a triangle: values at the picture's corner and their changes per pixel
+/// along x and y.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(align(32))]
 pub(crate) struct Surface {
@@ -25,14 +25,14 @@ pub(crate) struct Surface {
     pub(crate) per_y: [f32; VARYING],
 }
 
-/// A triangle of a cluster, and its place among the surfaces.
+/// A triangle of a cluster, and its index among the surfaces.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wanted {
     pub(crate) triangle: u32,
     pub(crate) surface: u32,
 }
 
-/// Vertices of a cluster that are placed and lit.
+/// Transformed and lit vertices of a cluster.
 #[derive(Debug)]
 pub(crate) struct Vertices {
     /// Per vertex: its index in the other lists, or [`UNLIT`].
@@ -42,14 +42,14 @@ pub(crate) struct Vertices {
     varying: [[f32; VARYING]; MOST],
 }
 
-/// Vertices of a cluster at most: as many as a byte can name, so that no name needs a
-/// check. There is room for eight at a time.
+/// Most vertices of a cluster: as many as a byte can index, so that indices need no bounds check.
+/// Includes room for eight at a time.
 const MOST: usize = 256;
 const _: () = assert!(
     3 * CLUSTER + LANES <= MOST,
     "a byte names any vertex, or none"
 );
-/// A vertex that no triangle needed so far.
+/// Marks a vertex that no triangle has needed so far.
 const UNLIT: u8 = u8::MAX;
 
 impl Default for Vertices {
@@ -64,7 +64,7 @@ impl Default for Vertices {
 }
 
 impl Vertices {
-    /// Places and lights what these triangles of a cluster need.
+    /// Transforms and lights the vertices of these triangles.
     #[inline(always)]
     fn light(
         &mut self,
@@ -105,7 +105,7 @@ impl Vertices {
     }
 }
 
-/// Works out triangles of one cluster, whose vertices start at `first`.
+/// Computes the surfaces of triangles in one cluster, whose vertices start at `first`.
 #[inline(always)]
 pub(crate) fn work_out(
     instance: &Instance,
@@ -132,7 +132,7 @@ pub(crate) fn work_out(
         }
         let slopes = Slopes::new(&x.map(F::new), &y.map(F::new)).each();
         for ((wanted, slots), slopes) in wanted.iter().zip(slots).zip(slopes) {
-            // A lane for each number that varies.
+            // One lane per interpolated value.
             let values = slots.map(|slot| F::new(vertices.varying[usize::from(slot)]));
             let [at_corner, per_x, per_y] = slopes.of(&values);
             into[wanted.surface as usize] = Surface {
@@ -144,7 +144,7 @@ pub(crate) fn work_out(
     }
 }
 
-/// Eight vertices, as the mesh has them.
+/// Eight vertices as stored in the mesh.
 struct Corners {
     pos: [F; 3],
     normal: [F; 3],
@@ -168,7 +168,7 @@ impl Corners {
         }
     }
 
-    /// The same steps as [`Positions`](crate::setup::Positions) took, bit for bit.
+    /// Repeats the computation of [`Positions`](crate::setup::Positions) bit for bit.
     #[inline(always)]
     fn place(&self, instance: &Instance, size: [f32; 2]) -> Placed {
         let [x, y, z] = self.pos;
@@ -182,7 +182,7 @@ impl Corners {
         }
     }
 
-    /// Everything that varies, divided by w.
+    /// Returns all interpolated values, divided by w.
     #[inline(always)]
     fn values(
         &self,
@@ -225,8 +225,8 @@ impl Corners {
     }
 }
 
-/// A piece that was cut off a triangle, which is cut again with everything that
-/// varies.
+/// Computes the surface of a clipped piece by clipping its triangle again with all interpolated
+/// values.
 #[inline(never)]
 pub(crate) fn work_out_clipped(
     instance: &Instance,
@@ -252,7 +252,7 @@ pub(crate) fn work_out_clipped(
     let corners = turned(instance.counter_clockwise).map(|corner| corners[corner]);
     let place = |axis: usize| corners.map(|corner| F::splat(corner.window[axis]));
     let slopes = Slopes::new(&place(0), &place(1));
-    // A lane for each number that varies.
+    // One lane per interpolated value.
     let values = corners.map(|corner| corner.values * F::splat(corner.over_w));
     let [at_corner, per_x, per_y] = slopes.of(&values);
     Surface {

@@ -1,6 +1,5 @@
-//! Textures with their smaller levels, made once, and what sampling them needs
-//! to know. Levels are averaged as Mesa averages them: by sampling the level
-//! before in the middle of each of their texels.
+//! Textures and their mipmap levels, computed once. Levels are averaged as in Mesa: by sampling the
+//! previous level at the centre of each texel.
 
 use bytes::Bytes;
 
@@ -19,7 +18,7 @@ pub enum TextureKind {
         /// True if its colours are encoded as sRGB.
         srgb: bool,
     },
-    /// Six square faces around everything: +x, −x, +y, −y, +z, −z.
+    /// Six square faces around the scene: +x, −x, +y, −y, +z, −z.
     Cube,
 }
 
@@ -31,12 +30,12 @@ pub struct Texture {
     channels: usize,
     /// Texels of the largest level.
     largest: usize,
-    /// Bytes of the smaller levels: level by level, in a level image by image, and
-    /// a byte more, so that four can be read of the last texel's three.
+    /// Bytes of the smaller levels, level by level and image by image, plus one byte, so that four
+    /// bytes can be read at the last texel's three.
     smaller: Values<u8>,
 }
 
-/// A texture with its largest level.
+/// A texture with the bytes of its largest level.
 #[derive(Clone, Copy)]
 pub(crate) struct Texels<'a> {
     pub(crate) texture: &'a Texture,
@@ -45,7 +44,7 @@ pub(crate) struct Texels<'a> {
 }
 
 impl<'a> Texels<'a> {
-    /// The bytes are those that the texture was made from.
+    /// Combines a texture with the bytes that it was made from.
     pub(crate) fn new(texture: &'a Texture, largest: &'a [u8]) -> Self {
         Self {
             texture,
@@ -54,7 +53,7 @@ impl<'a> Texels<'a> {
         }
     }
 
-    /// Red, green, blue and opacity from the lowest byte up. Texels are counted
+    /// Returns red, green, blue and opacity, starting from the lowest byte. Texels are numbered
     /// through all levels.
     #[inline(always)]
     pub(crate) fn at(self, index: usize) -> u32 {
@@ -66,7 +65,7 @@ impl<'a> Texels<'a> {
         };
         let four = match bytes.get(at..at + 4) {
             Some(four) => u32::from_le_bytes([four[0], four[1], four[2], four[3]]),
-            // The last one of three.
+            // The last texel of a texture with three channels.
             None => u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], 0]),
         };
         match texture.channels {
@@ -77,8 +76,8 @@ impl<'a> Texels<'a> {
 }
 
 impl Texels<'_> {
-    /// Eight texels, as [`Texels::at`] has them. Mostly all are of the largest level
-    /// or none is, so that the bytes are chosen once.
+    /// Returns eight texels like [`Texels::at`]. Usually either all or none are of the largest
+    /// level, so that the byte slice is chosen once.
     #[inline(always)]
     pub(crate) fn eight(self, at: &[i32; LANES]) -> [u32; LANES] {
         let largest = self.texture.largest as i32;
@@ -98,8 +97,8 @@ impl Texels<'_> {
         }
     }
 
-    /// Eight texels, and the ones that follow them, read by one load each; none where
-    /// they are of different levels' bytes, or too near to their end.
+    /// Returns eight texels and their successors, each pair with one load; `None` if they are in
+    /// different byte slices, or too close to the end.
     #[inline(always)]
     pub(crate) fn eight_pairs(self, at: &[i32; LANES]) -> Option<[[u32; LANES]; 2]> {
         let largest = self.texture.largest as i32;
@@ -117,7 +116,7 @@ impl Texels<'_> {
         }
     }
 
-    /// Eight texels from bytes that start with texel `first`.
+    /// Returns eight texels from bytes that start with texel `first`.
     #[inline(always)]
     fn eight_of(self, bytes: &[u8], first: i32, at: &[i32; LANES]) -> [u32; LANES] {
         let (channels, opaque) = match self.texture.channels {
@@ -131,7 +130,7 @@ impl Texels<'_> {
             *texel = opaque
                 | match rest.first_chunk() {
                     Some(four) => u32::from_le_bytes(*four),
-                    // The last one of three.
+                    // The last texel of a texture with three channels.
                     None => u32::from_le_bytes([rest[0], rest[1], rest[2], 0]),
                 };
         }
@@ -158,24 +157,23 @@ fn eight_pairs<const CHANNELS: usize>(
     Some(pairs)
 }
 
-/// One size of a texture.
+/// One mipmap level of a texture.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Level {
     pub(crate) width: usize,
     pub(crate) height: usize,
     /// Index of the first image's first texel.
     pub(crate) start: usize,
-    /// Texels from one image to the next; 0 where all faces show the same.
+    /// Texels from one image to the next; 0 if all faces share one image.
     pub(crate) image: usize,
 }
 
 impl Texture {
-    /// A texture from its largest level, row by row, with 3 or 4 bytes a
-    /// texel. A cube has one square, for all its faces, or six below one
-    /// another.
+    /// Creates a texture from its largest level, row by row, with 3 or 4 bytes per texel. A cube
+    /// has either one square for all its faces, or six below one another.
     ///
     /// # Errors
-    /// If sizes, channels and bytes do not fit one another.
+    /// If sizes, channels and the number of bytes do not match.
     pub fn new(
         kind: TextureKind,
         width: usize,
@@ -198,17 +196,17 @@ impl Texture {
         Ok(texture)
     }
 
-    /// The smaller levels as bytes, for [`Texture::with_smaller`] of the same
+    /// Returns the smaller levels as bytes, for [`Texture::with_smaller`] with the same
     /// [`SOURCES`](crate::SOURCES).
     pub fn smaller(&self) -> &[u8] {
         &self.smaller
     }
 
-    /// A texture whose smaller levels were made before, and stay where they are.
+    /// Creates a texture from smaller levels that were computed earlier, without copying them.
     ///
     /// # Errors
-    /// If the largest level is of no texture, or the smaller ones are not as large as
-    /// its.
+    /// If the largest level is not a texture, or the smaller levels do not have the size that it
+    /// requires.
     pub fn with_smaller(
         kind: TextureKind,
         [width, height, channels]: [usize; 3],
@@ -225,7 +223,7 @@ impl Texture {
         }
     }
 
-    /// A texture with the sizes of its levels, and without the smaller ones' bytes.
+    /// Creates a texture with the sizes of its levels, without bytes of the smaller ones.
     fn sized(kind: TextureKind, [width, height, channels]: [usize; 3], images: usize) -> Self {
         let first = Level::new(width, height / images, 0, images);
         let next = |last: &Level| last.next(images);
@@ -243,7 +241,7 @@ impl Texture {
         (end - self.largest) * self.channels + 1
     }
 
-    /// Bytes of the largest level.
+    /// Returns the size of the largest level, bytes.
     pub(crate) fn bytes(&self) -> usize {
         self.largest * self.channels
     }
@@ -266,7 +264,7 @@ impl Texture {
 }
 
 impl Texels<'_> {
-    /// Colour of a level at a point of 0 to 1 in both directions, as the texel of a
+    /// Returns the colour of a level at a point, 0 to 1 in both directions, as a texel of the next
     /// smaller level.
     fn middle(&self, level: &Level, image: usize, s: f32, t: f32) -> u32 {
         let first = level.start + image * level.image;
@@ -310,12 +308,12 @@ impl Level {
         }
     }
 
-    /// The texel behind its images.
+    /// Returns the index after the last texel of this level.
     fn end(&self, images: usize) -> usize {
         self.start + images * self.width * self.height
     }
 
-    /// The next smaller one; none after the last.
+    /// Returns the next smaller level; `None` after the last one.
     fn next(&self, images: usize) -> Option<Self> {
         let half = |side: usize| (side / 2).max(1);
         let is_last = self.width == 1 && self.height == 1;
@@ -330,7 +328,7 @@ impl Level {
     }
 }
 
-/// Images in the largest level of a texture; none if it cannot be one.
+/// Returns the number of images in the largest level; `None` if the dimensions are invalid.
 fn images_of(kind: TextureKind, width: usize, height: usize, channels: usize) -> Option<usize> {
     let is_sized = (1..=MAX_SIDE).contains(&width)
         && (1..=6 * MAX_SIDE).contains(&height)
@@ -342,15 +340,15 @@ fn images_of(kind: TextureKind, width: usize, height: usize, channels: usize) ->
     }
 }
 
-/// The two texels beside a point between 0 and 1, and how far from the first to
-/// the second it is, in 256ths.
+/// Returns the two texels beside a point between 0 and 1, and its distance from the first in
+/// 256ths.
 fn fixed(at: f32, size: usize) -> (usize, usize, i32) {
     let place = (at * (size * 256) as f32).round_ties_even() as i32 - 128;
     let first = (place >> 8).rem_euclid(size as i32) as usize;
     (first, (first + 1) % size, place & 255)
 }
 
-/// The same with a fraction, kept inside.
+/// Like [`fixed`], with a fraction as distance, clamped to the texture.
 fn floating(at: f32, size: usize) -> (usize, usize, f32) {
     let place = at * size as f32 - 0.5;
     let floor = place.floor();
@@ -358,21 +356,21 @@ fn floating(at: f32, size: usize) -> (usize, usize, f32) {
     (inside(floor), inside(floor + 1.0), place - floor)
 }
 
-/// Interpolates between two values of 0 to 255, by a share in 256ths.
+/// Interpolates between two values of 0 to 255, by a weight in 256ths.
 fn blend(from: u8, to: u8, weight: i32) -> u8 {
     let (from, to) = (i32::from(from), i32::from(to));
     (from + ((weight * (to - from) + 128) >> 8)) as u8
 }
 
-/// Coefficients of the polynomial that Mesa decodes sRGB with, from the
-/// constant up, for values of 0 to 255; smaller ones are linear.
+/// Coefficients of Mesa's polynomial for decoding sRGB values of 0 to 255, constant term first;
+/// small values are decoded linearly.
 pub(crate) const SRGB_POLYNOMIAL: [f32; 4] = [
     0.0023,
     0.0030 / 255.0,
     0.6935 / (255.0 * 255.0),
     0.3012 / (255.0 * 255.0 * 255.0),
 ];
-/// Up to here decoding is linear, by this factor.
+/// Values up to this one are decoded linearly, with the following factor.
 pub(crate) const SRGB_LINEAR_TO: f32 = 15.0;
 /// See [`SRGB_LINEAR_TO`].
 pub(crate) const SRGB_LINEAR_FACTOR: f32 = 1.0 / (12.6 * 255.0);
@@ -388,7 +386,7 @@ fn linear(value: u8) -> f32 {
     odd.mul_add(x, even)
 }
 
-/// Back, by Mesa's approximation of the power, which starts from coarse roots.
+/// Encodes sRGB by Mesa's approximation of the power, which starts from coarse roots.
 fn encoded(value: f32) -> u8 {
     let value = value.clamp(0.0, 1.0);
     let scaled = if value <= 0.003_130_8 {
@@ -402,13 +400,13 @@ fn encoded(value: f32) -> u8 {
     scaled.round_ties_even() as u8
 }
 
-/// The reciprocal of a positive number's square root as Intel's processors
-/// estimate it: that of the middle of 1,024 parts of an octave, in 12 bits.
-/// Levels of sRGB textures are Mesa's only with it.
+/// Returns the reciprocal square root of a positive number as Intel's processors estimate it: that
+/// of the centre of one of 1,024 intervals per octave, in 12 bits. Only with this estimate are the
+/// levels of sRGB textures equal to Mesa's.
 fn over_root(value: f32) -> f32 {
     const PART: u32 = 1 << 13;
     let bits = value.to_bits();
-    // Scales by an even power of two into the range from a quarter to one.
+    // Scales by an even power of two into the range from 1/4 to 1.
     let exponent = (bits >> 23) as i32 - 127;
     let halved = (exponent + 2).div_euclid(2);
     let scaled =

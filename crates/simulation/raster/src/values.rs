@@ -1,17 +1,16 @@
-//! Arrays of a mesh or texture: owned while they are made, or in bytes that somebody else
-//! keeps, such as a mapped file.
+//! Arrays of a mesh or texture, either owned or borrowed from shared bytes such as a mapped file.
 
 use std::ops::Deref;
 
 use bytemuck::{AnyBitPattern, NoUninit};
 use bytes::Bytes;
 
-/// An array that only its maker changes.
+/// An array that is owned while it is being built, or shared.
 #[derive(Debug, Clone)]
 pub(crate) enum Values<T> {
-    /// Being made, or made here.
+    /// Owned values.
     Own(Vec<T>),
-    /// Aligned for `T` and of a whole number of them; checked once.
+    /// Shared bytes, whose alignment and length were checked once.
     Shared(Bytes),
 }
 
@@ -22,14 +21,14 @@ impl<T> Default for Values<T> {
 }
 
 impl<T> Values<T> {
-    /// No values yet, and room for so many.
+    /// Creates an empty array with capacity for `count` values.
     pub(crate) fn with_capacity(count: usize) -> Self {
         Self::Own(Vec::with_capacity(count))
     }
 }
 
 impl<T: AnyBitPattern> Values<T> {
-    /// The values that lie in bytes; none if those are not aligned for them or end amid one.
+    /// Views bytes as values; `None` if they are misaligned or end within a value.
     pub(crate) fn shared(bytes: Bytes) -> Option<Self> {
         bytemuck::try_cast_slice::<u8, T>(&bytes).ok()?;
         Some(Self::Shared(bytes))
@@ -37,12 +36,12 @@ impl<T: AnyBitPattern> Values<T> {
 }
 
 impl<T: NoUninit + AnyBitPattern> Values<T> {
-    /// Appends a value; shared values are copied first.
+    /// Appends a value, after copying shared ones.
     pub(crate) fn push(&mut self, value: T) {
         self.own().push(value);
     }
 
-    /// Appends values; shared ones are copied first.
+    /// Appends values, after copying shared ones.
     pub(crate) fn extend(&mut self, values: &[T]) {
         self.own().extend_from_slice(values);
     }
@@ -70,7 +69,7 @@ impl<T: AnyBitPattern> Deref for Values<T> {
     }
 }
 
-/// Numbers at the head of a blob and the arrays behind them.
+/// Numbers at the start of a blob, and the arrays that follow them.
 pub(crate) struct Blob {
     bytes: Bytes,
 }
@@ -80,7 +79,7 @@ impl Blob {
         Self { bytes }
     }
 
-    /// Takes the next `count` values; none if there are fewer, or they are not aligned.
+    /// Takes the next `count` values; `None` if there are fewer, or they are misaligned.
     pub(crate) fn take<T: AnyBitPattern>(&mut self, count: usize) -> Option<Values<T>> {
         let length = count.checked_mul(size_of::<T>())?;
         if length > self.bytes.len() {
@@ -89,7 +88,7 @@ impl Blob {
         Values::shared(self.bytes.split_to(length))
     }
 
-    /// Returns true if nothing is left.
+    /// Returns true if all bytes are consumed.
     pub(crate) fn is_empty(&self) -> bool {
         self.bytes.is_empty()
     }

@@ -8,24 +8,24 @@ use crate::window::Window;
 
 /// Samples in a pixel.
 pub(crate) const SAMPLES: usize = 4;
-/// Side of the blocks of which it is known how much they hide, pixels.
+/// Side of the blocks for which depth bounds are tracked, pixels.
 pub(crate) const BLOCK: i32 = 16;
-/// Width and height of a block's parts, pixels. A block has two columns and four
-/// rows of them, one for each lane, row by row.
+/// Width and height of a block's parts, pixels. A block has two columns and four rows of parts, one
+/// for each lane, row by row.
 pub(crate) const PART: [i32; 2] = [8, 4];
 
-/// Writes to a block that make it worth while to find anew how much it hides. One is
-/// a small triangle.
+/// Writes to a block after which its depth bounds are recomputed. A small triangle counts as one
+/// write.
 const WORTH_FINDING: u8 = 16;
 
-/// No triangle.
+/// Marks a sample without a triangle.
 pub(crate) const NOTHING: u32 = u32::MAX;
 
-/// A triangle that may be seen.
+/// A triangle that may be visible.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Record {
     pub(crate) instance: u32,
-    /// Index in the mesh; or among the clipped ones, if `vertices` is [`CLIPPED`].
+    /// Index in the mesh, or among the clipped triangles if `vertices` is [`CLIPPED`].
     pub(crate) triangle: u32,
     /// Index in the mesh at which its cluster's vertices start, or [`CLIPPED`].
     pub(crate) vertices: u32,
@@ -34,15 +34,15 @@ pub(crate) struct Record {
 /// See [`Record::vertices`].
 pub(crate) const CLIPPED: u32 = u32::MAX;
 
-/// Depth bounds of a block of the picture. Depths only grow while a picture is drawn, so
-/// bounds that were true once stay true.
+/// Depth bounds of a block of the picture. Depths only grow while a picture is drawn, so bounds
+/// stay valid.
 #[derive(Debug, Clone, Copy)]
 struct Block {
-    /// Per part: a depth that no sample in it is beyond.
+    /// Per part: lower bound of its samples' depths.
     parts: [f32; LANES],
-    /// The least of them.
+    /// The smallest of these bounds.
     whole: f32,
-    /// Number of writes since the bounds were found.
+    /// Number of writes since the bounds were computed.
     writes: u8,
 }
 
@@ -51,27 +51,26 @@ struct Block {
 pub(crate) struct Visible {
     pub(crate) width: usize,
     pub(crate) height: usize,
-    /// Pixels from one row to the next: even, since two are drawn at once.
+    /// Pixels from one row to the next; even, since two pixels are drawn at once.
     pub(crate) stride: usize,
-    /// 1 at the near plane, 0 at the far one.
+    /// Depths: 1 at the near plane, 0 at the far plane.
     pub(crate) depths: Vec<f32>,
-    /// Blocks of the picture, row by row, and how many are in a row.
+    /// Blocks of the picture, row by row, and the number of blocks in a row.
     blocks: Vec<Block>,
     blocks_in_row: usize,
     /// Indices into `records`.
     pub(crate) ids: Vec<u32>,
     pub(crate) records: Vec<Record>,
     pub(crate) clipped: Vec<ClippedTriangle>,
-    /// Upper bound of the window in which anything became visible since this was last
-    /// emptied.
+    /// Bounding window of everything that became visible since the last clearing.
     pub(crate) touched: Option<Window>,
 }
 
 impl Visible {
     /// Clears a window of a picture of this size.
     pub(crate) fn clear(&mut self, [width, height]: [usize; 2], window: Window) {
-        // A little more than a power of two, or the rows of a square would all
-        // be kept in the same few lines of the processor's cache.
+        // Padding avoids a stride that is a power of two, with which the rows of a picture would
+        // compete for the same cache lines.
         let stride = width.next_multiple_of(2) + 4;
         let samples = stride * height * SAMPLES;
         (self.width, self.height, self.stride) = (width, height, stride);
@@ -91,7 +90,7 @@ impl Visible {
         self.forget_what_is_hidden(0);
     }
 
-    /// Must be called whenever depths are changed from outside.
+    /// Must be called after depths were changed from outside.
     pub(crate) fn depths_were_replaced(&mut self) {
         self.forget_what_is_hidden(WORTH_FINDING);
     }
@@ -108,14 +107,14 @@ impl Visible {
         self.blocks.resize(blocks, nothing);
     }
 
-    /// The place of a pixel's block in `blocks`.
+    /// Returns the index of a pixel's block in `blocks`.
     #[inline(always)]
     fn block_of(&self, x: i32, y: i32) -> usize {
         let [x, y] = [x, y].map(|at| at.cast_unsigned() as usize / BLOCK as usize);
         y * self.blocks_in_row + x
     }
 
-    /// Notes that depths of some pixels, the ends inside, were written, so much of
+    /// Notes that depths of an inclusive range of pixels were written, by a weight relative to
     /// [`WORTH_FINDING`].
     #[inline(always)]
     pub(crate) fn mark_written(&mut self, x: [i32; 2], y: [i32; 2], writes: u8) {
@@ -133,8 +132,8 @@ impl Visible {
         }
     }
 
-    /// Depths that no sample is beyond in the parts of the block with this first
-    /// pixel, and in all of it.
+    /// Returns lower bounds of the depths in the parts of the block with this first pixel, and in
+    /// the whole block.
     #[inline(always)]
     pub(crate) fn hidden_beyond(&mut self, [x, y]: [i32; 2]) -> (F, f32) {
         let at = self.block_of(x, y);
@@ -145,8 +144,8 @@ impl Visible {
         (F::new(block.parts), block.whole)
     }
 
-    /// Finds how much the block with this first pixel hides. Parts beside the
-    /// picture hide everything.
+    /// Computes the depth bounds of the block with this first pixel. Parts outside the picture
+    /// occlude everything.
     #[inline(never)]
     fn bounds(&self, [x, y]: [usize; 2]) -> Block {
         let mut parts = [F::splat(f32::INFINITY); LANES];
@@ -158,7 +157,7 @@ impl Visible {
                 if left >= right {
                     continue;
                 }
-                // One pixel more of an odd number: the bound is lower, if anything.
+                // Includes one pixel more if the number is odd, which can only lower the bound.
                 let pixels = (right - left).next_multiple_of(2);
                 let first = ((y + row) * self.stride + left) * SAMPLES;
                 let samples = &self.depths[first..first + pixels * SAMPLES];
@@ -182,10 +181,10 @@ impl Visible {
     }
 }
 
-/// A triangle in two pixels side by side.
+/// A triangle in two adjacent pixels.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Layer {
-    /// Instance and triangle in drawing order.
+    /// Indices of instance and triangle in drawing order.
     pub(crate) rank: (u32, u32),
     /// Index of its record.
     pub(crate) id: u32,
@@ -195,8 +194,7 @@ pub(crate) struct Layer {
     pub(crate) samples: u32,
 }
 
-/// Sink for layers. Drawing ends when there are more than `most`, and the list is of no
-/// use then.
+/// Receives layers. Drawing stops when there are more than `most`, and the list is then incomplete.
 pub(crate) struct Layers<'a> {
     pub(crate) list: &'a mut Vec<Layer>,
     pub(crate) most: usize,
@@ -211,7 +209,7 @@ pub(crate) struct Ranks<'a> {
 }
 
 impl Ranks<'_> {
-    /// Places of its geom's part in the scene, and of it in the mesh.
+    /// Returns the drawing order of the instance and of the triangle within its mesh.
     pub(crate) fn of(&self, record: &Record) -> (u32, u32) {
         let triangle = match record.vertices {
             CLIPPED => self.clipped[record.triangle as usize].triangle,
@@ -222,8 +220,8 @@ impl Ranks<'_> {
         (instance.rank, mesh.order[triangle as usize])
     }
 
-    /// Samples, among those of equal depth, whose triangle is drawn after this one and
-    /// therefore stays.
+    /// Returns those of the samples with equal depth whose current triangle is drawn after this one
+    /// and therefore stays.
     #[inline(never)]
     pub(crate) fn lost_ties(&self, ties: u32, ids: &[u32], record: &Record) -> u32 {
         let ours = self.of(record);

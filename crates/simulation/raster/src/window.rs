@@ -1,15 +1,15 @@
-//! Part of a picture.
+//! Rectangle of pixels in a picture.
 
 use std::ops::Range;
 
-/// Part of a picture, pixels; the ends are inside.
+/// Rectangle of pixels in a picture; the ends are inclusive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Window {
     pub(crate) x: [i32; 2],
     pub(crate) y: [i32; 2],
 }
 
-/// The smallest window around what is added to it.
+/// Accumulates the bounding window of pixels.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Around {
     low: [i32; 2],
@@ -22,7 +22,7 @@ impl Around {
         high: [i32::MIN; 2],
     };
 
-    /// Adds pixels, ends inside.
+    /// Adds an inclusive range of pixels.
     #[inline(always)]
     pub(crate) fn add(&mut self, x: [i32; 2], y: [i32; 2]) {
         let Self { low, high } = self;
@@ -30,7 +30,7 @@ impl Around {
         *high = [high[0].max(x[1]), high[1].max(y[1])];
     }
 
-    /// `None` if nothing was added.
+    /// Returns the bounding window; `None` if nothing was added.
     pub(crate) fn window(&self) -> Option<Window> {
         let Self { low, high } = *self;
         (low[0] <= high[0]).then_some(Window {
@@ -41,7 +41,7 @@ impl Around {
 }
 
 impl Window {
-    /// All of a picture.
+    /// Returns the window of a whole picture.
     pub(crate) fn whole(width: usize, height: usize) -> Self {
         Self {
             x: [0, width as i32 - 1],
@@ -49,7 +49,7 @@ impl Window {
         }
     }
 
-    /// A pixel.
+    /// Returns the window of a single pixel.
     pub(crate) fn pixel(x: i32, y: i32) -> Self {
         Self {
             x: [x, x],
@@ -57,7 +57,7 @@ impl Window {
         }
     }
 
-    /// The smallest that holds both.
+    /// Returns the bounding window of both.
     pub(crate) fn with(self, other: Self) -> Self {
         let around = |a: [i32; 2], b: [i32; 2]| [a[0].min(b[0]), a[1].max(b[1])];
         Self {
@@ -66,7 +66,7 @@ impl Window {
         }
     }
 
-    /// The smallest that holds both, of which either may be empty.
+    /// Returns the bounding window of two windows, of which either may be empty.
     pub(crate) fn around(one: Option<Self>, other: Option<Self>) -> Option<Self> {
         match (one, other) {
             (Some(one), Some(other)) => Some(one.with(other)),
@@ -74,7 +74,7 @@ impl Window {
         }
     }
 
-    /// Ranges of its rows in a list of pixels.
+    /// Returns the index ranges of the window's rows in a list of pixels.
     pub(crate) fn rows(self, stride: usize) -> impl Iterator<Item = Range<usize>> {
         let [left, right] = self.x.map(|x| x as usize);
         (self.y[0]..=self.y[1]).map(move |y| {

@@ -1,6 +1,5 @@
-//! The workspaces of LIBERO's problem classes: which arena model, where the
-//! robot stands, where things are placed, where the cameras are. Facts of
-//! hf-libero 0.1.4, `envs/problems/*.py` and `envs/arenas/*.py`.
+//! Workspaces of LIBERO's problem classes: arena models, positions of the robot, placement regions
+//! and cameras. Constants of hf-libero 0.1.4, `envs/problems/*.py` and `envs/arenas/*.py`.
 
 use std::borrow::Cow;
 
@@ -9,28 +8,28 @@ use libero_family::plus::{CameraPose, ProblemClass};
 /// One problem class.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Arena {
-    /// Problem class as BDDL files write it, lower case.
+    /// Problem class as in BDDL files, lower case.
     pub problem: &'static str,
     /// Model file inside an asset pack.
     pub file: Cow<'static, str>,
-    /// Texture files that replace those of the model's floor and wall.
+    /// Texture file that replaces the one of the model's floor.
     pub floor_texture: Cow<'static, str>,
-    /// Texture of the walls; see `floor_texture`.
+    /// Texture file that replaces the one of the model's walls.
     pub wall_texture: Cow<'static, str>,
-    /// Category of the fixture that stands for the workspace itself; no model
-    /// of its own is loaded for it.
+    /// Category of the fixture that represents the workspace itself; no separate model is loaded
+    /// for it.
     pub workspace_category: &'static str,
     /// A region whose name contains this is a zone on the workspace.
     pub zone_marker: &'static str,
     /// Body that the zones' sites are attached to.
     pub zone_body: &'static str,
-    /// Added to a zone's centre to give its site's position in that body, m.
+    /// Offset from a zone's centre to its site's position in that body, m.
     pub zone_offset: [f64; 3],
     /// Origin of the regions' coordinates, world frame, m.
     pub workspace_offset: [f64; 3],
     /// Height of a placed fixture's origin over the workspace, m.
     pub fixture_z_offset: f64,
-    /// A table with legs, to be brought to this full size, m.
+    /// Table with legs to be resized, if the arena has one.
     pub table: Option<Table>,
     /// True if movable objects must lie in their region with their whole radius, false if
     /// only with their centre.
@@ -41,7 +40,7 @@ pub struct Arena {
     pub cameras: &'static [Camera],
 }
 
-/// A rectangular table that the arena's model leaves unsized.
+/// A rectangular table whose size the arena's model does not set.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Table {
     /// Full extent, m.
@@ -53,26 +52,25 @@ pub struct Table {
 /// Stand of the robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum RobotStand {
-    /// On robosuite's Rethink pedestal, which lifts the base; x, y, z of the
-    /// pedestal's foot, m.
+    /// On robosuite's Rethink pedestal, which raises the base; x, y, z of the pedestal's foot, m.
     Pedestal([f64; 3]),
-    /// On nothing; x, y, z of the base, m.
+    /// Without a pedestal; x, y, z of the base, m.
     Ground([f64; 3]),
 }
 
 /// A fixed camera in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
-    /// Name.
+    /// Name of the camera.
     pub name: &'static str,
-    /// World frame, m.
+    /// Position, world frame, m.
     pub pos: [f64; 3],
-    /// World frame, w x y z.
+    /// Orientation, world frame, w x y z.
     pub quat: [f64; 4],
 }
 
 impl Arena {
-    /// Pose of one of the cameras that are set or added.
+    /// Returns the pose of one of the arena's cameras.
     pub fn camera(&self, name: &str) -> Option<CameraPose> {
         let camera = self.cameras.iter().find(|camera| camera.name == name)?;
         let Camera { pos, quat, .. } = *camera;
@@ -80,8 +78,8 @@ impl Arena {
     }
 }
 
-/// Looks a problem class up: one of LIBERO's, or one of LIBERO-Plus, which are LIBERO's
-/// with another scene file or other textures.
+/// Finds a problem class: one of LIBERO's, or one of LIBERO-Plus, which are LIBERO's with another
+/// scene file or other textures.
 pub fn arena(problem: &str) -> Option<Arena> {
     let known = |problem: &str| {
         ARENAS
@@ -105,7 +103,7 @@ pub fn arena(problem: &str) -> Option<Arena> {
     })
 }
 
-/// The problem classes that have an arena.
+/// Returns the names of the problem classes that have an arena.
 pub fn known_problems() -> Vec<&'static str> {
     ARENAS.iter().map(|arena| arena.problem).collect()
 }

@@ -1,5 +1,5 @@
-//! BDDL problem files: what a task consists of, where things start, and its
-//! goal. LIBERO's dialect: case-insensitive s-expressions, `;` comments.
+//! BDDL problem files: objects, initial state and goal of a task. LIBERO's dialect:
+//! case-insensitive s-expressions, `;` comments.
 
 use std::fmt;
 
@@ -14,7 +14,7 @@ pub use crate::expression::BddlError;
 pub struct Problem {
     /// Problem class, lower case: `libero_tabletop_manipulation`.
     pub name: String,
-    /// The file's own wording of the task, lower case; empty if it has none.
+    /// Instruction as in the file, lower case; empty if there is none.
     pub language: String,
     /// Fixtures, in file order.
     pub fixtures: Vec<Declaration>,
@@ -50,7 +50,7 @@ pub struct Region {
     pub ranges: Vec<Rectangle>,
     /// Bounds of the yaw drawn for a fixture placed here, rad, as written.
     pub yaw: [f64; 2],
-    /// Colour of the site that marks it: red, green, blue, opacity.
+    /// Colour of the region's site: red, green, blue, opacity.
     pub rgba: [f64; 4],
 }
 
@@ -98,10 +98,9 @@ impl Problem {
         Ok(problem)
     }
 
-    /// The region of this full name.
+    /// Finds the region with this full name.
     pub fn region(&self, name: &str) -> Option<&Region> {
-        // The original keeps regions in a dictionary, where the last of two
-        // with the same name wins.
+        // The original keeps regions in a dictionary, where the last of two with one name wins.
         self.regions.iter().rev().find(|region| region.name == name)
     }
 

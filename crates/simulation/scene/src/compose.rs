@@ -1,6 +1,5 @@
-//! Composition of one MJCF model from a BDDL problem and an asset pack: arena, robot,
-//! objects, fixtures and region sites, in the original's element order and with its
-//! names.
+//! Composition of one MJCF model from a BDDL problem and an asset pack: arena, robot, objects,
+//! fixtures and region sites, in the original's element order and with the original's names.
 
 use std::path::PathBuf;
 
@@ -33,39 +32,39 @@ pub struct Scene {
     mjcf: String,
     /// Objects in BDDL order, then fixtures.
     pub instances: Vec<Instance>,
-    /// The regions that have a site, in BDDL order.
+    /// Regions with a site, in BDDL order.
     pub regions: Vec<RegionSite>,
     /// Predicates that must hold for success.
     pub goal: Vec<Predicate>,
-    /// Poses of the fixtures in campaigns, to be written over the model's.
+    /// Fixture poses in campaigns, which replace the model's poses.
     pub fixture_poses: Vec<FixturePose>,
     /// Samplers of a reset without an initial state.
     pub samplers: Samplers,
 }
 
 impl Scene {
-    /// The model as MJCF with this machine's file names, ready to be compiled.
+    /// Returns the model as MJCF with this machine's file paths, ready to compile.
     pub fn mjcf(&self, pack: &AssetPack, sources: &Sources) -> String {
         locate_files(&self.mjcf, [&pack.root(), &sources.robosuite()])
     }
 
-    /// The model as MJCF with folders' names that are the same on every machine.
+    /// Returns the model as MJCF with folder names that are equal on every machine.
     pub fn portable_mjcf(&self) -> &str {
         &self.mjcf
     }
 
-    /// Holds the meshes and textures that the MJCF names against LIBERO's table, if the
-    /// pack goes by LIBERO's name. To be called before they are compiled.
+    /// Verifies the meshes and textures that the MJCF references against LIBERO's table, if the
+    /// pack is named `libero`. Call it before compiling.
     ///
     /// # Errors
-    /// If a file is not LIBERO's.
+    /// If a file differs from LIBERO's.
     pub fn verify_files(&self, pack: &AssetPack) -> Result<(), SceneError> {
         let root = pack.root();
         let mut files = self.files_below(&root);
         files.try_for_each(|file| root.verify(file, "file of the scene"))
     }
 
-    /// The robot's meshes and textures that the MJCF names.
+    /// Returns the robot's meshes and textures that the MJCF references.
     pub fn robot_files(&self, sources: &Sources) -> Vec<PathBuf> {
         let root = sources.robosuite();
         self.files_below(&root)
@@ -79,8 +78,8 @@ impl Scene {
         named.filter_map(|file| root.inside(file))
     }
 
-    /// SHA-256 of the composed MJCF and the fixtures' poses, hex. The same on
-    /// every machine; the pack's own digest covers the files it names.
+    /// Returns the SHA-256 of the composed MJCF and the fixtures' poses, hex. Equal on every
+    /// machine; the pack's own digest covers the referenced files.
     pub fn digest(&self) -> String {
         let mut hash = Sha256::new();
         hash.update(self.mjcf.as_bytes());
@@ -93,18 +92,18 @@ impl Scene {
         crate::pack::hex(&hash.finalize())
     }
 
-    /// The instance of this name.
+    /// Finds the instance with this name.
     pub fn instance(&self, name: &str) -> Option<&Instance> {
         self.instances.iter().find(|instance| instance.name == name)
     }
 
-    /// The region of this name.
+    /// Finds the region with this name.
     pub fn region(&self, name: &str) -> Option<&RegionSite> {
         self.regions.iter().find(|region| region.name == name)
     }
 }
 
-/// Composes a problem with a pack; `env_seed` places the fixtures of campaigns.
+/// Composes a problem with a pack; `env_seed` determines the poses of fixtures in campaigns.
 pub fn compose(
     problem: &Problem,
     pack: &AssetPack,
@@ -221,14 +220,14 @@ fn load_arena(arena: &Arena, pack: &AssetPack) -> Result<Part, SceneError> {
     Ok(part)
 }
 
-/// Brings the table's top and legs to size; the error names what is missing.
+/// Resizes the table's top and legs; the error names a missing element.
 fn size_table(
     part: &mut Part,
     arena: &Arena,
     full_size: [f64; 3],
     friction: [f64; 3],
 ) -> Result<(), String> {
-    /// Legs stand this far inside the table's edge, m.
+    /// Distance of the legs from the table's edge, m.
     const LEG_INSET: [[f64; 2]; 4] = [[0.1, 0.1], [-0.1, 0.1], [-0.1, -0.1], [0.1, -0.1]];
     const LEG_RADIUS: f64 = 0.025;
     let half = full_size.map(|extent| extent / 2.0);
@@ -276,8 +275,8 @@ fn size_table(
     Ok(())
 }
 
-/// Adds the zones' sites to the workspace and finds the other regions' sites
-/// in the objects and fixtures.
+/// Adds the zones' sites to the workspace and finds the sites of other regions in objects and
+/// fixtures.
 fn find_regions(
     problem: &Problem,
     arena: &Arena,
@@ -286,7 +285,7 @@ fn find_regions(
 ) -> Result<Vec<RegionSite>, SceneError> {
     let mut sites: Vec<RegionSite> = Vec::new();
     for region in &problem.regions {
-        // Of two regions with one name the last wins, at the first one's place.
+        // Of two regions with one name, the last one is used, at the position of the first.
         let region = problem.region(&region.name).expect("its own name");
         if sites.iter().any(|site| site.name == region.name) {
             continue;
@@ -346,7 +345,7 @@ fn find_regions(
     Ok(sites)
 }
 
-/// Every argument of the goal must be an instance or a region with a site.
+/// Checks that every argument of the goal is an instance or a region with a site.
 fn check_goal(scene: &Scene) -> Result<(), SceneError> {
     for predicate in &scene.goal {
         for argument in &predicate.arguments {

@@ -1,5 +1,5 @@
-//! A small ordered XML tree: enough to read MJCF pieces, change them and write
-//! them again. Comments and text are dropped; attribute order is kept.
+//! A small ordered XML tree for reading, changing and writing MJCF. Comments and text are dropped;
+//! the order of attributes is kept.
 
 use std::fmt::Write as _;
 
@@ -11,7 +11,7 @@ pub(crate) struct Element {
     pub(crate) children: Vec<Element>,
 }
 
-/// Deeper nesting than any model has; bounds the stack.
+/// Limit of nesting, beyond any real model; bounds the stack.
 const MAX_DEPTH: usize = 128;
 
 impl Element {
@@ -23,7 +23,7 @@ impl Element {
         }
     }
 
-    /// Parses a document; the error says where it is malformed.
+    /// Parses a document; the error gives the place of a syntax error.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let document = roxmltree::Document::parse(text).map_err(|error| error.to_string())?;
         Self::from_node(document.root_element(), 0)
@@ -33,7 +33,7 @@ impl Element {
         if depth == MAX_DEPTH {
             return Err(format!("elements are nested more than {MAX_DEPTH} deep"));
         }
-        // An attribute in a namespace would lose its prefix, and its name may then occur twice.
+        // A namespaced attribute would lose its prefix, and its name could then occur twice.
         if let Some(strange) = node.attributes().find(|a| a.namespace().is_some()) {
             return Err(format!("attribute `{}` is in a namespace", strange.name()));
         }
@@ -68,7 +68,7 @@ impl Element {
         }
     }
 
-    /// Sets the attribute unless the element has it.
+    /// Sets an attribute that the element does not have yet.
     pub(crate) fn set_default(&mut self, name: &str, value: &str) {
         if self.get(name).is_none() {
             self.set(name, value);
@@ -95,12 +95,12 @@ impl Element {
         self.get("name")
     }
 
-    /// The first direct child with this tag.
+    /// Returns the first direct child with this tag.
     pub(crate) fn child(&self, tag: &str) -> Option<&Self> {
         self.children.iter().find(|child| child.tag == tag)
     }
 
-    /// The first direct child with this tag, made if there is none.
+    /// Returns the first direct child with this tag, creating one if there is none.
     pub(crate) fn child_mut(&mut self, tag: &str) -> &mut Self {
         let index = match self.children.iter().position(|child| child.tag == tag) {
             Some(index) => index,
@@ -112,14 +112,14 @@ impl Element {
         &mut self.children[index]
     }
 
-    /// This element or a descendant with this tag and name, in document order.
+    /// Finds this element or a descendant by tag and name, in document order.
     pub(crate) fn find(&self, tag: &str, name: &str) -> Option<&Self> {
         self.descendants()
             .into_iter()
             .find(|e| e.tag == tag && e.name() == Some(name))
     }
 
-    /// As [`find`](Self::find), to be changed.
+    /// Mutable variant of [`find`](Self::find).
     pub(crate) fn find_mut(&mut self, tag: &str, name: &str) -> Option<&mut Self> {
         if self.tag == tag && self.name() == Some(name) {
             return Some(self);
@@ -129,7 +129,7 @@ impl Element {
             .find_map(|child| child.find_mut(tag, name))
     }
 
-    /// This element and all below it, in document order.
+    /// Returns this element and all its descendants, in document order.
     pub(crate) fn descendants(&self) -> Vec<&Self> {
         let mut all = vec![self];
         for child in &self.children {
@@ -138,7 +138,7 @@ impl Element {
         all
     }
 
-    /// Calls `change` on this element and all below it, in document order.
+    /// Calls `change` on this element and all its descendants, in document order.
     pub(crate) fn for_each_mut(&mut self, change: &mut impl FnMut(&mut Self)) {
         change(self);
         for child in &mut self.children {
@@ -175,20 +175,19 @@ fn escape(value: &str) -> String {
         .replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('"', "&quot;")
-        // Read as plain blanks unless written as numbers.
+        // A parser reads literal white space in attributes as blanks.
         .replace('\t', "&#9;")
         .replace('\n', "&#10;")
         .replace('\r', "&#13;")
 }
 
-/// Numbers as MJCF writes them, each in the shortest form that reads back as
-/// the same double.
+/// Formats numbers for MJCF, each in the shortest form that parses to the same double.
 pub(crate) fn numbers(values: &[f64]) -> String {
     let words: Vec<String> = values.iter().map(f64::to_string).collect();
     words.join(" ")
 }
 
-/// Reads MJCF numbers.
+/// Parses MJCF numbers.
 pub(crate) fn parse_numbers(text: &str) -> Option<Vec<f64>> {
     text.split_whitespace()
         .map(|word| word.parse().ok())

@@ -1,4 +1,4 @@
-//! Errors of the files that a scene is made of.
+//! Errors of reading and composing a scene.
 
 use std::path::PathBuf;
 
@@ -29,7 +29,7 @@ pub enum SceneError {
         /// Defect, with its place where there is one.
         problem: String,
     },
-    /// A file of a pack that goes by LIBERO's name is not LIBERO's.
+    /// A file of a pack named `libero` differs from LIBERO's.
     #[error(
         "use {what} {}: it is not LIBERO's ({difference}). Run `worker assets fetch`, which \
          replaces it, or `worker assets verify`, which lists everything that differs",
@@ -43,20 +43,20 @@ pub enum SceneError {
         /// Difference from LIBERO's file.
         difference: String,
     },
-    /// A BDDL file names a category that no model is known for.
+    /// A BDDL file uses an unknown category.
     #[error(
         "find a model for category `{category}` of `{instance}`: the catalogue knows {known} \
          categories and not this one; check its spelling in the BDDL file"
     )]
     UnknownCategory {
-        /// The category as the BDDL file writes it.
+        /// Category as in the BDDL file.
         category: String,
         /// Instance of that category.
         instance: String,
         /// Number of categories in the catalogue.
         known: usize,
     },
-    /// The problem class of a BDDL file is none of LIBERO's.
+    /// The problem class of a BDDL file is unknown.
     #[error("choose an arena for problem `{problem}`: known are {}", known.join(", "))]
     UnknownProblem {
         /// Problem class as the BDDL file writes it.
@@ -67,7 +67,7 @@ pub enum SceneError {
     /// LIBERO's assets cannot be fetched.
     #[error(transparent)]
     Assets(#[from] assets::AssetsError),
-    /// Names inside a scene do not fit together.
+    /// Names inside a scene do not match.
     #[error("compose the scene: {0}")]
     Inconsistent(String),
     /// The placement sampler found no room.

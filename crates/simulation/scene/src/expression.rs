@@ -1,5 +1,5 @@
-//! S-expressions with line numbers, lower-cased, `;` comments dropped. The module `bddl`
-//! interprets them.
+//! Parser of s-expressions: records line numbers, converts to lower case, drops `;` comments. The
+//! module `bddl` interprets them.
 
 /// Syntax error in a BDDL text.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
@@ -11,7 +11,7 @@ pub struct BddlError {
     pub problem: String,
 }
 
-/// One s-expression and the line it starts on.
+/// An s-expression and its first line.
 #[derive(Debug)]
 pub(crate) struct Expression {
     line: usize,
@@ -24,7 +24,7 @@ pub(crate) enum Kind {
     List(Vec<Expression>),
 }
 
-/// Deeper nesting than any problem file has; bounds the stack.
+/// Limit of nesting, beyond any real problem file; bounds the stack.
 const MAX_DEPTH: usize = 64;
 
 impl Expression {
@@ -130,7 +130,7 @@ fn tokens(code: &str) -> impl Iterator<Item = &str> {
     let is_paren = |c: char| c == '(' || c == ')';
     code.split_whitespace().flat_map(move |chunk| {
         chunk.split_inclusive(is_paren).flat_map(move |piece| {
-            // A piece is a word, a parenthesis, or a word that ends in one.
+            // A piece is a word, a parenthesis, or a word that ends with a parenthesis.
             let split = if piece.ends_with(is_paren) {
                 piece.len() - 1
             } else {

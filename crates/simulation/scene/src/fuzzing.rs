@@ -1,5 +1,5 @@
-//! Entry points of the fuzz targets: readers of single files, without the folders around
-//! them. Not for programs.
+//! Entry points for fuzz targets: parsers of single files, without surrounding folders. Programs do
+//! not use them.
 
 use std::path::PathBuf;
 
@@ -11,10 +11,10 @@ use crate::part::Part;
 use crate::pickle::read_matrix;
 use crate::sources::{AssetRoot, RootKind, locate_files};
 
-/// Makes an instance of an object's model and puts it into an empty scene.
+/// Creates an instance of an object's model and merges it into an empty scene.
 ///
 /// # Panics
-/// If the scene does not read the same when it is written.
+/// If the written scene does not parse to the same scene.
 pub fn object_model(text: &str, movable: bool) -> Result<(), String> {
     let root = AssetRoot {
         kind: RootKind::Pack,
@@ -38,7 +38,7 @@ pub fn object_model(text: &str, movable: bool) -> Result<(), String> {
     Ok(())
 }
 
-/// Reads what the zip of a `.pruned_init` file holds; rows and columns.
+/// Parses the pickle inside a `.pruned_init` file; returns the numbers of rows and columns.
 pub fn pickled_states(bytes: &[u8]) -> Result<[usize; 2], String> {
     read_matrix(bytes).map(|matrix| [matrix.rows, matrix.columns])
 }

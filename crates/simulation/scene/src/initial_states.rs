@@ -9,8 +9,7 @@ use sha2::{Digest, Sha256};
 use crate::error::SceneError;
 use crate::pickle::{Matrix, read_matrix};
 
-/// The initial states of a task; each is the simulator's state vector: time
-/// (s), qpos, qvel.
+/// Initial states of a task. Each is a state vector of the simulator: time (s), qpos, qvel.
 #[derive(Debug, Clone)]
 pub struct InitialStates {
     path: PathBuf,
@@ -20,9 +19,9 @@ pub struct InitialStates {
 
 /// Name of these files in messages.
 const WHAT: &str = "initial states";
-/// The array of LIBERO-PRO's files.
+/// Array name in LIBERO-PRO's files.
 const NPZ_MEMBER: &str = "states.npy";
-/// Larger than any released file by far; bounds what is read into memory.
+/// Limit of what is read into memory, far above any released file.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
 impl InitialStates {
@@ -37,7 +36,7 @@ impl InitialStates {
         Self::from_reader(file, path)
     }
 
-    /// Reads the contents of a `.pruned_init` file; messages call it `path`.
+    /// Parses the contents of a `.pruned_init` file; errors name `path`.
     pub fn from_reader(reader: impl Read + Seek, path: &Path) -> Result<Self, SceneError> {
         let matrix = read_archive(reader).map_err(|problem| SceneError::Malformed {
             what: WHAT.to_owned(),
@@ -51,28 +50,28 @@ impl InitialStates {
         })
     }
 
-    /// Number of states.
+    /// Returns the number of states.
     pub fn count(&self) -> usize {
         self.values.len() / self.width
     }
 
-    /// Numbers in each: 1 + nq + nv.
+    /// Returns the length of a state: 1 + nq + nv.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// The file they came from.
+    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// One of them.
+    /// Returns one state, if it exists.
     pub fn get(&self, id: usize) -> Option<&[f64]> {
         let start = id.checked_mul(self.width)?;
         self.values.get(start..start.checked_add(self.width)?)
     }
 
-    /// SHA-256 of one of them, hex, over its little-endian bytes.
+    /// Returns the SHA-256 of a state's little-endian bytes, hex.
     pub fn digest(&self, id: usize) -> Option<String> {
         let mut hash = Sha256::new();
         for value in self.get(id)? {
@@ -82,7 +81,7 @@ impl InitialStates {
     }
 }
 
-/// The states in a zip, one a row: at least one, all of them finite numbers.
+/// Reads the states in a zip, one per row: at least one, with finite values only.
 fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
     let mut archive = zip::ZipArchive::new(reader).map_err(|error| format!("no zip: {error}"))?;
     let name = archive
@@ -110,7 +109,7 @@ fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
     Ok(matrix)
 }
 
-/// Reads NumPy's format 1.0: a matrix of little-endian doubles, row by row.
+/// Parses NumPy's format 1.0: a row-major matrix of little-endian doubles.
 fn read_npy(bytes: &[u8]) -> Result<Matrix, String> {
     let no = || "`states.npy` is no matrix of little-endian doubles, row by row".to_owned();
     let rest = bytes.strip_prefix(b"\x93NUMPY\x01\x00").ok_or_else(no)?;

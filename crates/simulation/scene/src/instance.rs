@@ -1,4 +1,4 @@
-//! Parts of a composed scene, with their names in the model.
+//! Parts of a composed scene and their names in the model.
 
 use crate::catalog::Category;
 
@@ -7,11 +7,11 @@ use crate::catalog::Category;
 pub enum InstanceKind {
     /// Movable object.
     Object,
-    /// Fixture, which stands still (its drawers and doors move).
+    /// Fixture, whose base does not move (its drawers and doors do).
     Fixture,
 }
 
-/// An object or a fixture, with the names that it has in the model.
+/// An object or fixture and its names in the model.
 #[derive(Debug, Clone)]
 pub struct Instance {
     /// Instance name, for example `akita_black_bowl_1`.
@@ -26,7 +26,7 @@ pub struct Instance {
     pub joints: Vec<String>,
     /// Names of the collision geoms.
     pub contact_geoms: Vec<String>,
-    /// Its sites that show a state, such as a stove's burner.
+    /// Site that displays a state, such as a stove's burner.
     pub burner_site: Option<String>,
 }
 
@@ -37,8 +37,8 @@ pub struct RegionSite {
     pub name: String,
     /// Half extents in the site's frame, m.
     pub half_size: [f64; 3],
-    /// The instance that carries it; none for a zone on the workspace.
+    /// Instance that the site is attached to; `None` for a zone on the workspace.
     pub parent: Option<String>,
-    /// Joints of the part that carries it (a drawer's slide).
+    /// Joints of the part that the site is attached to (a drawer's slide).
     pub joints: Vec<String>,
 }

@@ -1,12 +1,9 @@
-//! LIBERO scenes as text and numbers: which files a task consists of, what its
-//! BDDL file says, the MJCF that robot, arena, fixtures, objects and region
-//! sites make together, where the placement samplers put things, and the
-//! released initial states.
+//! LIBERO scenes as data: files of a task, BDDL problems, composition of robot, arena, fixtures,
+//! objects and region sites into MJCF, placement samplers, and the released initial states.
 //!
-//! Pure: text in, MJCF out. Nothing here compiles a model or draws a frame;
-//! that is crate `sim`. What the original does was read in LIBERO (hf-libero
-//! 0.1.4) and robosuite 1.4.0, and is held against their output by
-//! `cargo xtask parity`.
+//! Text in, MJCF out: this crate neither compiles a model nor renders a frame; crate `sim` does.
+//! The behaviour follows LIBERO (hf-libero 0.1.4) and robosuite 1.4.0, and `cargo xtask parity`
+//! compares it with their output.
 
 #![forbid(unsafe_code)]
 

@@ -1,5 +1,5 @@
-//! One object or fixture: its model cut out of its file and named after the
-//! instance, as robosuite 1.4.0's `MujocoXMLObject` does it.
+//! Objects and fixtures: extracts the model from its file and renames it after the instance, as
+//! robosuite 1.4.0's `MujocoXMLObject` does.
 
 use crate::catalog::Category;
 use crate::element::{Element, parse_numbers};
@@ -12,15 +12,15 @@ use crate::part::{Part, add_prefix, is_collision_geom};
 #[derive(Debug, Clone)]
 pub(crate) struct ObjectPart {
     pub(crate) instance: Instance,
-    /// Source of its assets, and of its regions as its file wrote them.
+    /// Part with the assets, and with the regions as its file defines them.
     pub(crate) part: Part,
-    /// The body that goes into the scene.
+    /// Body to insert into the scene.
     pub(crate) body: Element,
-    /// Sizes that the placement sampler goes by, m.
+    /// Sizes for the placement sampler, m.
     pub(crate) footprint: Footprint,
 }
 
-/// Sizes that the placement sampler goes by, m, from three marker sites.
+/// Sizes for the placement sampler, m, from three marker sites.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Footprint {
     pub(crate) radius: f64,
@@ -49,7 +49,7 @@ pub(crate) fn load_object(
     })
 }
 
-/// Makes an instance of a category's model.
+/// Creates an instance from a category's model.
 pub(crate) fn build(
     mut part: Part,
     name: &str,
@@ -116,8 +116,8 @@ pub(crate) fn build(
     })
 }
 
-/// Drops geoms that are neither for contacts (group 0) nor to be seen (group
-/// 1), and names the nameless ones `g<i>`, counted over all geoms.
+/// Drops geoms in neither the collision group 0 nor the visual group 1, and names unnamed geoms
+/// `g<i>`, counting all geoms.
 fn keep_named_geoms(body: &mut Element) {
     fn visit(element: &mut Element, count: &mut usize) {
         element.children.retain_mut(|child| {
@@ -155,9 +155,9 @@ fn footprint(part: &Part, prefix: &str) -> Result<Footprint, String> {
 }
 
 impl ObjectPart {
-    /// The region's site, if this object carries it. The original walks the
-    /// bodies in document order, takes the innermost that holds the site, and
-    /// stops at the first body without any site.
+    /// Returns the site of a region, if this object has it. The original walks the bodies in
+    /// document order, takes the innermost one with the site, and stops at the first body without
+    /// any site.
     pub(crate) fn region_site(&self, region: &str) -> Option<RegionSite> {
         let outer = self
             .part

@@ -1,9 +1,9 @@
-//! Asset packs: folders in LIBERO's layout with the models of categories and
-//! arenas. A pack has a name and a digest, which go with every result.
+//! Asset packs: folders in LIBERO's layout with the models of categories and arenas. Every result
+//! records the name and digest of its pack.
 //!
-//! `libero` means LIBERO's official content and nothing else. Its digest is a
-//! constant of the program, whether all of its files are there or those of one task;
-//! a file is held against the table when a scene is first made from it.
+//! The name `libero` means exactly LIBERO's official content. Its digest is a constant of the
+//! program, even if only the files of one task are present; each file is verified against the table
+//! when a scene first uses it.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use sha2::{Digest, Sha256};
 use crate::error::SceneError;
 use crate::sources::{AssetRoot, RootKind, Sources};
 
-/// The built-in pack: every file with its path inside the pack.
+/// The built-in pack: its files and their paths inside the pack.
 mod builtin {
     include!(concat!(env!("OUT_DIR"), "/primitives.rs"));
 }
@@ -32,17 +32,16 @@ pub struct AssetPack {
     name: &'static str,
     dir: PathBuf,
     digest: String,
-    /// Present if the pack is LIBERO's.
+    /// Verified files, if the pack is LIBERO's.
     verified: Option<Arc<VerifiedFolder>>,
     is_managed: bool,
     differences: Vec<String>,
 }
 
 impl AssetPack {
-    /// Opens `primitives`, `libero`, or a folder in LIBERO's layout. The built-in pack
-    /// is unpacked beside the sources at its first use. The files of `libero` need not
-    /// be there yet. A folder whose files are LIBERO's is `libero` too; any other is
-    /// `custom`.
+    /// Opens `primitives`, `libero`, or a folder in LIBERO's layout. The built-in pack is unpacked
+    /// beside the sources on first use. The files of `libero` may still be missing. A folder with
+    /// LIBERO's files is opened as `libero`, any other as `custom`.
     pub fn open(name_or_path: &str, sources: &Sources) -> Result<Self, SceneError> {
         match name_or_path {
             PRIMITIVES => Self::unpack_primitives(&sources.dir().join("packs")),
@@ -55,8 +54,8 @@ impl AssetPack {
         }
     }
 
-    /// Opens a pack again whose digest another process has found out, so that a folder
-    /// need not be read once more.
+    /// Opens a pack whose digest another process has already computed, so that a folder is not read
+    /// twice.
     pub fn open_known(
         name_or_path: &str,
         sources: &Sources,
@@ -94,7 +93,7 @@ impl AssetPack {
         }
     }
 
-    /// Opens a folder of one's own to fetch LIBERO's assets into. It need not be there.
+    /// Opens a custom folder as a target for LIBERO's assets. The folder need not exist.
     pub fn into_folder(dir: &Path) -> Self {
         let dir = std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned());
         Self::libero(dir, false)
@@ -115,33 +114,33 @@ impl AssetPack {
         Ok(Self::custom(pack.dir, digest, differences.collect()))
     }
 
-    /// `primitives`, `libero` or `custom`.
+    /// Returns the name: `primitives`, `libero` or `custom`.
     pub fn name(&self) -> &str {
         self.name
     }
 
-    /// SHA-256 over the names and contents of all files, hex. A part of LIBERO's assets
+    /// Returns the SHA-256 over the names and contents of all files, hex. A part of LIBERO's assets
     /// has the digest of the whole.
     pub fn digest(&self) -> &str {
         &self.digest
     }
 
-    /// The pack's folder on this machine.
+    /// Returns the pack's folder on this machine.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// LIBERO's files in the pack's folder; none of a pack that is not LIBERO's.
+    /// Returns LIBERO's files in the pack's folder; `None` for other packs.
     pub fn verified(&self) -> Option<&Arc<VerifiedFolder>> {
         self.verified.as_ref()
     }
 
-    /// Returns true for the pack whose files are fetched when they are needed.
+    /// Returns true for the pack whose files are fetched on demand.
     pub fn is_managed(&self) -> bool {
         self.is_managed
     }
 
-    /// The files of a folder because of which it is not LIBERO's, with how they differ.
+    /// Returns descriptions of the files that make a folder differ from LIBERO's assets.
     pub fn differences(&self) -> &[String] {
         &self.differences
     }
@@ -162,8 +161,8 @@ impl AssetPack {
         let digest = hex(&hash.finalize());
         let dir = packs.join(format!("{PRIMITIVES}-{}", &digest[..12]));
         if !dir.is_dir() {
-            // Written aside and renamed, so that slots which start together
-            // never see half a pack.
+            // Written to a temporary folder and renamed, so that slots that start together never
+            // see an incomplete pack.
             let aside = packs.join(format!(".{PRIMITIVES}-{}", std::process::id()));
             for (inside, bytes) in builtin::FILES {
                 let path = aside.join(inside);
@@ -176,7 +175,7 @@ impl AssetPack {
             {
                 return Err(write_error(&dir, source));
             }
-            // Another process may have been faster; its copy is the same.
+            // Removes the copy if another process was faster; its pack is identical.
             let _ = std::fs::remove_dir_all(&aside);
         }
         Ok(Self {
@@ -186,7 +185,7 @@ impl AssetPack {
     }
 }
 
-/// The absolute path of a folder in LIBERO's layout.
+/// Returns the absolute path of a folder in LIBERO's layout.
 fn existing_folder(dir: &Path) -> Result<PathBuf, SceneError> {
     let arenas = dir.join("scenes");
     std::fs::metadata(&arenas).map_err(|source| SceneError::Read {
@@ -199,7 +198,7 @@ fn existing_folder(dir: &Path) -> Result<PathBuf, SceneError> {
     std::path::absolute(dir).map_err(|source| read_error(dir, source))
 }
 
-/// SHA-256 over the names and contents of all files below a folder, hex.
+/// Returns the SHA-256 over the names and contents of all files below a folder, hex.
 pub fn digest_of_folder(dir: &Path) -> Result<String, SceneError> {
     let mut files = Vec::new();
     list_files(dir, &mut files)?;
@@ -213,7 +212,7 @@ pub fn digest_of_folder(dir: &Path) -> Result<String, SceneError> {
     Ok(hex(&hash.finalize()))
 }
 
-/// Deeper nesting than any pack has; ends a loop of links.
+/// Limit of nesting, beyond any real pack; ends cycles of symbolic links.
 const MAX_DEPTH: usize = 12;
 
 fn list_files(dir: &Path, files: &mut Vec<PathBuf>) -> Result<(), SceneError> {

@@ -1,6 +1,5 @@
-//! One MJCF file as a piece to build with: default classes written out where
-//! they are used, file names made independent of where the piece was, names
-//! prefixed. The rules are those of robosuite 1.4.0's `MujocoXML`.
+//! A MJCF file prepared for merging: default classes expanded, file names made independent of the
+//! file's location, names prefixed. Follows robosuite 1.4.0's `MujocoXML`.
 
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -9,7 +8,7 @@ use crate::element::Element;
 use crate::error::SceneError;
 use crate::sources::{AssetRoot, FileRef};
 
-/// Attributes that hold a name of, or a reference to, a named element.
+/// Attributes that hold the name of an element or a reference to one.
 const NAMED_ATTRIBUTES: &[&str] = &[
     "class",
     "childclass",
@@ -41,7 +40,7 @@ const NAMED_ATTRIBUTES: &[&str] = &[
     "site",
 ];
 
-/// Sections whose children simply follow one another in a merged model.
+/// Sections whose children are concatenated in a merged model.
 const LIST_SECTIONS: &[&str] = &["actuator", "sensor", "tendon", "equality", "contact"];
 
 /// A loaded MJCF file.
@@ -69,13 +68,13 @@ impl Part {
         })
     }
 
-    /// Checks that the files which the assets name are there: MuJoCo's own message would
-    /// not say what they belong to.
+    /// Checks that the referenced asset files exist. MuJoCo's own message would not name the model
+    /// that uses them.
     pub(crate) fn check_files(&self, root: &AssetRoot, what: &str) -> Result<(), SceneError> {
         let mut names = HashSet::new();
         let assets = self.root.child("asset").into_iter();
         for asset in assets.flat_map(|section| &section.children) {
-            // Of namesakes only the first gets into a scene.
+            // Of assets with one name, only the first is merged into a scene.
             if !names.insert((&asset.tag, asset.name())) {
                 continue;
             }
@@ -120,8 +119,8 @@ impl Part {
         self.root.child_mut("worldbody")
     }
 
-    /// Appends another part: its assets, its lists, and its bodies to `bodies_to`
-    /// (a body's name; none: to the world body).
+    /// Merges another part: its assets, its lists, and its bodies as children of the body
+    /// `bodies_to`, or of the world body.
     pub(crate) fn merge(&mut self, other: &Part, bodies_to: Option<&str>) -> Result<(), String> {
         let bodies = other.worldbody()?.children.clone();
         let target = match bodies_to {
@@ -142,8 +141,8 @@ impl Part {
         Ok(())
     }
 
-    /// Appends those assets of `other` that have no namesake here. Assets
-    /// without a name count as namesakes of one another, as in the original.
+    /// Appends those assets of `other` whose names are not in use here. All unnamed assets count as
+    /// having the same name, as in the original.
     pub(crate) fn merge_assets(&mut self, other: &Part) {
         let assets = self.root.child_mut("asset");
         let incoming = other
@@ -162,7 +161,7 @@ impl Part {
     }
 }
 
-/// Prefixes every name and reference below `element` that is not prefixed yet.
+/// Adds a prefix to every name and reference below `element` that does not have it yet.
 pub(crate) fn add_prefix(element: &mut Element, prefix: &str) {
     element.for_each_mut(&mut |element| {
         for attribute in NAMED_ATTRIBUTES {
@@ -176,13 +175,13 @@ pub(crate) fn add_prefix(element: &mut Element, prefix: &str) {
     });
 }
 
-/// Returns true if a geom takes part in contacts by convention: group 0 or none given.
+/// Returns true if a geom is a collision geom by convention: group 0 or no group.
 pub(crate) fn is_collision_geom(element: &Element) -> bool {
     element.tag == "geom" && matches!(element.get("group"), None | Some("0"))
 }
 
-/// Gives every collision geom one colour and takes its material away, except
-/// those called `except`.
+/// Sets one colour on every collision geom and removes its material, except on those named
+/// `except`.
 pub(crate) fn recolor_collision_geoms(root: &mut Element, rgba: &str, except: Option<&str>) {
     root.for_each_mut(&mut |element| {
         if is_collision_geom(element) && (except.is_none() || element.name() != except) {
@@ -192,8 +191,8 @@ pub(crate) fn recolor_collision_geoms(root: &mut Element, rgba: &str, except: Op
     });
 }
 
-/// Replaces `class="c"` by the attributes of that default class and drops the
-/// `<default>` section.
+/// Replaces `class="c"` by the attributes of that default class and removes the `<default>`
+/// section.
 fn write_defaults_out(root: &mut Element) -> Result<(), String> {
     let mut classes: HashMap<String, Vec<Element>> = HashMap::new();
     root.children.retain(|child| {

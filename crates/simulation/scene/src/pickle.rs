@@ -1,11 +1,11 @@
-//! Reads the one thing that released initial states are pickled as: a
-//! NumPy array of little-endian doubles, of two dimensions, or of one for a single state. Every other opcode,
-//! global or shape is refused, so a file can do nothing but hold numbers.
+//! Restricted unpickler for released initial states. It accepts only a NumPy array of little-endian
+//! doubles with one or two dimensions, and refuses every other opcode, global or shape, so that a
+//! file cannot execute code.
 
 use std::collections::HashMap;
 use std::rc::Rc;
 
-/// A matrix of doubles, row by row.
+/// A row-major matrix of doubles.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Matrix {
     pub(crate) rows: usize,
@@ -13,8 +13,8 @@ pub(crate) struct Matrix {
     pub(crate) values: Vec<f64>,
 }
 
-/// Value on the unpickler's stack. Copies share their contents: a file that recalls a
-/// tuple of tuples again and again must not multiply it.
+/// Value on the unpickler's stack. Copies share their contents, so that a file cannot multiply its
+/// memory by recalling nested tuples.
 #[derive(Clone)]
 enum Value {
     None,
@@ -44,7 +44,7 @@ struct Array {
 }
 
 impl Value {
-    /// Kind of the value, for messages.
+    /// Returns the kind of the value, for messages.
     fn kind(&self) -> &'static str {
         match self {
             Self::None => "nothing",
@@ -61,8 +61,8 @@ impl Value {
     }
 }
 
-/// Four times the opcodes of a released file; bounds how deep values nest and
-/// how often a text is decoded.
+/// Limit of opcodes, four times those of a released file. Bounds the nesting of values and the
+/// number of decoded texts.
 const MAX_OPCODES: usize = 256;
 
 /// Unpickles a matrix.
@@ -346,7 +346,7 @@ mod tests {
 
     #[test]
     fn a_small_file_cannot_become_a_large_value() {
-        // Each round makes a tuple of two of the last round's.
+        // Each round nests the previous tuple twice.
         let mut bytes = b"\x80\x02)q\x00".to_vec();
         for _ in 0..40 {
             bytes.extend(b"h\x00h\x00\x86q\x00");

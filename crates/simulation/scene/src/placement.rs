@@ -1,9 +1,8 @@
-//! Placement of everything at a reset, as by LIBERO's samplers: joints that start open,
-//! closed, on or off, then fixtures and objects. NumPy's legacy generator is followed
-//! draw by draw, rejections included, in the original's order and with its arithmetic,
-//! also where that surprises: orientations are written in another order than they are
-//! read ([`crate::rotation`]), and an object on a site is placed at the sum of the
-//! carrier's new position and the site's position in the world *before* the carrier was
+//! Placement at a reset, as by LIBERO's samplers: joints that start open, closed, on or off, then
+//! fixtures and objects. Random draws reproduce NumPy's legacy generator exactly, including
+//! rejections, order and arithmetic, and including the original's defects: orientations are written
+//! in another order than they are read ([`crate::rotation`]), and an object on a site is placed at
+//! the sum of the carrier's new position and the site's world position *before* the carrier was
 //! moved.
 
 mod plan;
@@ -17,28 +16,27 @@ use crate::rotation::{Rotation, single_precision_matrix};
 /// A fixture's pose in the world.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FixturePose {
-    /// The fixture's outermost body.
+    /// Name of the fixture's outermost body.
     pub root_body: String,
-    /// m.
+    /// Position, world frame, m.
     pub pos: [f64; 3],
-    /// w x y z.
+    /// Orientation, world frame, w x y z.
     pub quat: [f64; 4],
 }
 
-/// Attempts at one object before the original draws everything again.
+/// Attempts at placing one object before the original redraws everything.
 const MAX_ATTEMPTS: usize = 5000;
-/// Number of draws of the whole placement after which a scene counts as too crowded. The
-/// original's wrapper goes on for ever; one or two draws are enough for a scene with
-/// reasonable room.
+/// Draws of the whole placement after which a scene counts as too crowded. The original's wrapper
+/// never gives up; a scene with enough room needs one or two draws.
 pub const MAX_DRAWS: usize = 1000;
-/// Arm joints, for each of which a reset draws one normal number, even though
-/// LIBERO scales that noise by zero.
+/// Arm joints. A reset draws one normal number for each, even though LIBERO scales this noise by
+/// zero.
 const ARM_JOINTS: usize = 7;
-/// The list of joint samplers has been filled twice by the time of the first
-/// seeded reset: once in construction, once in the reset itself.
+/// The original has filled its list of joint samplers twice before the first seeded reset: at
+/// construction and in the reset itself.
 const CAMPAIGN_JOINT_ROUNDS: usize = 2;
 
-/// All that a reset of a task samples, in the order in which it draws.
+/// Everything that a reset of a task samples, in drawing order.
 #[derive(Debug, Clone)]
 pub struct Samplers {
     joints: Vec<JointSampler>,
@@ -46,29 +44,28 @@ pub struct Samplers {
     sites: Vec<String>,
 }
 
-/// Draws one position for the joints of something that starts open, closed, on
-/// or off.
+/// Samples one position for the joints of an instance that starts open, closed, on or off.
 #[derive(Debug, Clone)]
 pub struct JointSampler {
-    /// The joints, all of which get the position.
+    /// Joints, which all get the same position.
     pub joints: Vec<String>,
-    /// m or rad.
+    /// Range of the position, m or rad.
     range: [f64; 2],
 }
 
-/// Draws a pose for an object or a fixture.
+/// Samples a pose of an object or fixture.
 #[derive(Debug, Clone)]
 pub struct PoseSampler {
     instance: String,
     /// Region or object, for messages.
     place: String,
     base: Base,
-    /// Rectangles around the base, m, by their bounds in x and y.
+    /// Rectangles relative to the base, m, by their bounds in x and y.
     ranges: Vec<[[f64; 2]; 2]>,
-    /// Height of the underside over the base, m.
+    /// Height of the underside above the base, m.
     z_offset: f64,
     footprint: Footprint,
-    /// True if it must be clear of everything placed before it.
+    /// True if the pose must be free of overlap with everything placed before.
     avoids_others: bool,
     rotation: Rotation,
     /// Object or fixture to move.
@@ -84,15 +81,15 @@ pub enum PoseTarget {
     Body(String),
 }
 
-/// Origin of a sampled position. Other instances are named by their index among the pose
-/// samplers, and come earlier.
+/// Origin of a sampled position. Other instances are referenced by their index among the pose
+/// samplers, and are placed earlier.
 #[derive(Debug, Clone)]
 enum Base {
     /// A point in the world, m.
     Point([f64; 3]),
-    /// Another object's top.
+    /// The top of another object.
     Top(usize),
-    /// A site of another object or of a fixture, over its top or from its origin.
+    /// A site of another object or fixture, relative to its top or to its origin.
     Site {
         of: usize,
         over_top: bool,
@@ -103,31 +100,30 @@ enum Base {
 /// A sampled pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
-    /// World frame, m.
+    /// Position, world frame, m.
     pub pos: [f64; 3],
-    /// w x y z as MuJoCo reads it; of length one to single precision only.
+    /// Orientation, w x y z as MuJoCo reads it; normalised only to single precision.
     pub quat: [f64; 4],
 }
 
 impl Samplers {
-    /// The joint samplers of one round. The original appends all of them to its
-    /// list once more whenever it loads its model: at construction, and at every
-    /// hard reset.
+    /// Returns the joint samplers of one round. The original appends all of them to its list again
+    /// whenever it loads its model: at construction and at every hard reset.
     pub fn joints(&self) -> &[JointSampler] {
         &self.joints
     }
 
-    /// The pose samplers.
+    /// Returns the pose samplers.
     pub fn poses(&self) -> &[PoseSampler] {
         &self.poses
     }
 
-    /// The sites whose positions [`sample_poses`](Self::sample_poses) asks for.
+    /// Returns the sites whose positions [`sample_poses`](Self::sample_poses) needs.
     pub fn sites(&self) -> &[String] {
         &self.sites
     }
 
-    /// The normal numbers that the original draws first, for noise on the arm's
+    /// Draws and discards the normal numbers that the original draws first, as noise on the arm's
     /// joints that LIBERO scales by zero.
     pub fn skip_arm_noise(rng: &mut LegacyRng) {
         for _ in 0..ARM_JOINTS {
@@ -135,12 +131,12 @@ impl Samplers {
         }
     }
 
-    /// Draws all poses, in the order of [`poses`](Self::poses).
-    /// `site_positions` are those of [`sites`](Self::sites), world frame, m,
-    /// when the joints have been set and nothing has been placed.
+    /// Draws all poses, in the order of [`poses`](Self::poses). `site_positions` are the positions
+    /// of [`sites`](Self::sites), world frame, m, after the joints were set and before anything was
+    /// placed.
     ///
     /// # Errors
-    /// [`SceneError::NoRoom`] if there is no room for one of them.
+    /// [`SceneError::NoRoom`] if there is no room for an object.
     pub fn sample_poses(
         &self,
         rng: &mut LegacyRng,
@@ -165,8 +161,8 @@ impl Samplers {
         Ok(poses)
     }
 
-    /// Follows one seeded reset to the fixtures' poses, which are not part of
-    /// the released initial states.
+    /// Reproduces one seeded reset to get the fixtures' poses, which the released initial states do
+    /// not contain.
     pub(crate) fn campaign_fixtures(&self, env_seed: u32) -> Result<Vec<FixturePose>, SceneError> {
         let mut rng = LegacyRng::seed(env_seed);
         let mut rounds = CAMPAIGN_JOINT_ROUNDS;
@@ -174,7 +170,7 @@ impl Samplers {
             if let Ok(fixtures) = self.draw_fixtures(&mut rng, rounds) {
                 return Ok(fixtures);
             }
-            // The next attempt loads the model again.
+            // The original's next attempt loads the model again.
             rounds += 1;
         }
         self.draw_fixtures(&mut rng, rounds)
@@ -189,7 +185,7 @@ impl Samplers {
         for sampler in std::iter::repeat_n(&self.joints, joint_rounds).flatten() {
             sampler.sample(rng);
         }
-        // Things that stand on other things are sampled after all fixtures.
+        // Instances that stand on other instances are sampled after all fixtures.
         let mut poses = Vec::new();
         let mut fixtures = Vec::new();
         for sampler in &self.poses {
@@ -216,15 +212,15 @@ impl Samplers {
 }
 
 impl JointSampler {
-    /// Draws a position, m or rad.
+    /// Samples a position, m or rad.
     pub fn sample(&self, rng: &mut LegacyRng) -> f64 {
         rng.uniform(self.range[0], self.range[1])
     }
 }
 
 impl PoseSampler {
-    /// Draws a pose around `origin` + `site` that is clear of the first of `all`,
-    /// which are at `placed`.
+    /// Samples a pose around `origin` + `site` that does not overlap those instances of `all` that
+    /// are placed, at `placed`.
     fn sample(
         &self,
         rng: &mut LegacyRng,
@@ -240,7 +236,7 @@ impl PoseSampler {
         };
         for _ in 0..attempts {
             let range = &self.ranges[rng.randint(self.ranges.len() as u32) as usize];
-            // With a large radius the bounds cross; the original draws all the same.
+            // With a large radius the bounds are in reverse order; the original draws regardless.
             let [x, y] = range.map(|[low, high]| rng.uniform(low, high));
             let pos = [
                 x + origin[0] + site[0],
@@ -270,7 +266,7 @@ impl PoseSampler {
     }
 }
 
-/// A vector turned by a quaternion w x y z.
+/// Rotates a vector by a quaternion w x y z.
 fn turned(quat: [f64; 4], [x, y, z]: [f64; 3]) -> [f64; 3] {
     single_precision_matrix(quat).map(|row| row[0] * x + row[1] * y + row[2] * z)
 }

@@ -1,4 +1,4 @@
-//! Fetching what a task's scene is made from, at its first use.
+//! Fetches the files of a task's scene on first use.
 
 use std::ops::ControlFlow;
 use std::thread;
@@ -11,11 +11,10 @@ use crate::pack::AssetPack;
 use crate::task::TaskFiles;
 
 impl AssetPack {
-    /// The files of LIBERO's assets that the scenes of tasks are made from, sorted by
-    /// path.
+    /// Returns the files of LIBERO's assets that the scenes of tasks require, sorted by path.
     ///
     /// # Errors
-    /// If a task's BDDL file cannot be read, or needs what LIBERO does not have.
+    /// If a task's BDDL file cannot be read, or requires files that LIBERO does not have.
     pub fn files_of_tasks(tasks: &[TaskFiles]) -> Result<Vec<&'static FileFacts>, SceneError> {
         let mut files: Vec<&FileFacts> = Vec::new();
         for task in tasks {
@@ -26,12 +25,12 @@ impl AssetPack {
         Ok(files)
     }
 
-    /// Sees that the files of tasks are there and are LIBERO's, and fetches what is
-    /// missing or altered from where the environment says. Does nothing for a pack that
-    /// is not managed: its files are its owner's.
+    /// Verifies the files of tasks, and fetches missing or altered ones from the origin that the
+    /// environment names. Does nothing for a pack that is not managed, since its files belong to
+    /// its owner.
     ///
     /// # Errors
-    /// If files cannot be had. What has arrived is kept.
+    /// If files cannot be fetched. Received files are kept.
     pub fn provide(
         &self,
         tasks: &[TaskFiles],
@@ -58,11 +57,10 @@ impl AssetPack {
         provided
     }
 
-    /// Fetches files of LIBERO's assets that are missing or altered; nothing into a
-    /// pack that is not LIBERO's.
+    /// Fetches missing or altered files of LIBERO's assets; does nothing for other packs.
     ///
     /// # Errors
-    /// If files cannot be had. What has arrived is kept.
+    /// If files cannot be fetched. Received files are kept.
     pub fn fetch(
         &self,
         files: &[&FileFacts],

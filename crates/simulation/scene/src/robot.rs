@@ -1,5 +1,5 @@
-//! The Panda arm with its gripper, on a pedestal or on the ground: robosuite
-//! 1.4.0's models, joined and named as robosuite joins and names them.
+//! The Panda arm with its gripper, on a pedestal or on the ground: robosuite 1.4.0's models, joined
+//! and named as in robosuite.
 
 use crate::arena::RobotStand;
 use crate::element::{Element, numbers, parse_numbers};
@@ -7,11 +7,11 @@ use crate::error::SceneError;
 use crate::part::{Part, add_prefix, is_collision_geom, recolor_collision_geoms};
 use crate::sources::AssetRoot;
 
-/// Joint properties that robosuite and LIBERO set on the arm; kg·m² or N·m·s,
-/// joint by joint (`RobotModel.__init__`, `MountedPanda.__init__`).
+/// Joint properties that robosuite and LIBERO set on the arm, per joint; kg·m² or N·m·s
+/// (`RobotModel.__init__`, `MountedPanda.__init__`).
 const FRICTION_LOSS: f64 = 0.1;
 const DAMPING: [f64; 7] = [0.1, 0.1, 0.1, 0.1, 0.1, 0.01, 0.01];
-/// Armature of joint i is this over i + 1.
+/// Armature of joint i, multiplied by i + 1.
 const ARMATURE: f64 = 5.0;
 
 /// Colours of collision geoms, visible only where collision geoms are drawn.
@@ -22,7 +22,7 @@ const GRIPPER_COLLISION_RGBA: &str = "0 0 0.5 1";
 /// Height of the pedestal's top above its own origin, m.
 const PEDESTAL_TOP: f64 = -0.01;
 
-/// Loads the robot, standing where `stand` says.
+/// Loads the robot on the given stand.
 pub(crate) fn load(robosuite: &AssetRoot, stand: RobotStand) -> Result<Part, SceneError> {
     let piece = |file: &str, prefix: &str, rgba: &str| -> Result<Part, SceneError> {
         let mut part = Part::load(robosuite, file, "robot model")?;
@@ -63,7 +63,7 @@ pub(crate) fn load(robosuite: &AssetRoot, stand: RobotStand) -> Result<Part, Sce
     Ok(robot)
 }
 
-/// Names the nameless geoms `g0_vis`, `g0_col`, … in document order.
+/// Names unnamed geoms `g0_vis`, `g0_col`, … in document order.
 fn name_geoms(root: &mut Element) {
     let (mut collision, mut visual) = (0, 0);
     root.for_each_mut(&mut |element| {

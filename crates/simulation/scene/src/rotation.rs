@@ -1,5 +1,5 @@
-//! Rotations of placed things, in the original's order and precision: it multiplies
-//! quaternions, and makes matrices of them, in single precision.
+//! Rotations of placed instances, in the original's order and precision: it computes quaternion
+//! products and rotation matrices in single precision.
 
 use libero_ctrl::numpy::LegacyRng;
 
@@ -8,29 +8,29 @@ use libero_ctrl::numpy::LegacyRng;
 pub enum Axis {
     /// Forward.
     X,
-    /// To the left.
+    /// Left.
     Y,
     /// Up.
     Z,
 }
 
-/// An orientation to be drawn: one uniform number for each angle, rad.
+/// A random orientation: one uniform number for each angle, rad.
 ///
-/// The original builds a movable object's quaternion as x y z w and hands it to
-/// MuJoCo, which reads w x y z. So a "rotation about x by θ" is one about z by
-/// π − θ in the scene. What is drawn here is what MuJoCo reads.
+/// The original builds a movable object's quaternion as x y z w and passes it to MuJoCo, which
+/// reads w x y z. A "rotation about x by θ" is therefore a rotation about z by π − θ in the scene.
+/// The sampled orientations are as MuJoCo reads them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Rotation {
-    /// Rotation of a fixture: about z, as it should be.
+    /// Rotation of a fixture about z.
     Yaw([f64; 2]),
-    /// Rotation of a movable object: about one axis.
+    /// Rotation of a movable object about one axis.
     About(Axis, [f64; 2]),
-    /// Rotation of a movable object: about several axes, one after the other.
+    /// Rotation of a movable object about several axes in sequence.
     InTurn(&'static [(Axis, [f64; 2])]),
 }
 
 impl Rotation {
-    /// Draws an orientation, w x y z as MuJoCo reads it.
+    /// Samples an orientation, w x y z as MuJoCo reads it.
     pub(crate) fn sample(self, rng: &mut LegacyRng) -> [f64; 4] {
         let mut angle = |[a, b]: [f64; 2]| rng.uniform(a.min(b), a.max(b));
         match self {
@@ -46,7 +46,7 @@ impl Rotation {
     }
 }
 
-/// A rotation about an axis, x y z w.
+/// Returns a rotation about an axis, x y z w.
 fn about(axis: Axis, angle: f64) -> [f64; 4] {
     let (sin, cos) = ((angle / 2.0).sin(), (angle / 2.0).cos());
     let mut quat = [0.0, 0.0, 0.0, cos];
@@ -54,7 +54,7 @@ fn about(axis: Axis, angle: f64) -> [f64; 4] {
     quat
 }
 
-/// `q1 q0`, all x y z w, rounded to single precision (`quat_multiply`).
+/// Returns `q1 q0`, all x y z w, rounded to single precision (`quat_multiply`).
 fn single_precision_product(q1: [f64; 4], q0: [f64; 4]) -> [f64; 4] {
     let [x0, y0, z0, w0] = q0;
     let [x1, y1, z1, w1] = q1;
@@ -67,8 +67,8 @@ fn single_precision_product(q1: [f64; 4], q0: [f64; 4]) -> [f64; 4] {
     .map(|value| f64::from(value as f32))
 }
 
-/// The rotation matrix of a quaternion w x y z, row by row, through single
-/// precision as robosuite's `quat2mat` computes it: off by up to 1e-7.
+/// Returns the rotation matrix of a quaternion w x y z, row by row, computed in single precision
+/// like robosuite's `quat2mat`: off by up to 1e-7.
 pub fn single_precision_matrix(quat: [f64; 4]) -> [[f64; 3]; 3] {
     let mut q = quat.map(|value| value as f32);
     let square: f64 = q.iter().map(|value| f64::from(value * value)).sum();

@@ -10,17 +10,17 @@ use libero_family::protocol::Benchmark;
 
 use crate::error::SceneError;
 
-/// The folder with the unpacked wheels: `robosuite/` (its `models/assets`) and
-/// `libero/` (its `bddl_files` and `init_files`).
+/// Folder with the unpacked wheels: `robosuite/` (with `models/assets`) and `libero/` (with
+/// `bddl_files` and `init_files`).
 #[derive(Debug, Clone)]
 pub struct Sources {
     dir: PathBuf,
 }
 
 impl Sources {
-    /// Opens the folder, checking that its parts are there.
+    /// Opens the folder after checking that its parts exist.
     pub fn open(dir: &Path) -> Result<Self, SceneError> {
-        // MuJoCo looks for files with relative names elsewhere.
+        // Made absolute, since MuJoCo resolves relative file names differently.
         let sources = Self {
             dir: std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()),
         };
@@ -41,9 +41,8 @@ impl Sources {
         Ok(sources)
     }
 
-    /// `$ROLLOUT_SOURCES`, else what a release archive has beside its programs,
-    /// else where `cargo xtask setup` puts the sources: `rollout/sources` in the
-    /// user's cache folder.
+    /// Returns `$ROLLOUT_SOURCES`, else the folder beside the programs of a release archive, else
+    /// the folder of `cargo xtask setup`: `rollout/sources` in the user's cache folder.
     pub fn default_dir() -> PathBuf {
         if let Some(dir) = std::env::var_os("ROLLOUT_SOURCES") {
             return PathBuf::from(dir);
@@ -54,12 +53,12 @@ impl Sources {
         Self::in_cache()
     }
 
-    /// `rollout/sources` in the user's cache folder.
+    /// Returns `rollout/sources` in the user's cache folder.
     fn in_cache() -> PathBuf {
         Self::cache_folder().join("sources")
     }
 
-    /// `rollout` in the user's cache folder.
+    /// Returns `rollout` in the user's cache folder.
     pub fn cache_folder() -> PathBuf {
         let cache = std::env::var_os("XDG_CACHE_HOME")
             .map(PathBuf::from)
@@ -67,15 +66,15 @@ impl Sources {
         cache.unwrap_or_default().join("rollout")
     }
 
-    /// The folder that LIBERO's assets are fetched into: `packs/libero` in the sources.
-    /// The folder of a release archive may be read-only; there it is the one in the
-    /// user's cache folder, unless the archive's has been filled.
+    /// Returns the folder into which LIBERO's assets are fetched: `packs/libero` in the sources.
+    /// The folder of a release archive may be read-only, so there it is in the user's cache folder,
+    /// unless the archive's has been filled.
     pub fn fetched_pack(dir: &Path) -> PathBuf {
         Self::fetched(dir, "packs/libero")
     }
 
-    /// The folder that the task files of a benchmark of LIBERO's family are fetched into, in
-    /// the sources or, as with [`fetched_pack`](Self::fetched_pack), in the cache.
+    /// Returns the folder into which the task files of a LIBERO-family benchmark are fetched: in
+    /// the sources or, as for [`fetched_pack`](Self::fetched_pack), in the cache.
     pub fn family(dir: &Path, benchmark: Benchmark) -> PathBuf {
         Self::fetched(dir, benchmark.name())
     }
@@ -92,19 +91,19 @@ impl Sources {
         here
     }
 
-    /// `share/rollout/sources` beside the `bin` that this program lies in.
+    /// Returns `share/rollout/sources` beside the `bin` folder of this program.
     fn of_release() -> Option<PathBuf> {
         let program = std::env::current_exe().ok()?.canonicalize().ok()?;
         let dir = program.parent()?.with_file_name("share/rollout/sources");
         dir.is_dir().then_some(dir)
     }
 
-    /// The folder itself.
+    /// Returns the folder.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// The BDDL file of a task: suite's full name, file stem.
+    /// Returns the path of a task's BDDL file: suite's full name, file stem.
     pub fn bddl_file(&self, suite: &str, stem: &str) -> PathBuf {
         self.dir
             .join("libero/bddl_files")
@@ -112,7 +111,7 @@ impl Sources {
             .join(format!("{stem}.bddl"))
     }
 
-    /// The released initial states of a task: suite's full name, file stem.
+    /// Returns the path of a task's released initial states: suite's full name, file stem.
     pub fn init_file(&self, suite: &str, stem: &str) -> PathBuf {
         self.dir
             .join("libero/init_files")
@@ -129,7 +128,7 @@ impl Sources {
     }
 }
 
-/// Asset folder that a file is in.
+/// Asset folder that contains a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RootKind {
     Pack,
@@ -139,8 +138,8 @@ pub(crate) enum RootKind {
 impl RootKind {
     const ALL: [Self; 2] = [Self::Pack, Self::Robosuite];
 
-    /// Placeholder of the folder in composed MJCF, so that the text, and with it the
-    /// scene's digest, is the same on every machine.
+    /// Returns the placeholder for the folder in composed MJCF, which makes the text and the
+    /// scene's digest independent of the machine.
     fn token(self) -> &'static str {
         match self {
             Self::Pack => "@pack",
@@ -149,12 +148,12 @@ impl RootKind {
     }
 }
 
-/// A folder that pieces are read from.
+/// A folder that MJCF files and assets are read from.
 #[derive(Debug, Clone)]
 pub(crate) struct AssetRoot {
     pub(crate) kind: RootKind,
     pub(crate) dir: PathBuf,
-    /// Present if the files must be LIBERO's.
+    /// Verified files, if they must be LIBERO's.
     pub(crate) verified: Option<Arc<VerifiedFolder>>,
 }
 
@@ -167,13 +166,14 @@ impl AssetRoot {
         self.dir.join(file)
     }
 
-    /// The path in this folder of a file that composed MJCF names, if it is in it.
+    /// Returns the path inside this folder of a file that composed MJCF names, if it is in this
+    /// folder.
     pub(crate) fn inside<'a>(&self, file: &'a str) -> Option<&'a str> {
         file.strip_prefix(self.kind.token())?.strip_prefix('/')
     }
 
-    /// Holds a file against LIBERO's table, if the pack goes by LIBERO's name. Whether
-    /// it is there is left to who reads it.
+    /// Verifies a file against LIBERO's table, if the pack is named `libero`. A missing file is not
+    /// an error here; reading it will fail.
     pub(crate) fn verify(&self, inside: &str, what: &str) -> Result<(), SceneError> {
         let Some(verified) = &self.verified else {
             return Ok(());
@@ -204,8 +204,7 @@ impl AssetRoot {
     }
 }
 
-/// A file inside an asset folder, as composed MJCF names it:
-/// `@pack/textures/x.png`.
+/// A file inside an asset folder, in the notation of composed MJCF: `@pack/textures/x.png`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct FileRef {
     kind: RootKind,
@@ -213,8 +212,7 @@ pub(crate) struct FileRef {
 }
 
 impl FileRef {
-    /// The file that a piece in `folder` calls `name`; it must stay inside the
-    /// asset folder.
+    /// Resolves the file `name` relative to `folder`; the result must stay inside the asset folder.
     pub(crate) fn resolve(kind: RootKind, folder: &Path, name: &str) -> Result<Self, String> {
         let mut parts: Vec<&str> = Vec::new();
         let joined = folder.join(name);
@@ -241,7 +239,7 @@ impl fmt::Display for FileRef {
     }
 }
 
-/// Replaces the folder tokens of composed MJCF by this machine's folders.
+/// Replaces the folder placeholders of composed MJCF by this machine's folders.
 pub(crate) fn locate_files(mjcf: &str, roots: [&AssetRoot; 2]) -> String {
     let mut text = mjcf.to_owned();
     for kind in RootKind::ALL {

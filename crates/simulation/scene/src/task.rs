@@ -1,4 +1,4 @@
-//! The two files that make a task: its BDDL problem and its initial states.
+//! Files of a task: its BDDL problem and its initial states.
 
 use std::path::PathBuf;
 
@@ -21,7 +21,7 @@ pub struct TaskFiles {
 }
 
 impl TaskFiles {
-    /// The files of one of the 40 evaluation tasks.
+    /// Returns the files of one of the 40 evaluation tasks.
     pub fn of_task(sources: &Sources, task: TaskRef) -> Self {
         let (suite, stem) = (task.suite().name(), task.name());
         Self {
@@ -30,8 +30,8 @@ impl TaskFiles {
         }
     }
 
-    /// The files of a variant of LIBERO-Plus: LIBERO's own where it has none of its own,
-    /// else those that `worker assets fetch --suite libero-plus` has put beside them.
+    /// Returns the files of a LIBERO-Plus variant: LIBERO's own if the variant has none, else those
+    /// that `worker assets fetch --suite libero-plus` has put beside them.
     pub fn of_variant(sources: &Sources, variant: &Variant) -> Self {
         let liberos = Self::of_task(sources, variant.task);
         let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
@@ -47,7 +47,7 @@ impl TaskFiles {
         Self { bddl, init }
     }
 
-    /// The files of a task of LIBERO-PRO, which `worker assets fetch --suite libero-pro` has
+    /// Returns the files of a LIBERO-PRO task, which `worker assets fetch --suite libero-pro` has
     /// put beside LIBERO's.
     pub fn of_pro_task(sources: &Sources, suite: ProSuite, task: TaskRef) -> Self {
         let (folder, name) = (Sources::family(sources.dir(), Benchmark::Pro), task.name());

@@ -1,4 +1,4 @@
-//! A compiled scene: what its environments share.
+//! A compiled scene, shared by its environments.
 
 use std::sync::{Arc, OnceLock};
 
@@ -13,16 +13,16 @@ use crate::render::Prepared;
 use crate::reset::Resets;
 use crate::scene_files::{Obtained, Preparation, SceneFolder, name_of_scene};
 
-/// `mjDSBL_CONSTRAINT`: no contact, limit or friction acts.
+/// `mjDSBL_CONSTRAINT`: disables contacts, limits and friction.
 pub(crate) const DISABLE_CONSTRAINT: i32 = 1;
-/// `mjDSBL_AUTORESET`: an unstable state is reported, not silently replaced.
+/// `mjDSBL_AUTORESET`: reports an unstable state instead of silently resetting it.
 pub(crate) const DISABLE_AUTORESET: i32 = 1 << 16;
-/// `mjDSBL_NATIVECCD`: with it, 3.3.7 collides as the benchmark's 2.3.7 does.
+/// `mjDSBL_NATIVECCD`: makes 3.3.7 detect collisions like the benchmark's 2.3.7.
 pub(crate) const DISABLE_NATIVE_CCD: i32 = 1 << 17;
-/// The body whose orientation is the observed one.
+/// Body whose orientation is observed.
 const HAND_BODY: &str = "robot0_right_hand";
 
-/// A scene's model, never perturbed, and what is looked up in it once.
+/// A scene's unperturbed model, with ids that were looked up once.
 pub struct CompiledScene {
     pub(crate) scene: Scene,
     pub(crate) model: Model,
@@ -31,7 +31,7 @@ pub struct CompiledScene {
     pub(crate) resets: Resets,
     pub(crate) hand_body: usize,
     pub(crate) grip_site: usize,
-    /// For our renderer; made when it first draws the scene.
+    /// Data for the software renderer, prepared when the scene is first drawn.
     prepared: OnceLock<Arc<Prepared>>,
     preparation: Preparation,
 }
@@ -43,17 +43,17 @@ pub(crate) struct Burner {
     /// Position coordinates of the stove's joints.
     pub(crate) knobs: Vec<usize>,
     pub(crate) on_at: f64,
-    /// Opacity as drawn, and as the last observation still shows it.
+    /// Current opacity, and the opacity that the last observation shows.
     pub(crate) opacity: f32,
     pub(crate) observed_opacity: f32,
 }
 
 impl CompiledScene {
-    /// Compiles a scene, its fixtures where the scene has them, or maps it if this machine
+    /// Compiles a scene with its fixtures at the scene's poses, or maps the result if this machine
     /// has compiled it before.
     ///
     /// # Errors
-    /// If MuJoCo refuses it, or it lacks what every LIBERO scene has.
+    /// If MuJoCo rejects the scene, or an element that every LIBERO scene has is missing.
     pub fn compile(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
         let compile = || {
             scene.verify_files(pack)?;
@@ -87,17 +87,17 @@ impl CompiledScene {
         })
     }
 
-    /// The scene.
+    /// Returns the scene.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// The model, as every rollout finds it.
+    /// Returns the model as every rollout starts with it.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// Meshes and textures as our renderer draws them.
+    /// Returns meshes and textures for the software renderer.
     pub(crate) fn prepared(&self) -> Result<Arc<Prepared>, SimError> {
         if let Some(prepared) = self.prepared.get() {
             return Ok(Arc::clone(prepared));
@@ -111,13 +111,13 @@ impl CompiledScene {
                 prepared
             }
         };
-        // Another thread may have been faster.
+        // Another thread may have been faster; its result is used.
         Ok(Arc::clone(self.prepared.get_or_init(|| prepared)))
     }
 }
 
-/// The original hides the sites of the robot, the objects and the fixtures by
-/// negating their opacity; those of zones on the workspace stay.
+/// Hides the sites of the robot, the objects and the fixtures by negating their opacity, like the
+/// original; sites of zones on the workspace stay visible.
 pub(crate) fn hide_marker_sites(scene: &Scene, model: &mut Model) {
     let mut prefixes = vec![
         "robot0_".to_owned(),

@@ -1,11 +1,9 @@
-//! The robot's controllers: operational-space control of the arm (OSC_POSE)
-//! and the gripper's position ramp, as robosuite 1.4.0 configures them for
-//! LIBERO. An action is seven numbers in -1..1: end-effector translation,
-//! rotation, gripper.
+//! Controllers of the robot: operational-space control of the arm (OSC_POSE) and the gripper's
+//! position ramp, with robosuite 1.4.0's configuration for LIBERO. An action is seven numbers in
+//! -1..1: end-effector translation, rotation, gripper.
 //!
-//! The arithmetic follows the original's order and precision where that is
-//! visible in results, down to one place where it passes through single
-//! precision ([`rotation_of`]).
+//! The arithmetic follows the original's order and precision where results depend on it, including
+//! one computation in single precision ([`rotation_of`]).
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use scene::rotation::single_precision_matrix;
@@ -15,7 +13,7 @@ use crate::mujoco::{Data, Model, ObjectKind};
 
 /// Joints of the arm.
 pub const ARM_JOINTS: usize = 7;
-/// The site that is controlled: between the fingertips.
+/// Controlled site, between the fingertips.
 pub const GRIP_SITE: &str = "gripper0_grip_site";
 /// Arm joints at a reset, rad (`MountedPanda.init_qpos`); LIBERO-Plus has other robots.
 pub const RESET_JOINTS: [f64; ARM_JOINTS] = [
@@ -37,30 +35,30 @@ const ROTATION_SCALE: f64 = 0.5;
 const STIFFNESS: f64 = 150.0;
 /// Stiffness of the null-space posture, 1/s²; damping is critical.
 const POSTURE_STIFFNESS: f64 = 10.0;
-/// Share of the gripper's range that one simulation step closes.
+/// Fraction of the gripper's range that one simulation step closes.
 const GRIPPER_RAMP: f64 = 0.01;
 
 type ArmVector = SVector<f64, ARM_JOINTS>;
 type ArmMatrix = SMatrix<f64, ARM_JOINTS, ARM_JOINTS>;
 
-/// Meaning of the first six numbers of an action.
+/// Interpretation of the first six numbers of an action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ActionFrame {
-    /// A displacement, as a share of the largest: 0.05 m, 0.5 rad (`use_delta`).
+    /// Displacement, as a fraction of the largest one: 0.05 m, 0.5 rad (`use_delta`).
     #[default]
     Relative,
-    /// A pose in the world: m, and axis times angle, rad.
+    /// Pose in the world frame: m, and axis times angle, rad.
     Absolute,
 }
 
-/// Both controllers and what they remember between steps.
+/// Both controllers with their state between steps.
 #[derive(Clone)]
 pub struct Controller {
     site: usize,
     torque_limits: [[f64; 2]; ARM_JOINTS],
     finger_range: [[f64; 2]; 2],
-    /// The arm at the reset pose, which the original still sees in the first
-    /// simulation step after an initial state has been loaded.
+    /// The arm at the reset pose, which the original still uses in the first simulation step after
+    /// an initial state was loaded.
     reset_arm: ArmState,
     sees_reset_arm: bool,
     last_pose: (Vector3<f64>, Matrix3<f64>),
@@ -70,7 +68,7 @@ pub struct Controller {
     buffers: Buffers,
 }
 
-/// Room for what MuJoCo computes over all degrees of freedom.
+/// Buffers for quantities that MuJoCo computes over all degrees of freedom.
 #[derive(Clone)]
 struct Buffers {
     inertia: Vec<f64>,
@@ -78,7 +76,7 @@ struct Buffers {
     jacobian_rot: Vec<f64>,
 }
 
-/// The end-effector and the arm as the controller sees them at one instant.
+/// State of the end-effector and the arm that the controller reads.
 #[derive(Clone)]
 struct ArmState {
     pos: Vector3<f64>,
@@ -91,12 +89,12 @@ struct ArmState {
 }
 
 impl Controller {
-    /// Controllers for a model whose data is at the reset pose, forwarded.
+    /// Creates the controllers for a model whose data is at the reset pose, forwarded.
     pub fn new(model: &Model, reset: &Data) -> Result<Self, SimError> {
         let site = model.id(ObjectKind::Site, GRIP_SITE)?;
         for index in 0..ARM_JOINTS {
-            // The arm's joints come first in every LIBERO model; everything
-            // here counts on it.
+            // The code below relies on the arm's joints coming first, which holds in every LIBERO
+            // model.
             let id = model.id(ObjectKind::Joint, &format!("robot0_joint{}", index + 1))?;
             assert_eq!(id, index, "the arm's joints come first");
         }
@@ -120,30 +118,30 @@ impl Controller {
         })
     }
 
-    /// The end-effector as it was last read: position, m, and matrix, row by row, in
-    /// the world frame.
+    /// Returns the end-effector's pose as it was last read: position, m, and rotation matrix, row
+    /// by row, in the world frame.
     pub fn last_pose(&self) -> ([f64; 3], [f64; 9]) {
         let (pos, matrix) = &self.last_pose;
         let row_by_row = std::array::from_fn(|index| matrix[(index / 3, index % 3)]);
         ((*pos).into(), row_by_row)
     }
 
-    /// Forgets everything since the reset.
+    /// Returns to the state after the reset.
     pub fn reset(&mut self) {
         self.reset_arm();
         self.gripper = [0.0; 2];
     }
 
-    /// Forgets everything since the reset but how far the gripper had closed,
-    /// which the original keeps where it keeps its model.
+    /// Returns to the state after the reset, except for the position of the gripper's ramp, which
+    /// the original stores with its model.
     pub fn reset_arm(&mut self) {
         self.last_pose = (self.reset_arm.pos, self.reset_arm.orientation);
         self.goal_orientation = self.reset_arm.orientation;
         self.sees_reset_arm = true;
     }
 
-    /// Takes a new action; `data` is half a step in (positions and velocities
-    /// are up to date).
+    /// Sets the goal from a new action; `data` is after the first half of a step (positions and
+    /// velocities are up to date).
     pub fn set_goal(&mut self, model: &Model, data: &Data, action: &[f64; 7], of: ActionFrame) {
         if of == ActionFrame::Absolute {
             let [x, y, z, turns @ ..] = *action;
@@ -169,15 +167,14 @@ impl Controller {
         };
         self.goal_pos = pos + Vector3::new(delta[0], delta[1], delta[2]);
         let rotation = Vector3::new(delta[3], delta[4], delta[5]);
-        // Without a rotation the goal stays what it was, not what the arm has
-        // drifted to.
+        // Without a rotation the previous goal stays, rather than the arm's current orientation.
         if rotation != Vector3::zeros() {
             self.goal_orientation = rotation_of(rotation) * orientation;
         }
     }
 
-    /// Writes the controls of one simulation step; `data` is half a step in.
-    /// False if the arm's inertia cannot be inverted.
+    /// Computes the controls of one simulation step; `data` is after the first half of a step.
+    /// Returns false if the arm's inertia cannot be inverted.
     #[must_use]
     pub fn run(&mut self, model: &Model, data: &mut Data, action: &[f64; 7]) -> bool {
         let arm = if std::mem::take(&mut self.sees_reset_arm) {
@@ -206,8 +203,8 @@ impl Controller {
         true
     }
 
-    /// Khatib's operational-space law with position and orientation decoupled,
-    /// plus a posture in the null space.
+    /// Khatib's operational-space law with decoupled position and orientation, plus a null-space
+    /// posture.
     fn torques(&self, arm: &ArmState) -> Option<ArmVector> {
         let damping = 2.0 * STIFFNESS.sqrt();
         let velocity = arm.jacobian * arm.joint_vel;
@@ -229,7 +226,7 @@ impl Controller {
             .copy_from(&(lambda_rot * torque));
 
         let posture_damping = 2.0 * POSTURE_STIFFNESS.sqrt();
-        // The null space leads back to the posture of the reset.
+        // The null-space term pulls the arm back to the reset posture.
         let posture_error = self.reset_arm.joint_pos - arm.joint_pos;
         let posture =
             arm.inertia * (posture_error * POSTURE_STIFFNESS - arm.joint_vel * posture_damping);
@@ -299,9 +296,9 @@ fn sign(value: f64) -> f64 {
     if value == 0.0 { 0.0 } else { value.signum() }
 }
 
-/// The rotation about `vector` by its length, rad. The original's quaternion
-/// and its products are single precision (`transform_utils.quat2mat`), which
-/// moves goals by up to 1e-7 rad, so ours are too.
+/// Returns the rotation about `vector` by its length, rad. The quaternion and its products are in
+/// single precision like the original's (`transform_utils.quat2mat`), which moves goals by up to
+/// 1e-7 rad.
 fn rotation_of(vector: Vector3<f64>) -> Matrix3<f64> {
     let angle = vector.dot(&vector).sqrt();
     let axis = vector / angle;

@@ -1,5 +1,5 @@
-//! One scene, ready to run: loading a state, control steps, success, readings
-//! and frames at the original's instants. Knows nothing of perturbations.
+//! A running scene: loading a state, control steps, success, readings and frames at the original's
+//! instants. Independent of perturbations.
 
 use std::sync::Arc;
 
@@ -14,23 +14,22 @@ use crate::render::{Canvas, Drawer, View};
 
 /// First position coordinate of the fingers.
 const FINGERS: usize = ARM_JOINTS;
-/// Kinematics shown by a step's observation are those of this substep, once a state
-/// has been loaded after a reset.
+/// Substep whose kinematics an observation shows, once a state has been loaded after a reset.
 const OBSERVED_SUBSTEP: usize = SUBSTEPS - 2;
-/// Buffers for pictures are at least this large, pixels.
+/// Smallest size of frame buffers, pixels.
 const CANVAS_SIZE: u32 = 256;
 
-/// A state of a compiled scene that moves on, with a model of its own.
+/// A simulation of a compiled scene, with its own model.
 pub struct Environment {
     pub(crate) compiled: Arc<CompiledScene>,
     canvas: Option<Canvas>,
     pub(crate) model: Model,
     pub(crate) data: Data,
-    /// Positions only, at the instant that observations show.
+    /// Positions at the observed instant; no velocities.
     pub(crate) observed: Data,
     pub(crate) observed_is_posed: bool,
     pub(crate) observed_joints: JointReadings,
-    /// The substep of a control step whose kinematics its observation shows.
+    /// Substep of a control step whose kinematics the observation shows.
     pub(crate) observed_substep: usize,
     pub(crate) controller: Controller,
     /// Angles of the arm's joints at a reset, rad.
@@ -39,7 +38,7 @@ pub struct Environment {
     pub(crate) control_steps: u32,
 }
 
-/// Joint readings at the instant that observations show.
+/// Joint readings at the observed instant.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct JointReadings {
     pos: [f64; ARM_JOINTS + 2],
@@ -47,12 +46,12 @@ pub(crate) struct JointReadings {
 }
 
 impl Environment {
-    /// A scene that is compiled for this environment alone.
+    /// Creates an environment with its own compiled scene.
     pub fn new(scene: Scene, pack: &AssetPack, sources: &Sources) -> Result<Self, SimError> {
         Self::of(Arc::new(CompiledScene::compile(scene, pack, sources)?))
     }
 
-    /// An environment of a compiled scene, which further ones may share.
+    /// Creates an environment of a compiled scene, which other environments may share.
     pub fn of(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let mut environment = Self::before_load(compiled)?;
         let Self { model, data, .. } = &mut environment;
@@ -62,9 +61,9 @@ impl Environment {
         Ok(environment)
     }
 
-    /// An environment that is to be loaded or reset before anything else: it knows where
-    /// the arm is at home, and no contacts. Objects that nobody has placed yet lie in one
-    /// another, and solving their contacts takes longer than all else here.
+    /// Creates an environment that must be loaded or reset before use. It computes the home pose of
+    /// the arm but no contacts: unplaced objects overlap, and solving their contacts takes longer
+    /// than everything else here.
     pub(crate) fn before_load(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let model = compiled.model.share();
         let mut data = Data::new(&model)?;
@@ -85,12 +84,12 @@ impl Environment {
         })
     }
 
-    /// Has the arm stand otherwise at resets, as the robots of LIBERO-Plus do: the controller
-    /// remembers the posture, also where a state is loaded afterwards. To be loaded or reset
-    /// before anything else.
+    /// Changes the arm's posture at resets, for the robots of LIBERO-Plus. The controller keeps
+    /// this posture even when a state is loaded afterwards. The environment must be loaded or reset
+    /// before use.
     ///
     /// # Errors
-    /// Out of memory.
+    /// If memory is exhausted.
     pub fn set_reset_joints(&mut self, joints: [f64; ARM_JOINTS]) -> Result<(), SimError> {
         if joints != self.reset_joints {
             self.data.reset(&self.model);
@@ -101,42 +100,41 @@ impl Environment {
         Ok(())
     }
 
-    /// The scene.
+    /// Returns the scene.
     pub fn scene(&self) -> &Scene {
         &self.compiled.scene
     }
 
-    /// Compiled scene that is shared with other environments.
+    /// Returns the compiled scene, which other environments may share.
     pub fn compiled(&self) -> &Arc<CompiledScene> {
         &self.compiled
     }
 
-    /// The compiled model.
+    /// Returns the compiled model.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// The model, to be perturbed; [`load`](Self::load) undoes it.
+    /// Returns the model for perturbation; [`load`](Self::load) restores it.
     pub fn model_mut(&mut self) -> &mut Model {
         &mut self.model
     }
 
-    /// The state.
+    /// Returns the simulation state.
     pub fn data(&self) -> &Data {
         &self.data
     }
 
-    /// The model and its state, for setting poses; [`load`](Self::load) starts over.
+    /// Returns the model and its state, for setting poses; [`load`](Self::load) restores both.
     pub fn model_and_data(&mut self) -> (&Model, &mut Data) {
         (&self.model, &mut self.data)
     }
 
-    /// Starts over from a state vector (time, qpos, qvel) of the right width,
-    /// with a fresh controller and an unperturbed model.
+    /// Loads a state vector (time, qpos, qvel), with a new controller and an unperturbed model.
     ///
     /// # Panics
-    /// If the vector does not have 1 + nq + nv numbers; callers check that
-    /// where they read it and can say which file is wrong.
+    /// If the vector does not have 1 + nq + nv numbers. Callers check the length when they read the
+    /// file, so that their errors can name the file.
     pub fn load(&mut self, state: &[f64]) {
         let (nq, nv) = (self.model.nq(), self.model.nv());
         assert_eq!(state.len(), 1 + nq + nv, "a state of this scene");
@@ -156,12 +154,11 @@ impl Environment {
         self.burners.clone_from(&self.compiled.burners);
         self.update_burners();
         self.record_all();
-        // Earlier warnings belong to another rollout.
+        // Discards warnings of an earlier rollout.
         mujoco::take_warnings();
     }
 
-    /// Puts cameras and lights back to where the scene has them; what moves stays where
-    /// it is.
+    /// Restores the cameras and lights of the scene; moving parts stay in place.
     pub(crate) fn restore_appearance(&mut self) {
         let glow = self.model.site_rgba().to_vec();
         self.model.copy_own(&self.compiled.model);
@@ -169,15 +166,15 @@ impl Environment {
         self.observed_is_posed = false;
     }
 
-    /// One control step: 50 ms in 25 simulation steps. True if the goal holds
+    /// Simulates one control step: 50 ms in 25 simulation steps. Returns true if the goal holds
     /// after it.
     pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
         self.step_in(action, ActionFrame::Relative)
     }
 
-    /// The same with an action that may be a pose.
+    /// As [`step`](Self::step), with an action that may be a pose.
     pub fn step_in(&mut self, action: &[f64; 7], of: ActionFrame) -> Result<bool, SimError> {
-        // A step that ended early, of any environment that shares this thread, left its own.
+        // Discards warnings of a failed step of any environment on this thread.
         mujoco::take_warnings();
         for burner in &mut self.burners {
             burner.observed_opacity = burner.opacity;
@@ -207,7 +204,7 @@ impl Environment {
         Ok(self.succeeded())
     }
 
-    /// Control steps since the state was loaded.
+    /// Returns the number of control steps since the state was loaded.
     pub fn control_steps(&self) -> u32 {
         self.control_steps
     }
@@ -217,12 +214,12 @@ impl Environment {
         self.compiled.goal.holds(&self.model, &self.data)
     }
 
-    /// Truth of each predicate of the goal now.
+    /// Returns the truth value of each predicate of the goal.
     pub fn goal_truths(&self) -> Vec<bool> {
         self.compiled.goal.truths(&self.model, &self.data)
     }
 
-    /// The robot's readings as the last step returned them.
+    /// Returns the robot's readings at the observed instant of the last step.
     pub fn robot_state(&mut self) -> RobotState {
         self.pose_observed();
         let (model, observed) = (&self.model, &self.observed);
@@ -243,11 +240,11 @@ impl Environment {
         }
     }
 
-    /// Pose of a body at the last step's instant of observation: position, m, and
+    /// Returns the pose of a body at the observed instant of the last step: position, m, and
     /// orientation, x y z w, in the world frame.
     ///
     /// # Panics
-    /// If the model has no body of this id.
+    /// If the model has no body with this id.
     pub fn observed_body(&mut self, body: usize) -> ([f64; 3], [f64; 4]) {
         self.pose_observed();
         let pos = &self.observed.xpos(&self.model)[body * 3..][..3];
@@ -258,10 +255,10 @@ impl Environment {
         )
     }
 
-    /// Draws what a camera saw at the last step's instant of observation.
+    /// Renders a camera's frame at the observed instant of the last step.
     ///
     /// # Errors
-    /// If the scene has no such camera, or the renderer cannot draw it.
+    /// If the scene has no such camera, or the renderer fails.
     pub fn draw(
         &mut self,
         drawer: &Drawer,
@@ -278,9 +275,9 @@ impl Environment {
         })
     }
 
-    /// Depths of a camera's picture at the last step's instant of observation, as OpenGL
-    /// keeps them: 0 at the near plane, 1 at the far one, hyperbolic in between; rows
-    /// from bottom to top. Translucent geoms are ignored.
+    /// Renders a camera's depths at the observed instant of the last step, as in OpenGL: 0 at the
+    /// near plane, 1 at the far plane, hyperbolic in between; rows from bottom to top. Translucent
+    /// geoms are ignored.
     ///
     /// # Errors
     /// As [`Environment::draw`].
@@ -293,8 +290,8 @@ impl Environment {
         self.render(drawer, camera, size, Canvas::depth)
     }
 
-    /// Object in the middle of each pixel at the last step's instant of observation; rows
-    /// from bottom to top. Everything is opaque.
+    /// Renders the object at the centre of each pixel at the observed instant of the last step;
+    /// rows from bottom to top. Translucent geoms count as opaque.
     ///
     /// # Errors
     /// As [`Environment::draw`].
@@ -307,7 +304,7 @@ impl Environment {
         self.render(drawer, camera, size, Canvas::segmentation)
     }
 
-    /// Draws something of the last step's instant of observation.
+    /// Renders the observed instant of the last step.
     fn render<T>(
         &mut self,
         drawer: &Drawer,
@@ -369,8 +366,8 @@ impl Environment {
             .copy_from_slice(&qvel[..ARM_JOINTS + 2]);
     }
 
-    /// Computes the observed poses, once per control step and only if an observation
-    /// is asked for.
+    /// Computes the observed poses, at most once per control step and only if an observation is
+    /// requested.
     fn pose_observed(&mut self) {
         if !self.observed_is_posed {
             self.observed.kinematics(&self.model);
@@ -395,8 +392,8 @@ impl Environment {
         })
     }
 
-    /// The original toggles a burner's opacity to 1 − itself when the knob and
-    /// the opacity disagree.
+    /// Updates the burners like the original, which sets a burner's opacity to 1 minus itself if it
+    /// disagrees with the knob.
     pub(crate) fn update_burners(&mut self) {
         let qpos = self.data.qpos(&self.model);
         for burner in &mut self.burners {
@@ -415,7 +412,7 @@ impl Environment {
     }
 }
 
-/// Poses the arm, and computes nothing of contacts.
+/// Sets the arm's joints and forwards the model without contacts.
 fn pose_arm(model: &Model, data: &mut Data, joints: &[f64; ARM_JOINTS]) {
     data.qpos_mut(model)[..ARM_JOINTS].copy_from_slice(joints);
     let mut without_contacts = model.share();
@@ -423,7 +420,7 @@ fn pose_arm(model: &Model, data: &mut Data, joints: &[f64; ARM_JOINTS]) {
     data.forward(&without_contacts);
 }
 
-/// The matrix of a unit quaternion w x y z, row by row.
+/// Returns the rotation matrix of a unit quaternion w x y z, row by row.
 fn rotation_of(quat: &[f64]) -> [f64; 9] {
     let quat = nalgebra::Quaternion::new(quat[0], quat[1], quat[2], quat[3]);
     let matrix = nalgebra::UnitQuaternion::from_quaternion(quat).to_rotation_matrix();

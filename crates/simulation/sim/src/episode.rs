@@ -1,5 +1,5 @@
-//! One rollout as the protocol orders it: the perturbed scene at its initial
-//! state, then observations and actions, each through its perturbation.
+//! A rollout in the protocol's order: the perturbed scene at its initial state, then observations
+//! and actions, each passed through its perturbation.
 
 use libero_ctrl::streams::Randomness;
 use libero_ctrl::{Axis, ManifestRow, Realisation, RobotShift};
@@ -19,34 +19,33 @@ use crate::render::LazyDrawer;
 use crate::variant::{Noise, VariantStart};
 use crate::{Environment, perturb};
 
-/// The action that does nothing and keeps the gripper open.
+/// Action that moves nothing and keeps the gripper open.
 pub const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
-/// The action with every number in [-1, 1].
+/// Clips every number of an action to [-1, 1].
 pub fn clip(action: &[f64; 7]) -> [f64; 7] {
     action.map(|number| number.clamp(-1.0, 1.0))
 }
 
-/// Displacement of the hand by [`Episode::nudge`], m: a thousandth of a pixel of its
-/// cameras.
+/// Displacement of the hand by [`Episode::nudge`], m: a thousandth of a pixel in its cameras.
 pub const NUDGE_M: f64 = 1e-6;
-/// Damping of the least squares of a nudge, in squares of the Jacobian's lengths, m².
+/// Damping of the least squares of a nudge, in units of the squared Jacobian, m².
 const NUDGE_DAMPING: f64 = 1e-9;
 
-/// The camera on the hand.
+/// Camera on the hand.
 const WRIST_CAMERA: &str = "robot0_eye_in_hand";
 
 /// Digests that identify a rollout's circumstances; each is hexadecimal SHA-256.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Digests {
-    /// Digest of the composed scene, fixtures placed.
+    /// Digest of the composed scene with its fixtures placed.
     pub scene: String,
     /// Digest of the released initial state, before any robot perturbation.
     pub init_state: String,
 }
 
-/// A configuration, as it acts on one rollout: what has become of the scene, and what
-/// becomes of each action and frame. Campaigns and the Python environments both step
-/// through [`Conditions::step`], so that a perturbed rollout has the same bits in both.
+/// Perturbations in effect during one rollout: the realised values, and the stages for actions and
+/// frames. Campaigns and the Python environments both step through [`Conditions::step`], so that a
+/// perturbed rollout has the same bits in both.
 #[derive(Clone)]
 pub struct Conditions {
     realisation: Realisation,
@@ -54,13 +53,13 @@ pub struct Conditions {
     ik: Option<IkSolution>,
     sensor: Option<SensorStage>,
     actuation: Option<ActuationStage>,
-    /// Corruption of a variant of LIBERO's family.
+    /// Corruption of a LIBERO-family variant.
     noise: Option<Noise>,
     settle_steps: u32,
     policy_steps: u32,
 }
 
-/// A rollout in hand.
+/// A rollout in progress.
 pub struct Episode<'a> {
     environment: &'a mut Environment,
     drawer: &'a mut LazyDrawer,
@@ -69,10 +68,10 @@ pub struct Episode<'a> {
 }
 
 impl Conditions {
-    /// Loads a row's initial state into an environment of its scene, and perturbs it.
+    /// Loads a row's initial state into an environment of its scene, and perturbs the environment.
     ///
     /// # Errors
-    /// If the task has no such initial state.
+    /// If the task does not have the initial state.
     pub fn begin(
         ready: &ReadyScene,
         environment: &mut Environment,
@@ -83,11 +82,10 @@ impl Conditions {
         Self::begin_at(state, ready, environment, row, realisation)
     }
 
-    /// The same at any state of the scene, time, qpos and qvel: the row's own is not
-    /// looked at.
+    /// As `begin`, with any state of the scene (time, qpos, qvel) in place of the row's own.
     ///
     /// # Errors
-    /// If the scene lacks what is perturbed.
+    /// If an element to be perturbed is missing from the scene.
     pub fn begin_at(
         mut state: Vec<f64>,
         ready: &ReadyScene,
@@ -105,7 +103,7 @@ impl Conditions {
             .robot
             .map(|shift| displaced_arm(environment, &state, &shift));
         if let Some(ik) = &ik {
-            // After the time come the positions, and the arm's come first.
+            // The state starts with the time and then the positions, of which the arm's come first.
             state[1..=ARM_JOINTS].copy_from_slice(ik.joints.as_slice());
             realise(Axis::Robot, ik.joints.as_slice().to_vec());
         }
@@ -141,8 +139,8 @@ impl Conditions {
         })
     }
 
-    /// Begins a variant of LIBERO's family: of the row, its initial state and its waits
-    /// count, and its perturbation does not.
+    /// Begins a LIBERO-family variant. Of the row, only its initial state and its waits are used;
+    /// its perturbation is ignored.
     ///
     /// # Errors
     /// If there is no such initial state, or the scene cannot be reset.
@@ -165,7 +163,7 @@ impl Conditions {
         })
     }
 
-    /// Lets the scene come to rest: the released states float their objects.
+    /// Lets the scene settle, since objects float in the released states.
     ///
     /// # Errors
     /// As [`Environment::step`].
@@ -176,11 +174,11 @@ impl Conditions {
         Ok(())
     }
 
-    /// The robot's command for a policy's displacement, before the actuation axis
-    /// distorts it: clipped into -1..1, unless the realisation is the released code's,
-    /// which distorts the answer as it is and clips afterwards. Without an actuation axis
-    /// both lead to the same step, because the controller clips. The command of a command
-    /// is itself, so that recorded commands can be simulated again.
+    /// Returns the robot's command for a policy's action, before the actuation axis distorts it.
+    /// The command is clipped into -1..1, except in the reference realisation, which like the
+    /// released code distorts the unclipped action and clips afterwards. Without an actuation axis
+    /// both give the same step, because the controller clips. The function is idempotent, so
+    /// recorded commands can be simulated again.
     pub fn command(&self, sent: &[f64; 7]) -> [f64; 7] {
         match self.realisation {
             Realisation::Matched => clip(sent),
@@ -188,12 +186,12 @@ impl Conditions {
         }
     }
 
-    /// One control step with the policy's action, through the actuation axis. True if the
-    /// goal holds after it.
+    /// Simulates one control step with the policy's action, through the actuation axis. Returns
+    /// true if the goal holds after it.
     ///
     /// # Errors
-    /// [`SimError::DistortedPose`] if the action is a pose and actuation is perturbed;
-    /// nothing has moved then. Otherwise as [`Environment::step`].
+    /// [`SimError::DistortedPose`] if the action is a pose and actuation is perturbed; the state is
+    /// then unchanged. Otherwise as [`Environment::step`].
     pub fn step(
         &mut self,
         environment: &mut Environment,
@@ -217,9 +215,9 @@ impl Conditions {
         environment.step_in(&action, frame)
     }
 
-    /// Corrupts a frame as its camera's sensor does; that of a camera which policies
-    /// do not have stays as it is. Of a camera and a size the pixels depend on the
-    /// control step alone.
+    /// Corrupts a frame with its camera's sensor perturbation; frames of cameras that policies do
+    /// not receive stay unchanged. For a given camera and size, the pixels depend only on the
+    /// control step.
     pub fn see(&mut self, frame: &mut Frame) {
         if let (Some(stage), Ok(source)) = (&mut self.sensor, frame_source(&frame.camera)) {
             stage.apply(&mut perturb::Frame {
@@ -234,7 +232,7 @@ impl Conditions {
 }
 
 impl<'a> Episode<'a> {
-    /// Loads the initial state into the scene at hand and perturbs it.
+    /// Loads the initial state into the current scene and perturbs it.
     pub(crate) fn begin(
         ready: &ReadyScene,
         environment: &'a mut Environment,
@@ -260,33 +258,33 @@ impl<'a> Episode<'a> {
         })
     }
 
-    /// Digests of the rollout's circumstances.
+    /// Returns the digests of the rollout's circumstances.
     pub fn digests(&self) -> &Digests {
         &self.digests
     }
 
-    /// The perturbed axes, with what became of their values.
+    /// Returns the perturbed axes with their realised values.
     pub fn realised(&self) -> &Realised {
         &self.conditions.realised
     }
 
-    /// Solution of the search for the perturbed posture, if the robot axis is perturbed.
+    /// Returns the solution for the perturbed posture, if the robot axis is perturbed.
     pub fn ik(&self) -> Option<&IkSolution> {
         self.conditions.ik.as_ref()
     }
 
-    /// Lets the scene come to rest: the released states float their objects.
+    /// Lets the scene settle, since objects float in the released states.
     pub fn settle(&mut self) -> Result<(), SimError> {
         self.conditions.settle(self.environment)
     }
 
-    /// The robot's command for a policy's action: see [`Conditions::command`].
+    /// Returns the robot's command for a policy's action: see [`Conditions::command`].
     pub fn command(&self, sent: &[f64; 7]) -> [f64; 7] {
         self.conditions.command(sent)
     }
 
-    /// One control step with a policy's action, or with the command that came of it. True
-    /// if the goal holds after it.
+    /// Simulates one control step with a policy's action, or with the command derived from it.
+    /// Returns true if the goal holds after it.
     ///
     /// # Errors
     /// As [`Environment::step`].
@@ -295,9 +293,8 @@ impl<'a> Episode<'a> {
         conditions.step(self.environment, sent, ActionFrame::Relative)
     }
 
-    /// Lifts the perturbations: from now on the policy sees the nominal scene, and its
-    /// actions reach the robot as they are. What they have led to stays, a displaced
-    /// arm included.
+    /// Removes the perturbations: from now on the policy sees the nominal scene, and its actions
+    /// reach the robot unchanged. Their effects so far stay, including a displaced arm.
     pub fn lift(&mut self) {
         self.environment.restore_appearance();
         self.conditions.sensor = None;
@@ -305,16 +302,17 @@ impl<'a> Episode<'a> {
         self.conditions.noise = None;
     }
 
-    /// Moves the point between the fingertips up by [`NUDGE_M`], by the joints' least change
-    /// that does. Nothing else changes, and the policy's view only with the next step. A
-    /// rollout that ends otherwise because of it is chaotic there.
+    /// Moves the point between the fingertips up by [`NUDGE_M`] with the smallest change of the
+    /// joints. Nothing else changes, and observations show it from the next step on. A rollout
+    /// whose outcome changes because of it is chaotic at this point.
     pub fn nudge(&mut self) {
         let site = self.environment.model().id(ObjectKind::Site, GRIP_SITE);
         let site = site.expect("the controller has it");
         let (model, data) = self.environment.model_and_data();
         let jacobian = arm_state(model, data, site).jacobian;
         let jacobian = jacobian.fixed_rows::<3>(0).into_owned();
-        // Enough to be invertible in every posture, and nothing beside its squares.
+        // Large enough to make the matrix invertible in every posture, and negligible beside its
+        // elements.
         let damped = jacobian * jacobian.transpose() + Matrix3::identity() * NUDGE_DAMPING;
         let inverse = damped.try_inverse().expect("positive definite");
         let change = jacobian.transpose() * inverse * nalgebra::Vector3::new(0.0, 0.0, NUDGE_M);
@@ -351,7 +349,7 @@ impl<'a> Episode<'a> {
         })
     }
 
-    /// The scene's environment, to be looked at.
+    /// Returns the environment, for inspection.
     pub fn environment(&mut self) -> &mut Environment {
         self.environment
     }
@@ -365,7 +363,7 @@ fn frame_source(camera: &str) -> Result<FrameSource, SimError> {
     }
 }
 
-/// Moves the camera; returns what became of it.
+/// Moves the camera; returns its realised pose.
 fn apply_camera(
     ready: &ReadyScene,
     environment: &mut Environment,
@@ -380,7 +378,7 @@ fn apply_camera(
     Ok([x, y, z, qw, qx, qy, qz])
 }
 
-/// Changes the lights; returns what became of them.
+/// Changes the lights; returns their realised values.
 fn apply_lighting(
     ready: &ReadyScene,
     environment: &mut Environment,
@@ -426,7 +424,7 @@ fn apply_lighting(
     realised
 }
 
-/// Finds the arm's joints for a displaced end-effector, starting from a state.
+/// Solves for the arm's joints with a displaced end-effector, starting from a state.
 fn displaced_arm(environment: &mut Environment, state: &[f64], shift: &RobotShift) -> IkSolution {
     environment.load(state);
     let nominal = perturb::JointVector::from_column_slice(&state[1..=ARM_JOINTS]);

@@ -6,13 +6,13 @@ use crate::mujoco::ObjectKind;
 /// the rollout is retried.
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
-    /// The scene's files are missing or wrong.
+    /// The scene's files are missing or invalid.
     #[error(transparent)]
     Scene(#[from] scene::SceneError),
-    /// MuJoCo refused the composed model.
+    /// MuJoCo rejected the composed model.
     #[error("compile the scene's model: {0}")]
     Compile(String),
-    /// The model lacks something that every LIBERO scene has.
+    /// The model lacks an element that every LIBERO scene has.
     #[error("find {kind:?} `{name}` in the model; is the asset pack complete?")]
     Missing {
         /// Kind of the missing object.
@@ -67,16 +67,16 @@ pub enum SimError {
         /// Reason why it cannot be evaluated.
         problem: String,
     },
-    /// An action is a pose, and the rollout distorts displacements.
+    /// An action is a pose, but the rollout distorts displacements.
     #[error(
         "command a pose while actuation is perturbed: the distortion acts on displacements; \
          command displacements (control=\"relative\"), or leave the actuation axis out"
     )]
     DistortedPose,
-    /// A policy asks for a camera that the protocol does not offer.
+    /// A policy requests a camera that the protocol does not offer.
     #[error("look through camera `{0}`: policies have agentview and robot0_eye_in_hand")]
     Camera(String),
-    /// A picture cannot be corrupted as a variant says.
+    /// A picture is unsuitable for a variant's corruption.
     #[error(transparent)]
     Corruption(#[from] libero_family::corruption::UnsuitedPicture),
     /// OpenGL cannot be opened or used.
@@ -93,8 +93,7 @@ pub enum SimError {
 }
 
 impl SimError {
-    /// Returns true if the fault lies with this machine and would not occur on a sound
-    /// one.
+    /// Returns true if the fault lies with this machine and would not occur on a working one.
     pub fn is_of_the_machine(&self) -> bool {
         matches!(
             self,

@@ -1,8 +1,8 @@
-//! One digest over all that a slot's numbers and pictures come from: a fixed
-//! motion of a small scene, the arithmetic around it, and two frames. Slots with
-//! equal fingerprints simulate and draw with equal bits; a processor, a C library,
-//! a driver or a build that rounds differently has another. It says nothing of
-//! the asset pack, and is no proof: what the scene does not exercise may differ.
+//! Fingerprint of a slot's arithmetic: a digest over a fixed motion of a small scene, the
+//! surrounding arithmetic, and two frames. Slots with equal fingerprints simulate and render with
+//! equal bits; a processor, C library, driver or build that rounds differently gives another
+//! fingerprint. It does not cover the asset pack, and it is no proof: computations that the scene
+//! does not exercise may differ.
 
 use std::hint::black_box;
 use std::sync::Arc;
@@ -15,22 +15,22 @@ use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
 use crate::render::{Canvas, Drawer, Prepared, View};
 
-/// The scene: an arm of seven joints over things that it pushes.
+/// Scene: an arm of seven joints that pushes objects.
 const SCENE: &str = include_str!("fingerprint.mjcf");
-/// Simulated in steps of 2 ms.
+/// Simulation steps of 2 ms.
 const STEPS: u32 = 150;
 const ARM_JOINTS: usize = 7;
-/// Torques of the motors, Nm, and how much faster each is driven than the one
-/// before, so that no two joints move alike.
+/// Amplitude of the motors' torques, Nm, and the increase of frequency from one motor to the next,
+/// which keeps any two joints from moving alike.
 const AMPLITUDE: f64 = 6.0;
 const DETUNING: f64 = 0.37;
-/// The frames: cameras, widths and heights, pixels.
+/// Frames: cameras, widths and heights, pixels.
 const FRAMES: [(&str, u32, u32); 2] = [("front", 96, 64), ("hand", 64, 64)];
 
-/// The fingerprint of this process with a renderer: SHA-256, hex.
+/// Returns the fingerprint of this process with a renderer: SHA-256, hex.
 ///
 /// # Errors
-/// If the renderer cannot draw, or MuJoCo refuses the scene.
+/// If the renderer fails, or MuJoCo rejects the scene.
 pub fn fingerprint(drawer: &Drawer) -> Result<String, SimError> {
     let mut model = Model::compile(SCENE)?;
     model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
@@ -40,7 +40,7 @@ pub fn fingerprint(drawer: &Drawer) -> Result<String, SimError> {
     Ok(digest(&numbers, &frames))
 }
 
-/// All numbers that the motion and the arithmetic give.
+/// Returns all numbers of the motion and of the surrounding arithmetic.
 fn motion(model: &Model, data: &mut Data) -> Result<Vec<f64>, SimError> {
     let hand = model.id(ObjectKind::Site, "hand")?;
     let mut numbers = Vec::new();
@@ -63,7 +63,7 @@ fn motion(model: &Model, data: &mut Data) -> Result<Vec<f64>, SimError> {
     Ok(numbers)
 }
 
-/// The algebra of the arm's controller.
+/// Computes the algebra of the arm's controller.
 fn operational_space(model: &Model, data: &Data, hand: usize) -> Vec<f64> {
     let nv = model.nv();
     let mut inertia = vec![0.0; nv * nv];
@@ -87,8 +87,8 @@ fn operational_space(model: &Model, data: &Data, hand: usize) -> Vec<f64> {
     numbers
 }
 
-/// Functions of the C library, which differ between machines in the last bit. A
-/// compiler that sees the argument would take the values of its own machine.
+/// Functions of the C library whose last bit differs between machines. The argument must be unknown
+/// at compile time, since a compiler would insert its own machine's values.
 fn functions(secs: f64) -> [f64; 11] {
     let x = black_box(secs + 0.1);
     [
@@ -162,7 +162,7 @@ mod tests {
         println!("{one} in {took:?}");
         assert_eq!(one.len(), 64);
         assert_eq!(one, fingerprint(&drawer).expect("a fingerprint"));
-        // Ten times what it takes on two old cores.
+        // Ten times the duration on two old cores.
         assert!(took < Duration::from_secs(3), "{took:?}");
     }
 
@@ -189,7 +189,7 @@ mod tests {
         assert!(touching.len() >= 5, "{touching:?}");
         let travel: Vec<f64> = data.qpos(&model)[..ARM_JOINTS].to_vec();
         assert!(travel.iter().all(|angle| angle.abs() > 1e-3), "{travel:?}");
-        // All three inverses of every step, and not the empty answer.
+        // All three inverses must exist in every step.
         let arm = operational_space(&model, &data, 0);
         assert_eq!(arm.len(), 49 + 36 + 9);
     }

@@ -1,9 +1,9 @@
-//! LIBERO in MuJoCo: compiled scenes, the robot's controllers, success, frames
-//! drawn off-screen, and the perturbations of LIBERO-CTRL.
+//! LIBERO in MuJoCo: compiled scenes, robot controllers, success, offscreen rendering, and the
+//! perturbations of LIBERO-CTRL.
 //!
-//! The only crate of the workspace with `unsafe` code: in [`mujoco`], in
-//! [`render`] where it calls OpenGL, and where files of scenes are mapped, behind
-//! safe types, with a reason at every block.
+//! The only crate of the workspace with `unsafe` code: in [`mujoco`], in the OpenGL calls of
+//! [`render`], and in the mapping of scene files. It is behind safe types, with a reason at every
+//! block.
 
 mod compiled_scene;
 pub mod controller;

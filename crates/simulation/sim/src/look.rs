@@ -1,10 +1,10 @@
-//! What an observation shows, kept until somebody looks at it.
+//! Deferred rendering of observations.
 
 use crate::environment::Environment;
 use crate::mujoco::Model;
 
-/// What cameras see at an instant of observation: a few kilobytes, from which every
-/// environment of the compiled scene draws the bits that were drawn then.
+/// State that cameras show at an observed instant: a few kilobytes, from which every environment of
+/// the compiled scene renders the same bits later.
 pub struct Look {
     model: Model,
     positions: Box<[f64]>,
@@ -12,7 +12,7 @@ pub struct Look {
 }
 
 impl Environment {
-    /// What the last step's instant of observation shows.
+    /// Captures the observed instant of the last step.
     pub fn look(&self) -> Look {
         let opacities = self.burners.iter().map(|burner| burner.observed_opacity);
         Look {
@@ -22,11 +22,11 @@ impl Environment {
         }
     }
 
-    /// Draws of that instant: within `see`, [`draw`](Self::draw) and the like show it.
-    /// Afterwards everything is as it was.
+    /// Runs `see` with the environment at a captured instant, so that [`draw`](Self::draw) and
+    /// similar methods render that instant. Restores the environment afterwards.
     ///
     /// # Panics
-    /// If it is of another compiled scene.
+    /// If the capture is from another compiled scene.
     pub fn seeing<T>(&mut self, look: &Look, see: impl FnOnce(&mut Self) -> T) -> T {
         let present = self.look();
         self.show(look);

@@ -1,6 +1,5 @@
-//! The façade over MuJoCo 3.3.7: the only place, with the renderer, where C is
-//! called. Each C object has one owner, and every array is seen as a slice of
-//! its true length.
+//! Safe interface to MuJoCo 3.3.7. Together with the renderer it contains all calls into C. Each C
+//! object has one owner, and every array is exposed as a slice of its true length.
 
 mod arrays;
 mod changes;
@@ -30,23 +29,23 @@ pub(crate) use visual_scene::VisualScene;
 /// error handler must not return, and C frames cannot be unwound.
 pub const FATAL_EXIT_STATUS: i32 = 86;
 
-/// Warnings kept between two looks; more than one already ends the rollout.
+/// Most warnings kept between two calls of `take_warnings`; even one ends the rollout.
 const MAX_WARNINGS: usize = 8;
 
 thread_local! {
-    /// Warnings of MuJoCo on this thread, on which it was called.
+    /// Warnings of MuJoCo's calls on this thread.
     static WARNINGS: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
 }
 
-/// Version of the library that is loaded, for example `3.3.7`.
+/// Returns the version of the loaded library, for example `3.3.7`.
 pub fn version() -> String {
     // SAFETY: returns a static NUL-terminated string.
     let text = unsafe { CStr::from_ptr(c::mj_versionString()) };
     text.to_string_lossy().into_owned()
 }
 
-/// Replaces MuJoCo's handlers, once per process. Its own would exit silently
-/// and write a log file into the current folder.
+/// Replaces MuJoCo's handlers, once per process. The default ones exit silently and write a log
+/// file into the current folder.
 pub(crate) fn install_handlers() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -59,9 +58,8 @@ pub(crate) fn install_handlers() {
     });
 }
 
-/// Returns memory that was freed to the system. Compiling a scene decodes hundreds of
-/// megabytes of images and meshes; glibc keeps most of what is freed of them, a third of
-/// a slot's memory.
+/// Returns freed memory to the system. Compiling a scene decodes hundreds of megabytes of images
+/// and meshes; glibc would retain most of it, a third of a slot's memory.
 pub(crate) fn return_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
@@ -73,7 +71,7 @@ pub(crate) fn return_freed_memory() {
     }
 }
 
-/// The warnings on this thread since the last look.
+/// Returns the warnings on this thread since the last call.
 pub(crate) fn take_warnings() -> Vec<String> {
     WARNINGS.take()
 }

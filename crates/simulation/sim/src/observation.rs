@@ -5,43 +5,43 @@ use libero_ctrl::Privileged;
 /// Requested contents of an observation.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ObservationRequest {
-    /// Frames to draw, in this order.
+    /// Frames to render, in this order.
     pub cameras: Vec<CameraRequest>,
-    /// True to add the simulator's own state.
+    /// True to include the simulator's own state.
     pub privileged: bool,
 }
 
-/// A frame that is wanted.
+/// A requested frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CameraRequest {
     /// `agentview` or `robot0_eye_in_hand`, or any other camera of the scene.
     pub name: String,
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
 }
 
-/// Observation of a policy, as the original's `env.step` returns it: frames and
-/// end-effector poses lag 4 ms behind the control step's end, joint readings 2 ms.
+/// Observation of a policy at the original's `env.step`: frames and end-effector poses lag 4 ms
+/// behind the end of the control step, joint readings 2 ms.
 #[derive(Debug, Clone)]
 pub struct Observation {
-    /// Frames in the order of the request, corrupted where the sensor is perturbed.
+    /// Frames in the order of the request, with sensor perturbations applied.
     pub frames: Vec<Frame>,
     /// The robot's readings.
     pub robot: RobotState,
-    /// Only if asked for.
+    /// The simulator's own state, if requested.
     pub privileged: Option<Privileged>,
 }
 
 /// A frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Frame {
-    /// The camera's name.
+    /// Name of the camera.
     pub camera: String,
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
     /// Red, green, blue, 8 bits each, row by row; row 0 is the picture's bottom.
     pub rgb: Vec<u8>,
@@ -50,27 +50,27 @@ pub struct Frame {
 /// The robot's readings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RobotState {
-    /// Site between the fingertips, world frame, m.
+    /// Position of the site between the fingertips, world frame, m.
     pub eef_pos: [f64; 3],
-    /// Hand body, world frame, x y z w.
+    /// Orientation of the hand body, world frame, x y z w.
     pub eef_quat_xyzw: [f64; 4],
-    /// The same as axis times angle, rad.
+    /// Orientation of the hand body as axis times angle, rad.
     pub eef_axis_angle: [f64; 3],
-    /// The same as a matrix, row by row.
+    /// Orientation of the hand body as a matrix, row by row.
     pub eef_rotation: [f64; 9],
-    /// Arm joints, rad.
+    /// Positions of the arm joints, rad.
     pub joint_pos: [f64; 7],
-    /// Arm joints, rad/s.
+    /// Velocities of the arm joints, rad/s.
     pub joint_vel: [f64; 7],
-    /// Finger joints, m.
+    /// Positions of the finger joints, m.
     pub gripper_pos: [f64; 2],
-    /// Finger joints, m/s.
+    /// Velocities of the finger joints, m/s.
     pub gripper_vel: [f64; 2],
 }
 
-/// Axis times angle of a unit quaternion x y z w, rad: twice the arc cosine of
-/// w, without flipping to the nearer of the two antipodes (robosuite's
-/// `quat2axisangle`; policies were trained on it).
+/// Converts a unit quaternion x y z w to axis times angle, rad: twice the arc cosine of w, without
+/// choosing the nearer of the two antipodes (robosuite's `quat2axisangle`, with which policies were
+/// trained).
 pub fn axis_angle_of(quat_xyzw: [f64; 4]) -> [f64; 3] {
     let [x, y, z, w] = quat_xyzw;
     let w = w.clamp(-1.0, 1.0);

@@ -1,10 +1,9 @@
-//! The five metric axes of the protocol as arithmetic: numbers of a scene, a
-//! picture or an action go in, perturbed ones come out.
+//! The five metric axes of the protocol as pure arithmetic on values of a scene, a picture or an
+//! action.
 //!
-//! Not responsible for reading or writing a MuJoCo model, for rendering, or for
-//! the size of a perturbation: the values come from the manifest row, and the
-//! random elements from [`libero_ctrl::streams`]. Section 4 of the protocol says
-//! what each axis does, and when in a rollout.
+//! Reading or writing a MuJoCo model and rendering are done elsewhere. Parameters come from the
+//! manifest row, and random elements from [`libero_ctrl::streams`]. Section 4 of the protocol
+//! defines the effect of each axis and its time in a rollout.
 
 mod actuation;
 mod camera;

@@ -1,9 +1,8 @@
-//! Evaluation of goals. The predicates are LIBERO's (hf-libero 0.1.4, `object_states` and
-//! `objects`), resolved once per scene to ids.
+//! Evaluation of goals with LIBERO's predicates (hf-libero 0.1.4, `object_states` and `objects`),
+//! resolved to ids once per scene.
 //!
-//! They look at body positions and contacts as the last step's first half
-//! left them and at joint positions after its integration, as the original
-//! does.
+//! Like the original, they use body positions and contacts after the first half of the last step,
+//! and joint positions after its integration.
 
 use libero_ctrl::Predicate;
 use scene::catalog::{Articulation, Threshold};
@@ -15,14 +14,14 @@ use crate::mujoco::{Data, Model, ObjectKind};
 /// A goal resolved to ids: all its checks must hold.
 pub struct Goal {
     checks: Vec<Check>,
-    /// Per geom: index of the instance that has it as a collision geom.
+    /// Per geom: index of the instance whose collision geom it is.
     owner_of_geom: Vec<Option<usize>>,
 }
 
 enum Check {
     /// One object on another.
     OnObject { upper: Thing, lower: Thing },
-    /// An object on a region, touching what carries the region, if anything.
+    /// An object on a region, in contact with the instance that has the region, if any.
     OnSite {
         object: Thing,
         site: Site,
@@ -30,7 +29,7 @@ enum Check {
     },
     /// An object in a region.
     InSite { object: Thing, site: Site },
-    /// Joints beyond a threshold: any of them, or all.
+    /// Joints beyond a threshold: one of them or all of them.
     Joints {
         addresses: Vec<usize>,
         beyond: Beyond,
@@ -61,12 +60,12 @@ enum Quantifier {
     All,
 }
 
-/// Two objects stacked by `on` are at most this far apart horizontally, m.
+/// Largest horizontal distance of two objects stacked by `on`, m.
 const STACKED_DISTANCE: f64 = 0.03;
-/// An object `on` a region may be this much below its top, and so much above, m.
+/// Largest distance of an object `on` a region below and above its top, m.
 const ON_SITE_BELOW: f64 = 0.005;
 const ON_SITE_ABOVE: f64 = 0.10;
-/// An object `in` a region may be this much below it, m.
+/// Largest distance of an object `in` a region below it, m.
 const IN_SITE_BELOW: f64 = 0.01;
 
 impl Goal {
@@ -93,7 +92,7 @@ impl Goal {
             .all(|check| self.check_holds(check, model, data))
     }
 
-    /// Truth of each predicate, in the BDDL file's order.
+    /// Returns the truth value of each predicate, in the BDDL file's order.
     pub fn truths(&self, model: &Model, data: &Data) -> Vec<bool> {
         self.checks
             .iter()
@@ -148,8 +147,7 @@ impl Goal {
 }
 
 impl Site {
-    /// The offset is rotated by the site's matrix, not by its transpose: that
-    /// is what the original computes.
+    /// Rotates the offset by the site's matrix rather than its transpose, like the original.
     fn carries(&self, model: &Model, data: &Data, position: [f64; 3]) -> bool {
         let offset = self.offset(model, data, position);
         let rotation = &data.site_xmat(model)[self.id * 9..self.id * 9 + 9];

@@ -12,10 +12,10 @@ use crate::mujoco::{Data, Model, ObjectKind};
 const FREE_JOINT: i32 = 0;
 
 impl Environment {
-    /// Poses of everything in the scene, for scripted experts.
+    /// Returns the poses of everything in the scene, for scripted experts.
     ///
     /// # Errors
-    /// If the model lacks what its scene names.
+    /// If an element that the scene names is missing from the model.
     pub fn privileged(&self) -> Result<Privileged, SimError> {
         let (scene, model, data) = (self.scene(), self.model(), self.data());
         let instances = scene
@@ -86,7 +86,7 @@ fn instance_entity(model: &Model, data: &Data, instance: &Instance) -> Result<En
     })
 }
 
-/// The world-aligned box around a geom: centre and half extents, m.
+/// Returns the world-aligned bounding box of a geom: centre and half extents, m.
 fn world_box(model: &Model, data: &Data, geom: usize) -> ([f64; 3], [f64; 3]) {
     let local = &model.geom_aabb()[geom * 6..][..6];
     let rotation = &data.geom_xmat(model)[geom * 9..][..9];

@@ -1,4 +1,4 @@
-//! A task, ready for its rollouts.
+//! A task that is ready for rollouts.
 
 use std::sync::Arc;
 
@@ -13,21 +13,21 @@ use crate::error::SimError;
 use crate::mujoco::ObjectKind;
 use crate::perturb::{CameraPose, look_at_point};
 
-/// The camera that the camera axis moves.
+/// Camera that the camera axis moves.
 pub(crate) const PERTURBED_CAMERA: &str = "agentview";
 /// `mjJNT_FREE`.
 const FREE_JOINT: i32 = 0;
 
-/// A task's compiled scene with its initial states, and what is computed once for its
-/// rollouts. Environments share it.
+/// A task's compiled scene with its initial states, and data computed once for all rollouts. Shared
+/// by environments.
 pub struct ReadyScene {
     pub(crate) compiled: Arc<CompiledScene>,
     pub(crate) states: InitialStates,
     pub(crate) digest: String,
-    /// Nominal pose of the perturbed camera, and the point it looks at.
+    /// Nominal pose of the perturbed camera, and its look-at point.
     pub(crate) camera: CameraPose,
     pub(crate) look_at: [f64; 3],
-    /// Pose of the perturbed camera as the arena writes it, before MuJoCo normalises it.
+    /// Pose of the perturbed camera as written in the arena, before MuJoCo normalises it.
     pub(crate) written_camera: Option<WrittenPose>,
     pub(crate) files: TaskFiles,
 }
@@ -36,7 +36,7 @@ impl ReadyScene {
     /// Compiles the scene of a task's files.
     ///
     /// # Errors
-    /// If a file is missing or wrong, or MuJoCo refuses the scene.
+    /// If a file is missing or invalid, or MuJoCo rejects the scene.
     pub fn compile(
         files: TaskFiles,
         pack: &AssetPack,
@@ -71,17 +71,17 @@ impl ReadyScene {
         })
     }
 
-    /// Compiled scene that its environments share.
+    /// Returns the compiled scene, which environments share.
     pub fn compiled(&self) -> &Arc<CompiledScene> {
         &self.compiled
     }
 
-    /// The task's released initial states.
+    /// Returns the task's released initial states.
     pub fn states(&self) -> &InitialStates {
         &self.states
     }
 
-    /// An initial state of the task.
+    /// Returns an initial state of the task.
     pub(crate) fn state(&self, id: u16) -> Result<&[f64], SimError> {
         self.states
             .get(usize::from(id))
@@ -102,7 +102,7 @@ fn nominal_camera(environment: &Environment) -> Result<CameraPose, SimError> {
     })
 }
 
-/// Centres of mass of everything with a free joint, world frame, m.
+/// Returns the centres of mass of everything with a free joint, world frame, m.
 fn movable_centres(environment: &Environment) -> Vec<[f64; 3]> {
     let (model, data) = (environment.model(), environment.data());
     let joints = model.jnt_type().iter().zip(model.jnt_bodyid());

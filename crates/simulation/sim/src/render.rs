@@ -1,5 +1,5 @@
-//! Drawing off-screen what a camera sees: colours, depths, and which geom; by our
-//! own renderer, or by MuJoCo's through OpenGL.
+//! Offscreen rendering of colours, depths and segmentation, by the software renderer or by MuJoCo's
+//! through OpenGL.
 
 #[allow(unsafe_code, reason = "MuJoCo's renderer, called through its C API")]
 mod gl;
@@ -32,15 +32,15 @@ use crate::mujoco::{Model, Segment};
 /// Renderer of the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Renderer {
-    /// Own software renderer: the same bits on every machine, without OpenGL.
+    /// Software renderer of this project: the same bits on every machine, without OpenGL.
     #[default]
     Software,
     /// MuJoCo's renderer, through OpenGL on a device.
     Gl(GlDevice),
 }
 
-/// Form on command lines: `software`, `gl` for OpenGL on the first device that works, or
-/// `gl:N` for OpenGL on the N-th of the driver's list, from 0.
+/// Notation on command lines: `software`, `gl` for OpenGL on the first device that works, or `gl:N`
+/// for OpenGL on the N-th device of the driver's list, from 0.
 impl fmt::Display for Renderer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -51,8 +51,7 @@ impl fmt::Display for Renderer {
     }
 }
 
-/// Reads what [`Display`](fmt::Display) writes; the error says what may be
-/// written.
+/// Parses the output of [`Display`](fmt::Display); the error lists the valid forms.
 impl FromStr for Renderer {
     type Err = String;
 
@@ -77,17 +76,17 @@ impl FromStr for Renderer {
 /// The canvases of an environment share ownership of the OpenGL context, so a drawer may
 /// be dropped at any time.
 pub enum Drawer {
-    /// Our own.
+    /// Software renderer.
     Software,
-    /// MuJoCo's.
+    /// MuJoCo's renderer.
     Gl(Rc<GlContext>),
 }
 
 impl Drawer {
-    /// Prepares a renderer.
+    /// Opens a renderer.
     ///
     /// # Errors
-    /// If OpenGL is requested and no device gives a context.
+    /// If OpenGL is requested and no device provides a context.
     pub fn open(renderer: Renderer) -> Result<Self, SimError> {
         match renderer {
             Renderer::Software => Ok(Self::Software),
@@ -95,8 +94,8 @@ impl Drawer {
         }
     }
 
-    /// Name of the renderer with its version: `rollout-raster 2`, or of OpenGL the
-    /// driver's words, for example `llvmpipe (…)`.
+    /// Returns the name of the renderer with its version: `rollout-raster 2`, or the driver's name
+    /// for OpenGL, for example `llvmpipe (…)`.
     pub fn name(&self) -> &str {
         match self {
             Self::Software => raster::NAME,
@@ -105,7 +104,7 @@ impl Drawer {
     }
 }
 
-/// A renderer that is opened when it is first asked for.
+/// A renderer that is opened on first use.
 pub(crate) struct LazyDrawer {
     renderer: Renderer,
     drawer: Option<Drawer>,
@@ -128,16 +127,15 @@ impl LazyDrawer {
     }
 }
 
-/// State that a renderer keeps to draw one scene.
+/// A renderer's state for drawing one scene.
 pub(crate) enum Canvas {
     Software(Box<SoftwareCanvas>),
-    /// On another thread than the one that made it, it suits no renderer.
+    /// On any thread but the one that made it, it suits no renderer.
     Gl(ThreadBound<GlCanvas>),
 }
 
 impl Canvas {
-    /// For a model, as it is prepared for our renderer, and pictures up to this
-    /// size, pixels.
+    /// Creates a canvas for a model, its prepared data, and pictures up to this size, pixels.
     pub(crate) fn new(
         drawer: &Drawer,
         model: &mut Model,
@@ -164,7 +162,8 @@ impl Canvas {
         }
     }
 
-    /// Returns true if this was made for the renderer, and a picture of this size fits.
+    /// Returns true if this canvas was made for the renderer and has room for a picture of this
+    /// size.
     pub(crate) fn suits(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
         match (self, drawer) {
             (Self::Software(_), Drawer::Software) => true,
@@ -175,7 +174,7 @@ impl Canvas {
         }
     }
 
-    /// Draws what a camera of the model sees; rows from bottom to top.
+    /// Renders a camera of the model; rows from bottom to top.
     pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
         match self {
             Self::Software(canvas) => canvas.draw(view),
@@ -183,8 +182,8 @@ impl Canvas {
         }
     }
 
-    /// Draws how far it is to what a camera sees: 0 at the near plane, 1 at the far
-    /// one, as OpenGL keeps it; rows from bottom to top.
+    /// Renders depths: 0 at the near plane, 1 at the far plane, as in OpenGL; rows from bottom to
+    /// top.
     pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
         match self {
             Self::Software(canvas) => canvas.depth(view),
@@ -192,8 +191,7 @@ impl Canvas {
         }
     }
 
-    /// Draws what a camera sees in the middle of each pixel; rows from bottom to
-    /// top.
+    /// Renders the object at the centre of each pixel; rows from bottom to top.
     pub(crate) fn segmentation(
         &mut self,
         view: View<'_>,
@@ -214,13 +212,13 @@ mod tests {
 
     const SCENE: &str = include_str!("fingerprint.mjcf");
 
-    /// A canvas of 64 × 48 pixels.
+    /// Returns a canvas of 64 × 48 pixels.
     fn canvas(drawer: &Drawer, model: &mut Model) -> Canvas {
         let prepare = |model: &Model| Prepared::of(model).map(Arc::new);
         Canvas::new(drawer, model, prepare, [64, 48]).expect("a canvas")
     }
 
-    /// A scene and its state, to be drawn.
+    /// Returns a scene and its state.
     fn scene() -> (Model, Data) {
         let model = Model::compile(SCENE).expect("a model");
         let mut data = Data::new(&model).expect("a state");
@@ -237,8 +235,7 @@ mod tests {
         }
     }
 
-    /// Two renderers through OpenGL, each with a context of its own; none where
-    /// there is no OpenGL.
+    /// Returns two OpenGL renderers, each with its own context; `None` without OpenGL.
     fn opengl(test: &str) -> Option<[Drawer; 2]> {
         let open = || Drawer::open(Renderer::Gl(GlDevice::Auto));
         match (open(), open()) {

@@ -1,5 +1,4 @@
-//! Reset without an initial state, as robosuite's `reset`: LIBERO's samplers place
-//! everything.
+//! Reset without an initial state, like robosuite's `reset`: LIBERO's samplers place everything.
 
 use libero_ctrl::numpy::LegacyRng;
 use scene::SceneError;
@@ -12,26 +11,24 @@ use crate::mujoco::{Data, Model, ObjectKind};
 /// Finger positions at a reset, m (`PandaGripper.init_qpos`).
 const RESET_FINGERS: [f64; 2] = [0.020833, -0.020833];
 
-/// Starting point of a reset: robosuite's `hard_reset`, whose other sense shows in the
-/// resulting scenes.
+/// Starting point of a reset: robosuite's `hard_reset`, whose two modes lead to different scenes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reset {
-    /// The model as compiled, as if it were loaded anew: fixtures where its file
-    /// has them until they are placed, nothing perturbed, the gripper's ramp at
-    /// its middle.
+    /// The model as compiled, as if loaded again: fixtures at their poses in the file until they
+    /// are placed, nothing perturbed, the gripper's ramp at its middle.
     Hard,
-    /// The model as it is now: fixtures where they were last, which is what
-    /// objects on their sites are placed by, and the gripper's ramp where it was.
+    /// The current model: fixtures stay at their last poses, relative to which objects on their
+    /// sites are placed, and the gripper's ramp keeps its position.
     Soft,
 }
 
-/// The samplers' names as places in MuJoCo's arrays.
+/// The samplers, resolved to indices in MuJoCo's arrays.
 pub(crate) struct Resets {
-    /// Per joint sampler: first position coordinates of its joints.
+    /// Per joint sampler: the first position coordinates of its joints.
     joints: Vec<Vec<usize>>,
     targets: Vec<Target>,
     sites: Vec<usize>,
-    /// The fixtures as compiled: body, position, orientation.
+    /// Fixtures of the compiled model: body, position, orientation.
     compiled: Vec<(usize, [f64; 3], [f64; 4])>,
 }
 
@@ -42,7 +39,7 @@ enum Target {
 }
 
 impl Resets {
-    /// Resolves the samplers of a scene in its model as it was compiled.
+    /// Resolves the samplers of a scene in its compiled model.
     pub(crate) fn resolve(samplers: &Samplers, compiled: &Model) -> Result<Self, SimError> {
         let model = compiled;
         let address = |joint: &String| {
@@ -83,7 +80,7 @@ impl Resets {
         })
     }
 
-    /// Puts the fixtures where they were compiled.
+    /// Restores the compiled poses of the fixtures.
     pub(crate) fn put_fixtures_back(&self, model: &mut Model) {
         for (body, pos, quat) in &self.compiled {
             model.body_pos_mut()[body * 3..][..3].copy_from_slice(pos);
@@ -91,7 +88,7 @@ impl Resets {
         }
     }
 
-    /// One attempt at placing everything, from the fixtures where they are.
+    /// Makes one attempt at placing everything, starting from the fixtures' current poses.
     pub(crate) fn place(
         &self,
         samplers: &Samplers,

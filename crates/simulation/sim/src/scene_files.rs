@@ -1,12 +1,12 @@
-//! Compiled scenes in files that all processes of a machine map: MuJoCo's arrays and our
-//! renderer's meshes and textures, laid out as they lie in memory. Who compiles a scene first
-//! writes it; the kernel keeps one copy of what is used of it.
+//! Compiled scenes in files that all processes of a machine map: MuJoCo's arrays and the software
+//! renderer's meshes and textures in their memory layout. The first process that compiles a scene
+//! writes it; the kernel keeps one copy of the pages in use.
 //!
-//! A file is written aside and renamed, never changed afterwards, and never cut short, since a
-//! mapping of a file that is shorter than it was kills its process. Its name is a digest of all
-//! that it depends on, so that another program's files are other files. Textures, which scenes
-//! have in common, are files of their own. Whatever goes wrong, the scene is compiled into the
-//! process's own memory, and the first reason is kept for [`SceneFolder::take_problem`].
+//! A file is written under a temporary name and renamed, and afterwards neither changed nor
+//! truncated, since truncating a mapped file kills the process that maps it. Its name is a digest
+//! of everything that it depends on, so that other programs use other files. Textures have files of
+//! their own, since scenes share them. On any failure, the scene is compiled into the process's own
+//! memory, and the first error is kept for [`SceneFolder::take_problem`].
 
 mod container;
 mod evict;
@@ -31,17 +31,17 @@ use crate::error::SimError;
 use crate::mujoco::{self, Model, STRUCTURE};
 use crate::render::{Prepared, PreparedBytes};
 
-/// Changes whenever files are laid out otherwise.
+/// Version of the file format.
 const FORMAT: u32 = 1;
-/// Digits of a name, hexadecimal.
+/// Length of a name, hexadecimal digits.
 const NAME_DIGITS: usize = 32;
-/// Value of the environment variable and the option that keeps no files.
+/// Value of the environment variable and option that disables scene files.
 const OFF: &str = "off";
 
 /// Name of a scene or texture: hexadecimal digits.
 type Name = [u8; NAME_DIGITS];
 
-/// A scene's model, and what is prepared of it, if it is.
+/// A scene's model and its preparation for the software renderer.
 pub(crate) struct Obtained {
     pub(crate) model: Model,
     pub(crate) prepared: Preparation,
@@ -53,14 +53,14 @@ pub(crate) enum Preparation {
     Missing,
     /// Prepared in this process's memory.
     Made(Arc<Prepared>),
-    /// Prepared in a scene file.
+    /// Prepared, in a scene file.
     Kept(PreparedBytes),
 }
 
 impl SceneFolder {
-    /// The folder of this process: the one that [`SceneFolder::choose`] was given, else
-    /// `$ROLLOUT_SCENES`, else `rollout/scenes` in the user's cache folder. None if scenes are
-    /// not to be kept in files.
+    /// Returns the folder of this process: the argument of [`SceneFolder::choose`], else
+    /// `$ROLLOUT_SCENES`, else `rollout/scenes` in the user's cache folder. `None` if scene files
+    /// are disabled.
     pub fn of_process() -> Option<&'static Self> {
         let chosen = CHOSEN.get_or_init(|| {
             let setting = std::env::var_os("ROLLOUT_SCENES");
@@ -69,13 +69,13 @@ impl SceneFolder {
         chosen.as_ref()
     }
 
-    /// Chooses the folder of this process, or `off`, before anything asks for it.
+    /// Chooses the folder of this process, or `off`; must be called before the folder is used.
     pub fn choose(setting: &OsStr) {
-        // An earlier choice stays, since its scenes may be mapped.
+        // An earlier choice is kept, since its scenes may be mapped.
         let _ = CHOSEN.set(from_setting(Some(setting)));
     }
 
-    /// The first reason why a scene of this process is not kept in a file; once.
+    /// Returns the first error of scene files in this process, once.
     pub fn take_problem() -> Option<String> {
         let mut problem = PROBLEM.lock().unwrap_or_else(PoisonError::into_inner);
         match std::mem::replace(&mut *problem, Problem::Said) {
@@ -88,11 +88,11 @@ impl SceneFolder {
         }
     }
 
-    /// Maps the scene of this name, or compiles it and keeps it for others. One process at a
-    /// time compiles a scene; others wait for its file.
+    /// Maps the scene with this name, or compiles it and stores it for other processes. Only one
+    /// process at a time compiles a scene; others wait for its file.
     ///
     /// # Errors
-    /// If the scene cannot be compiled. Trouble with files is no error.
+    /// If the scene cannot be compiled. Failures of scene files are not errors.
     pub(crate) fn obtain(
         &self,
         name: &Name,
@@ -107,7 +107,7 @@ impl SceneFolder {
             }
         };
         let model = compile()?;
-        // A scene that our renderer cannot draw is refused when it is to be drawn.
+        // A scene that the software renderer cannot draw is rejected when it is drawn.
         let Ok(prepared) = Prepared::of(&model) else {
             return Ok(Obtained::of(model));
         };
@@ -128,19 +128,19 @@ impl SceneFolder {
         })
     }
 
-    /// The scene, or the lock under which it may be compiled.
+    /// Returns the scene, or the lock that permits compiling it.
     fn load_or_lock(&self, name: &Name) -> Result<Result<Obtained, fs::File>, SceneFileError> {
         if let Some(kept) = self.load(name)? {
             return Ok(Ok(kept));
         }
         let lock = self.lock(&format!("{}.lock", text(name)))?;
-        // Another process may have been faster.
+        // Another process may have stored the scene in the meantime.
         Ok(self.load(name)?.ok_or(lock))
     }
 }
 
 impl Obtained {
-    /// A model of this process alone.
+    /// Returns a model in the memory of this process.
     pub(crate) fn of(model: Model) -> Self {
         Self {
             model,
@@ -149,13 +149,14 @@ impl Obtained {
     }
 }
 
-/// Name of the file of a scene: of its MJCF, the files in it, and the program.
+/// Returns the file name of a scene: a digest of its MJCF, the files in it, and the program.
 pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) -> Name {
     let mut hash = Sha256::new();
     hash.update(layout());
     hash.update(pack.digest());
-    // Unlike the pack's files these have no digest yet, and reading them takes longer than
-    // all else. They are written by an installation and not afterwards.
+    // Unlike the pack's files, these have no stored digest, and reading them would take longer than
+    // everything else. Size and modification time suffice, since they are written only at
+    // installation.
     for file in scene.robot_files(sources) {
         if let Ok(facts) = fs::metadata(&file) {
             for number in [facts.len() as i64, facts.mtime(), facts.mtime_nsec()] {
@@ -167,7 +168,8 @@ pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) 
     digits(&hash.finalize())
 }
 
-/// All that the layout of files depends on: machine, MuJoCo, and the code that prepares.
+/// Describes everything that the layout of files depends on: machine, MuJoCo, and the preparing
+/// code.
 fn layout() -> String {
     let endian = if cfg!(target_endian = "big") {
         "big"
@@ -178,7 +180,7 @@ fn layout() -> String {
     format!("{FORMAT} {ARCH} {endian} {STRUCTURE} {mujoco} {raster}\n")
 }
 
-/// The first digits of a digest.
+/// Returns the first digits of a digest.
 fn digits(digest: &[u8]) -> Name {
     const DIGITS: &[u8] = b"0123456789abcdef";
     std::array::from_fn(|at| {

@@ -1,5 +1,5 @@
-//! Everything that a slot needs to simulate rollouts: the compiled scenes it
-//! has met lately and, once it is asked for, an opened renderer.
+//! Simulation of rollouts in a slot: recently used compiled scenes and, once needed, an opened
+//! renderer.
 
 use std::sync::Arc;
 
@@ -18,29 +18,28 @@ use crate::variant::VariantStart;
 /// Configuration of a simulator.
 #[derive(Debug, Clone)]
 pub struct SimulatorConfig {
-    /// Robot models, BDDL files, initial states.
+    /// Folder of robot models, BDDL files and initial states.
     pub sources: Sources,
-    /// Models of objects and arenas.
+    /// Asset pack with models of objects and arenas.
     pub pack: AssetPack,
     /// Renderer of the frames.
     pub renderer: Renderer,
-    /// Compiled scenes kept; each takes some 100 MB with the real assets where it is not
-    /// kept in a file.
+    /// Compiled scenes kept in memory; each takes some 100 MB with the real assets, unless it is in
+    /// a scene file.
     pub cached_scenes: usize,
 }
 
 /// A simulator, bound to its thread.
 pub struct Simulator {
     config: SimulatorConfig,
-    /// Latest first.
+    /// Cached scenes, most recently used first.
     scenes: Vec<(ReadyScene, Environment)>,
     drawer: LazyDrawer,
     fingerprint: Option<String>,
 }
 
 impl Simulator {
-    /// A simulator without any scene yet. The renderer is not opened before
-    /// something is asked of it.
+    /// Creates a simulator without scenes. The renderer is opened on first use.
     pub fn new(config: SimulatorConfig) -> Self {
         Self {
             drawer: LazyDrawer::new(config.renderer),
@@ -50,17 +49,17 @@ impl Simulator {
         }
     }
 
-    /// The library's version, for example `3.3.7`.
+    /// Returns the library's version, for example `3.3.7`.
     pub fn mujoco_version() -> String {
         mujoco::version()
     }
 
-    /// Name of the renderer; opens it.
+    /// Returns the name of the renderer, opening it if necessary.
     pub fn renderer_name(&mut self) -> Result<String, SimError> {
         Ok(self.drawer.open()?.name().to_owned())
     }
 
-    /// The fingerprint of this process and its renderer; opens it.
+    /// Returns the fingerprint of this process and its renderer, opening it if necessary.
     pub fn fingerprint(&mut self) -> Result<String, SimError> {
         if let Some(known) = &self.fingerprint {
             return Ok(known.clone());
@@ -80,8 +79,7 @@ impl Simulator {
         self.begin_with(files, row, realisation)
     }
 
-    /// The same with another BDDL file and other initial states than those of the
-    /// row's task.
+    /// As `begin`, with other files than those of the row's task.
     pub fn begin_with(
         &mut self,
         files: TaskFiles,
@@ -91,8 +89,8 @@ impl Simulator {
         self.begin_either(files, row, realisation, None)
     }
 
-    /// Prepares a rollout of a variant of LIBERO's family up to the state in which it begins
-    /// to wait. Of the row, the initial state and the waits count.
+    /// Prepares a rollout of a LIBERO-family variant up to the state in which its waits begin. Of
+    /// the row, only the initial state and the waits are used.
     pub fn begin_variant(
         &mut self,
         files: TaskFiles,
@@ -121,7 +119,7 @@ impl Simulator {
         )
     }
 
-    /// Moves the files' scene to the front, compiling it if need be.
+    /// Moves the scene of these files to the front, compiling it if necessary.
     fn make_ready(&mut self, files: TaskFiles) -> Result<(), SimError> {
         if let Some(index) = self
             .scenes
@@ -131,7 +129,7 @@ impl Simulator {
             self.scenes[..=index].rotate_right(1);
             return Ok(());
         }
-        // Room first: two scenes' buffers need not be alive at once.
+        // Evicts first, so that the buffers of both scenes are not allocated at once.
         self.scenes
             .truncate(self.config.cached_scenes.saturating_sub(1));
         let scene = ReadyScene::compile(files, &self.config.pack, &self.config.sources)?;

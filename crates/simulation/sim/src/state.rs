@@ -1,6 +1,5 @@
-//! The state of an environment as robosuite's users handle it: reset without an initial
-//! state, read and written as one vector, observed when asked; and snapshots, which leave
-//! nothing out.
+//! State of an environment in robosuite's terms: reset without an initial state, the state as one
+//! vector, and observation on request; and snapshots, which are complete.
 
 use libero_ctrl::numpy::LegacyRng;
 use scene::placement::MAX_DRAWS;
@@ -12,8 +11,8 @@ use crate::error::SimError;
 use crate::mujoco::{self, Data, Model};
 use crate::reset::Reset;
 
-/// Everything that an environment's next step depends on. Environments of one compiled
-/// scene take each other's.
+/// Everything that an environment's next step depends on. Environments of one compiled scene can
+/// exchange snapshots.
 pub struct Snapshot {
     pub(crate) model: Model,
     pub(crate) data: Data,
@@ -26,20 +25,20 @@ pub struct Snapshot {
 }
 
 impl Environment {
-    /// Starts over without an initial state: draws where everything is from
-    /// NumPy's legacy generator, in the original's order, the arm as it stands at resets, fresh
-    /// controllers, time 0; then observes once.
+    /// Resets without an initial state: draws all poses from NumPy's legacy generator in the
+    /// original's order, with the arm in its reset posture, new controllers and time 0; then
+    /// observes once.
     ///
-    /// `joint_sampler_rounds` is how often the original has loaded its model by
-    /// then: 1 at construction, one more with each hard reset. Its list of
-    /// samplers of what starts open, closed, on or off grows by that.
+    /// `joint_sampler_rounds` is the number of times that the original has loaded its model so far:
+    /// 1 at construction, plus 1 for each hard reset. Each time, its list of samplers for joints
+    /// that start open, closed, on or off grows by one copy.
     ///
-    /// If a thing finds no room, everything is drawn again, as the original's wrapper
-    /// does, which counts as another hard reset if this is one. Returns the resulting
-    /// number of rounds, from which the next reset goes on.
+    /// If there is no room for an object, everything is drawn again, as in the original's wrapper,
+    /// which counts as another hard reset if this is one. Returns the resulting number of rounds,
+    /// to be passed to the next reset.
     ///
     /// # Errors
-    /// [`NoRoom`](scene::SceneError::NoRoom) if that fails a thousand times.
+    /// [`NoRoom`](scene::SceneError::NoRoom) if this fails a thousand times.
     pub fn reset(
         &mut self,
         rng: &mut LegacyRng,
@@ -72,7 +71,7 @@ impl Environment {
             rounds += u32::from(reset == Reset::Hard);
         }
         data.forward(model);
-        // A burner that is on glows from the first step on, not before.
+        // A burner that is on glows only from the first step on.
         hide_marker_sites(&compiled.scene, model);
         for burner in &mut self.burners {
             burner.opacity = model.site_rgba()[burner.site * 4 + 3];
@@ -84,12 +83,12 @@ impl Environment {
         self.control_steps = 0;
         self.observed_substep = SUBSTEPS;
         self.observe_now();
-        // Earlier warnings belong to another rollout.
+        // Discards warnings of an earlier rollout.
         mujoco::take_warnings();
         Ok(rounds)
     }
 
-    /// Time, positions and velocities in one vector.
+    /// Returns time, positions and velocities as one vector.
     pub fn state(&self) -> Vec<f64> {
         let (model, data) = (&self.model, &self.data);
         let mut state = vec![data.time_secs()];
@@ -98,11 +97,10 @@ impl Environment {
         state
     }
 
-    /// Writes such a vector, and computes nothing: controllers and observations stay as
-    /// they are.
+    /// Sets such a vector without computing anything: controllers and observations stay unchanged.
     ///
     /// # Panics
-    /// If it does not have 1 + nq + nv numbers.
+    /// If the vector does not have 1 + nq + nv numbers.
     pub fn set_state(&mut self, state: &[f64]) {
         let (nq, nv) = (self.model.nq(), self.model.nv());
         assert_eq!(state.len(), 1 + nq + nv, "a state of this scene");
@@ -112,34 +110,33 @@ impl Environment {
         self.data.qvel_mut(&self.model).copy_from_slice(qvel);
     }
 
-    /// Computes what follows from the state: poses, contacts, forces.
+    /// Computes the quantities that depend on the state: poses, contacts, forces.
     pub fn forward(&mut self) {
         self.data.forward(&self.model);
     }
 
-    /// Has what glows follow from the state.
+    /// Updates the burners from the state.
     pub fn post_process(&mut self) {
         self.update_burners();
     }
 
-    /// Observes the present instant. As in robosuite, later control steps then observe
-    /// one simulation step earlier: an update that is asked for counts as one of those
-    /// between two samples.
+    /// Observes the current state. As in robosuite, later control steps then observe one simulation
+    /// step earlier: a requested update counts as one of those between two samples.
     pub fn observe_now(&mut self) {
         self.observed_substep = (self.observed_substep + SUBSTEPS - 1) % SUBSTEPS;
         self.record_all();
     }
 
-    /// The end-effector as the controller last read it: position, m, and matrix, row by
-    /// row, in the world frame.
+    /// Returns the end-effector as the controller last read it: position, m, and rotation matrix,
+    /// row by row, in the world frame.
     pub fn controller_pose(&self) -> ([f64; 3], [f64; 9]) {
         self.controller.last_pose()
     }
 
-    /// Everything that the next step depends on.
+    /// Captures everything that the next step depends on.
     ///
     /// # Errors
-    /// Out of memory.
+    /// If memory is exhausted.
     pub fn snapshot(&self) -> Result<Snapshot, SimError> {
         let copy = |of: &Data| {
             let mut data = Data::new(&self.model)?;
@@ -158,10 +155,10 @@ impl Environment {
         })
     }
 
-    /// Goes back to a snapshot.
+    /// Restores a snapshot.
     ///
     /// # Panics
-    /// If it is of another compiled scene.
+    /// If the snapshot is from another compiled scene.
     pub fn restore(&mut self, snapshot: &Snapshot) {
         self.model.copy_own(&snapshot.model);
         self.data.copy_from(&self.model, &snapshot.data);

@@ -1,6 +1,5 @@
-//! A variant of LIBERO's family as it begins: a reset whose draws all come from one
-//! generator, the initial state on top of it or not, and the camera's corruption, which
-//! goes on with the same generator.
+//! Start of a LIBERO-family variant: a reset with one generator for all draws, optionally followed
+//! by the initial state, and the camera's corruption, which continues with the same generator.
 
 use libero_ctrl::numpy::LegacyRng;
 use libero_family::corruption::{Corruption, Picture};
@@ -14,53 +13,53 @@ use crate::observation::Frame;
 use crate::ready_scene::{PERTURBED_CAMERA, ReadyScene};
 use crate::reset::Reset;
 
-/// The model has been loaded twice by the first reset: by it, and at construction.
+/// Rounds of joint samplers: the model has been loaded at construction and by the first reset.
 const ROUNDS: u32 = 2;
-/// Side of the pictures that the benchmark's environments draw, pixels. How much glass blur
-/// draws from the generator depends on it.
+/// Side of the pictures in the benchmark's environments, pixels. It determines how many numbers
+/// glass blur draws from the generator.
 const DRAWN_SIDE: usize = 256;
 
-/// The state in which a rollout begins to wait.
+/// State in which a rollout's waits begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {
-    /// The row's initial state over a reset. The controllers stay as the reset left them:
-    /// the waits turn the hand to where it was then.
+    /// The row's initial state, loaded after a reset. The controllers stay as the reset left them,
+    /// so the waits turn the hand back to its orientation then.
     InitialState,
-    /// The reset's own.
+    /// The state after the reset.
     Reset,
 }
 
-/// Circumstances of a variant.
+/// Start conditions of a variant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VariantStart {
-    /// Pose of `agentview`; none: LIBERO's, unrounded.
+    /// Pose of `agentview`; `None` for LIBERO's, unrounded.
     pub view: Option<View>,
-    /// Angles of the arm's joints at the reset, rad; none: LIBERO's.
+    /// Angles of the arm's joints at the reset, rad; `None` for LIBERO's.
     pub posture: Option<[f64; ARM_JOINTS]>,
     /// Seed of the generator.
     pub seed: u32,
-    /// Resets of the same generator before the one that counts: as many as there are
-    /// trials before this one, since harnesses seed once.
+    /// Resets with the same generator before the actual one: the number of preceding trials, since
+    /// harnesses seed only once.
     pub earlier_resets: u32,
-    /// The state.
+    /// State in which the waits begin.
     pub start: Start,
-    /// Corruption of `agentview`'s pictures.
+    /// Corruption of pictures from `agentview`.
     pub corruption: Option<Corruption>,
 }
 
-/// Corruption under way.
+/// Progress of a corruption.
 #[derive(Clone)]
 pub(crate) struct Noise {
     corruption: Corruption,
-    /// In the state that the corruption of picture `picture` starts from.
+    /// Generator state at the start of the corruption of picture `picture`.
     rng: LegacyRng,
     /// Control steps before that picture.
     picture: u32,
 }
 
 impl VariantStart {
-    /// Resets an environment of the variant's scene, and brings it to its start. Returns what
-    /// becomes of its pictures.
+    /// Resets an environment of the variant's scene to its start. Returns the corruption of its
+    /// pictures.
     pub(crate) fn begin(
         &self,
         ready: &ReadyScene,
@@ -102,8 +101,8 @@ impl VariantStart {
 }
 
 impl Noise {
-    /// Corrupts a picture that is drawn after so many control steps. Pictures that nobody
-    /// looked at have taken their draws, too.
+    /// Corrupts a picture that is drawn after `control_steps`. Pictures that were not requested
+    /// consume their draws as well.
     pub(crate) fn see(&mut self, frame: &mut Frame, control_steps: u32) -> Result<(), SimError> {
         if frame.camera != PERTURBED_CAMERA {
             return Ok(());
@@ -117,7 +116,7 @@ impl Noise {
             width: frame.width as usize,
             rgb: &mut frame.rgb,
         };
-        // From a copy: the same picture may be looked at again.
+        // From a copy, since the same picture may be requested again.
         let corrupted = self.corruption.apply(&mut picture, &mut self.rng.clone());
         Ok(corrupted?)
     }

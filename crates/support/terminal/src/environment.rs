@@ -1,6 +1,6 @@
-//! Options from the environment. Every option of a program that serves can be given
-//! as a variable too, as units of systemd and containers want it: `--min-free-mib` is
-//! `ROLLOUT_MIN_FREE_MIB`. What is on the command line wins; an empty variable is none.
+//! Options from environment variables. Every option of a server program can also be set as a
+//! variable, which suits systemd units and containers: `--min-free-mib` is `ROLLOUT_MIN_FREE_MIB`.
+//! The command line takes precedence, and an empty variable counts as unset.
 
 use std::env::var_os;
 use std::ffi::OsString;
@@ -11,17 +11,17 @@ use clap::{Arg, ArgAction, ArgMatches, Command};
 
 /// Prefix of the variables' names.
 const PREFIX: &str = "ROLLOUT_";
-/// Separator of the values of an option that may be given several times.
+/// Separator of values of an option that can be repeated.
 const BETWEEN: char = ';';
 
-/// A command whose options can all be given as variables. Those that have a variable
-/// already keep it.
+/// Returns the command with a variable for each option. Options that already have a variable keep
+/// it.
 pub fn with_variables(command: Command) -> Command {
     command.mut_args(|arg| {
         let Some(name) = variable(&arg).filter(|name| !is_empty(name)) else {
             return arg;
         };
-        // There is one command line in a process.
+        // Leaks once per process, which has one command line.
         let arg = arg.env(&*name.leak());
         match arg.get_action() {
             ArgAction::SetTrue => arg.value_parser(BoolishValueParser::new()),
@@ -31,8 +31,8 @@ pub fn with_variables(command: Command) -> Command {
     })
 }
 
-/// Reads the command line of a program that serves unless its first word is a
-/// command: then the variables are for others, such as the one that started it.
+/// Parses the command line of a server program. If its first word is a subcommand, variables are
+/// ignored: they are meant for the server.
 ///
 /// # Errors
 /// If the arguments are invalid or help was requested.
@@ -46,7 +46,7 @@ pub fn read(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::
     parse(program, words)
 }
 
-/// Reads a command line. Of a value that stands in the environment, an error says so.
+/// Parses a command line. An error about a value from the environment names its variable.
 ///
 /// # Errors
 /// If the arguments are invalid or help was requested.
@@ -55,7 +55,7 @@ pub fn parse(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap:
     read.map_err(|error| with_its_variable(error, &words))
 }
 
-/// An error that says so if the value at fault stands in the environment.
+/// Adds the variable's name to an error if the invalid value comes from the environment.
 fn with_its_variable(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     let is_of_a_value = matches!(
         error.kind(),
@@ -64,7 +64,7 @@ fn with_its_variable(mut error: clap::Error, words: &[OsString]) -> clap::Error 
     let Some(ContextValue::String(at_fault)) = error.get(ContextKind::InvalidArg) else {
         return error;
     };
-    // `--listen <ADDR>`
+    // For example `--listen <ADDR>`.
     let flag = at_fault.split_whitespace().next().unwrap_or_default();
     let is_given = words.iter().filter_map(|word| word.to_str()).any(|word| {
         let rest = word.strip_prefix(flag);
@@ -79,13 +79,13 @@ fn with_its_variable(mut error: clap::Error, words: &[OsString]) -> clap::Error 
     error
 }
 
-/// The variable of an option that has none yet.
+/// Returns the variable's name for an option that has none yet.
 fn variable(arg: &Arg) -> Option<String> {
     let is_for_people = !arg.is_hide_set() && arg.get_env().is_none();
     arg.get_long().filter(|_| is_for_people).map(named)
 }
 
-/// As lines of an environment file are that take a default back.
+/// Empty lines of an environment file restore defaults.
 fn is_empty(variable: &String) -> bool {
     var_os(variable).is_some_and(|value| value.is_empty())
 }

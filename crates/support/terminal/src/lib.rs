@@ -1,6 +1,5 @@
-//! Terminal conventions of all programs: their log, output, manual pages, options
-//! from the environment, and the refusal of a flag's value. Not responsible for
-//! the content of logs and output.
+//! Terminal conventions of all programs: log, output, manual pages, options from the environment,
+//! and parsers of option values.
 
 #![forbid(unsafe_code)]
 

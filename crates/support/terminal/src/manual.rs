@@ -1,15 +1,15 @@
-//! Manual pages, from what a program's own command line says.
+//! Manual pages, generated from a program's command line definition.
 
 use std::io;
 use std::path::Path;
 
-/// Writes a page of a program and one of each of its commands, such as
-/// `coordinator-campaign-create.1`, into a folder, which is made if need be.
+/// Writes the manual pages of a program and its subcommands, such as
+/// `coordinator-campaign-create.1`, into a folder, which is created if necessary.
 ///
 /// # Errors
-/// If they cannot be written.
+/// If a page cannot be written.
 pub fn write_manual(program: clap::Command, folder: &Path) -> io::Result<()> {
     std::fs::create_dir_all(folder)?;
-    // `help` is a command too, and its page would tell nobody anything.
+    // The `help` subcommand needs no page.
     clap_mangen::generate_to(program.disable_help_subcommand(true), folder)
 }

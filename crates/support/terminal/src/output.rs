@@ -9,22 +9,22 @@ use tracing_subscriber::EnvFilter;
 
 use crate::printable::printable;
 
-/// Logs to standard error from now on, at this level unless RUST_LOG says
-/// otherwise, and in colour just if a terminal shows it and NO_COLOR is not set.
+/// Starts logging to standard error, at this level unless RUST_LOG is set, and in colour only if
+/// standard error is a terminal and NO_COLOR is not set.
 pub fn log(default_level: &str) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| default_level.into());
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(io::stderr)
-        // A log on a full disk must not end the program: this would print an
-        // error to the same place, and panic.
+        // Otherwise a log on a full disk would make the subscriber print its error to the same
+        // place, and panic.
         .log_internal_errors(false)
         .with_ansi(in_colour(io::stderr().is_terminal(), var_os("NO_COLOR")))
         .with_target(false)
         .init();
 }
 
-/// As no-color.org has it: any value but the empty one wants none.
+/// Follows no-color.org: any non-empty value disables colour.
 fn in_colour(is_terminal: bool, no_color: Option<OsString>) -> bool {
     is_terminal && no_color.is_none_or(|value| value.is_empty())
 }
@@ -37,8 +37,8 @@ pub fn print_line(text: &str) -> io::Result<()> {
     print(&format!("{text}\n"))
 }
 
-/// Prints to standard output, without what a terminal would obey (see [`printable`]). Unlike
-/// `print!` it does not panic when nobody reads it any more.
+/// Prints to standard output, without terminal control sequences (see [`printable`]). Unlike
+/// `print!`, it does not panic when the pipe is closed.
 ///
 /// # Errors
 /// If it cannot be written; see [`reader_is_gone`].
@@ -48,8 +48,8 @@ pub fn print(text: &str) -> io::Result<()> {
     stdout.flush()
 }
 
-/// Moves a terminal's cursor up to the first of these lines and clears what is below. It shows
-/// with what is printed next.
+/// Moves the terminal's cursor up by `count` lines and clears everything below. Takes effect with
+/// the next output.
 ///
 /// # Errors
 /// If it cannot be written; see [`reader_is_gone`].
@@ -57,14 +57,13 @@ pub fn clear_lines(count: usize) -> io::Result<()> {
     write!(io::stdout().lock(), "\x1b[{count}A\r\x1b[J")
 }
 
-/// Prints a line to standard error, without what a terminal would obey. A log that cannot be
-/// written does not matter to what a program does.
+/// Prints a line to standard error, without terminal control sequences. Errors are ignored.
 pub fn complain(text: &str) {
     let _ = writeln!(io::stderr().lock(), "{}", printable(text));
 }
 
-/// Whether what was printed failed because its reader has enough, as with
-/// `| head`: then the program ends well, and says nothing.
+/// Returns true if printing failed because the pipe is closed, as with `| head`. The program then
+/// exits successfully without a message.
 pub fn reader_is_gone(error: &(dyn Error + 'static)) -> bool {
     let mut cause = Some(error);
     while let Some(error) = cause {
@@ -77,7 +76,7 @@ pub fn reader_is_gone(error: &(dyn Error + 'static)) -> bool {
     false
 }
 
-/// A number of things: `1 rollout`, `2 rollouts`.
+/// Formats a count with its noun: `1 rollout`, `2 rollouts`.
 pub fn counted(count: u64, thing: &str) -> String {
     match count {
         1 => format!("1 {thing}"),
@@ -85,11 +84,11 @@ pub fn counted(count: u64, thing: &str) -> String {
     }
 }
 
-/// Columns of a terminal.
+/// Width of the output, columns.
 const WIDTH: usize = 80;
 
-/// Words over as many lines of 80 columns as they need, the first after `prefix`, the
-/// others `indent` columns from the left.
+/// Wraps words into lines of 80 columns. The first line starts with `prefix`, the others with
+/// `indent` spaces.
 pub fn wrapped(prefix: &str, indent: usize, words: &str) -> String {
     let mut text = prefix.to_owned();
     let mut column = prefix.chars().count();

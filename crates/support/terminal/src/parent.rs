@@ -1,19 +1,19 @@
-//! Programs that one program starts and that must not outlive it.
+//! Child programs that must not outlive their parent.
 
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
-/// The process id of the program that started this one and that it must not outlive.
+/// Variable with the process id of the parent that this program must not outlive.
 pub const PARENT_VARIABLE: &str = "ROLLOUT_PARENT";
 
-/// Has the kernel kill this process when its parent ends, if [`PARENT_VARIABLE`] names
-/// the parent. Every program may be killed at any time without losing what it answered
-/// for, and a parent that ends well has ended it before.
+/// Makes the kernel kill this process when its parent dies, if [`PARENT_VARIABLE`] names the
+/// parent. Killing is safe, since every program may be killed at any time without losing confirmed
+/// data; a parent that exits normally stops its children first.
 pub fn end_with_parent() {
     let named = std::env::var(PARENT_VARIABLE).ok();
     let named = named.and_then(|pid| Pid::from_raw(pid.parse().ok()?));
-    // Processes further down inherit the variable, and have other parents.
+    // Descendants further down inherit the variable but have other parents.
     if named.is_some() && named == getppid() {
-        // Without it, the process only lives on when its parent is killed.
+        // A failure only means that this process survives a killed parent.
         let _ = set_parent_process_death_signal(Some(Signal::KILL));
     }
 }

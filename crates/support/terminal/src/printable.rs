@@ -1,12 +1,12 @@
-//! Text of others, made safe to print.
+//! Sanitising of untrusted text for terminals.
 
 use std::borrow::Cow;
 
-/// Replaces what a terminal obeys rather than shows by `\u{fffd}`: control characters but line feeds and
-/// tabs, and the marks that reverse the direction of reading.
+/// Replaces control characters other than line feeds and tabs, and marks that change the reading
+/// direction, by `\u{fffd}`.
 ///
-/// A policy's error, a worker's or a foreign archive's text can hold sequences that set the
-/// clipboard, retitle the window, or write over the line above.
+/// An error of a policy or worker, or text from a foreign archive, could contain escape sequences
+/// that set the clipboard, change the window title, or overwrite the line above.
 pub fn printable(text: &str) -> Cow<'_, str> {
     match text.contains(is_obeyed) {
         true => Cow::Owned(text.replace(is_obeyed, "\u{fffd}")),

@@ -1,12 +1,12 @@
-//! Values of flags, refused with what to write: the range, and the unit.
+//! Parsers of option values, whose errors name the valid range and unit.
 
 use std::fmt::Display;
 use std::net::SocketAddr;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
-/// A reader of whole numbers in a range, of something: `number(1..=3600,
-/// "seconds")`. Without a unit where there is none to name.
+/// Returns a parser of whole numbers in a range: `number(1..=3600, "seconds")`. The unit may be
+/// empty.
 pub fn number<T>(
     range: RangeInclusive<T>,
     unit: &'static str,
@@ -25,7 +25,7 @@ where
     }
 }
 
-/// A reader of whole numbers from one on.
+/// Returns a parser of whole numbers from `first` on.
 pub fn number_from<T>(first: T, unit: &'static str) -> impl Fn(&str) -> Result<T, String> + Clone
 where
     T: FromStr + PartialOrd + Display + Clone,
@@ -33,18 +33,18 @@ where
     move |text| match text.parse() {
         Ok(number) if number >= first => Ok(number),
         Ok(_) => Err(format!("write {}, {first} or more", whole(unit))),
-        // Too large for the program, or no number.
+        // Too large for the type, or not a number.
         Err(_) if is_whole(text) => Err(format!("write a smaller number, {first} or more")),
         Err(_) => Err(format!("write {}, {first} or more", whole(unit))),
     }
 }
 
-/// A reader of seconds in a range, which may have a decimal point.
+/// Returns a parser of seconds in a range, which may have a decimal point.
 pub fn seconds(range: RangeInclusive<f64>) -> impl Fn(&str) -> Result<f64, String> + Clone {
     decimal(range, "seconds")
 }
 
-/// A reader of numbers in a range, of something, which may have a decimal point.
+/// Returns a parser of numbers in a range with a unit, which may have a decimal point.
 pub fn decimal(
     range: RangeInclusive<f64>,
     unit: &'static str,
@@ -59,10 +59,10 @@ pub fn decimal(
     }
 }
 
-/// Reads an address to listen on.
+/// Parses an address to listen on.
 ///
 /// # Errors
-/// Says how one is written.
+/// If the text is not an address; the message shows the format.
 pub fn address(text: &str) -> Result<SocketAddr, &'static str> {
     text.parse().map_err(|_| {
         "write an IP address and a port, such as 127.0.0.1:7411, or 0.0.0.0:7411 for all of this \

@@ -1,5 +1,5 @@
-//! A call without a socket: the frames of its messages go to a service as they
-//! would behind the gate, and its answer is read to the end.
+//! gRPC calls without a socket: message frames go straight to a service, as they would behind the
+//! gate, and the answer is read to its end.
 
 use http_body_util::{BodyExt, Full};
 use tonic::body::Body;
@@ -8,16 +8,16 @@ use tonic::codegen::{Bytes, Service};
 use tonic::service::Routes;
 use tonic::{Code, Status};
 
-/// Bytes before a message: whether it is compressed, and its length.
+/// Length of a gRPC frame header: the compression flag and the message length.
 const FRAME_HEAD_BYTES: usize = 5;
 
-/// Calls the method at `path`; returns the messages of its answer.
+/// Calls the method at `path` and returns the messages of its answer.
 ///
 /// # Errors
-/// With which the service refuses.
+/// The status, if the service refuses the call.
 ///
 /// # Panics
-/// If it does not answer as gRPC does.
+/// If the answer is not valid gRPC.
 pub(crate) async fn call(
     routes: &mut Routes,
     path: &str,
@@ -34,10 +34,10 @@ pub(crate) async fn call(
     }
 }
 
-/// Returns true if a service says that it is at fault itself.
+/// Returns true if a status reports a fault of the service itself.
 pub(crate) fn blames_itself(refusal: &Status) -> bool {
     match refusal.code() {
-        // tonic's code for bytes that do not decode as a message.
+        // tonic uses this code also for bytes that cannot be decoded.
         Code::Internal => !refusal
             .message()
             .starts_with("failed to decode Protobuf message"),
@@ -45,7 +45,7 @@ pub(crate) fn blames_itself(refusal: &Status) -> bool {
     }
 }
 
-/// Finishes `future`, and with it everything that it began.
+/// Runs `future` and every task that it spawned to completion.
 pub(crate) fn block_on<T>(future: impl Future<Output = T>) -> T {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -53,7 +53,7 @@ pub(crate) fn block_on<T>(future: impl Future<Output = T>) -> T {
     runtime.expect("a runtime").block_on(future)
 }
 
-/// Messages in gRPC's frames: no compression, the length in four bytes.
+/// Encodes messages as gRPC frames, uncompressed, each with a length of four bytes.
 fn request(path: &str, messages: &[&[u8]]) -> Request<Body> {
     let mut frames = Vec::new();
     for message in messages {
@@ -69,7 +69,7 @@ fn request(path: &str, messages: &[&[u8]]) -> Request<Body> {
         .expect("a request")
 }
 
-/// The messages in gRPC's frames.
+/// Splits gRPC frames into messages.
 fn unframed(mut frames: Bytes) -> Vec<Bytes> {
     let mut messages = Vec::new();
     while !frames.is_empty() {

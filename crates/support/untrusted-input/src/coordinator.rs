@@ -1,10 +1,9 @@
-//! Hostile calls to the coordinator: every method of both services, on a real
-//! queue with a real database, in which worker `w` holds a job of campaign `c`.
+//! Hostile calls to the coordinator: every method of both services, on a real queue and database in
+//! which worker `w` holds a job of campaign `c`.
 //!
-//! Held here: a call that is refused has changed nothing, neither the database
-//! nor a file; whatever was called, every invariant of the database holds, and
-//! the next caller is answered. A clock that stands still makes an input do the
-//! same each time.
+//! Checks that a refused call changes neither the database nor a file, that every invariant of the
+//! database holds after any call, and that the next caller gets an answer. The clock is stopped, so
+//! that an input is reproducible.
 
 mod messages;
 mod methods;
@@ -27,13 +26,13 @@ use service::{Open, after};
 
 pub(crate) use seeds::seeds;
 
-/// A database with a campaign, a worker and a lease in it, as a file.
+/// Bytes of a database with a campaign, a worker and a lease.
 static DATABASE: LazyLock<Vec<u8>> = LazyLock::new(|| after(&messages::a_lease()).0);
 
-/// Makes the calls of an input, one after another; says whether none was refused.
+/// Makes the calls of an input in order; returns true if none was refused.
 ///
 /// # Panics
-/// If what this module holds does not.
+/// If a check of this module fails.
 pub(crate) fn messages(input: &[u8]) -> bool {
     let database = &*DATABASE;
     block_on(async {
@@ -46,7 +45,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
             let before = witness.look().await;
             let method = METHODS[usize::from(called.method) % METHODS.len()];
             if let Some(Err(refusal)) = open.call(method, &called.messages).await {
-                // Unavailable is what it says when its database fails.
+                // The coordinator returns Unavailable when its database fails.
                 let blames_itself = blames_itself(&refusal) || refusal.code() == Code::Unavailable;
                 assert!(!blames_itself, "{method} {called:?}: {refusal}");
                 let after = witness.look().await;
@@ -75,8 +74,8 @@ impl Witness {
         Witness(connection, data.join(ARTIFACTS_FOLDER))
     }
 
-    /// A number that changes with every writing transaction of another connection,
-    /// and how many files there are.
+    /// Returns a number that changes with every commit of another connection, and the number of
+    /// files.
     async fn look(&mut self) -> (i64, usize) {
         let version = sqlx::query_scalar("PRAGMA data_version");
         let version = version.fetch_one(&mut self.0).await.expect("a number");
@@ -99,7 +98,7 @@ mod tests {
 
     #[test]
     fn a_release_of_no_job_is_refused_and_changes_nothing() {
-        // Worker w releases attempt 1 of job 0.
+        // Worker `w` releases attempt 1 of job 0.
         let release = b"\x0a\x05\x0a\x01w\x18\x01\x10\x02\x1a\x01e";
         assert!(!messages(&script::write(4, release)));
     }

@@ -1,7 +1,6 @@
-//! The renderer, given any model, any scene and any camera.
+//! Rendering of arbitrary models, scenes and cameras.
 //!
-//! An input is a [`script`] of what the model has, what the scene has, and when
-//! it is drawn.
+//! An input is a [`script`] of model data, scene data and draw commands.
 
 use raster::{
     Camera, Canvas, Corner, Geom, Light, LightKind, Mesh, MeshBuilder, Model, Quality, Scene,
@@ -32,8 +31,8 @@ const MOST_TRIANGLES: usize = 1 << 11;
 /// Most frames of an input.
 const MOST_FRAMES: usize = 8;
 
-/// Every scene gives a frame of the size that was asked for or an error, and the
-/// same whatever the canvas drew before.
+/// Checks that every scene gives either an error or a frame of the requested size, and that the
+/// frame does not depend on what the canvas drew before.
 pub(crate) fn draw(input: &[u8]) -> bool {
     let calls = script::read(input);
     let messages = || {
@@ -47,7 +46,7 @@ pub(crate) fn draw(input: &[u8]) -> bool {
     let Some(mut drawing) = Drawing::new(bytes.quality()) else {
         return false;
     };
-    // The model is the same from frame to frame: all of it comes first.
+    // All model data is applied first, since the model is the same for all frames.
     for (kind, bytes) in messages() {
         drawing.add_to_model(kind, bytes);
     }
@@ -57,7 +56,7 @@ pub(crate) fn draw(input: &[u8]) -> bool {
     !drawing.is_refused
 }
 
-/// A model, a scene and the canvas that it is drawn on.
+/// A model, a scene and the canvas.
 struct Drawing {
     model: Model,
     largest: Vec<Vec<u8>>,
@@ -143,7 +142,7 @@ impl Drawing {
         }
     }
 
-    /// Draws on the canvas that has drawn before, and on a new one.
+    /// Draws on the reused canvas and on a new one, and compares the frames.
     fn draw(&mut self, [width, height]: [usize; 2]) {
         let largest: Vec<&[u8]> = self.largest.iter().map(Vec::as_slice).collect();
         let mut fresh = Canvas::new();
@@ -189,7 +188,7 @@ const CAMERA_AT_REST: Camera = Camera {
     orthographic: false,
 };
 
-/// A message on its way to a meaning. Zeros follow its end.
+/// Reader of a message. Past its end it yields zeros.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -201,9 +200,8 @@ impl Bytes<'_> {
         *first
     }
 
-    /// The upper half of its bits. That is precise enough, and any two bytes are
-    /// a number: every second one of those that a fuzzer makes up is huge, tiny,
-    /// or none.
+    /// Reads the upper half of an `f32`. The precision suffices and any two bytes are a number;
+    /// every second random one is huge, tiny or NaN.
     fn number(&mut self) -> f32 {
         f32::from_bits(u32::from_le_bytes([0, 0, self.byte(), self.byte()]))
     }
@@ -212,7 +210,7 @@ impl Bytes<'_> {
         [0; N].map(|_: u8| self.number())
     }
 
-    /// A place in a list; none for the byte that is most common.
+    /// Reads an index into a list; `None` for zero, the most common byte.
     fn index(&mut self) -> Option<usize> {
         match self.byte() {
             0 => None,
@@ -221,7 +219,7 @@ impl Bytes<'_> {
         }
     }
 
-    /// A size as a hostile file may claim it.
+    /// Reads a size that a hostile file may claim.
     fn claim(&mut self) -> usize {
         const CLAIMS: [usize; 8] = [
             256,
@@ -237,7 +235,8 @@ impl Bytes<'_> {
         CLAIMS.get(byte.wrapping_sub(248)).copied().unwrap_or(byte)
     }
 
-    /// Shapes of many pieces take long: only two of the three numbers' ends.
+    /// Reads the quality of shapes: fewer than 24 pieces, since more take long, or a number above
+    /// the limit.
     fn quality(&mut self) -> Quality {
         let mut pieces = |most: usize| match self.byte() {
             255 => usize::MAX,
@@ -254,7 +253,7 @@ impl Bytes<'_> {
     fn mesh(&mut self) -> Mesh {
         let mut builder = MeshBuilder::default();
         let kind = self.byte();
-        // The same triangles again, each time a little further.
+        // Repeats the triangles, each time shifted a little further.
         let (times, step): (u8, [f32; 3]) = (self.byte() % 32, self.numbers());
         let mut triangles = Vec::new();
         while !self.0.is_empty() && triangles.len() < MOST_TRIANGLES / 32 {
@@ -286,12 +285,12 @@ impl Bytes<'_> {
         builder.build()
     }
 
-    /// The lines of a plane, few of them.
+    /// Reads the grid lines of a plane, only a few.
     fn grid(&mut self) -> Vec<f64> {
         let kind = self.byte();
         let [half, spacing, period, far] = self.numbers().map(f64::from);
         let mut lines = plane_grid(half, spacing, (kind & 1 != 0).then_some(period), far);
-        // Most of them make no other triangles than some of them do.
+        // Further lines give no new kinds of triangles.
         lines.truncate(2 + usize::from(kind >> 3));
         lines
     }
@@ -396,7 +395,7 @@ impl Bytes<'_> {
         }
     }
 
-    /// From none to one too many a side, and no large area.
+    /// Reads a frame size, from zero to one more than the limit, with a small area.
     fn frame_size(&mut self) -> [usize; 2] {
         let mut side = || usize::from(u16::from_le_bytes([self.byte(), self.byte()])) % 4098;
         let (width, height) = (side(), side());
@@ -528,7 +527,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Some bytes and numbers, as [`Bytes`] reads them.
+/// Encodes bytes and numbers for [`Bytes`].
 fn written(bytes: &[u8], numbers: &[f32]) -> Vec<u8> {
     let mut all = bytes.to_vec();
     for number in numbers {
@@ -537,7 +536,7 @@ fn written(bytes: &[u8], numbers: &[f32]) -> Vec<u8> {
     all
 }
 
-/// A mesh of bumps with texture coordinates, more than one cluster of it.
+/// Returns a bumpy mesh with texture coordinates and more than one cluster.
 fn bumps() -> Vec<u8> {
     let mut mesh = written(&[1, 7], &[0.09, 0.0, 0.0]);
     for y in 0..8_u8 {

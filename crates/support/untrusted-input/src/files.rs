@@ -1,6 +1,5 @@
-//! Files that users bring, except those of scenes. Held here: what was read reads
-//! the same when it is written again, what is let through can be used, and no
-//! error shows a secret.
+//! Files provided by users, except those of scenes. Checks that parsed data survives a round trip,
+//! that accepted data can be used, and that no error contains a secret.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -14,12 +13,12 @@ use worker::single::RecordedActions;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-/// Rows of a manifest that are enough to begin with.
+/// Rows of a seed manifest.
 const SEED_ROWS: usize = 20;
-/// Endings of files with recorded actions; an input's first byte chooses one.
+/// Extensions of files with recorded actions; an input's first byte selects one.
 const ENDINGS: [&str; 3] = [".npz", ".npy", ".jsonl"];
 
-/// A manifest.
+/// Parses a manifest.
 pub(crate) fn manifest(input: &[u8]) -> bool {
     let Some(Ok(rows)) = text(input).map(manifests::parse) else {
         return false;
@@ -30,7 +29,7 @@ pub(crate) fn manifest(input: &[u8]) -> bool {
     true
 }
 
-/// A campaign's specification.
+/// Parses a campaign's specification.
 pub(crate) fn campaign_spec(input: &[u8]) -> bool {
     let Some(Ok(spec)) = text(input).map(CampaignSpec::from_json) else {
         return false;
@@ -41,17 +40,17 @@ pub(crate) fn campaign_spec(input: &[u8]) -> bool {
     true
 }
 
-/// `rollouts.jsonl`, of the reference implementation or exported.
+/// Parses `rollouts.jsonl` of the reference implementation or of an export.
 pub(crate) fn result_rows(input: &[u8]) -> bool {
     imports(input, b"{}")
 }
 
-/// `about.json` beside sound rows.
+/// Parses `about.json` beside valid rows.
 pub(crate) fn about_file(input: &[u8]) -> bool {
     imports(ROWS.as_bytes(), input)
 }
 
-/// Recorded actions.
+/// Parses recorded actions.
 pub(crate) fn recorded_actions(input: &[u8]) -> bool {
     let Some((kind, bytes)) = input.split_first() else {
         return false;
@@ -66,7 +65,7 @@ pub(crate) fn recorded_actions(input: &[u8]) -> bool {
     })
 }
 
-/// `gateway.toml`.
+/// Parses `gateway.toml`.
 pub(crate) fn gateway_file(input: &[u8]) -> bool {
     with_file(".toml", input, |path| {
         gateway::read(path).is_ok_and(|config| {
@@ -76,7 +75,7 @@ pub(crate) fn gateway_file(input: &[u8]) -> bool {
     })
 }
 
-/// A recorded session.
+/// Parses a recorded session.
 pub(crate) fn recording(input: &[u8]) -> bool {
     with_file(".recording", input, |path| {
         let Ok(mut reader) = recording::Reader::open(path) else {
@@ -92,7 +91,7 @@ pub(crate) fn recording(input: &[u8]) -> bool {
     })
 }
 
-/// A token file.
+/// Parses a token file.
 pub(crate) fn token_file(input: &[u8]) -> bool {
     with_file("", input, |path| match Tokens::read(path) {
         Ok(tokens) => {
@@ -101,7 +100,7 @@ pub(crate) fn token_file(input: &[u8]) -> bool {
             true
         }
         Err(error) => {
-            // An error may quote no word of the file that is long enough to be a token.
+            // An error must not quote a word of the file that is long enough to be a token.
             let told = error.to_string().replace(&path.display().to_string(), "");
             let words = String::from_utf8_lossy(input);
             let secrets = words.split_whitespace();
@@ -112,7 +111,7 @@ pub(crate) fn token_file(input: &[u8]) -> bool {
     })
 }
 
-/// Two results, as the reference writes one and as an export does.
+/// Two results, one in the format of the reference and one as exported.
 const ROWS: &str = concat!(
     r#"{"rollout_id": "goal/t0/camera/L2/c01", "success": true, "steps": 113, "axis": "camera", "#,
     r#""level": "L2", "suite": "libero_goal", "task_id": 0, "init_id": 6, "config": 1, "#,
@@ -132,7 +131,7 @@ pub(crate) fn campaign_spec_seeds() -> Vec<Vec<u8>> {
         "tasks":["libero_object/0"],"axes":["camera"],"levels":["L1"],"configs":[0],
         "nominal":"eval"}"#;
     let spec = CampaignSpec::from_json(short).expect("a specification");
-    // With every field that it may have.
+    // Includes every optional field.
     vec![short.into(), serde_json::to_vec(&spec).expect("JSON")]
 }
 
@@ -191,7 +190,7 @@ pub(crate) fn token_file_seeds() -> Vec<Vec<u8>> {
     vec![file.into()]
 }
 
-/// A zip with one member, as NumPy and PyTorch write it: not compressed.
+/// Returns an uncompressed zip with one member, as NumPy and PyTorch write it.
 pub(crate) fn zipped(name: &str, bytes: &[u8]) -> Vec<u8> {
     let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
@@ -200,7 +199,7 @@ pub(crate) fn zipped(name: &str, bytes: &[u8]) -> Vec<u8> {
     zip.finish().expect("a zip").into_inner()
 }
 
-/// Imports a folder of results; one that is accepted has records and can be written.
+/// Imports a folder of results; an accepted one must have records and be writable.
 fn imports(rows: &[u8], about: &[u8]) -> bool {
     let folder = tempfile::tempdir().expect("a temporary folder");
     std::fs::write(folder.path().join("rollouts.jsonl"), rows).expect("written");

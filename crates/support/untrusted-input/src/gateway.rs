@@ -1,7 +1,6 @@
-//! Any message to the gateway: every method of `rollout.policy.v1` before
-//! the built-in policies, and what policy servers answer it. Held here: an answer
-//! to every call, and of every answer of a server either actions that a robot may
-//! execute or a refusal.
+//! Arbitrary messages to the gateway: every method of `rollout.policy.v1`, with the built-in
+//! policies, and arbitrary answers of policy servers. Checks that every call is answered, and that
+//! every answer of a policy server yields either executable actions or a refusal.
 
 use policy_gateway::backend::openpi::codec;
 use policy_gateway::backend::vla_eval;
@@ -17,15 +16,15 @@ use tonic::service::Routes;
 use crate::call::{blames_itself, block_on, call};
 use crate::script;
 
-/// Prefix of the gateway's message that a policy did not want a query.
+/// Prefix of the gateway's message for a query that the policy refused.
 const POLICY: &str = "the policy failed: ";
-/// Every method; an input names one by its place.
+/// All methods; an input selects one by its index.
 const METHODS: [&str; 5] = ["Describe", "Reset", "Infer", "InferBatch", "End"];
 
-/// Makes the calls of an input, one after another; says whether none was refused.
+/// Makes the calls of an input in order; returns true if none was refused.
 ///
 /// # Panics
-/// If a call has no answer, or the gateway blames itself.
+/// If a call gets no answer, or the gateway reports an internal fault.
 pub(crate) fn messages(input: &[u8]) -> bool {
     block_on(async {
         let routes = ["noop=builtin:noop", "expert=builtin:expert"];
@@ -47,11 +46,10 @@ pub(crate) fn messages(input: &[u8]) -> bool {
     })
 }
 
-/// Reads an input as each answer that a policy server may give; says whether it
-/// is one of them.
+/// Parses an input as every kind of policy server answer; returns true if one kind accepts it.
 ///
 /// # Panics
-/// If what is let through is not what a robot may execute.
+/// If an accepted answer contains actions that a robot may not execute.
 pub(crate) fn answers(input: &[u8]) -> bool {
     let mut is_an_answer = false;
     if let Ok(described) = wire::DescribeResponse::decode(input)
@@ -85,12 +83,12 @@ pub(crate) fn answers(input: &[u8]) -> bool {
     is_an_answer
 }
 
-/// Inputs for [`messages`]: for each policy a session with two queries.
+/// Returns seed inputs for [`messages`]: a session with two queries for each policy.
 pub(crate) fn seeds() -> Vec<Vec<u8>> {
     ["noop", "expert"].map(session).to_vec()
 }
 
-/// Inputs for [`answers`].
+/// Returns seed inputs for [`answers`].
 pub(crate) fn answer_seeds() -> Vec<Vec<u8>> {
     let described = wire::DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,
@@ -165,7 +163,7 @@ fn session(policy: &str) -> Vec<u8> {
     .concat()
 }
 
-/// A bowl beside the plate that it belongs on, and the hand above the origin.
+/// Returns a scene with a bowl beside its target plate and the gripper above the origin.
 fn scene() -> wire::PrivilegedState {
     let entity = |name: &str, centre: [f64; 3]| wire::Entity {
         name: name.into(),

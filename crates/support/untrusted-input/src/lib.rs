@@ -1,9 +1,8 @@
-//! Checks of every file reader and every message handler against arbitrary
-//! input: each must answer, and leave nothing broken. One function per reader or
-//! service takes bytes and panics if that does not hold, and comes with seed
-//! inputs. `fuzz/` drives the functions with a fuzzer, this package's tests with
-//! seeded mutations. Not responsible for the meaning of an input; and no program
-//! uses this package.
+//! Checks of every file parser and message handler with arbitrary input: each must answer and leave
+//! a consistent state. One function per parser or service takes bytes and panics if a check fails,
+//! and has seed inputs. `fuzz/` drives these functions with a fuzzer; this package's tests use
+//! seeded mutations. The checks do not cover whether an input is interpreted correctly. No program
+//! depends on this package.
 
 #![forbid(unsafe_code)]
 
@@ -15,14 +14,14 @@ mod gateway;
 mod scenes;
 mod script;
 
-/// A reader or a service under hostile input.
+/// A parser or service under test.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
-    /// Name of the target: that of the fuzz target too.
+    /// Name of the target, shared with the fuzz target.
     pub name: &'static str,
-    /// Gives it an input; says whether nothing of it was refused.
+    /// Runs one input; returns true if no part of it was refused.
     pub run: fn(&[u8]) -> bool,
-    /// Inputs that mean something, to begin with.
+    /// Valid inputs to start from.
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 
@@ -61,10 +60,10 @@ pub const TARGETS: [Target; 15] = [
     target("drawing", drawing::draw, drawing::seeds),
 ];
 
-/// The target of this name.
+/// Returns the target with this name.
 ///
 /// # Panics
-/// If there is none.
+/// If there is no such target.
 pub fn named(name: &str) -> Target {
     let found = TARGETS.into_iter().find(|target| target.name == name);
     found.unwrap_or_else(|| panic!("no target is called {name}"))

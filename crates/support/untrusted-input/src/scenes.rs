@@ -1,4 +1,4 @@
-//! The files of a scene: problems, object models and initial states.
+//! Scene files: problems, object models and initial states.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use scene::fuzzing::{object_model, pickled_states};
 use scene::{InitialStates, Problem};
 
-/// A problem that was read reads the same when it is written again.
+/// Parses a problem, which must survive a round trip.
 pub(crate) fn bddl(input: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(input) else {
         return false;
@@ -19,18 +19,18 @@ pub(crate) fn bddl(input: &[u8]) -> bool {
     true
 }
 
-/// A scene made of an object's model reads the same when it is written.
+/// Composes a scene from an object model, which must survive a round trip.
 pub(crate) fn mjcf(input: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(input) else {
         return false;
     };
-    // It looks at what it wrote by itself.
+    // `object_model` checks its own output.
     let [fixture, object] = [false, true].map(|movable| object_model(text, movable).is_ok());
     fixture || object
 }
 
-/// Only states that can be asked for, all of them finite. The pickle inside is
-/// also reached past the zip, whose checksums a fuzzer cannot guess.
+/// Checks that accepted initial states are finite and that no index beyond the last returns one.
+/// Also parses the input as the pickle inside, since a fuzzer cannot guess the zip's checksums.
 pub(crate) fn pruned_init(input: &[u8]) -> bool {
     let mut is_read = false;
     if let Ok(states) = InitialStates::from_reader(Cursor::new(input), Path::new("fuzzed")) {
@@ -70,7 +70,7 @@ pub(crate) fn mjcf_seeds() -> Vec<Vec<u8>> {
 }
 
 pub(crate) fn pruned_init_seeds() -> Vec<Vec<u8>> {
-    // As NumPy pickles an array of one row with two numbers.
+    // A NumPy pickle of an array with one row of two numbers.
     let mut pickle = b"\x80\x02cnumpy.core.multiarray\n_reconstruct\nq\x00cnumpy\nndarray\nq\x01\
         K\x00\x85q\x02c_codecs\nencode\nq\x03X\x01\x00\x00\x00bq\x04X\x06\x00\x00\x00latin1q\x05\
         \x86q\x06Rq\x07\x87q\x08Rq\t(K\x01K\x01K\x02\x86q\ncnumpy\ndtype\nq\x0bX\x02\x00\x00\x00f8\

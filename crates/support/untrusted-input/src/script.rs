@@ -1,23 +1,22 @@
-//! Several calls in one input: for each message the number of its method, its
-//! length in two bytes (little-endian), and its bytes. With [`MORE`] added to
-//! the number it goes into the call before, after that one's messages.
+//! Encoding of several calls in one input. Each message has its method's number, its length in two
+//! bytes (little-endian) and its bytes. [`MORE`] added to the number appends the message to the
+//! preceding call.
 
-/// Most calls that are made for one input.
+/// Most calls that one input makes.
 pub(crate) const MAX_CALLS: usize = 32;
-/// Added to a method's number: another message of the same call.
+/// Flag on a method's number: a further message of the same call.
 pub(crate) const MORE: u8 = 0x80;
 
 /// One call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Call<'a> {
-    /// The method's number; any is possible.
+    /// Number of the method; may be out of range.
     pub(crate) method: u8,
-    /// Its messages: at least one, and more where it takes a stream.
+    /// Messages: at least one, and several for a streaming method.
     pub(crate) messages: Vec<&'a [u8]>,
 }
 
-/// Reads an input. Everything is one: a length that is too large takes what is
-/// there.
+/// Parses an input. Every input is valid: a message that claims too many bytes gets the rest.
 pub(crate) fn read(mut input: &[u8]) -> Vec<Call<'_>> {
     let mut calls: Vec<Call<'_>> = Vec::new();
     while let [number, low, high, rest @ ..] = input {
@@ -39,10 +38,10 @@ pub(crate) fn read(mut input: &[u8]) -> Vec<Call<'_>> {
     calls
 }
 
-/// Writes one message of an input.
+/// Encodes one message of an input.
 ///
 /// # Panics
-/// If it is longer than 65,535 bytes.
+/// If the message is longer than 65,535 bytes.
 pub(crate) fn write(number: u8, message: &[u8]) -> Vec<u8> {
     let length = u16::try_from(message.len()).expect("a short message");
     [&[number], &length.to_le_bytes()[..], message].concat()

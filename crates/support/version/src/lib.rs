@@ -1,8 +1,7 @@
-//! Text of `--version`: the release, and the commit that a program was built from.
+//! Text of `--version`: the release and the commit that a program was built from.
 //!
-//! A macro, because only what calls it is compiled again after a commit: the three
-//! programs. A build script would have their libraries compiled again too, and all
-//! tests with them.
+//! A proc macro rather than a build script, so that a commit recompiles only its callers, the three
+//! programs. A build script would also recompile their libraries and all tests.
 
 #![forbid(unsafe_code)]
 
@@ -11,18 +10,18 @@ use std::process::Command;
 
 use proc_macro::TokenStream;
 
-/// Git as it is set up by the folder alone: in a hook, these name another repository.
+/// Variables that would make git use another repository than the folder's, as inside a hook.
 const UNSET: [&str; 3] = ["GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"];
 
-/// `"0.1.0 (807e12a, 2026-11-23)"`: the calling package's version, the commit and the
-/// day of it. Outside of git, the version alone. Changes that are not committed are
-/// not mentioned.
+/// Expands to text such as `"0.1.0 (807e12a, 2026-11-23)"`: the calling package's version, the
+/// commit and its date; outside a git repository the version alone. Uncommitted changes are not
+/// mentioned.
 #[proc_macro]
 pub fn version(_: TokenStream) -> TokenStream {
     let of_package = |name| std::env::var(name).expect("cargo describes the package");
     let version = of_package("CARGO_PKG_VERSION");
     let code = match Commit::of(Path::new(&of_package("CARGO_MANIFEST_DIR"))) {
-        // The compiler notices a change of what it includes, so a commit is noticed.
+        // Including the log makes the compiler notice a new commit.
         Some(Commit { name, log }) => {
             format!("{{ const _: &[u8] = include_bytes!({log:?}); \"{version} ({name})\" }}")
         }
@@ -31,18 +30,18 @@ pub fn version(_: TokenStream) -> TokenStream {
     code.parse().expect("Rust")
 }
 
-/// Commit that a folder's files were checked out from.
+/// Commit of a checked-out folder.
 #[derive(Debug, PartialEq)]
 struct Commit {
-    /// `807e12a, 2026-11-23`.
+    /// Short hash and date, such as `807e12a, 2026-11-23`.
     name: String,
-    /// A file of git that every commit and every checkout changes.
+    /// A file of git that changes with every commit and checkout.
     log: PathBuf,
 }
 
 impl Commit {
-    /// Commit of the package in a folder; none if git does not know the package,
-    /// which may lie unpacked in somebody's own repository.
+    /// Returns the commit of the package in a folder; `None` if git does not track the package, for
+    /// example because it was unpacked inside another repository.
     fn of(package: &Path) -> Option<Self> {
         let git = |words: &[&str]| {
             let mut git = Command::new("git");

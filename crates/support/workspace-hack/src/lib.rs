@@ -1,1 +1,1 @@
-//! Nothing: this package's dependencies are what it is for. See its `Cargo.toml`.
+//! Intentionally empty: this package exists for its dependencies. See its `Cargo.toml`.

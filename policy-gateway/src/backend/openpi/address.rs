@@ -12,19 +12,18 @@ const SCHEMES: Schemes = Schemes {
     encrypted: "wss",
 };
 
-/// Actions executed of every chunk, unless the address says otherwise: what
-/// openpi's LIBERO evaluation does (`replan_steps`).
+/// Actions executed per chunk by default, as in openpi's LIBERO evaluation (`replan_steps`).
 pub const DEFAULT_EXECUTE: u32 = 5;
-/// Most that an address may say.
+/// Largest `execute` of an address.
 pub const MAX_EXECUTE: u32 = 100;
 
-/// Address of an openpi server: `ws://HOST:PORT` or `wss://HOST:PORT`, with
-/// `?execute=N` for more or fewer actions per query than openpi's client.
+/// Address of an openpi server: `ws://HOST:PORT` or `wss://HOST:PORT`, with `?execute=N` to
+/// execute another number of actions per query than openpi's client.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OpenpiAddress {
     /// Host, port and encryption.
     pub place: Place,
-    /// Actions executed of every chunk.
+    /// Actions executed per chunk.
     pub execute: u32,
 }
 
@@ -59,7 +58,7 @@ impl fmt::Display for OpenpiAddress {
     }
 }
 
-/// The text is not such an address.
+/// The text is not a valid openpi address.
 #[derive(Debug, Error)]
 #[error(
     "read {text:?} as an openpi server's address: write ws://HOST:PORT, or \

@@ -1,35 +1,35 @@
-//! The messages of openpi's protocol: msgpack maps with arrays of NumPy in them
-//! (module `msgpack_numpy` of openpi-client). Pure.
+//! Messages of openpi's protocol: msgpack maps with NumPy arrays (module `msgpack_numpy` of
+//! openpi-client). Pure functions.
 
 use thiserror::Error;
 
 use crate::backend::numpy::{self, Array, ArrayError, Keys, array, lookup, map};
 
-/// An observation, as openpi's LIBERO client shows it.
+/// Observation as openpi's LIBERO client sends it.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown<'a> {
     /// Height and width of both frames, pixels.
     pub side: usize,
-    /// RGB, row after row, row 0 at the top.
+    /// Scene camera's frame, RGB, row by row, row 0 at the top.
     pub image: &'a [u8],
-    /// The same, of the hand's camera.
+    /// Wrist camera's frame, in the same layout.
     pub wrist_image: &'a [u8],
-    /// Position (m), axis times angle (rad) and fingers (m): eight numbers.
+    /// Eight numbers: position (m), axis-angle (rad) and finger joints (m).
     pub state: &'a [f64],
-    /// The instruction.
+    /// Instruction of the episode.
     pub prompt: &'a str,
 }
 
 /// A chunk of actions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chunk {
-    /// Actions, and numbers of each.
+    /// Number of actions, and of values per action.
     pub shape: [usize; 2],
-    /// Row after row.
+    /// Values in row-major order.
     pub numbers: Vec<f32>,
 }
 
-/// Writes an observation.
+/// Encodes an observation.
 pub fn observation(shown: &Shown<'_>) -> Vec<u8> {
     let frame = |rgb: &[u8]| {
         array(
@@ -51,7 +51,7 @@ pub fn observation(shown: &Shown<'_>) -> Vec<u8> {
     ]))
 }
 
-/// Reads the actions out of an answer; whatever else is in it is left alone.
+/// Decodes the actions of an answer; its other entries are ignored.
 ///
 /// # Errors
 /// If the answer holds no actions.
@@ -68,22 +68,22 @@ pub fn answer(bytes: &[u8]) -> Result<Chunk, AnswerError> {
     }
 }
 
-/// Reason for which an answer holds no actions.
+/// Reason why an answer holds no actions.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AnswerError {
-    /// Not even the form is right.
+    /// The answer is not a msgpack message.
     #[error("its answer is no msgpack message")]
     NoMessage,
-    /// A message about something else.
+    /// The answer lacks the entry `actions`.
     #[error("its answer has no \"actions\": is it an openpi policy server?")]
     NoActions,
-    /// Something else under that name.
+    /// The entry `actions` is not an array of numbers.
     #[error(transparent)]
     Array(#[from] ArrayError),
-    /// The array is not one chunk.
+    /// The array does not have two dimensions.
     #[error("its actions have shape {shape:?}, not [n, 7]")]
     Shape {
-        /// Shape as answered.
+        /// Shape of the array.
         shape: Vec<usize>,
     },
 }
@@ -96,9 +96,9 @@ mod tests {
     use super::*;
     use crate::backend::shown::turned;
 
-    /// `packb` of openpi-client 0.1.2 of the observation in the test below.
+    /// Output of `packb` of openpi-client 0.1.2 for the observation in the test below.
     const OBSERVATION: &str = "84b16f62736572766174696f6e2f696d61676584c40b5f5f6e6461727261795f5fc3c40464617461c40c000102030405060708090a0bc4056474797065a37c7531c405736861706593020203b76f62736572766174696f6e2f77726973745f696d61676584c40b5f5f6e6461727261795f5fc3c40464617461c40c090a0b060708030405000102c4056474797065a37c7531c405736861706593020203b16f62736572766174696f6e2f737461746584c40b5f5f6e6461727261795f5fc3c40464617461c440000000000000e03f000000000000f0bf00000000000000000000000000000000000000000000000000000000000000007b14ae47e17aa43f7b14ae47e17aa4bfc4056474797065a33c6638c40573686170659108a670726f6d7074a77069636b207570";
-    /// Answer as openpi's server gives it, with two actions in f8.
+    /// Answer in the form of openpi's server, with two actions in f8.
     const ANSWER: &str = "84a5737461746584c40b5f5f6e6461727261795f5fc3c40464617461c40c000000000000000000000000c4056474797065a33c6634c40573686170659103a7616374696f6e7384c40b5f5f6e6461727261795f5fc3c40464617461c4700000000000000000000000000000e03f000000000000f0bf000000000000d03f00000000000000000000000000000000000000000000f03f0000000000000000000000000000e03f000000000000f0bf000000000000d03f00000000000000000000000000000000000000000000f03fc4056474797065a33c6638c4057368617065920207ad706f6c6963795f74696d696e6781a8696e6665725f6d73cb3ff8000000000000ad7365727665725f74696d696e6781a8696e6665725f6d73cb4004000000000000";
     /// Answer with one action of two numbers in f4.
     const NARROW: &str = "81a7616374696f6e7384c40b5f5f6e6461727261795f5fc3c40464617461c4080000003f000080bfc4056474797065a33c6634c4057368617065920102";
@@ -139,7 +139,7 @@ mod tests {
             (vec![0xdf], AnswerError::NoMessage),
             (numpy::written(&map([])), AnswerError::NoActions),
             (actions(Value::from(3)), ArrayError::None.into()),
-            // More numbers declared than sent.
+            // The shape declares more values than were sent.
             (
                 actions(array("<f4", &[2, 7], vec![0; 28])),
                 ArrayError::None.into(),

@@ -1,11 +1,11 @@
-//! A frame as openpi's LIBERO client prepares it: resized to 224 × 224 as
-//! Pillow's bilinear filter does, to the last bit. Pure.
+//! Prepares frames as openpi's LIBERO client does: resizes them to 224 × 224, bit for bit like
+//! Pillow's bilinear filter. Pure functions.
 //!
-//! The client would pad a frame that is not square; the simulator's are.
+//! The client would pad a frame that is not square, but the simulator's frames are square.
 
-/// Side of what comes out, pixels.
+/// Side of a prepared frame, pixels.
 pub const SIDE: usize = 224;
-/// Binary digits of Pillow's weights behind the point.
+/// Fractional bits of Pillow's fixed-point weights.
 const WEIGHT_BITS: u32 = 22;
 
 /// Resizes a square RGB frame of `side` pixels to [`SIDE`].
@@ -13,15 +13,15 @@ pub fn prepare(rgb: &[u8], side: usize) -> Vec<u8> {
     resize(rgb, [side; 2], [SIDE; 2])
 }
 
-/// The pixels that one pixel of the result is made of.
+/// Input pixels that contribute to one output pixel.
 struct Window {
     first: usize,
     weights: Vec<i32>,
 }
 
-/// An RGB frame of another size, each given as width and height in pixels: Pillow's
-/// two passes of its bilinear filter, along rows and then along columns, with
-/// rounding to whole levels in between.
+/// Resizes an RGB frame; sizes are width and height in pixels. Implements the two passes of
+/// Pillow's bilinear filter, along rows and then along columns, with rounding to integers in
+/// between.
 pub fn resize(rgb: &[u8], from: [usize; 2], to: [usize; 2]) -> Vec<u8> {
     if from == to {
         return rgb.to_vec();
@@ -32,7 +32,7 @@ pub fn resize(rgb: &[u8], from: [usize; 2], to: [usize; 2]) -> Vec<u8> {
     mix(&windows(from[1], to[1]), &narrow, 3 * to[0]).collect()
 }
 
-/// Mixes lines of `stride` bytes into as many as there are windows.
+/// Computes one output line per window, as weighted sums of lines of `stride` bytes.
 fn mix<'a>(windows: &'a [Window], lines: &'a [u8], stride: usize) -> impl Iterator<Item = u8> + 'a {
     windows.iter().flat_map(move |window| {
         (0..stride).map(move |at| {
@@ -47,8 +47,8 @@ fn mix<'a>(windows: &'a [Window], lines: &'a [u8], stride: usize) -> impl Iterat
     })
 }
 
-/// A triangle as wide as one pixel of the larger grid to either side, around
-/// each pixel of the result.
+/// Computes the triangle filter around each output pixel. It reaches to either side by one pixel
+/// of the coarser grid.
 fn windows(from: usize, to: usize) -> Vec<Window> {
     let scale = from as f64 / to as f64;
     let support = scale.max(1.0);
@@ -78,8 +78,8 @@ mod tests {
     use super::*;
     use crate::backend::shown::turned;
 
-    // The figures are those of Pillow 13.0.0, by way of openpi-client 0.1.2's
-    // `resize_with_pad`.
+    // The expected values are from Pillow 13.0.0, through `resize_with_pad` of openpi-client
+    // 0.1.2.
 
     fn pattern(side: usize) -> Vec<u8> {
         let pixel = |x: usize, y: usize| {

@@ -12,36 +12,35 @@ const SCHEMES: Schemes = Schemes {
     clear: "vla-eval",
     encrypted: "vla-evals",
 };
-/// Actions executed of every answer, unless the address says otherwise: what
-/// vla-eval's LIBERO benchmark does.
+/// Actions executed per answer by default, as in vla-eval's LIBERO benchmark.
 pub const DEFAULT_EXECUTE: u32 = 1;
-/// Most that an address may say.
+/// Largest `execute` of an address.
 pub const MAX_EXECUTE: u32 = 100;
 
 /// Address of a vla-eval model server: `vla-eval://HOST:PORT` or, over TLS,
-/// `vla-evals://HOST:PORT`, with `?NAME=VALUE&…` for settings other than those
-/// that the server and vla-eval's LIBERO benchmark agree on by themselves.
+/// `vla-evals://HOST:PORT`, with `?NAME=VALUE&…` for settings that differ from those that the
+/// server and vla-eval's LIBERO benchmark negotiate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct VlaEvalAddress {
     /// Host, port and encryption.
     pub place: Place,
-    /// `execute=N`: actions executed of every answer.
+    /// `execute=N`: actions executed per answer.
     pub execute: u32,
-    /// `image_format=png|raw|jpeg`: how frames travel.
+    /// `image_format=png|raw|jpeg`: encoding of frames.
     pub image_format: ImageFormat,
-    /// Parameters of vla-eval's LIBERO benchmark, by their names there.
+    /// Parameters of vla-eval's LIBERO benchmark, by their original names.
     pub parameters: Parameters,
 }
 
-/// Parameters of vla-eval's LIBERO benchmark that an address sets. They win over
-/// what the server asks for, as those of an evaluation's configuration do there.
+/// Parameters of vla-eval's LIBERO benchmark that an address sets. They override the server's
+/// requests, as an evaluation's configuration does in vla-eval.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Parameters {
-    /// Shows the hand's camera, too.
+    /// Sends the wrist camera's frames, too.
     pub send_wrist_image: Option<bool>,
-    /// Shows the robot's state.
+    /// Sends the robot's state.
     pub send_state: Option<bool>,
-    /// Leaves the sign of the hand's quaternion alone.
+    /// Keeps the sign of the hand's quaternion.
     pub quat_no_antipodal: Option<bool>,
 }
 
@@ -116,7 +115,7 @@ impl fmt::Display for VlaEvalAddress {
     }
 }
 
-/// The text is not such an address.
+/// The text is not a valid vla-eval address.
 #[derive(Debug, Error)]
 #[error(
     "read {text:?} as a vla-eval model server's address: write vla-eval://HOST:PORT (vla-evals:// \

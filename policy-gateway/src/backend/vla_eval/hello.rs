@@ -1,7 +1,5 @@
-//! HELLO of a vla-eval server, and its consequences for an episode: the
-//! observations to send, and whether the server can be run at all. Responsible
-//! for the part of vla-eval's orchestrator and LIBERO benchmark that decides
-//! this. Pure.
+//! Interprets a vla-eval server's HELLO: which observations the server needs, and whether it can
+//! be run at all, by the rules of vla-eval's orchestrator and LIBERO benchmark. Pure functions.
 
 use proto::policy::{DescribeResponse, Language, Setting, StateField};
 use rmpv::{Value, ValueRef};
@@ -13,41 +11,41 @@ use crate::backend::{
     shown::camera,
 };
 
-/// Cameras: their names here, and in vla-eval's observations.
+/// Names of the cameras in the simulator and in vla-eval's observations.
 pub(super) const CAMERAS: [(&str, &str); 2] =
     [("agentview", "agentview"), ("robot0_eye_in_hand", "wrist")];
-/// Readings from which the robot's state is computed.
+/// Robot readings from which the state is computed.
 const STATE: [StateField; 4] = [
     StateField::EefPos,
     StateField::EefQuatXyzw,
     StateField::EefRotation,
     StateField::GripperPos,
 ];
-/// Parameters of vla-eval's LIBERO benchmark that belong to the campaign here.
-/// The benchmark ignores parameters that it does not know.
+/// Parameters of vla-eval's LIBERO benchmark that the campaign determines here. The benchmark
+/// ignores unknown parameters.
 const OF_THE_CAMPAIGN: [&str; 4] = ["seed", "env_seed", "max_steps", "num_steps_wait"];
-/// Bytes of a setting's value that are recorded; the whole HELLO is in its digest.
+/// Longest recorded value of a setting, bytes; the digest covers the whole HELLO.
 const RECORDED_BYTES: usize = 512;
 
-/// Terms on which a server's episodes are played.
+/// Negotiated conditions of a server's episodes.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Terms {
     /// Suite of the server, if it names exactly one.
     pub(super) suite: Option<String>,
-    /// True if the server is shown the hand's camera, too.
+    /// True if the server receives the wrist camera's frames, too.
     pub(super) wrist: bool,
-    /// True if the server is shown the robot's state.
+    /// True if the server receives the robot's state.
     pub(super) state: bool,
-    /// True if the state's quaternion is flipped to the nearer antipode.
+    /// True if a quaternion with negative w is replaced by its antipode.
     pub(super) flips: bool,
     pub(super) described: DescribeResponse,
 }
 
-/// Reads a server's HELLO.
+/// Derives the terms from a server's HELLO.
 ///
 /// # Errors
-/// If the server cannot be run; the text gives the remedy and reads after "the
-/// policy server cannot be run here:".
+/// If the server cannot be run. The text includes the remedy, and reads after "the policy server
+/// cannot be run here:".
 pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Terms, String> {
     let version = lookup(hello, "protocol_version");
     if version != Some(&VERSION.into()) {
@@ -130,7 +128,7 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         },
         horizon: address.execute,
         execute: address.execute,
-        // A connection is a session there, with chunks, histories and ensembles.
+        // A connection is a session, with chunks, histories and ensembles.
         stateful: true,
         stochastic: true,
         unseeded: true,
@@ -152,9 +150,8 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
     })
 }
 
-/// Refuses actions that LIBERO's robot cannot execute as they are meant. What is
-/// only declared otherwise than LIBERO's benchmark declares it (Euler angles, for
-/// one) runs there, and here.
+/// Refuses actions that LIBERO's robot would misinterpret. Mere differences in the declaration
+/// (such as Euler angles) are accepted, as in LIBERO's benchmark.
 fn check_actions(hello: &ValueRef<'_>) -> Result<(), String> {
     let format = |part| {
         let spec = lookup(lookup(hello, "action_spec")?, part)?;
@@ -183,8 +180,7 @@ fn check_actions(hello: &ValueRef<'_>) -> Result<(), String> {
     Ok(())
 }
 
-/// A parameter that is on or off: as the address has it, else as the server asks
-/// for it, else off.
+/// Returns a flag: the address's value, else the server's request, else false.
 fn flag(asked: &ValueRef<'_>, name: &str, given: Option<bool>) -> Result<bool, String> {
     match (given, lookup(asked, name)) {
         (Some(given), _) => Ok(given),
@@ -197,7 +193,7 @@ fn flag(asked: &ValueRef<'_>, name: &str, given: Option<bool>) -> Result<bool, S
     }
 }
 
-/// A map of a HELLO in few words: of a component's specification, its format.
+/// Summarises a map of a HELLO; of a component's specification, only the format.
 fn declaration(value: &ValueRef<'_>) -> String {
     let ValueRef::Map(entries) = value else {
         return or_none(&value.to_string());
@@ -212,7 +208,7 @@ fn declaration(value: &ValueRef<'_>) -> String {
     or_none(&entries.collect::<Vec<_>>().join(", "))
 }
 
-/// Returns the part of a text that is recorded.
+/// Truncates a text to the recorded length.
 fn begin_of(mut text: String) -> String {
     let fits = |at: &usize| *at <= RECORDED_BYTES;
     let ends = text.char_indices().map(|(at, c)| at + c.len_utf8());

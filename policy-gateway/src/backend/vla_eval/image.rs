@@ -1,5 +1,4 @@
-//! Frames as vla-eval's client sends them (its module `protocol.image_codec`).
-//! Pure.
+//! Encodes frames as vla-eval's client does (module `protocol.image_codec`). Pure functions.
 
 use std::fmt;
 
@@ -11,23 +10,23 @@ use rmpv::Value;
 
 use crate::backend::numpy::{Keys, array, map};
 
-/// JPEG quality, as vla-eval has it.
+/// JPEG quality, as in vla-eval.
 const JPEG_QUALITY: u8 = 95;
 
 /// Encoding of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImageFormat {
-    /// Compressed without loss: what vla-eval's client sends.
+    /// Lossless compression, the default of vla-eval's client.
     #[default]
     Png,
-    /// NumPy array.
+    /// Uncompressed NumPy array.
     Raw,
-    /// Compressed with loss.
+    /// Lossy compression.
     Jpeg,
 }
 
 impl ImageFormat {
-    /// The format of this name.
+    /// Returns the format with this name.
     pub(super) fn named(name: &str) -> Option<Self> {
         [Self::Png, Self::Raw, Self::Jpeg]
             .into_iter()
@@ -45,10 +44,10 @@ impl fmt::Display for ImageFormat {
     }
 }
 
-/// An RGB frame of `side`² pixels, row 0 at the top, as its value in a message.
+/// Encodes an RGB frame of `side`² pixels, row 0 at the top, as a message's value.
 ///
 /// # Errors
-/// If the encoder fails; the text says why.
+/// If the image encoder fails.
 pub(super) fn encode(format: ImageFormat, side: u32, rgb: &[u8]) -> Result<Value, ImageError> {
     let shape = [side as usize, side as usize, 3];
     let mut data = vec![];

@@ -1,5 +1,5 @@
-//! The messages of vla-eval's protocol (its module `protocol.messages`): msgpack
-//! maps of type, payload, number and time. Pure.
+//! Messages of vla-eval's protocol (module `protocol.messages`): msgpack maps of type, payload,
+//! sequence number and time. Pure functions.
 
 use policy_protocol::ACTION_WIDTH;
 use proto::policy::InferResponse;
@@ -10,14 +10,14 @@ use crate::backend::numpy::{self, Array, ArrayError, as_text, lookup, map};
 
 /// Version of the protocol.
 pub(super) const VERSION: u64 = 1;
-/// The version of vla-eval whose client this gateway is to its servers.
+/// Version of vla-eval whose client the gateway reproduces.
 const HARNESS_VERSION: &str = "0.8.0";
-/// Name of the LIBERO benchmark in configurations of vla-eval.
+/// Name of the LIBERO benchmark in vla-eval's configurations.
 const BENCHMARK: &str = "vla_eval.benchmarks.libero.benchmark:LIBEROBenchmark";
-/// Characters of a server's error that are quoted.
+/// Longest quoted part of a server's error, characters.
 const TOLD_CHARS: usize = 600;
 
-/// Kinds of messages that a client sends.
+/// Type of a client's message.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Kind {
     Hello,
@@ -26,8 +26,8 @@ pub(super) enum Kind {
     EpisodeEnd,
 }
 
-/// A message to a server. `number` is its number on the connection, from 1;
-/// `time` is when it is sent, in seconds since 1970.
+/// Encodes a message to a server. `number` is its sequence number on the connection, from 1;
+/// `time` is in seconds since 1970.
 pub(super) fn message(kind: Kind, payload: Value, number: u64, time: f64) -> Vec<u8> {
     let kind = match kind {
         Kind::Hello => "hello",
@@ -43,7 +43,7 @@ pub(super) fn message(kind: Kind, payload: Value, number: u64, time: f64) -> Vec
     ]))
 }
 
-/// Builds the client's first message.
+/// Builds the payload of the client's first message.
 pub(super) fn hello() -> Value {
     map([
         ("harness_version", HARNESS_VERSION.into()),
@@ -52,19 +52,19 @@ pub(super) fn hello() -> Value {
     ])
 }
 
-/// Builds the task of an episode. Its number in the suite and the number of its
-/// initial state are left out: no policy should know them.
+/// Builds the task of an episode. The indices of task and initial state are left out, because no
+/// policy should know them.
 pub(super) fn task(suite: &str, instruction: &str) -> Value {
     let task = map([("name", instruction.into()), ("suite", suite.into())]);
     map([("task", task)])
 }
 
-/// A message of a server.
+/// Decoded message of a server.
 #[derive(Debug)]
 struct Reply<'a, 'b> {
     kind: &'b str,
     payload: &'b ValueRef<'a>,
-    /// Number of the message that it answers.
+    /// Sequence number of the message that it answers.
     number: u64,
 }
 
@@ -79,19 +79,18 @@ fn reply<'a, 'b>(message: &'b ValueRef<'a>) -> Option<Reply<'a, 'b>> {
     })
 }
 
-/// The payload of a server's HELLO; of anything else, nothing.
+/// Returns the payload of a server's HELLO; `None` for any other message.
 pub(super) fn greeting(bytes: &[u8]) -> Option<Value> {
     let message = numpy::read(bytes)?;
     let reply = reply(&message).filter(|it| it.kind == "hello")?;
     Some(reply.payload.to_owned())
 }
 
-/// Reads what a server sent when it had been shown an observation in message
-/// `asked`: the actions that are executed, which are one, of an answer that is one,
-/// or the first `execute` of a chunk.
+/// Decodes the answer to the observation in message `asked`. Returns the actions to execute: the
+/// only one, or the first `execute` of a chunk.
 ///
-/// The gripper is closed by every number from 0 up and opened by every one below,
-/// as vla-eval's LIBERO benchmark has it.
+/// Gripper values from 0 up become 1 (closed), negative ones -1 (open), as in vla-eval's LIBERO
+/// benchmark.
 ///
 /// # Errors
 /// If the answer holds no such actions.
@@ -114,7 +113,7 @@ pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, A
     }
 }
 
-/// The end of what a server's error says.
+/// Returns the end of a server's error message.
 fn told(payload: &ValueRef<'_>) -> String {
     let text = match lookup(payload, "error").and_then(as_text) {
         Some(text) => text.trim().to_owned(),
@@ -144,19 +143,19 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
     let mut actions = numbers[..count * width].to_vec();
     if width == ACTION_WIDTH {
         let grippers = actions.iter_mut().skip(width - 1).step_by(width);
-        // Numbers that are not finite stay as they are: the checks report them.
+        // Values that are not finite stay as they are: the checks report them.
         for gripper in grippers.filter(|it| it.is_finite()) {
             *gripper = if *gripper < 0.0 { -1.0 } else { 1.0 };
         }
     }
     Ok(InferResponse {
         actions,
-        // Another width is refused, and named, where all answers are checked.
+        // An invalid width is refused later, by the checks of all answers.
         action_width: u32::try_from(width).unwrap_or(u32::MAX),
     })
 }
 
-/// A list of numbers in the place of an array.
+/// Decodes a list of numbers in place of an array.
 fn listed(items: &[ValueRef<'_>]) -> Option<Array> {
     let number = |item: &ValueRef<'_>| match item {
         ValueRef::F32(number) => Some(*number),
@@ -170,64 +169,64 @@ fn listed(items: &[ValueRef<'_>]) -> Option<Array> {
     })
 }
 
-/// Reason for which there are no actions to execute.
+/// Reason why an answer has no actions to execute.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AnswerError {
-    /// Not even the form is right.
+    /// The answer is not a message of vla-eval's protocol.
     #[error("its answer is no message of vla-eval's")]
     NoMessage,
-    /// A message of another kind.
+    /// The answer has an unexpected type.
     #[error("it answered an observation with {kind:?}")]
     Kind {
         /// Type of the message.
         kind: String,
     },
-    /// Actions for another observation.
+    /// The answer belongs to another observation.
     #[error(
         "it answered message {number} where message {asked} was asked: serve it without \
          continuous_inference"
     )]
     OutOfStep {
-        /// Number of the message that it answered.
+        /// Sequence number of the answer.
         number: u64,
-        /// Number of the observation's message.
+        /// Sequence number of the observation's message.
         asked: u64,
     },
-    /// Error raised by the policy.
+    /// The policy raised an error.
     #[error("{0}")]
     Policy(
-        /// The server's words.
+        /// Error message of the server.
         String,
     ),
-    /// Error raised when the episode began, for which there is no other answer.
+    /// An error at the start of the episode, to which the server sends no other answer.
     #[error("{0}")]
     Start(
-        /// The server's words.
+        /// Error message of the server.
         String,
     ),
-    /// An answer about something else.
+    /// The answer lacks the entry `actions`.
     #[error("its answer has no \"actions\"")]
     None,
-    /// Something else under that name.
+    /// The entry `actions` is not an array of numbers.
     #[error(transparent)]
     Array(#[from] ArrayError),
-    /// Neither one action nor a chunk of them.
+    /// The array is neither one action nor a chunk.
     #[error("its actions have shape {shape:?}, not [7] or [n, 7]")]
     Shape {
-        /// Shape as answered.
+        /// Shape of the array.
         shape: Vec<usize>,
     },
-    /// A chunk where one action is executed of every answer.
+    /// The answer is a chunk, and one action is executed per answer.
     #[error(
         "it answered a chunk of {count} actions, and one is executed per query: write \
          ?execute={count} (or less) behind its address, or give the server a chunk_size, so that \
          it hands them out itself"
     )]
     Chunk {
-        /// Actions answered.
+        /// Number of actions in the answer.
         count: usize,
     },
-    /// One action where several are executed of every answer.
+    /// The answer is one action, and several are executed per answer.
     #[error(
         "it answered one action, and {execute} are executed per query: leave out ?execute behind \
          its address"
@@ -236,13 +235,13 @@ pub enum AnswerError {
         /// Actions per query, as configured.
         execute: u32,
     },
-    /// Too few actions.
+    /// The chunk has too few actions.
     #[error(
         "it answered {count} actions, and {execute} are executed per query: write \
          ?execute={count} behind its address, or serve longer chunks"
     )]
     Short {
-        /// Actions answered.
+        /// Number of actions in the answer.
         count: usize,
         /// Actions per query, as configured.
         execute: u32,
@@ -250,8 +249,7 @@ pub enum AnswerError {
 }
 
 impl AnswerError {
-    /// Returns true if the next message of the server is the answer to the next
-    /// question.
+    /// Returns true if the server's next message will be the answer to the next query.
     pub(super) fn is_in_step(&self) -> bool {
         !matches!(
             self,
@@ -270,8 +268,8 @@ mod tests {
         vla_eval::image::{self, ImageFormat},
     };
 
-    // `pack_message` of vla-eval 0.8.0, with raw images, of the messages in the
-    // tests below.
+    // Output of `pack_message` of vla-eval 0.8.0, with raw images, for the messages in the tests
+    // below.
     const HELLO: &str = "84a474797065a568656c6c6fa77061796c6f616483af6861726e6573735f76657273696f6ea5302e382e30b070726f746f636f6c5f76657273696f6e01a962656e63686d61726bd934766c615f6576616c2e62656e63686d61726b732e6c696265726f2e62656e63686d61726b3a4c494245524f42656e63686d61726ba373657101a974696d657374616d70cb3ff8000000000000";
     const START: &str = "84a474797065ad657069736f64655f7374617274a77061796c6f616481a47461736b82a46e616d65a77069636b207570a57375697465ab6c696265726f5f676f616ca373657102a974696d657374616d70cb3ff8000000000000";
     const OBSERVATION: &str = "84a474797065ab6f62736572766174696f6ea77061796c6f616484a6696d6167657381a96167656e747669657784ab5f5f6e6461727261795f5fc3a464617461c40c000102030405060708090a0ba56474797065a37c7531a5736861706593020203b07461736b5f6465736372697074696f6ea77069636b207570a673746174657384ab5f5f6e6461727261795f5fc3a464617461c440000000000000e03f000000000000f0bf00000000000000000000000000000000000000000000000000000000000000007b14ae47e17aa43f7b14ae47e17aa4bfa56474797065a33c6638a573686170659108b1636f6e74726f6c6c65725f73746174657384ab5f5f6e6461727261795f5fc3a464617461c4200000003f000080bf000000000000000000000000000000000ad7233d0ad723bda56474797065a33c6634a573686170659108a373657103a974696d657374616d70cb3ff8000000000000";

@@ -1,14 +1,14 @@
-//! The robot's state as vla-eval's LIBERO benchmark computes it (its modules
-//! `benchmarks.libero.benchmark` and `rotation`), in the same precision. Pure.
+//! Computes the robot's state as vla-eval's LIBERO benchmark does (modules
+//! `benchmarks.libero.benchmark` and `rotation`), in the same precision. Pure functions.
 
-/// Below this sine of half the angle there is no rotation.
+/// Sine of half the angle below which the rotation counts as none.
 const NO_ROTATION: f64 = 1e-8;
 
-/// `states`: position (m), the hand's axis times angle (rad, rounded to single
-/// precision as there) and fingers (m).
+/// Returns `states`: position (m), the hand's axis-angle (rad, rounded to single precision as in
+/// vla-eval) and finger joints (m).
 ///
-/// If `flips`, a quaternion with negative w is replaced by its antipode, so
-/// that the angle is at most π; else it is up to 2π, as in robosuite.
+/// If `flips`, a quaternion with negative w is replaced by its antipode, so that the angle is at
+/// most π; otherwise it is up to 2π, as in robosuite.
 pub(super) fn states(
     position: [f64; 3],
     quaternion_xyzw: [f64; 4],
@@ -25,13 +25,13 @@ pub(super) fn states(
     [x, y, z, a, b, c, left, right]
 }
 
-/// `controller_states`: the same of the site that robosuite's controller moves,
-/// in single precision. That site is in the same place as the one of `states`,
-/// and turned against the hand by −90° about its z axis. There they are those of the
-/// end of a control step, and here of the instant of observation, which is up to
-/// 50 ms earlier: LIBERO's readings and frames lag.
+/// Returns `controller_states`: the same quantities for the site that robosuite's controller
+/// moves, in single precision. That site has the same position as that of `states`, and is rotated
+/// against the hand by −90° about its z axis. In vla-eval they belong to the end of a control
+/// step, here to the instant of observation, which is up to 50 ms earlier, because LIBERO's
+/// readings and frames lag.
 ///
-/// `hand` is the hand's rotation matrix, row by row.
+/// `hand` is the hand's rotation matrix in row-major order.
 pub(super) fn controller_states(position: [f64; 3], hand: [f64; 9], fingers: [f64; 2]) -> [f32; 8] {
     let [xx, xy, xz, yx, yy, yz, zx, zy, zz] = hand;
     let site = [[-xy, xx, xz], [-yy, yx, yz], [-zy, zx, zz]];
@@ -67,9 +67,9 @@ fn unflipped_axis_angle(quaternion_xyzw: [f64; 4]) -> [f32; 3] {
     [x, y, z].map(|it| (it * 2.0 * w.acos() / sine) as f32)
 }
 
-/// The quaternion x y z w of a rotation matrix, from the largest of its
-/// components (Shepperd's method). That choice decides the sign, which tells
-/// where the axis of a half turn points: LIBERO's hand is near one.
+/// Returns the quaternion x y z w of a rotation matrix, starting from its largest component
+/// (Shepperd's method). That choice determines the sign, and so the direction of a half turn's
+/// axis; the pose of LIBERO's hand is close to a half turn.
 fn quaternion_of([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]: [[f64; 3]; 3]) -> [f64; 4] {
     let trace = xx + yy + zz;
     if trace > 0.0 {
@@ -91,7 +91,7 @@ fn quaternion_of([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]: [[f64; 3]; 3]) -> [
 mod tests {
     use super::*;
 
-    /// The rotation matrix of a quaternion x y z w, row by row.
+    /// Returns the rotation matrix of a quaternion x y z w, in row-major order.
     fn matrix([x, y, z, w]: [f64; 4]) -> [f64; 9] {
         [
             1.0 - 2.0 * (y * y + z * z),
@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn rotations_are_those_of_vla_evals_own_functions() {
-        // Quaternion; its axis times angle, flipped and not; the controller's.
+        // Quaternion; its axis-angle, flipped and not; that of the controller's site.
         let cases = [
             (
                 [0.6, 0.0, 0.0, -0.8],

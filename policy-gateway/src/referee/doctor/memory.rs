@@ -1,6 +1,5 @@
-//! The process that listens at an address of this machine, and how much memory it
-//! holds. From Linux's /proc: elsewhere, and of other users' processes, nothing is
-//! known.
+//! Finds the local process that listens at an address, and reads its memory use. Reads Linux's
+//! /proc, so it knows nothing of remote servers, other systems, or other users' processes.
 
 use std::{fmt, fs, path::Path};
 
@@ -12,12 +11,12 @@ pub struct Process {
 
 /// State of a socket that listens, in /proc/net/tcp.
 const LISTENING: &str = "0A";
-/// Bytes of a page; that of every machine this runs on.
+/// Page size of all supported machines, bytes.
 const PAGE_BYTES: u64 = 4096;
 
 impl Process {
-    /// The process that listens at a URL, if that is one of this machine, and is not
-    /// this process.
+    /// Finds the process that listens at a URL of this machine; `None` for other machines and for
+    /// this process itself.
     pub fn listening_at(url: &str) -> Option<Self> {
         let sockets = sockets(port_of_this_machine(url)?);
         let mut ids = vec![];
@@ -33,7 +32,7 @@ impl Process {
         (!ids.is_empty()).then_some(Self { ids })
     }
 
-    /// Memory that it holds now, bytes; None when it is gone.
+    /// Returns the resident memory, bytes; `None` if the process has ended.
     pub fn resident_bytes(&self) -> Option<u64> {
         let pages = |id: &u32| {
             let text = fs::read_to_string(format!("/proc/{id}/statm")).ok()?;
@@ -64,7 +63,7 @@ fn port_of_this_machine(url: &str) -> Option<u16> {
     port.parse().ok().filter(|_| here)
 }
 
-/// Sockets that listen at a port, as links in a process's fd folder name them.
+/// Returns the sockets that listen at a port, in the form of the links in a process's fd folder.
 fn sockets(port: u16) -> Vec<String> {
     let tables = ["/proc/net/tcp", "/proc/net/tcp6"].map(fs::read_to_string);
     let of_port = format!(":{port:04X}");
@@ -114,7 +113,7 @@ mod tests {
         let sockets = sockets(port);
         assert_eq!(sockets.len(), 1);
         assert!(holds(Path::new("/proc/self/fd"), &sockets));
-        // This very process is not the server of anybody.
+        // This process must not be taken for the server.
         let url = format!("grpc://127.0.0.1:{port}");
         assert_eq!(Process::listening_at(&url), None);
     }

@@ -1,4 +1,4 @@
-//! A server that is looked at, and what it is asked.
+//! The diagnosed server and the queries that it is sent.
 
 use std::time::Duration;
 
@@ -13,32 +13,32 @@ use crate::referee::{
     variant::{Turn, Variant},
 };
 
-/// Situations that a change is tried in.
+/// Number of situations in which a change is tried.
 const TRIED: usize = 4;
-/// Queries of an episode that is played for what it leaves behind.
+/// Queries per episode in the memory check.
 const EPISODE_QUERIES: usize = 2;
 
-/// A server, and what it is shown.
+/// Diagnosed server, with its observations.
 pub(super) struct Patient<'a> {
     server: &'a Server,
     situations: &'a [Situation],
     shown: Vec<Observation>,
-    /// Latency of every query, in the order asked.
+    /// Latency of every query, in order.
     pub(super) latencies: Vec<Duration>,
 }
 
 /// Answers of the server to all situations.
 #[derive(Default)]
 pub(super) struct Answered {
-    /// Answers.
+    /// Number of answers.
     pub(super) asked: usize,
-    /// Faults of the answers that are no actions.
+    /// Faults of the answers that are not valid chunks of actions.
     pub(super) faults: Vec<ActionFault>,
-    /// All actions that are.
+    /// Actions of all valid answers.
     pub(super) actions: Vec<Action>,
     /// Largest difference between answers to two situations.
     pub(super) between_situations: f64,
-    /// Largest difference between two answers to the same question.
+    /// Largest difference between answers to a repeated query.
     pub(super) noise: f64,
 }
 
@@ -66,13 +66,13 @@ impl<'a> Patient<'a> {
         self.server
     }
 
-    /// How many situations it is shown.
+    /// Returns the number of situations.
     pub(super) fn situations(&self) -> usize {
         self.situations.len()
     }
 
-    /// Asks about each situation in an episode of its own, about some of them again,
-    /// and about all of them in one episode; with the same instruction.
+    /// Queries each situation in its own episode, some of them twice, and all of them in one
+    /// episode; always with the same instruction.
     pub(super) async fn answer_all(&mut self) -> Result<Answered, RefereeError> {
         let mut answered = Answered::default();
         let mut first: Vec<Vec<Action>> = vec![];
@@ -105,8 +105,7 @@ impl<'a> Patient<'a> {
         Ok(answered)
     }
 
-    /// The largest change of an answer where one camera's frames are flipped, or
-    /// black.
+    /// Returns the largest change of an answer when one camera's frames are flipped or black.
     pub(super) async fn with_other_frames(&mut self, camera: &str) -> Result<f64, RefereeError> {
         let flipped = Variant::Turned(Turn::UpsideDown, Some(camera.to_owned()));
         let mut most = 0.0_f64;
@@ -126,8 +125,8 @@ impl<'a> Patient<'a> {
         Ok(most)
     }
 
-    /// The largest change of an answer where the instruction is that of another task
-    /// of the suite, and how many instructions were given.
+    /// Returns the largest change of an answer when the instruction is replaced by another task's,
+    /// with the number of instructions tried.
     pub(super) async fn with_other_instructions(&mut self) -> Result<(f64, usize), RefereeError> {
         let mut most = 0.0_f64;
         let mut asked = 0;
@@ -148,7 +147,7 @@ impl<'a> Patient<'a> {
         Ok((most, asked))
     }
 
-    /// Plays a short episode; returns how long its queries took in all.
+    /// Plays a short episode; returns the total latency of its queries.
     pub(super) async fn episode(&mut self) -> Result<Duration, RefereeError> {
         let at = self.latencies.len();
         let situation = &self.situations[at % self.situations.len()];
@@ -183,7 +182,7 @@ impl<'a> Patient<'a> {
         })
     }
 
-    /// One query in an episode of its own.
+    /// Sends one query in its own episode.
     async fn ask(
         &mut self,
         at: usize,
@@ -204,7 +203,7 @@ impl<'a> Patient<'a> {
 }
 
 impl Answered {
-    /// Counts an answer and returns its actions; none if it is no chunk of them.
+    /// Counts an answer and returns its actions; empty if the answer is not a valid chunk.
     fn take(&mut self, server: &Server, response: &InferResponse) -> Vec<Action> {
         self.asked += 1;
         match server.actions(response) {

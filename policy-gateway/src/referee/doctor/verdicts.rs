@@ -1,5 +1,5 @@
-//! The verdicts: pure functions of what a server answered. Each says what was seen,
-//! what it usually means and what to do.
+//! Verdicts of the diagnosis, as pure functions of a server's answers. Each states the
+//! observation, its usual meaning and the remedy.
 
 use std::time::Duration;
 
@@ -11,27 +11,26 @@ use crate::{
     referee::{chance::REPEATABLE, fit::GRIPPER, server::Action},
 };
 
-/// Numbers that differ by less are the same.
+/// Largest difference between equal values.
 const SAME: f64 = 1e-6;
-/// Bytes that a server may keep of an episode: less is a log, or its allocator's
-/// business.
+/// Memory per episode below which growth is ignored, bytes; logs and allocators cause that much.
 const KEPT_BYTES: u64 = 200 << 10;
-/// How much slower a later third of the episodes must be, and by how much in all, to
-/// be taken for a growing memory.
+/// Factor by which each third of the episodes must be slower than the one before, and total
+/// slowdown, that indicate growing memory.
 const SLOWER: f64 = 1.25;
 const SLOWER_IN_ALL: Duration = Duration::from_millis(50);
 
-/// Variation of answers with something, and with nothing.
+/// Variation of answers with a change of the input, and without.
 #[derive(Clone, Copy, Debug)]
 pub struct Change {
-    /// The largest difference with it.
+    /// Largest difference that the change causes.
     pub most: f64,
-    /// The largest difference between answers to the same question.
+    /// Largest difference between answers to a repeated query.
     pub noise: f64,
 }
 
 impl Change {
-    /// Returns true if it changes answers; none if their noise hides that.
+    /// Returns true if the change affects answers; `None` if noise hides the effect.
     fn is_seen(self) -> Option<bool> {
         let is_seen = self.most > SAME.max(3.0 * self.noise);
         (is_seen || self.noise <= REPEATABLE).then_some(is_seen)
@@ -45,7 +44,7 @@ impl Change {
     }
 }
 
-/// Checks that answers are actions.
+/// Checks that answers are valid actions.
 pub fn actions(faults: &[ActionFault], asked: usize) -> Verdict {
     match faults.first() {
         None => pass(""),
@@ -58,7 +57,7 @@ pub fn actions(faults: &[ActionFault], asked: usize) -> Verdict {
     }
 }
 
-/// Checks that the numbers are actions in the simulator's units.
+/// Checks that actions are in the simulator's units.
 pub fn range(actions: &[Action]) -> Verdict {
     let numbers = || actions.iter().flatten().map(|it| it.abs());
     let largest = numbers().fold(0.0, f64::max);
@@ -78,7 +77,7 @@ pub fn range(actions: &[Action]) -> Verdict {
     }
 }
 
-/// Returns true if all actions are one and the same.
+/// Returns true if all actions are equal.
 pub fn is_constant(actions: &[Action]) -> bool {
     let Some(first) = actions.first() else {
         return true;
@@ -90,7 +89,7 @@ pub fn is_constant(actions: &[Action]) -> bool {
     actions.iter().all(|action| numbers(action) <= SAME)
 }
 
-/// Checks that the arm is told to move.
+/// Checks that the actions move the arm.
 pub fn motion(actions: &[Action]) -> Verdict {
     let still = |action: &Action| action[..GRIPPER].iter().all(|it| it.abs() <= SAME);
     let count = actions.len();
@@ -129,7 +128,7 @@ pub fn observations(change: Change, situations: usize, described: &DescribeRespo
     }
 }
 
-/// Checks that frames affect the answers, by camera.
+/// Checks that each camera's frames affect the answers.
 pub fn frames(changes: &[(String, Change)]) -> Verdict {
     let unseen: Vec<&str> = changes
         .iter()
@@ -152,10 +151,10 @@ pub fn frames(changes: &[(String, Change)]) -> Verdict {
     }
 }
 
-/// Checks that a policy says that it reads instructions.
+/// Checks that the policy declares that it reads instructions.
 ///
 /// # Errors
-/// If the policy need not follow instructions; the text says why.
+/// If the policy does not declare it; the text says what it declares instead.
 pub fn reads_language(described: &DescribeResponse) -> Result<(), &'static str> {
     match described.language() {
         Language::FreeForm | Language::CanonicalOnly => Ok(()),
@@ -177,7 +176,7 @@ pub fn instructions(change: Change, asked: usize) -> Verdict {
     }
 }
 
-/// Checks that the gripper is ever told to open.
+/// Checks that some action opens the gripper.
 pub fn gripper(actions: &[Action]) -> Verdict {
     let numbers = || actions.iter().map(|action| action[GRIPPER]);
     let least = numbers().fold(f64::INFINITY, f64::min);
@@ -196,7 +195,7 @@ pub fn gripper(actions: &[Action]) -> Verdict {
     ))
 }
 
-/// Checks that answers come in time; the first may have compiled something.
+/// Checks the latencies. The first query is separate, because it may include a compilation.
 pub fn latency(latencies: &[Duration], answer_within: Duration) -> Verdict {
     let Some((first, later)) = latencies.split_first() else {
         return skip("nothing was asked");
@@ -234,15 +233,15 @@ pub fn latency(latencies: &[Duration], answer_within: Duration) -> Verdict {
     }
 }
 
-/// Checks a process for growth with episodes: `resident` bytes after each of
-/// them.
+/// Checks that a process does not grow from episode to episode. `resident` holds its memory after
+/// each, bytes.
 pub fn memory(process: &str, resident: &[u64]) -> Verdict {
     let count = resident.len();
     let third = count / 3;
     if third == 0 {
         return skip("too few episodes were played");
     }
-    // The first third is what any program grows by when it starts to work.
+    // Any program grows during the first third, as it warms up.
     let [begin, middle, end] = [count - 1 - 2 * third, count - 1 - third, count - 1];
     let grown = |from: usize, to: usize| resident[to].saturating_sub(resident[from]);
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
@@ -264,8 +263,8 @@ pub fn memory(process: &str, resident: &[u64]) -> Verdict {
     ))
 }
 
-/// Checks that episodes do not take longer and longer: for servers on other
-/// machines, whose memory cannot be read.
+/// Checks that episodes do not become slower, for servers on other machines, whose memory cannot
+/// be read.
 pub fn slowing(took: &[Duration]) -> Verdict {
     let third = took.len() / 3;
     if third == 0 {

@@ -1,5 +1,4 @@
-//! From a worker that serves to one that ends: asked to, after a fault, or because there
-//! is no work.
+//! Ends a worker: on request, after a fault, or for lack of work.
 
 use std::time::Duration;
 
@@ -12,13 +11,13 @@ use crate::supervise::deliver::Ending;
 use crate::supervise::error::SuperviseError;
 use crate::supervise::slot_state::{Mode, ProcessState, Work};
 
-/// A second request to end within so short a time is the first one, heard twice.
+/// A second shutdown request within this time is a duplicate of the first.
 const DUPLICATE_REQUEST: Duration = Duration::from_millis(500);
-/// Time that an abandoning worker spends on giving its jobs back.
+/// Longest time that an abandoning worker spends on giving its jobs back.
 const GIVE_BACK_DEADLINE: Duration = Duration::from_secs(10);
 
 impl Supervisor {
-    /// Takes on no more work because of a fault.
+    /// Stops claiming work because of a fault.
     pub(super) fn stop(&mut self, fault: SuperviseError) {
         if self.mode == Mode::Serving {
             self.start_to_drain();
@@ -49,7 +48,7 @@ impl Supervisor {
         }
     }
 
-    /// Ends what has had its time: a drain, or waiting for work.
+    /// Ends a drain that exceeds its limit, and a worker that has been idle too long.
     pub(super) fn end_in_time(&mut self, now: Instant) {
         let is_over = |since: Instant, limit: Option<Duration>| {
             limit.filter(|limit| now.duration_since(since) >= *limit)
@@ -67,7 +66,7 @@ impl Supervisor {
         let waits = |slot: &Slot| {
             slot.state.process == ProcessState::Up && slot.state.work == Work::Claiming
         };
-        // While the coordinator cannot be asked, the worker cannot know that there is no work.
+        // While the coordinator is unreachable, the worker cannot know that there is no work.
         if !self.is_registered || self.link.is_down() || !self.slots.iter().all(waits) {
             self.idle_since = now;
         }
@@ -79,14 +78,14 @@ impl Supervisor {
         }
     }
 
-    /// Returns true if a request to end is the one before, heard twice: some
-    /// that end programs signal the process and its group.
+    /// Returns true if a shutdown request duplicates the first: some service managers signal both
+    /// the process and its group.
     fn is_duplicate(&self, now: Instant) -> bool {
         self.told_to_end_at
             .is_some_and(|first| now.duration_since(first) < DUPLICATE_REQUEST)
     }
 
-    /// Gives the rollouts in flight back, and ends soon.
+    /// Gives the rollouts in flight back, and limits the time until the worker exits.
     pub(super) fn give_up(&mut self, now: Instant) {
         self.mode = Mode::Abandoning {
             until: now + GIVE_BACK_DEADLINE,

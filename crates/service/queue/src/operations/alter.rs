@@ -1,5 +1,5 @@
-//! Altering a campaign that is there: its priority, its policy, its name. All
-//! that is asked for is done, or nothing.
+//! Alteration of an existing campaign: its priority, policy or name. A request is applied in full
+//! or not at all.
 
 use super::campaigns::going_on;
 use super::context::Context;
@@ -17,27 +17,25 @@ use crate::store::{campaigns, derivations, policies};
 pub struct Alteration {
     /// One of [`PRIORITIES`](crate::rules::campaign::PRIORITIES).
     pub priority: Option<i32>,
-    /// URL at which its policy is from now on. What is leased is taken back
-    /// without a charge.
+    /// New URL of the policy. Leases are revoked without a charge.
     pub endpoint: Option<String>,
-    /// The policy's name at its endpoint; only while there is no result.
+    /// New name of the policy at its endpoint; allowed only while the campaign has no results.
     pub policy: Option<String>,
     /// The campaign's new name.
     pub name: Option<CampaignName>,
 }
 
 impl Queue {
-    /// Alters a campaign. Returns how many leases were taken back: their workers
-    /// learn of it with their next heartbeat.
+    /// Alters a campaign. Returns the number of leases revoked; their workers are told in the
+    /// answer to their next heartbeat.
     ///
-    /// A renamed campaign is found under its new name only; its files stay where
-    /// they are. The specification changes with name and policy, so that it can
-    /// be created again as it is now, and not as it was.
+    /// A renamed campaign is found under its new name only; its files stay in their folder. Name
+    /// and policy also change in the stored specification, so creating the campaign again with the
+    /// altered specification is accepted and with the original one refused.
     ///
     /// # Errors
-    /// When there is no such campaign, it is over, another one has the name,
-    /// it has results of another policy, the endpoint is no URL, or the database
-    /// fails.
+    /// If there is no such campaign, it has ended, the new name is taken, it has results of another
+    /// policy, the endpoint is not a URL, or the database fails.
     pub async fn alter_campaign(
         &self,
         name: &CampaignName,
@@ -83,8 +81,8 @@ impl Context<'_> {
                 results,
             });
         }
-        // Before the policy changes: how these attempts end says something of the
-        // old one only, which one of them may be trying.
+        // Revoked before the policy changes: the end of these attempts, one of which may be the
+        // probe, counts as evidence about the old policy only.
         let why = "the campaign's policy is at another endpoint now";
         let taken_back = self.take_back(campaign.id, why).await?;
         let (spec, digest) = self

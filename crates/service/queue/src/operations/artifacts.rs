@@ -1,5 +1,5 @@
-//! Videos kept beside outcomes, below the data folder: written under a temporary
-//! name, then renamed, so that a file that is there is whole.
+//! Videos stored beside outcomes, below the data folder. Each is written under a temporary name and
+//! then renamed, so that a file under its final name is complete.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -21,12 +21,12 @@ use crate::store::failpoint::Step;
 pub const MAX_ARTIFACT_BYTES: u64 = 64 << 20;
 /// The folder of artifacts in the data folder.
 pub const ARTIFACTS_FOLDER: &str = "artifacts";
-/// Prefix of folders and files that hold a campaign on its way in or out.
+/// Prefix of folders and files of a campaign that is being imported or exported.
 pub const MOVING_PREFIX: &str = "moving-";
 /// Suffix of a file's name while it is being received.
 pub(super) const PARTIAL_SUFFIX: &str = ".partial";
 
-/// A video that is not kept.
+/// A video that cannot be stored.
 #[derive(Debug, thiserror::Error)]
 pub enum ArtifactError {
     /// Too large.
@@ -35,7 +35,7 @@ pub enum ArtifactError {
         /// The attempt that was filmed.
         attempt: AttemptId,
     },
-    /// There is no outcome for it to stand beside.
+    /// No committed outcome belongs to the attempt.
     #[error("store the video of attempt {attempt}: no committed outcome is of this attempt")]
     NoOutcome {
         /// The attempt that was filmed.
@@ -54,7 +54,7 @@ pub enum ArtifactError {
     Store(#[from] StoreError),
 }
 
-/// A video on its way in. Dropping it removes what was received.
+/// A video being received. Dropping it removes the partial file.
 pub struct Upload<'a> {
     shared: &'a Shared,
     attempt: AttemptId,
@@ -66,10 +66,10 @@ pub struct Upload<'a> {
 }
 
 impl Queue {
-    /// Begins to receive the video of an attempt whose outcome is committed.
+    /// Starts receiving the video of an attempt whose outcome is committed.
     ///
     /// # Errors
-    /// When there is no such outcome, or the file cannot be made.
+    /// If there is no such outcome, or the file cannot be created.
     pub async fn upload(&self, attempt: AttemptId) -> Result<Upload<'_>, ArtifactError> {
         let shared = &*self.shared;
         let mut view = shared.store.read().await?;
@@ -81,7 +81,7 @@ impl Queue {
         tokio::fs::create_dir_all(folder)
             .await
             .map_err(at(folder))?;
-        // Each upload has a file of its own, also of one attempt.
+        // Every upload has its own temporary file, even two uploads of one attempt.
         let partial = tempfile::Builder::new()
             .suffix(PARTIAL_SUFFIX)
             .tempfile_in(folder);
@@ -98,10 +98,10 @@ impl Queue {
 }
 
 impl Upload<'_> {
-    /// Receives a piece.
+    /// Appends data to the file.
     ///
     /// # Errors
-    /// When the file grows too large or cannot be written.
+    /// If the file grows too large or cannot be written.
     pub async fn write(&mut self, data: &[u8]) -> Result<(), ArtifactError> {
         self.size_bytes += data.len() as u64;
         if self.size_bytes > MAX_ARTIFACT_BYTES {
@@ -112,11 +112,10 @@ impl Upload<'_> {
         written.map_err(at(&self.partial))
     }
 
-    /// Puts the whole file in its place. Returns its path below the data
-    /// folder.
+    /// Moves the complete file into place. Returns its path below the data folder.
     ///
     /// # Errors
-    /// When the outcome is gone meanwhile, or the disk fails.
+    /// If the outcome was deleted in the meantime, or the disk fails.
     pub async fn finish(mut self) -> Result<String, ArtifactError> {
         // Writes go on in the background: only a flush reports a failure of the
         // last one.
@@ -143,11 +142,10 @@ pub(crate) fn campaign_folder(folder: &str) -> String {
     format!("{ARTIFACTS_FOLDER}/{folder}")
 }
 
-/// Removes what uploads of an earlier run, and campaigns on their way in or out, left
-/// half-way.
+/// Removes partial files of uploads, imports and exports that an earlier run left behind.
 ///
 /// # Errors
-/// When a folder cannot be read or a file cannot be removed.
+/// If a folder cannot be read or a file cannot be removed.
 pub fn remove_partial_files(data: &Path) -> io::Result<()> {
     for left in std::fs::read_dir(data)? {
         let left = left?;
@@ -181,8 +179,8 @@ pub fn remove_partial_files(data: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// `artifacts/FOLDER/spatial_t0_camera_L2_c00.r0.ATTEMPT.mp4`. Rollout ids hold
-/// letters, digits, underscores and slashes only, campaigns' folders no slash.
+/// Returns a path such as `artifacts/FOLDER/spatial_t0_camera_L2_c00.r0.ATTEMPT.mp4`. Rollout ids
+/// hold only letters, digits, underscores and slashes; a campaign's folder name holds no slash.
 fn relative_path(owner: &ArtifactOwner, attempt: AttemptId) -> String {
     format!(
         "{}/{}.r{}.{attempt}.mp4",

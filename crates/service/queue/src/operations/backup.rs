@@ -1,4 +1,4 @@
-//! A copy of the database while it is used.
+//! Backup of the database while it is in use.
 
 use std::path::Path;
 
@@ -9,8 +9,7 @@ use super::error::QueueError;
 use crate::queue::Queue;
 use crate::store::backup;
 
-/// A finished copy. It is removed when this is dropped; the next one may be made
-/// then.
+/// A finished backup. Its file is removed on drop, after which the next backup can be made.
 #[derive(Debug)]
 pub struct Backup {
     copy: TempPath,
@@ -18,18 +17,17 @@ pub struct Backup {
 }
 
 impl Backup {
-    /// The file.
+    /// Returns the path of the backup file.
     pub fn path(&self) -> &Path {
         &self.copy
     }
 }
 
 impl Queue {
-    /// Copies the database as it is now, while it is used.
+    /// Copies the current database while it is in use.
     ///
     /// # Errors
-    /// When another copy is being made, the disk is full, or the database
-    /// fails.
+    /// If another backup is being made, the disk is full, or the database fails.
     pub async fn backup(&self) -> Result<Backup, QueueError> {
         let turn = self.backups.clone().try_lock_owned();
         let turn = turn.map_err(|_| QueueError::BackupInHand)?;

@@ -1,11 +1,10 @@
-//! Cache of rows that need not be read again.
+//! Cache of database rows.
 //!
-//! For one transaction: the campaigns with waiting jobs, a campaign with its
-//! policy, and what live workers run on; forgotten whenever an operation changes
-//! any of them. Beyond it: results and origins, which never change once they are
-//! stored, and which only this process stores; and whose turn it was, which only
-//! orders equals. A transaction that was undone, or that deleted a campaign,
-//! forgets everything.
+//! Cached for one transaction: campaigns with waiting jobs, campaigns with their policies, and the
+//! pins of live workers; cleared whenever an operation changes any of them. Cached across
+//! transactions: results and origins, which are immutable once stored and stored only by this
+//! process; and the turns of campaigns, which only break ties. A transaction that is rolled back,
+//! or that deletes a campaign, clears the whole cache.
 
 use std::collections::HashMap;
 use std::collections::btree_map::{BTreeMap, Entry};
@@ -24,32 +23,32 @@ use crate::store::provenance::{self, ProvenanceId};
 use crate::store::workers::{self, Live};
 use crate::store::{StoreError, results};
 
-/// Initial states whose siblings outlive a transaction: several for each scene that a
-/// few thousand slots hold. Of a whole LIBERO-CTRL campaign, about 20 MB.
+/// Initial states whose siblings are cached across transactions: several for each scene that a few
+/// thousand slots hold. For a whole LIBERO-CTRL campaign they take about 20 MB.
 const MAX_INITIAL_STATES: usize = 512;
-/// Origins that outlive a transaction: one for each kind of worker and policy.
+/// Origins that are cached across transactions: one for each kind of worker and policy.
 const MAX_ORIGINS: usize = 4_096;
 
-/// Rows that have been read.
+/// Cached rows.
 #[derive(Debug, Default)]
 pub(super) struct Cache {
-    /// A transaction is under way, or was undone.
+    /// True while a transaction is in progress, and after one was rolled back.
     is_open: bool,
     campaigns: BTreeMap<CampaignId, Arc<Campaign>>,
     waiting: Option<Arc<Vec<Campaign>>>,
     live: Option<Arc<Vec<Live>>>,
     siblings: BTreeMap<InitialState, Vec<Sibling>>,
     origins: HashMap<Arc<Provenance>, ProvenanceId>,
-    /// Origin of the results of a campaign in a suite, by which their policy is known.
+    /// Origin of a campaign's results in a suite; identifies the policy that was measured.
     measured: BTreeMap<(CampaignId, Suite), Option<Arc<Provenance>>>,
-    /// How often campaigns were leased from, and at which of these each last was.
+    /// Number of leases granted so far, and the number at which each campaign last had a lease.
     turns: u64,
     last_turns: BTreeMap<CampaignId, u64>,
 }
 
 impl Cache {
-    /// A transaction begins. Only here may siblings go: those that it has added
-    /// may not be stored yet when it looks at them again.
+    /// Prepares the cache for a new transaction. Siblings are evicted only here: a transaction may
+    /// need those that it has added itself, which may not be stored yet.
     pub(super) fn begin(&mut self) {
         if self.is_open {
             *self = Cache::default();
@@ -65,13 +64,13 @@ impl Cache {
         }
     }
 
-    /// The transaction is on the disk.
+    /// Notes that the transaction is committed.
     pub(super) fn committed(&mut self) {
         self.is_open = false;
     }
 
-    /// The campaigns with waiting jobs. One whose last job was leased since may
-    /// be among them.
+    /// Returns the campaigns with waiting jobs. May include a campaign whose last job was leased
+    /// since.
     pub(super) async fn waiting(
         &mut self,
         tx: &mut SqliteConnection,
@@ -82,7 +81,7 @@ impl Cache {
         Ok(self.waiting.clone().unwrap_or_default())
     }
 
-    /// Workers that have called since `since` and may lease.
+    /// Returns the workers that have called since `since` and may lease.
     pub(super) async fn live(
         &mut self,
         tx: &mut SqliteConnection,
@@ -94,7 +93,7 @@ impl Cache {
         Ok(self.live.clone().unwrap_or_default())
     }
 
-    /// A campaign with its policy.
+    /// Returns a campaign with its policy.
     pub(super) async fn campaign(
         &mut self,
         tx: &mut SqliteConnection,
@@ -108,7 +107,7 @@ impl Cache {
         Ok(campaign)
     }
 
-    /// The committed rollouts of an initial state.
+    /// Returns the committed rollouts of an initial state.
     pub(super) async fn siblings(
         &mut self,
         tx: &mut SqliteConnection,
@@ -121,7 +120,7 @@ impl Cache {
         Ok(&self.siblings[of])
     }
 
-    /// One more committed rollout of an initial state.
+    /// Adds a committed rollout of an initial state.
     pub(super) fn add_sibling(&mut self, of: &InitialState, sibling: Sibling) {
         if let Some(siblings) = self.siblings.get_mut(of)
             && !siblings.iter().any(|other| other.stands_for(&sibling))
@@ -130,7 +129,7 @@ impl Cache {
         }
     }
 
-    /// An origin, and its number; it is stored if it is new.
+    /// Returns an origin with its row number, storing the origin if it is new.
     pub(super) async fn origin(
         &mut self,
         tx: &mut SqliteConnection,
@@ -145,8 +144,8 @@ impl Cache {
         Ok((id, origin))
     }
 
-    /// An origin of the campaign's results of a suite that says which policy was
-    /// measured; none before the first.
+    /// Returns an origin of the campaign's results in a suite, which identifies the policy that was
+    /// measured; `None` before the first result.
     pub(super) async fn measured(
         &mut self,
         tx: &mut SqliteConnection,
@@ -162,7 +161,7 @@ impl Cache {
         })
     }
 
-    /// The campaign has a result of a suite, and this is its origin.
+    /// Notes the origin of a campaign's result in a suite.
     pub(super) fn add_measured(
         &mut self,
         campaign: CampaignId,
@@ -175,25 +174,24 @@ impl Cache {
         }
     }
 
-    /// A campaign was leased from.
+    /// Notes that a job of the campaign was leased.
     pub(super) fn had_turn(&mut self, campaign: CampaignId) {
         self.turns += 1;
         self.last_turns.insert(campaign, self.turns);
     }
 
-    /// When a campaign was last leased from, by a number that only rises; 0 if
-    /// that is not known.
+    /// Returns the turn of a campaign's last lease, a number that only rises; 0 if unknown.
     pub(super) fn last_turn(&self, campaign: CampaignId) -> u64 {
         self.last_turns.get(&campaign).copied().unwrap_or(0)
     }
 
-    /// Campaigns, policies or what waits may have changed.
+    /// Clears what depends on campaigns, policies and waiting jobs, which may have changed.
     pub(super) fn forget_campaigns(&mut self) {
         self.campaigns.clear();
         self.waiting = None;
     }
 
-    /// A campaign was deleted, and what was read of it is gone.
+    /// Clears everything after a campaign was deleted.
     pub(super) fn forget(&mut self) {
         *self = Cache {
             is_open: self.is_open,

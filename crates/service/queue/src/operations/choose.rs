@@ -1,4 +1,4 @@
-//! Choice of a campaign's jobs for the claims that wait.
+//! Choice of a campaign's jobs for waiting claims.
 
 use std::collections::BTreeSet;
 
@@ -10,20 +10,20 @@ use crate::store::StoreError;
 use crate::store::campaigns::Campaign;
 use crate::store::claims::{self, Grant};
 
-/// Jobs that are looked at beyond those that are asked for: some of those that
-/// wait have failed on the very machine that asks.
+/// Candidate jobs read beyond the number requested: some waiting jobs have failed on the very
+/// machine that requests one.
 const SPARE_CANDIDATES: usize = 8;
 
 /// A worker's request for one job.
 #[derive(Clone, Debug)]
 pub struct ClaimRequest {
-    /// The worker that asks.
+    /// Worker that makes the claim.
     pub worker: WorkerId,
-    /// The worker's own id for this claim: repeated, it gets the same lease.
+    /// Idempotency key chosen by the worker: a repeated claim gets the same lease.
     pub claim: String,
-    /// The task whose scene the slot holds compiled.
+    /// Task whose compiled scene the slot holds.
     pub warm_task: Option<String>,
-    /// Tasks that the worker cannot show.
+    /// Tasks that the worker cannot run.
     pub lacking_tasks: BTreeSet<String>,
 }
 
@@ -33,21 +33,21 @@ impl ClaimRequest {
     }
 }
 
-/// A claim that has not been met yet.
+/// A claim without a job so far.
 pub(super) struct Wanting<'a> {
     /// Index of the claim among those of the transaction.
     pub(super) place: usize,
     pub(super) request: &'a ClaimRequest,
-    /// The machine of the worker that asks.
+    /// Machine of the claiming worker.
     pub(super) machine: &'a str,
-    /// Tasks of the campaign at hand that have nothing for it.
+    /// Tasks of the current campaign that have no job for this claim.
     pub(super) exhausted: BTreeSet<String>,
 }
 
 impl Context<'_> {
-    /// Assigns jobs of a campaign to claims. First jobs of warm tasks; then, for claims whose warm
-    /// tasks have no job left, the tasks with the fewest leases. Claims that are met are taken out
-    /// of `wanting`.
+    /// Assigns jobs of a campaign to claims: first jobs of warm tasks; then, for claims whose warm
+    /// tasks have no job left, jobs of the tasks with the fewest leases. Removes served claims from
+    /// `wanting`.
     pub(super) async fn choose(
         &mut self,
         campaign: &Campaign,
@@ -109,9 +109,9 @@ impl Context<'_> {
         Ok(grants)
     }
 
-    /// Assigns jobs of a campaign that may end early: the first in its drawn order, whatever scene
-    /// a slot holds. Only jobs up to the first gap in that order count, so that a job ahead of a
-    /// gap may be run for nothing.
+    /// Assigns jobs of a campaign that may stop early, in its drawn order, whatever scene a slot
+    /// holds. Only jobs up to the first gap in that order count, so a job beyond a gap may run for
+    /// nothing.
     pub(super) async fn choose_in_order(
         &mut self,
         campaign: &Campaign,
@@ -154,8 +154,8 @@ impl Context<'_> {
         Ok(grants)
     }
 
-    /// Assigns one of a campaign's jobs that are run alone to a claim, with the reason why it is
-    /// run alone.
+    /// Assigns one of the campaign's jobs that run alone to a claim, with the reason why it runs
+    /// alone.
     pub(super) async fn choose_lone(
         &mut self,
         campaign: &Campaign,
@@ -193,13 +193,14 @@ impl Context<'_> {
 }
 
 impl Wanting<'_> {
-    /// The task whose scene the slot holds, unless it has nothing.
+    /// Returns the task whose scene the slot holds, unless that task is exhausted.
     fn warm(&self) -> Option<&str> {
         let warm = self.request.warm_task.as_deref();
         warm.filter(|task| !self.exhausted.contains(*task))
     }
 
-    /// The task that it is to be served from, and counts it as one more there.
+    /// Returns the task to serve this claim from: its warm task, or else a chosen one, on which one
+    /// more lease is counted.
     fn choose(&self, tasks: &mut [WaitingTask]) -> Option<String> {
         if let Some(warm) = self.warm() {
             return Some(warm.to_owned());

@@ -1,6 +1,5 @@
-//! The writing transaction, with what an operation needs in it: what has been
-//! read before, the present instant, and the few steps that several operations
-//! share.
+//! The writing transaction with the context of an operation: cached rows, the current instant, and
+//! the steps that several operations share.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -23,23 +22,23 @@ use crate::store::failpoint::Step;
 use crate::store::jobs::NamedAttempt;
 use crate::store::{StoreError, Tx, jobs, policies, workers};
 
-/// For how long at most a job that could not reach its policy lets others try first, after the
-/// policy's pause. A worker may ask for work only a few seconds after it.
+/// Longest time that a job which could not reach its policy lets other jobs go first after the
+/// policy's pause. A worker may claim as late as a few seconds after the pause.
 const GIVES_WAY: Duration = Duration::from_secs(10);
 
-/// The writing transaction. Dropping it undoes it.
+/// The writing transaction, rolled back on drop.
 pub(crate) struct Context<'a> {
     pub(super) shared: &'a Shared,
     pub(super) tx: Tx<'a>,
     pub(super) cache: MutexGuard<'a, Cache>,
     pub(super) now: UnixMillis,
-    /// Whether it settles a job: campaigns that follow from others may go on then, and
-    /// a campaign may end early.
+    /// True if the transaction settles a job, after which derived campaigns may grow and a campaign
+    /// may stop early.
     pub(super) settles: bool,
 }
 
-/// An error as it reads after the name of its policy: one that begins with "policy `bad` at
-/// ADDRESS" begins with "it".
+/// Rewrites an error for use after the name of its policy: replaces a leading "policy `bad` at
+/// ADDRESS" by "it".
 fn after_the_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
     let named = error.strip_prefix(&format!("policy `{policy}` at "));
     match named.and_then(|rest| rest.split_once(' ')) {
@@ -53,12 +52,12 @@ fn after_the_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
 pub(super) struct Ended {
     /// Next step of the attempt's job.
     pub(super) then: AfterFailure,
-    /// Until its policy may be tried again.
+    /// Time until the policy may be tried again.
     pub(super) policy_wait: Duration,
 }
 
 impl<'a> Context<'a> {
-    /// Begins the transaction, for these steps; waits for the one before it.
+    /// Begins the transaction for these steps after the preceding one has ended.
     pub(super) async fn begin(
         shared: &'a Shared,
         steps: Vec<Step>,
@@ -66,7 +65,7 @@ impl<'a> Context<'a> {
         Ok(Context::within(shared, shared.store.write(steps).await?).await)
     }
 
-    /// Goes on in a transaction that has begun.
+    /// Wraps a transaction that has already begun.
     pub(super) async fn within(shared: &'a Shared, tx: Tx<'a>) -> Context<'a> {
         let mut cache = shared.cache.lock().await;
         cache.begin();
@@ -79,7 +78,7 @@ impl<'a> Context<'a> {
         }
     }
 
-    /// Ends the transaction: what it wrote is on the disk.
+    /// Commits the transaction to disk.
     pub(super) async fn commit(mut self) -> Result<(), StoreError> {
         let _settling = self.settles.then(|| self.shared.settled.begin());
         self.tx.commit().await?;
@@ -91,7 +90,7 @@ impl<'a> Context<'a> {
         self.cache.campaign(&mut self.tx, id).await
     }
 
-    /// Machines with a worker alive that could run the campaign's jobs.
+    /// Returns the number of machines with a live worker that could run the campaign's jobs.
     pub(super) async fn able_machines(&mut self, campaign: &Campaign) -> Result<u32, StoreError> {
         let since = self.now.minus(self.shared.timing.worker_alive);
         let live = self.cache.live(&mut self.tx, since).await?;
@@ -100,8 +99,8 @@ impl<'a> Context<'a> {
         Ok(u32::try_from(machines.len()).unwrap_or(u32::MAX))
     }
 
-    /// Grants the lease again of an attempt that was cut off with its worker, which has come
-    /// back, if that is possible. Returns the lease.
+    /// Restores the lease of an attempt whose worker was cut off and has reconnected, if possible.
+    /// Returns the lease.
     pub(super) async fn resume(
         &mut self,
         attempt: &NamedAttempt,
@@ -122,8 +121,8 @@ impl<'a> Context<'a> {
         }))
     }
 
-    /// Ends a held attempt without a result: requeues its job or quarantines it,
-    /// and updates its policy's health.
+    /// Ends an attempt that holds its lease, without a result: requeues or quarantines its job and
+    /// updates its policy's health.
     pub(super) async fn end_attempt(
         &mut self,
         (job, lease): (&Job, &Lease),
@@ -157,7 +156,7 @@ impl<'a> Context<'a> {
         if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) =
             (is_outage && before.is_probe(id), &after.state, &mut then)
         {
-            // Another job is to try the policy next, if one waits.
+            // Gives another waiting job of the policy the next try.
             let wait = resume.since(now).clamp(Waits::USUAL.first, GIVES_WAY);
             *not_before = (*not_before).max(resume.plus(wait));
         }
@@ -168,7 +167,7 @@ impl<'a> Context<'a> {
             self.settles = true;
             tracing::error!(job = %job.id, "quarantined after its last attempt: {error}");
         } else if !reason.is_charged() {
-            // It may be leased again at once.
+            // The job may be leased again at once.
             self.shared.work.notify_waiters();
         }
         self.set_health(&campaign, &after).await?;
@@ -179,8 +178,8 @@ impl<'a> Context<'a> {
         Ok(Ended { then, policy_wait })
     }
 
-    /// Counts one more failure of a worker's machine. Returns why the worker must
-    /// stop, if it must.
+    /// Counts one more failure of a worker's machine. Returns the reason why the worker must stop
+    /// leasing, if it must.
     pub(super) async fn strike(
         &mut self,
         worker: &WorkerId,
@@ -203,9 +202,8 @@ impl<'a> Context<'a> {
         Ok(stop)
     }
 
-    /// Stores the health of a campaign's policy if it changed, and wakes waiting
-    /// claims if its jobs may be leased now. A woken claim waits for
-    /// this transaction's end: there is one writer.
+    /// Stores the health of a campaign's policy if it changed, and wakes waiting claims if its jobs
+    /// may be leased now. Woken claims run after this transaction, since there is only one writer.
     pub(super) async fn set_health(
         &mut self,
         campaign: &Campaign,
@@ -235,7 +233,7 @@ impl<'a> Context<'a> {
 mod tests {
     use super::*;
 
-    /// Finding F14: "policy `bad` is paused: policy `bad` at … refused …".
+    /// Regression (finding F14): "policy `bad` is paused: policy `bad` at … refused …".
     #[test]
     fn a_reason_that_follows_the_policys_name_does_not_say_it_again() {
         for (error, expected) in [

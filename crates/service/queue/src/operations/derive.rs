@@ -1,10 +1,9 @@
-//! Campaigns that follow from others: as outcomes come, the jobs that follow from them
-//! are added.
+//! Campaigns that derive from others: jobs are added as the outcomes of the source arrive.
 //!
-//! The jobs that follow are a pure function of the outcomes, and jobs are only ever added. So they
-//! are computed anew whenever something was settled and at every start, and whatever was cut off
-//! on the way is made up for. A campaign whose outcomes, and whose source's, are those of the last
-//! look is left alone: a finished one costs a row.
+//! Derived jobs are a pure function of the outcomes, and jobs are only ever added. They are
+//! therefore recomputed after every settled job and at every start, which also repairs interrupted
+//! work. A campaign whose own and whose source's outcomes are unchanged since the last pass is
+//! skipped, so a finished campaign costs one row.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::resume_unwind;
@@ -27,24 +26,24 @@ use crate::store::failpoint::Step;
 use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, undecodable};
 
-/// Between two looks: outcomes that come together are looked at together.
+/// Pause between two passes, so that outcomes that arrive together are processed together.
 const PAUSE: Duration = Duration::from_millis(100);
-/// A look that took long is followed by a pause of so many times as long.
+/// Pause after a long pass, as a multiple of the pass's duration.
 const PAUSE_PER_COST: u32 = 4;
-/// After a look that failed; the disk may be full.
+/// Pause after a failed pass; the disk may be full.
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
 
-/// Results of earlier looks.
+/// Results of earlier passes.
 #[derive(Default)]
 struct Known {
-    /// The records of the sources that are through: they are read once, since a source stays
-    /// as it is unless some of its jobs come back from quarantine.
+    /// Records of completed sources. They are read once, since a source stays the same unless some
+    /// of its jobs come back from quarantine.
     sources: BTreeMap<CampaignId, (SourceEdition, Arc<Vec<Record>>)>,
-    /// State of each campaign when nothing more followed for it.
+    /// State of each campaign at the last pass that added nothing.
     complete: BTreeMap<CampaignId, Looked>,
 }
 
-/// All that the jobs that follow for a campaign depend on.
+/// The inputs that the derived jobs of a campaign depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Looked {
     jobs: i64,
@@ -62,13 +61,13 @@ impl Looked {
     }
 }
 
-/// How long to wait after a look that took so long: looks at a campaign of any size take a
-/// fifth of a core at most.
+/// Returns the pause after a pass of this duration, so that passes over a campaign of any size use
+/// at most a fifth of a core.
 pub(super) fn pause_after(cost: Duration) -> Duration {
     PAUSE.max(cost * PAUSE_PER_COST)
 }
 
-/// Adds what follows from outcomes, as they come.
+/// Adds derived jobs as outcomes arrive.
 pub(crate) async fn run(shared: Arc<Shared>) {
     let mut settled = shared.settled.subscribe();
     let mut known = Known::default();
@@ -82,13 +81,12 @@ pub(crate) async fn run(shared: Arc<Shared>) {
         }
         shared.settled.look_ended(ended);
         tokio::time::sleep(pause_after(began.elapsed())).await;
-        // The sender is kept by the same queue.
+        // Never closes: the sender belongs to the same queue.
         let _ = settled.changed().await;
     }
 }
 
-/// Adds to every campaign that follows from another what follows from the outcomes that
-/// there are.
+/// Adds to every derived campaign the jobs that follow from the current outcomes.
 async fn look(shared: &Shared, known: &mut Known) -> Result<(), StoreError> {
     let mut view = shared.store.read().await?;
     let mut found = Vec::new();
@@ -99,8 +97,8 @@ async fn look(shared: &Shared, known: &mut Known) -> Result<(), StoreError> {
     known.complete.retain(|id, _| is_here(id));
     for campaign in campaigns {
         let looked = Looked::at(&campaign);
-        // Transitions and known radii are final only when all rollouts of the source that ever
-        // will have an outcome have one.
+        // Transitions and known radii are final only when every rollout of the source that will
+        // ever have an outcome has one.
         if campaign.unsettled > 0 || known.complete.get(&campaign.campaign) == Some(&looked) {
             continue;
         }
@@ -118,9 +116,8 @@ async fn look(shared: &Shared, known: &mut Known) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Adds the jobs that follow for a campaign, unless it is no longer as it was when they
-/// were found: it may have been deleted or cancelled since. What follows for it as it is
-/// now is found by the next look.
+/// Adds derived jobs to a campaign, unless the campaign was deleted, cancelled or otherwise changed
+/// since they were computed; the next pass then computes them for its new state.
 async fn add(shared: &Shared, campaign: &Derived, jobs: &[NewJob]) -> Result<(), StoreError> {
     let mut context = Context::begin(shared, vec![Step::Derive]).await?;
     if !derivations::is_as_it_was(&mut context.tx, campaign).await? {
@@ -136,10 +133,10 @@ async fn add(shared: &Shared, campaign: &Derived, jobs: &[NewJob]) -> Result<(),
     Ok(())
 }
 
-/// A rollout that follows: its row, and which replicate.
+/// A derived rollout: its row and its replicate.
 type Rollout = (ManifestRow, u32);
 
-/// The jobs that follow from what is known.
+/// Computes the jobs that derive from the known outcomes.
 async fn following(
     tx: &mut SqliteConnection,
     campaign: &Derived,
@@ -161,7 +158,7 @@ pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
     spec.doing("read the specification of what follows from outcomes")
 }
 
-/// The subsets of axes that explain a transition.
+/// Computes the subsets of axes to run in order to explain a transition.
 async fn subsets(
     tx: &mut SqliteConnection,
     campaign: &Derived,
@@ -205,7 +202,7 @@ async fn subsets(
     Ok(rollouts)
 }
 
-/// The radii at which thresholds are looked for.
+/// Computes the radii to run in order to find thresholds.
 async fn radii(
     tx: &mut SqliteConnection,
     campaign: &Derived,
@@ -224,8 +221,8 @@ async fn radii(
     Ok(rows.into_iter().map(|row| (row, 0)).collect())
 }
 
-/// Returns the records of a campaign's source, all of whose rollouts are settled: from an earlier
-/// look, unless some have come back from quarantine since.
+/// Returns the records of a campaign's source, all of whose rollouts are settled. The records are
+/// cached; they are read again if some rollouts have come back from quarantine.
 async fn source_records(
     tx: &mut SqliteConnection,
     campaign: &Derived,
@@ -242,7 +239,7 @@ async fn source_records(
     Ok(records)
 }
 
-/// Of a source that stopped early, what its figures are of.
+/// Reads the records of a source; if it stopped early, only those that count for its figures.
 async fn read_source(
     tx: &mut SqliteConnection,
     campaign: &Derived,
@@ -282,8 +279,8 @@ pub(super) async fn records(
     records.doing("read the outcomes that a campaign follows from")
 }
 
-/// Computes beside the threads that answer calls: what is about all of a campaign takes tens
-/// of milliseconds and more.
+/// Runs a computation outside the threads that answer calls: one over a whole campaign takes tens
+/// of milliseconds or more.
 pub(super) async fn aside<T: Send + 'static>(
     computation: impl FnOnce() -> T + Send + 'static,
 ) -> T {
@@ -319,8 +316,8 @@ mod tests {
         NewCampaign::from_json(&spec.to_string()).expect("a campaign")
     }
 
-    /// Finding B9: a look found the jobs of a campaign, which was deleted and created anew
-    /// under the same number before they were added.
+    /// Regression (finding B9): between a pass and the addition of its jobs, a campaign was deleted
+    /// and created again under the same number.
     #[tokio::test(flavor = "multi_thread")]
     async fn jobs_that_follow_for_a_deleted_campaign_land_in_no_other() {
         let folder = tempfile::tempdir().expect("a temporary folder");
@@ -356,7 +353,7 @@ mod tests {
             .expect("added");
         let jobs = i64::try_from(source.jobs.len()).expect("few");
         assert_eq!(derived().await.jobs, jobs);
-        // The same look once more, as if another had been faster.
+        // Repeats the same pass, as if another one had been faster.
         add(&queue.shared, &after, &source.jobs)
             .await
             .expect("nothing to do");

@@ -1,4 +1,4 @@
-//! Why a request is not met.
+//! Errors of requests to the queue.
 
 use libero_ctrl::NotMeasurable;
 use rollout_types::AttemptId;
@@ -10,18 +10,18 @@ use crate::store::{StoreError, campaigns};
 /// A request that cannot be met.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum QueueError {
-    /// The worker never announced itself here.
+    /// The worker is not registered.
     #[error("serve worker `{worker}`: it is not registered with this coordinator; register first")]
     UnknownWorker {
         /// The worker.
         worker: WorkerId,
     },
-    /// The worker may lease no more.
+    /// The worker may not lease any more.
     #[error("lease to worker `{worker}`: {reason}")]
     WorkerStopped {
         /// The worker.
         worker: WorkerId,
-        /// Why.
+        /// Reason why it was stopped.
         reason: String,
     },
     /// There is no such attempt.
@@ -37,10 +37,10 @@ pub enum QueueError {
         "find campaign `{campaign}`: this coordinator has no such campaign; `coordinator campaign list` shows what it has"
     )]
     UnknownCampaign {
-        /// The name that was asked for.
+        /// The name that was requested.
         campaign: CampaignName,
     },
-    /// The campaign that last had the name has another one.
+    /// The campaign that last had this name was renamed.
     #[error("find campaign `{campaign}`: it was renamed and is called `{now}`")]
     Renamed {
         /// The former name.
@@ -48,15 +48,15 @@ pub enum QueueError {
         /// The present name.
         now: CampaignName,
     },
-    /// A campaign was to be called as another one is.
+    /// The new name of a campaign is taken.
     #[error("rename campaign `{campaign}`: another one is called `{taken}`; choose another name")]
     NameTaken {
         /// The campaign that was to be renamed.
         campaign: CampaignName,
-        /// The name.
+        /// The name that is taken.
         taken: CampaignName,
     },
-    /// A campaign with results was to name another policy.
+    /// The policy of a campaign with results cannot be changed.
     #[error(
         "change the policy of campaign `{campaign}`: it has results of policy `{policy}`, {results} so far; create another campaign for another policy"
     )]
@@ -68,7 +68,7 @@ pub enum QueueError {
         /// Number of its results.
         results: u64,
     },
-    /// A change would make no specification.
+    /// The change would make the specification invalid.
     #[error("change campaign `{campaign}`: {problem}")]
     Unspecified {
         /// The campaign.
@@ -86,13 +86,13 @@ pub enum QueueError {
         /// The fields that differ.
         differs: String,
     },
-    /// A cancelled campaign was to go on.
+    /// A cancelled campaign cannot be changed.
     #[error("change campaign `{campaign}`: it is cancelled, which is final; create another")]
     Cancelled {
         /// The campaign.
         campaign: CampaignName,
     },
-    /// A campaign that ended early was to go on.
+    /// A campaign that stopped early cannot be changed.
     #[error(
         "change campaign `{campaign}`: it stopped early, as its rule says, which is final; create another without `stop` to run the rest"
     )]
@@ -100,7 +100,7 @@ pub enum QueueError {
         /// The campaign.
         campaign: CampaignName,
     },
-    /// A campaign with leased rollouts was to be deleted.
+    /// A campaign with leased rollouts cannot be deleted.
     #[error(
         "delete campaign `{campaign}`: {leased} of its rollouts are being run; cancel it first, or pause it and wait"
     )]
@@ -110,17 +110,17 @@ pub enum QueueError {
         /// Number of its leased rollouts.
         leased: u64,
     },
-    /// A campaign was to be deleted that another one follows from.
+    /// A campaign that another one derives from cannot be deleted.
     #[error(
         "delete campaign `{campaign}`: campaign `{derived}` follows from it; delete that one first"
     )]
     GoneOnWith {
         /// The campaign that was to be deleted.
         campaign: CampaignName,
-        /// The other one.
+        /// The campaign that derives from it.
         derived: CampaignName,
     },
-    /// Another campaign was to follow from one of the reference's realisation.
+    /// A campaign with the realisation `reference` cannot be derived from.
     #[error(
         "go on with campaign `{campaign}`: its realisation is reference, in which an axis is another perturbation in each condition; name a campaign with matched"
     )]
@@ -128,7 +128,7 @@ pub enum QueueError {
         /// The campaign.
         campaign: CampaignName,
     },
-    /// A campaign was to be gone on with and another policy.
+    /// A derived campaign must measure the policy of its source.
     #[error(
         "go on with campaign `{campaign}`: it measures policy `{policy}` at {endpoint}; name the same one"
     )]
@@ -140,12 +140,12 @@ pub enum QueueError {
         /// Endpoint of that policy.
         endpoint: String,
     },
-    /// Thresholds were to be measured of a campaign that has none.
+    /// The campaign has no thresholds to measure.
     #[error("measure the thresholds of campaign `{campaign}`: {problem}")]
     NoThresholds {
         /// The campaign.
         campaign: CampaignName,
-        /// Why not. Part of the message, because callers are sent nothing else.
+        /// Reason. Part of the message, because callers are sent nothing else.
         problem: NotMeasurable,
     },
     /// There is no such rollout in the campaign.
@@ -158,7 +158,7 @@ pub enum QueueError {
         /// The rollout and its replicate.
         job: JobName,
     },
-    /// A job that is not in quarantine was to be retried.
+    /// Only quarantined jobs can be retried.
     #[error("retry `{job}`: it is {state}; only a quarantined rollout can be retried")]
     NotQuarantined {
         /// The job.
@@ -166,7 +166,7 @@ pub enum QueueError {
         /// Its state.
         state: String,
     },
-    /// A job that is over was to be skipped.
+    /// Only jobs that wait or are leased can be skipped.
     #[error(
         "skip `{job}`: it is {state}; only a rollout that waits or is being run can be skipped"
     )]
@@ -187,7 +187,7 @@ pub enum QueueError {
     Store(#[from] StoreError),
 }
 
-/// Why no campaign has a name.
+/// Returns the error for a campaign name that is not found: unknown or renamed.
 pub(crate) async fn unknown_campaign(
     tx: &mut SqliteConnection,
     name: &CampaignName,

@@ -1,6 +1,5 @@
-//! How many videos each worker has in hand, as its last heartbeat said:
-//! remembered in memory only. Should that be lost, the next heartbeat says it
-//! again.
+//! Number of videos that each worker is drawing or sending, as reported by its last heartbeat. Kept
+//! in memory only; after a restart the next heartbeat reports it again.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -8,13 +7,13 @@ use std::sync::{Mutex, PoisonError};
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
 
-/// Videos by worker, none of them zero, and when they were heard of.
+/// Non-zero numbers of videos by worker, and the instants of their reports.
 #[derive(Debug, Default)]
 pub(crate) struct Filming(Mutex<BTreeMap<WorkerId, (u32, UnixMillis)>>);
 
 impl Filming {
-    /// A worker's heartbeat said how many it has. Workers that have not been heard
-    /// of since `alive_since` are forgotten.
+    /// Notes the number of videos that a worker's heartbeat reports. Workers that have not called
+    /// since `alive_since` are dropped.
     pub(crate) fn heard(
         &self,
         worker: &WorkerId,
@@ -29,7 +28,7 @@ impl Filming {
         }
     }
 
-    /// Videos by worker, those that have some.
+    /// Returns the numbers of videos, by worker; workers without any are left out.
     pub(crate) fn by_worker(&self) -> BTreeMap<WorkerId, u32> {
         let heard = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let heard = heard.iter();

@@ -1,7 +1,7 @@
-//! Choice of the rollouts that are filmed after the fact: those of configurations whose outcome
-//! simultaneous perturbation changed, in campaigns that record transitions; in those that explain
-//! others, the rollouts that show the explanation. Their actions were kept, so that filming them
-//! needs no policy.
+//! Choice of the rollouts that are filmed afterwards: in campaigns that record transitions, those
+//! of configurations whose outcome simultaneous perturbation changed; in campaigns that explain
+//! others, the rollouts that show the explanation. Their actions are stored, so filming needs no
+//! policy.
 
 use std::collections::BTreeSet;
 use std::time::Instant;
@@ -22,11 +22,11 @@ use crate::store::{Doing, StoreError, campaigns, undecodable};
 pub use crate::store::films::Film;
 
 impl Queue {
-    /// A rollout that is to be filmed with this asset pack and simulator, and
-    /// how many there are; none if nothing is left.
+    /// Returns a rollout to film with this asset pack and simulator, and the number of such
+    /// rollouts; `None` if nothing is left.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn next_film(&self, pin: &Pin) -> Result<Option<(Film, u64)>, QueueError> {
         let films = &self.shared.films;
         let looking = films.looking.lock().await;
@@ -53,8 +53,8 @@ impl Queue {
     }
 }
 
-/// The rollouts that show what a campaign has found that explains another, and that
-/// have no video yet; none of one that measures thresholds.
+/// Returns the rollouts that show a campaign's explanations and have no video yet; empty for a
+/// campaign that measures thresholds.
 async fn wanting_of_explanation(
     view: &mut SqliteConnection,
     [source, own]: [CampaignId; 2],
@@ -80,7 +80,7 @@ async fn wanting_of_explanation(
     Ok(wanting.await)
 }
 
-/// The rollouts of changed configurations that have no video yet.
+/// Returns the rollouts of changed configurations that have no video yet.
 fn wanting_films(rows: &[FilmableRow]) -> Result<Vec<JobId>, StoreError> {
     let records = rows.iter().map(|row| {
         Ok(Record {
@@ -96,11 +96,11 @@ fn wanting_films(rows: &[FilmableRow]) -> Result<Vec<JobId>, StoreError> {
     });
     let records = records.collect::<Result<Vec<_>, sqlx::Error>>();
     let records = records.doing("look for rollouts to film")?;
-    // A rollout and replicate is one job: the schema says so.
+    // The schema guarantees one job per rollout and replicate.
     let matched = Records::new(&records).map_err(undecodable);
     let matched = matched.doing("look for rollouts to film")?;
-    // A unit's perturbed rollouts share level and configuration, and with its
-    // nominal one the initial state.
+    // A unit's perturbed rollouts share level and configuration, and share the initial state with
+    // its nominal rollout.
     let mut perturbed = BTreeSet::new();
     let mut nominal = BTreeSet::new();
     for unit in matched.configurations() {

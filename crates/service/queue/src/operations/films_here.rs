@@ -1,5 +1,5 @@
-//! Films that are kept beyond the data folder: which are still in it, and forgetting them
-//! once they are stored. Where that is, and how, is the caller's business.
+//! Videos stored remotely: lists those still in the data folder and removes them after the upload.
+//! The caller chooses the storage.
 
 use std::io;
 use std::os::unix::fs::MetadataExt;
@@ -10,33 +10,33 @@ use super::removals;
 use crate::queue::Queue;
 use crate::store::{Doing, StoreError, artifacts};
 
-/// A film that is in the data folder.
+/// A video in the data folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FilmHere {
-    /// Its path below the data folder.
+    /// Path below the data folder.
     pub path: String,
-    /// Its file.
+    /// Absolute path of the file.
     pub file: PathBuf,
-    /// Identity of the file when it was found: a film may be sent again.
+    /// Identity of the file when it was listed: a video may be uploaded again.
     identity: (u64, i64, i64),
 }
 
-/// State of a film in the data folder after it was stored elsewhere.
+/// State of a local video after it was stored remotely.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Forgotten {
-    /// It is only elsewhere now.
+    /// Only the remote copy is left.
     Gone,
-    /// It was sent again and is to be stored once more.
+    /// A new upload replaced the file, which must be stored remotely again.
     Replaced,
-    /// Its campaign was deleted: it is to be nowhere.
+    /// The campaign was deleted, so the remote copy must be removed too.
     Deleted,
 }
 
 impl Queue {
-    /// The whole films that are in the data folder.
+    /// Returns the complete videos in the data folder.
     ///
     /// # Errors
-    /// When the folder or the database cannot be read.
+    /// If the folder or the database cannot be read.
     pub async fn films_here(&self) -> Result<Vec<FilmHere>, StoreError> {
         let found = walk(self.store().folder()).map_err(sqlx::Error::Io);
         let found = found.doing("list the films in the data folder")?;
@@ -50,7 +50,7 @@ impl Queue {
         Ok(found.into_iter().filter(is_recorded).collect())
     }
 
-    /// Removes a film from the data folder, if it is still the file that was found.
+    /// Removes a video from the data folder, if its file is still the one that was listed.
     ///
     /// # Errors
     /// If the film cannot be removed.
@@ -66,15 +66,16 @@ impl Queue {
         }
     }
 
-    /// Removes what is left of deleted campaigns, here and elsewhere. Elsewhere may take its
-    /// time or not answer: campaigns come and go meanwhile. Of several callers one works.
+    /// Removes the remaining files of deleted campaigns, locally and remotely. Remote storage may
+    /// be slow or unavailable, so campaigns can be created and deleted meanwhile. Only one caller
+    /// works at a time.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn finish_removals(&self) -> Result<(), StoreError> {
         let _alone = self.removing.lock().await;
-        // A campaign on its way in has its folder noted until it is here. None is on its way
-        // while this is held, and no campaign is ever given a folder that is noted.
+        // A campaign being imported has its folder marked for removal until it is complete. This
+        // lock excludes imports, and no campaign ever gets a folder that is marked.
         let arriving = self.campaigns.lock().await;
         let pending = removals::pending(&self.shared).await?;
         drop(arriving);
@@ -108,7 +109,7 @@ fn walk(data: &Path) -> io::Result<Vec<FilmHere>> {
             if name.ends_with(PARTIAL_SUFFIX) {
                 continue;
             }
-            // It may have been replaced or removed since.
+            // The file may have been replaced or removed since it was listed.
             if let Ok(identity) = identity(&file) {
                 found.push(FilmHere {
                     path: format!("{ARTIFACTS_FOLDER}/{folder}/{name}"),

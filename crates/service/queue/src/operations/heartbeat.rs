@@ -1,5 +1,4 @@
-//! Renewing leases. All heartbeats that arrive together are served by the same
-//! statements.
+//! Renewal of leases. All heartbeats that arrive together are served by the same statements.
 
 use std::collections::BTreeSet;
 
@@ -16,13 +15,13 @@ use crate::store::{StoreError, workers};
 #[derive(Clone, Debug)]
 pub(crate) struct Heartbeat {
     pub(crate) worker: WorkerId,
-    /// Its attempts, and how many control steps each has done.
+    /// Attempts of the worker, and the control steps that each has done.
     pub(crate) progress: Vec<(AttemptId, u32)>,
 }
 
 impl Context<'_> {
-    /// Renews and acknowledges leases, and stores progress. Answers to each the
-    /// attempts whose leases it no longer holds.
+    /// Renews and acknowledges leases, and stores progress. Returns, for each heartbeat, the
+    /// attempts whose leases the worker no longer holds.
     pub(super) async fn heartbeat(
         &mut self,
         heartbeats: &[&Heartbeat],
@@ -59,8 +58,8 @@ impl Context<'_> {
         Ok(heartbeats.iter().map(answer).collect())
     }
 
-    /// Grants the leases again that were cut off with a worker which names them now.
-    /// Answers whether there were any.
+    /// Restores leases that were cut off with a worker whose heartbeat names them again. Returns
+    /// true if there were any.
     async fn resume_those_cut_off(
         &mut self,
         progress: &[Progress<'_>],
@@ -83,7 +82,8 @@ impl Context<'_> {
         Ok(has_resumed)
     }
 
-    /// A probe that is past the settling steps has been answered by its policy.
+    /// Marks the policy of a probe as available once the probe is past the settling steps, which
+    /// only an answered query allows.
     async fn hear_probes(
         &mut self,
         progress: &[Progress<'_>],

@@ -1,6 +1,5 @@
-//! The rollouts that are to be filmed, and those that are being filmed: remembered in
-//! memory only. Should that be lost, they are looked for again, and a rollout may be filmed
-//! twice, with the same frames.
+//! Rollouts to be filmed and rollouts being filmed, kept in memory only. After a restart the list
+//! is computed again, and a rollout may be filmed twice, with identical frames.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, PoisonError};
@@ -10,19 +9,19 @@ use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, JobId};
 use crate::store::films::Filmed;
 
-/// Longest time to film a rollout before it is handed out again: drawing the
-/// longest one in software takes a few minutes.
+/// Time after which a rollout being filmed is handed out again: rendering the longest rollout in
+/// software takes a few minutes.
 const FILMING_TIMEOUT: Duration = Duration::from_secs(15 * 60);
-/// A look that took less is repeated whenever an outcome has come.
+/// A scan that took less than this is repeated after every outcome.
 const CHEAP_LOOK: Duration = Duration::from_millis(50);
-/// One that took longer is repeated after so many times as long at the earliest: looks at a
-/// large campaign take a twentieth of a core while its rollouts are committed.
+/// A slower scan is repeated after this multiple of its duration at the earliest: scans of a large
+/// campaign then use at most a twentieth of a core while rollouts are committed.
 const AGE_PER_COST: u32 = 20;
 
 /// Rollouts to be filmed, by campaign.
 #[derive(Debug, Default)]
 pub(crate) struct Films {
-    /// Held while a campaign is looked through: those who ask meanwhile share what is found.
+    /// Held while a campaign is scanned, so that concurrent callers share the result.
     pub(super) looking: tokio::sync::Mutex<()>,
     known: Mutex<Known>,
 }
@@ -30,7 +29,7 @@ pub(crate) struct Films {
 #[derive(Debug, Default)]
 struct Known {
     wanting: BTreeMap<CampaignId, Wanting>,
-    /// Filmed since the last look began, which may have missed it.
+    /// Jobs filmed since the last scan began, which may have missed them.
     filmed: BTreeSet<JobId>,
     in_flight: BTreeMap<JobId, UnixMillis>,
 }
@@ -45,7 +44,7 @@ struct Wanting {
 }
 
 impl Films {
-    /// Forgets all campaigns but these, and returns those that are to be looked through.
+    /// Drops all other campaigns and returns those of `campaigns` that must be scanned.
     pub(super) fn outdated(&self, campaigns: &[Filmed], now: Instant) -> Vec<Filmed> {
         let mut known = self.lock();
         let is_filmed = |id: &CampaignId| campaigns.iter().any(|it| it.campaign == *id);
@@ -61,12 +60,12 @@ impl Films {
         campaigns.iter().filter(is_outdated).cloned().collect()
     }
 
-    /// A look at the database begins: it sees every video that was stored until now.
+    /// Marks the start of a scan, which sees every video stored so far.
     pub(super) fn look_begins(&self) {
         self.lock().filmed.clear();
     }
 
-    /// Stores what a look found that began at `at` and took `cost`.
+    /// Stores the result of a scan that began at `at` and took `cost`.
     pub(super) fn found(&self, of: Filmed, mut jobs: Vec<JobId>, at: Instant, cost: Duration) {
         let mut known = self.lock();
         jobs.retain(|job| !known.filmed.contains(job));
@@ -75,7 +74,7 @@ impl Films {
         known.wanting.insert(campaign, wanting);
     }
 
-    /// The video of a rollout was stored.
+    /// Notes that the video of a rollout was stored.
     pub(super) fn filmed(&self, campaign: CampaignId, job: JobId) {
         let mut known = self.lock();
         known.filmed.insert(job);
@@ -85,8 +84,8 @@ impl Films {
         }
     }
 
-    /// The first rollout of these campaigns that is not being filmed, and how many have no
-    /// video.
+    /// Returns the first rollout of these campaigns that is not being filmed, and the number of
+    /// rollouts without a video.
     pub(super) fn take(&self, campaigns: &[Filmed], now: UnixMillis) -> Option<(JobId, u64)> {
         let known = &mut *self.lock();
         known.in_flight.retain(|_, until| *until > now);

@@ -1,4 +1,4 @@
-//! Two halves of one campaign, run by two coordinators, become one.
+//! Merge of two halves of one campaign that two coordinators ran.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,28 +15,28 @@ use crate::rules::pairing::{self, Demand, Sibling};
 use crate::store::halves::{self, Rollout, Schema, Stored};
 use crate::store::{DATABASE_FILE, Doing, StoreError, portable, undecodable};
 
-/// Contradictions that are described; the rest are counted.
+/// Contradictions that are described; further ones are only counted.
 const MAX_EXAMPLES: usize = 20;
 
-/// Rollouts of a merged campaign.
+/// Numbers of rollouts in a merged campaign.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Merged {
-    /// With an outcome of the first half only.
+    /// Outcome in the first half only.
     pub first: u64,
-    /// With an outcome of the second half only.
+    /// Outcome in the second half only.
     pub second: u64,
-    /// With the same outcome in both.
+    /// Same outcome in both halves.
     pub both: u64,
     /// In quarantine.
     pub quarantined: u64,
-    /// To be run.
+    /// Still to be run.
     pub open: u64,
 }
 
-/// Two campaigns that are not halves of one.
+/// Two campaigns that cannot be merged.
 #[derive(Debug, thiserror::Error)]
 pub enum MergeError {
-    /// They follow from other campaigns' outcomes.
+    /// The campaign derives from another one's outcomes.
     #[error(
         "merge `{campaign}`: its rollouts follow from the outcomes of another campaign; merge that one, and explain or measure it once more"
     )]
@@ -44,7 +44,7 @@ pub enum MergeError {
         /// The campaign.
         campaign: CampaignName,
     },
-    /// Their specifications differ.
+    /// The specifications differ.
     #[error(
         "merge `{first}` and `{second}`: their specifications differ in {differs}; only halves of one design can be merged"
     )]
@@ -53,10 +53,10 @@ pub enum MergeError {
         first: CampaignName,
         /// The second campaign.
         second: CampaignName,
-        /// The fields.
+        /// Names of the fields that differ.
         differs: String,
     },
-    /// A rollout is another one in each.
+    /// One rollout id stands for different rollouts in the two halves.
     #[error(
         "merge them: rollout `{rollout}` is another one in each; only halves of one design, expanded by one version of the program, can be merged"
     )]
@@ -64,7 +64,7 @@ pub enum MergeError {
         /// The rollout and its replicate.
         rollout: JobName,
     },
-    /// They are of two asset packs, simulators or renderers.
+    /// The halves have different pins: asset packs, simulators or renderers.
     #[error("merge them: the first is pinned to {first} and the second to {second}")]
     Pin {
         /// Pin of the first half.
@@ -72,7 +72,7 @@ pub enum MergeError {
         /// Pin of the second half.
         second: String,
     },
-    /// They measured two policies.
+    /// The halves measured different policies.
     #[error("merge them: in {suite} they are of two policies, whose {difference}")]
     Policy {
         /// The suite in which they differ.
@@ -80,17 +80,17 @@ pub enum MergeError {
         /// The first difference.
         difference: String,
     },
-    /// Rollouts came out differently, or were not the same.
+    /// The outcomes or the setups of some rollouts contradict each other.
     #[error(
         "merge them: {count} of their rollouts contradict each other\n{examples}\ncompare where these came from, and merge only halves that were run alike"
     )]
     Contradictions {
-        /// How many.
+        /// Number of contradictions.
         count: usize,
-        /// The first of them, one a line, with both outcomes and where they came from.
+        /// The first contradictions, one a line, with both outcomes and their origins.
         examples: String,
     },
-    /// A specification does not read back.
+    /// The queue failed, for example because a stored specification cannot be parsed.
     #[error(transparent)]
     Queue(#[from] QueueError),
     /// The merged campaign cannot be written.
@@ -104,13 +104,12 @@ impl From<StoreError> for MergeError {
     }
 }
 
-/// Merges two halves of one campaign into an empty folder, which becomes a data folder of
-/// its own. Films are not copied. The campaign takes the first one's name, policy's
-/// endpoint, priority and state, unless it gets another name.
+/// Merges two halves of one campaign into an empty folder, which becomes a data folder. Videos are
+/// not copied. The result takes its name, policy endpoint, priority and state from the first half,
+/// unless a new name is given.
 ///
 /// # Errors
-/// When they are not halves of one campaign or contradict each other, and when a
-/// database fails.
+/// If the campaigns are not halves of one, if they contradict each other, or if a database fails.
 pub async fn merge(
     first: &Portable,
     second: &Portable,
@@ -169,7 +168,8 @@ pub async fn merge(
     Ok((whole, merged))
 }
 
-/// Name and endpoint may differ: each half had its own coordinator.
+/// Checks that two halves are of one design. Name and endpoint may differ: each half had its own
+/// coordinator.
 fn of_one_design(first: &Portable, second: &Portable) -> Result<(), MergeError> {
     for half in [first, second] {
         if source_of(&half.spec)?.is_some() {
@@ -222,7 +222,7 @@ fn of_one_policy(first: &[Stored], second: &[Stored]) -> Result<(), MergeError> 
     Ok(())
 }
 
-/// Every result of the second half may stand beside those of the first.
+/// Checks that every result of the second half is consistent with those of the first.
 fn stand_beside(
     realisation: libero_ctrl::Realisation,
     first: &[Stored],
@@ -321,7 +321,7 @@ fn name(stored: &Stored) -> JobName {
     }
 }
 
-/// As many digits of a digest as tell two apart.
+/// Shortens a digest to enough digits to tell two apart.
 fn short(digest: &str) -> &str {
     match crate::ids::shortened(digest, 12) {
         "" => "unknown",

@@ -1,6 +1,6 @@
-//! Campaigns of many jobs come and go piece by piece: the writer serves workers between two
-//! pieces, and nobody sees a part of a campaign. One that was on its way in or out when the
-//! coordinator ended goes out at the next start; whoever was creating it creates it again.
+//! Insertion and deletion of large campaigns in batches: the writer serves workers between batches,
+//! and an incomplete campaign is hidden. A campaign that was being inserted or deleted when the
+//! coordinator stopped is deleted at the next start; whoever was creating it must create it again.
 
 use std::sync::Arc;
 
@@ -11,10 +11,10 @@ use crate::ids::{CampaignId, PolicyId};
 use crate::store::failpoint::Step;
 use crate::store::{StoreError, campaigns, passages, policies, stops};
 
-/// Jobs that one transaction adds or removes: some tens of milliseconds.
+/// Jobs that one transaction adds or removes, which takes some tens of milliseconds.
 pub(super) const PIECE: usize = 500;
 
-/// Stores a campaign of any size, of a name that no other has, whose files go into `folder`.
+/// Inserts a campaign of any size with an unused name, whose files go into `folder`.
 pub(super) async fn insert(
     shared: &Shared,
     new: &NewCampaign,
@@ -27,7 +27,7 @@ pub(super) async fn insert(
     context.commit().await?;
     let inserted = fill(shared, new, id, folder).await;
     if inserted.is_err() {
-        // Nobody sees it; what fails now is done at the next start.
+        // The incomplete campaign is hidden; if its removal fails, the next start repeats it.
         let policy = policy_of(shared, id).await;
         if let Err(error) = remove(shared, id, policy?).await {
             tracing::warn!("failed to {}; the next start does", error.with_cause());
@@ -63,7 +63,7 @@ async fn policy_of(shared: &Shared, id: CampaignId) -> Result<PolicyId, StoreErr
     Ok(campaigns::by_id(&mut view, id).await?.policy_id)
 }
 
-/// Deletes a campaign that is hidden already.
+/// Deletes a campaign that is already hidden.
 pub(super) async fn remove(
     shared: &Shared,
     id: CampaignId,
@@ -83,13 +83,14 @@ pub(super) async fn remove(
     }
 }
 
-/// Campaigns that were on their way when the coordinator ended before, with their policies.
+/// Returns the campaigns that were being inserted or deleted when the coordinator last stopped,
+/// with their policies.
 pub(crate) async fn left(shared: &Shared) -> Result<Vec<(CampaignId, PolicyId)>, StoreError> {
     let mut view = shared.store.read().await?;
     passages::all(&mut view).await
 }
 
-/// Deletes what was left on the way, then waits for ever.
+/// Deletes incomplete campaigns of the previous run, then never returns.
 pub(crate) async fn run(shared: Arc<Shared>, left: Vec<(CampaignId, PolicyId)>) {
     for (id, policy) in left {
         match remove(&shared, id, policy).await {
@@ -130,7 +131,7 @@ pub(super) mod tests {
         queue.expect("a queue")
     }
 
-    /// More than two pieces.
+    /// Returns a campaign of more than two batches.
     fn large() -> NewCampaign {
         let spec = json!({
             "name": "large",
@@ -154,8 +155,8 @@ pub(super) mod tests {
             .expect("a count")
     }
 
-    /// Finding B7: creating and deleting a campaign were one transaction of the only writer,
-    /// for which every worker waited.
+    /// Regression (finding B7): creating or deleting a campaign was one transaction of the only
+    /// writer, which made every worker wait.
     #[tokio::test(flavor = "multi_thread")]
     async fn a_large_campaign_comes_and_goes_in_pieces_and_nobody_sees_a_part_of_it() {
         let folder = tempfile::tempdir().expect("a temporary folder");
@@ -182,7 +183,7 @@ pub(super) mod tests {
         assert_eq!(counts.total(), new.jobs.len() as u64);
         assert_eq!(count(&queue, "SELECT count(*) FROM campaign").await, 0);
 
-        // The coordinator ends when a part has come, and when a part has gone.
+        // The coordinator stops in the middle of an insertion, and in the middle of a deletion.
         for has_come in [false, true] {
             let shared = &queue.shared;
             if has_come {

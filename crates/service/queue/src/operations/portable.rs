@@ -1,5 +1,5 @@
-//! A campaign that is taken from one coordinator to another: a data folder of its own
-//! on the way, with a database of this schema that holds nothing else.
+//! Transfer of a campaign between coordinators, by means of a data folder whose database has the
+//! regular schema and holds only this campaign.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -34,44 +34,44 @@ pub struct Portable {
     pub(super) store: Store,
     /// The campaign.
     pub campaign: Campaign,
-    /// Its specification, JSON.
+    /// Specification, JSON.
     pub spec: String,
 }
 
-/// A film of a campaign that is taken elsewhere.
+/// A video of a campaign being exported.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FilmFile {
-    /// Its path below the data folder.
+    /// Path below the data folder.
     pub path: String,
-    /// Its size, bytes.
+    /// Size, bytes.
     pub size_bytes: u64,
 }
 
-/// Outcomes of the campaign that another one follows from.
+/// Outcomes of the campaign that another one derives from.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct SourceOutcomes {
     /// The name of the campaign.
     pub campaign: String,
-    /// SHA-256 of its outcomes, hex.
+    /// SHA-256 of the outcomes, hex.
     pub outcomes: String,
 }
 
-/// A data folder that holds no campaign that could be taken elsewhere.
+/// A data folder that does not hold exactly one valid campaign.
 #[derive(Debug, thiserror::Error)]
 pub enum PortableError {
-    /// It cannot be opened.
+    /// The data folder cannot be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// Its database fails.
+    /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// It holds none, or several.
+    /// The database holds no campaign, or several.
     #[error("find the campaign in it: it holds {count} campaigns, not one")]
     NotOne {
-        /// How many.
+        /// Number of campaigns.
         count: usize,
     },
-    /// The specification is another than its digest says.
+    /// The specification does not match its digest.
     #[error("use the specification of campaign `{campaign}`: its digest is of another one")]
     SpecDigest {
         /// The campaign.
@@ -82,7 +82,7 @@ pub enum PortableError {
     Violated {
         /// The invariant.
         invariant: &'static str,
-        /// The first violation, in words.
+        /// Description of the first violation.
         example: String,
     },
 }
@@ -91,9 +91,8 @@ impl Portable {
     /// Opens the data folder of one campaign and verifies it: its schema, every invariant, and
     /// the specification's digest. A database of an older schema is upgraded.
     ///
-    /// The database may come from anybody. A view in the place of a table, or a trigger, runs
-    /// with the first statement that touches it; so the schema is compared before any other
-    /// statement.
+    /// The database is untrusted. A view in place of a table, or a trigger, would run with the
+    /// first statement that touches it, so the schema is compared before any other statement.
     ///
     /// # Errors
     /// See [`PortableError`].
@@ -141,7 +140,7 @@ impl Portable {
         })
     }
 
-    /// The data folder.
+    /// Returns the data folder.
     pub fn folder(&self) -> &Path {
         self.store.folder()
     }
@@ -156,10 +155,10 @@ impl Portable {
         View::begin(&self.store, now, Timing::default(), nothing, None, nobody).await
     }
 
-    /// Its films, by path.
+    /// Returns the videos, by path.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn films(&self) -> Result<Vec<FilmFile>, StoreError> {
         let mut view = self.store.read().await?;
         let films: Vec<(String, i64)> =
@@ -174,17 +173,17 @@ impl Portable {
         Ok(films.into_iter().map(film).collect())
     }
 
-    /// Takes films out that are not there any more.
+    /// Removes missing videos from the database.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn leave_out(&self, missing: &[String]) -> Result<(), StoreError> {
         let mut tx = self.store.write(Vec::new()).await?;
         portable::forget_artifacts(&mut tx, missing).await?;
         tx.commit().await
     }
 
-    /// Closes the database, so that it is one file.
+    /// Closes the database, leaving a single file.
     ///
     /// # Errors
     /// If the database cannot be written.
@@ -194,13 +193,12 @@ impl Portable {
 }
 
 impl Queue {
-    /// Copies a campaign, as it is now, into an empty folder, which becomes a data folder
-    /// of its own. Leases end there without a charge: their jobs wait again. Films are not
-    /// copied; the folder that they are in, below this coordinator's data folder, is
-    /// returned.
+    /// Copies the current state of a campaign into an empty folder, which becomes a data folder.
+    /// Leases end in the copy without a charge: their jobs wait again. Videos are not copied; their
+    /// folder, relative to this coordinator's data folder, is returned.
     ///
     /// # Errors
-    /// When there is no such campaign, or a database fails.
+    /// If there is no such campaign, or a database fails.
     pub async fn copy_campaign(
         &self,
         name: &CampaignName,
@@ -221,7 +219,7 @@ impl Queue {
         Ok((copy, campaign_folder(&campaign.folder)))
     }
 
-    /// Returns the outcomes that a campaign follows from, if it follows from another one.
+    /// Returns the outcomes that a campaign derives from, if it derives from another one.
     ///
     /// # Errors
     /// If the database fails.
@@ -240,12 +238,12 @@ impl Queue {
         }))
     }
 
-    /// Adds the campaign of a data folder, whose films are moved out of it. It goes on
-    /// where it was. Returns its name and its jobs.
+    /// Imports the campaign of a data folder and moves its videos out of it. The campaign continues
+    /// in its former state. Returns its name and number of jobs.
     ///
     /// # Errors
-    /// When a campaign of the name is here, the one that it follows from is not here or
-    /// has other outcomes, or the database or the disk fails; nothing has changed then.
+    /// If the name is taken, its source campaign is missing or has other outcomes, or the database
+    /// or disk fails; in these cases nothing has changed.
     pub async fn adopt(
         &self,
         from: &Portable,
@@ -268,7 +266,7 @@ impl Queue {
         let follows = context.followed(&called, source).await?;
         called.folder = campaigns::free_folder(&mut context.tx, &called.name).await?;
         let folder = campaign_folder(&called.folder);
-        // Until the campaign is here, its files are to be removed with the next start.
+        // Marks the folder for removal at the next start, in case the import does not complete.
         pending::note(&mut context.tx, &folder).await?;
         context.commit().await?;
         let moved = move_films(from.folder(), &films, &shared.store.folder().join(&folder)).await;
@@ -287,8 +285,8 @@ impl Queue {
         Ok((called.name, counts))
     }
 
-    /// Copies a campaign piece by piece, so that workers are served in between; nobody sees it
-    /// until it is whole.
+    /// Copies a campaign in batches, so that workers are served in between; it stays hidden until
+    /// it is complete.
     async fn copy_in(
         &self,
         from: &Portable,
@@ -344,7 +342,7 @@ impl Queue {
         campaigns::take_name(&mut context.tx, &called.name).await?;
         passages::arrived(&mut context.tx, id, (&called.name, &called.folder), now).await?;
         portable::copy_rest(&mut context.tx, both).await?;
-        // The other coordinator's clock may be ahead of this one.
+        // The exporting coordinator's clock may be ahead of this one.
         let latest = now.plus(rollout_types::Waits::USUAL.longest);
         instants::set_back(&mut context.tx, now, latest).await?;
         if let Some(source) = follows {
@@ -360,21 +358,21 @@ impl Queue {
     }
 }
 
-/// Why a campaign cannot be taken out.
+/// A campaign cannot be exported.
 #[derive(Debug, thiserror::Error)]
 pub enum CopyError {
-    /// It is not here, or the database fails.
+    /// The campaign does not exist here, or the database failed.
     #[error(transparent)]
     Queue(#[from] QueueError),
-    /// It cannot be copied.
+    /// The campaign cannot be copied.
     #[error(transparent)]
     Portable(#[from] PortableError),
 }
 
-/// Why a campaign cannot be added.
+/// A campaign cannot be imported.
 #[derive(Debug, thiserror::Error)]
 pub enum AdoptError {
-    /// One of its name is here.
+    /// A campaign of this name exists here.
     #[error(
         "add campaign `{campaign}`: this coordinator has a campaign of that name; give this one another with --as NAME"
     )]
@@ -382,7 +380,7 @@ pub enum AdoptError {
         /// The name.
         campaign: CampaignName,
     },
-    /// The campaign that it follows from is not here.
+    /// The campaign that it derives from does not exist here.
     #[error(
         "add campaign `{campaign}`: it follows from `{source_campaign}`, which is not here; import that one first"
     )]
@@ -392,7 +390,7 @@ pub enum AdoptError {
         /// The campaign that it follows from.
         source_campaign: CampaignName,
     },
-    /// The campaign that it follows from has other outcomes here.
+    /// The campaign that it derives from has other outcomes here.
     #[error(
         "add campaign `{campaign}`: it follows from outcomes of `{source_campaign}` that are others here; archive and import both as they are now"
     )]
@@ -402,15 +400,15 @@ pub enum AdoptError {
         /// The campaign that it follows from.
         source_campaign: CampaignName,
     },
-    /// A film cannot be moved.
+    /// A video cannot be moved.
     #[error("move film {}: is there room on the disk, and may this user write there?", path.display())]
     Film {
-        /// Path of the film.
+        /// Path of the video.
         path: PathBuf,
         /// Error of the system.
         source: std::io::Error,
     },
-    /// Anything else.
+    /// The queue failed.
     #[error(transparent)]
     Queue(#[from] QueueError),
 }
@@ -444,7 +442,8 @@ impl Portable {
 }
 
 impl Context<'_> {
-    /// The campaign here that one follows from, whose outcomes must be the same.
+    /// Returns the campaign here that an imported one derives from, after checking that its
+    /// outcomes are the same.
     async fn followed(
         &mut self,
         called: &Called,
@@ -471,7 +470,7 @@ impl Context<'_> {
     }
 }
 
-/// Copies a campaign of a database into a new one, in an empty folder.
+/// Copies a campaign from a database into a new database in an empty folder.
 pub(super) async fn copy_of(
     database: &Path,
     campaign: &Campaign,
@@ -489,7 +488,7 @@ pub(super) async fn copy_of(
     Portable::of(store).await
 }
 
-/// The name of the campaign that one follows from.
+/// Returns the name of the campaign that a specification derives from.
 pub(super) fn source_of(spec: &str) -> Result<Option<CampaignName>, QueueError> {
     let spec = CampaignSpec::from_json(spec).map_err(undecodable);
     let spec = spec.doing("read a campaign's specification")?;

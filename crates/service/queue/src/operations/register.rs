@@ -1,4 +1,4 @@
-//! Workers announce themselves, and say good-bye.
+//! Registration and sign-off of workers.
 
 use super::context::Context;
 use super::error::QueueError;
@@ -9,12 +9,12 @@ use crate::store::failpoint::Step;
 use crate::store::workers::{self, WorkerInfo};
 
 impl Queue {
-    /// Registers a worker. It begins with the failures of the worker before it on its
-    /// machine, and with none if it does not say on which it runs.
-    /// Answers why jobs wait that it cannot have; empty if none do.
+    /// Registers a worker. It inherits the failures in a row of the previous worker on its machine,
+    /// and starts at zero if it does not name its machine. Returns the reason why waiting jobs
+    /// cannot go to it; empty if there are none.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn register(&self, worker: &WorkerInfo) -> Result<String, QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::Register]).await?;
         let in_a_row = match &worker.machine {
@@ -24,16 +24,15 @@ impl Queue {
         workers::upsert(&mut context.tx, worker, inherited(in_a_row), context.now).await?;
         let idle_reason = context.idle_reason(&worker.pin).await?;
         context.commit().await?;
-        // One more live worker may free a job that the others failed on.
+        // A job that failed on the other machines may suit the new worker.
         self.shared.work.notify_waiters();
         Ok(idle_reason)
     }
 
-    /// A worker ended in good order: it counts as gone at once, until it registers
-    /// again.
+    /// Notes that a worker shut down cleanly: it counts as gone at once, until it registers again.
     ///
     /// # Errors
-    /// When the worker is unknown or the database fails.
+    /// If the worker is unknown or the database fails.
     pub async fn sign_off(&self, worker: &WorkerId) -> Result<(), QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::Register]).await?;
         if !workers::sign_off(&mut context.tx, worker, context.now).await? {

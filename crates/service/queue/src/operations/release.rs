@@ -1,4 +1,4 @@
-//! How an attempt ends that brought no result (with one: `commit`).
+//! End of an attempt without a result (`commit` handles those with one).
 
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ pub enum ReleaseVerdict {
     Requeued,
     /// In quarantine.
     Quarantined,
-    /// The lease was gone: nothing changed.
+    /// Ignored, because the attempt no longer holds the lease.
     Stale,
 }
 
@@ -26,12 +26,12 @@ pub enum ReleaseVerdict {
 #[derive(Clone, Debug)]
 pub(crate) struct Release {
     pub(crate) attempt: AttemptId,
-    /// Why.
+    /// Kind of failure.
     pub(crate) reason: FailureReason,
-    /// In words.
+    /// Description of the failure.
     pub(crate) error: String,
-    /// Of a policy that was there at the attempt's first query and cannot be reached any
-    /// more: the queries that it had answered.
+    /// Queries that the policy had answered, if it was reachable at the attempt's first query and
+    /// was lost later.
     pub(crate) answered: Option<u32>,
 }
 
@@ -40,9 +40,9 @@ pub(crate) struct Release {
 pub struct ReleaseReply {
     /// Verdict on the job.
     pub verdict: ReleaseVerdict,
-    /// Until it, or its policy, may be tried again.
+    /// Time until the job, or its policy, may be tried again.
     pub backoff: Duration,
-    /// Why this worker must lease no more, if it must.
+    /// Reason why this worker must stop leasing, if it must.
     pub stop_leasing: Option<String>,
 }
 
@@ -57,8 +57,8 @@ impl Context<'_> {
         let Some(attempt) = named.get_mut(&id) else {
             return Ok(Err(QueueError::UnknownAttempt { attempt: id }));
         };
-        // Otherwise a heartbeat that was sent before could take up a lease whose worker has given
-        // it back, and the next ones, which leave it out, would charge the machine.
+        // Otherwise a heartbeat sent before the release could resume a lease that the worker has
+        // given up; the following heartbeats, which leave it out, would charge the machine.
         if let Some(lease) = self.resume(attempt).await? {
             attempt.job.state = JobState::Leased(lease);
         }
@@ -97,7 +97,7 @@ impl Context<'_> {
         }))
     }
 
-    /// Whether an attempt that cannot reach its policy had it and lost it.
+    /// Returns true if an attempt that cannot reach its policy had reached it earlier and lost it.
     async fn was_lost(
         &mut self,
         attempt: &NamedAttempt,
@@ -108,7 +108,7 @@ impl Context<'_> {
             is_back: false,
             is_last: false,
         };
-        // The rest is looked up only where it matters.
+        // The remaining evidence is queried only in this case.
         if release.answered == Some(0) {
             let campaign = self.campaign(attempt.of.campaign).await?;
             let job = attempt.job.id;

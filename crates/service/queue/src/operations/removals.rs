@@ -1,5 +1,5 @@
-//! Removing the files of what was deleted. What stays is logged, and tried again: on this
-//! machine at the next start, elsewhere all the while.
+//! Removal of files of deleted campaigns. A failed removal is logged and retried: local files at
+//! the next start, remote ones continuously.
 
 use std::io::ErrorKind;
 
@@ -8,14 +8,13 @@ use super::shared::Shared;
 use crate::store::failpoint::Step;
 use crate::store::{StoreError, removals};
 
-/// The folders that are still to be removed.
+/// Returns the folders still to be removed.
 pub(crate) async fn pending(shared: &Shared) -> Result<Vec<String>, StoreError> {
     let mut view = shared.store.read().await?;
     removals::pending(&mut view).await
 }
 
-/// Removes a folder, or a file, below the data folder. What is kept of it elsewhere remains
-/// noted.
+/// Removes a folder or file below the data folder. It stays marked for removal from remote storage.
 pub(crate) async fn remove_here(shared: &Shared, below: &str) -> Result<(), StoreError> {
     match is_removed_here(shared, below).await && shared.elsewhere.is_none() {
         true => note_done(shared, below).await,
@@ -23,7 +22,7 @@ pub(crate) async fn remove_here(shared: &Shared, below: &str) -> Result<(), Stor
     }
 }
 
-/// Removes a folder, or a file, below the data folder and elsewhere.
+/// Removes a folder or file below the data folder and from remote storage.
 pub(crate) async fn remove(shared: &Shared, below: &str) -> Result<(), StoreError> {
     if !is_removed_here(shared, below).await {
         return Ok(());
@@ -80,7 +79,7 @@ mod tests {
     use crate::store::Store;
     use crate::timing::Timing;
 
-    /// Storage that answers only when it is let.
+    /// Remote storage that answers only when a permit is given.
     struct Slow {
         asked: Semaphore,
         answers: Semaphore,
@@ -102,8 +101,8 @@ mod tests {
         }
     }
 
-    /// Finding B11: a deleted campaign whose films were in storage that did not answer kept
-    /// every other one from being created, altered or deleted.
+    /// Regression (finding B11): a deleted campaign whose videos were in unavailable storage
+    /// blocked the creation, alteration and deletion of all other campaigns.
     #[tokio::test(flavor = "multi_thread")]
     async fn storage_that_does_not_answer_keeps_no_campaign_from_coming_or_going() {
         let folder = tempfile::tempdir().expect("a temporary folder");
@@ -135,7 +134,8 @@ mod tests {
                 async move { queue.finish_removals().await.expect("removed") }
             });
             slow.asked.acquire().await.expect("it is asked").forget();
-            // The same name, whose films must not go with those of the deleted one.
+            // A new campaign of the same name, whose videos must not be removed with the deleted
+            // one's.
             create("one").await;
             create("two").await;
             let to = Alteration {

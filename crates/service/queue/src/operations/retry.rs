@@ -1,4 +1,4 @@
-//! Taking jobs out of quarantine.
+//! Release of jobs from quarantine.
 
 use super::campaigns::going_on;
 use super::context::Context;
@@ -9,26 +9,24 @@ use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::jobs;
 
-/// Most jobs that are named to be taken out of quarantine at once; all of a
-/// campaign's may be, too.
+/// Most jobs that one request may name; all jobs of a campaign can be retried without naming them.
 pub const MAX_JOBS_RETRIED: usize = 1_000;
 
 /// Jobs to take out of quarantine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Retry {
-    /// All of the campaign's.
+    /// All quarantined jobs of the campaign.
     All,
-    /// These; each must be there.
+    /// These jobs, each of which must be in quarantine.
     Named(Vec<JobName>),
 }
 
 impl Queue {
-    /// Takes jobs out of quarantine; all of those that are named, or none.
-    /// Returns how many.
+    /// Takes all of the named jobs out of quarantine, or none. Returns their number.
     ///
     /// # Errors
-    /// When the campaign or a job is unknown, the campaign is over, a job
-    /// is not in quarantine, or the database fails.
+    /// If the campaign or a job is unknown, the campaign has ended, a job is not in quarantine, or
+    /// the database fails.
     pub async fn retry_jobs(&self, name: &CampaignName, retry: &Retry) -> Result<u64, QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
         let campaign = context.campaign_named(name).await?;
@@ -54,7 +52,7 @@ impl Queue {
 }
 
 impl Context<'_> {
-    /// A job that is named to be retried, if it may be.
+    /// Returns a job that is named to be retried, if it is in quarantine.
     async fn quarantined(
         &mut self,
         campaign: &Campaign,

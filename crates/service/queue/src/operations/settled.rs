@@ -1,5 +1,5 @@
-//! Count of transactions that settled jobs, and of those that have been looked at: while some have
-//! not, further jobs may follow from their outcomes.
+//! Numbers of transactions that settled jobs, and of those that derivation has processed: while
+//! some are unprocessed, further jobs may derive from their outcomes.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -12,12 +12,12 @@ pub(crate) struct Settled {
     looked_at: AtomicU64,
 }
 
-/// A transaction that settles jobs, until it has ended.
+/// A transaction that settles jobs. Dropping this value marks its end.
 pub(crate) struct Settling<'a>(&'a Settled);
 
 impl Settled {
-    /// Starts one transaction ahead of the looks: jobs settled before the start have not been
-    /// looked at.
+    /// Starts with one unprocessed transaction, since jobs settled before startup have not been
+    /// processed.
     pub(crate) fn new() -> Self {
         Self {
             begun: AtomicU64::new(1),
@@ -26,30 +26,30 @@ impl Settled {
         }
     }
 
-    /// Counts a transaction that is about to be committed.
+    /// Counts a transaction that is about to commit.
     pub(crate) fn begin(&self) -> Settling<'_> {
         self.begun.fetch_add(1, Ordering::SeqCst);
         Settling(self)
     }
 
-    /// Rung when such a transaction has ended; how many have.
+    /// Subscribes to the number of settling transactions that have ended.
     pub(crate) fn subscribe(&self) -> watch::Receiver<u64> {
         self.ended.subscribe()
     }
 
-    /// Notes that everything was looked at that the first so many transactions settled, and
-    /// that what follows is committed.
+    /// Notes that the first `ended` transactions are processed and that the derived jobs are
+    /// committed.
     pub(crate) fn look_ended(&self, ended: u64) {
         self.looked_at.store(ended, Ordering::SeqCst);
     }
 
-    /// Returns the number of transactions that have been looked at.
+    /// Returns the number of transactions that derivation has processed.
     pub(crate) fn looked_at(&self) -> u64 {
         self.looked_at.load(Ordering::SeqCst)
     }
 
-    /// Whether that is all that one can have read of, if `looked_at` was asked before
-    /// reading and this after.
+    /// Returns true if no transaction has settled jobs since `looked_at` was read, so that a view
+    /// read in between is complete. Call it after reading.
     pub(crate) fn is_all(&self, looked_at: u64) -> bool {
         self.begun.load(Ordering::SeqCst) == looked_at
     }
@@ -57,7 +57,7 @@ impl Settled {
 
 impl Drop for Settling<'_> {
     fn drop(&mut self) {
-        // Also of one that failed: who looks then finds nothing new.
+        // Also runs after a rollback; the watcher then finds nothing new.
         self.0.ended.send_modify(|ended| *ended += 1);
     }
 }

@@ -21,21 +21,21 @@ pub(crate) struct Shared {
     pub(crate) clock: Arc<dyn Clock>,
     rng: Mutex<ChaCha8Rng>,
     pub(crate) timing: Timing,
-    /// Rows that need not be read again. Locked within the writing transaction only.
+    /// Cache of rows. Locked only inside the writing transaction.
     pub(super) cache: tokio::sync::Mutex<Cache>,
-    /// Held while a film comes into the data folder, or is taken out of it.
+    /// Held while a video is added to the data folder or removed from it.
     pub(crate) files: tokio::sync::Mutex<()>,
-    /// The rollouts that are to be filmed.
+    /// Rollouts to be filmed.
     pub(super) films: Films,
-    /// Storage of films beyond the data folder, if there is any.
+    /// Remote storage of videos, if configured.
     pub(crate) elsewhere: Option<Arc<dyn Elsewhere>>,
-    /// Rung when jobs may have become leasable.
+    /// Notified when jobs may have become leasable.
     pub(crate) work: Notify,
-    /// Rung when jobs are settled: something may follow from their outcomes then, or a
-    /// campaign's rule may be met.
+    /// Notified when jobs are settled, since further jobs may derive from their outcomes, or a
+    /// campaign's stop rule may be met.
     pub(crate) settled: Arc<Settled>,
     pub(crate) draining: watch::Sender<bool>,
-    /// Why nothing is leased at the moment; none while jobs are leased.
+    /// Reason why leasing is suspended; `None` while jobs are leased.
     pub(crate) hold: watch::Sender<Option<String>>,
 }
 
@@ -63,22 +63,22 @@ impl Shared {
         }
     }
 
-    /// The present instant.
+    /// Returns the current instant.
     pub(crate) fn now(&self) -> UnixMillis {
         self.clock.now()
     }
 
-    /// Why nothing is leased at the moment; none while jobs are leased.
+    /// Returns the reason why leasing is suspended; `None` while jobs are leased.
     pub(crate) fn held(&self) -> Option<String> {
         self.hold.borrow().clone()
     }
 
-    /// Runs a decision with this queue's generator.
+    /// Runs a decision with this queue's random number generator.
     pub(crate) fn decide<T>(&self, decision: impl FnOnce(&mut ChaCha8Rng) -> T) -> T {
         decision(&mut self.rng.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// The id of an attempt that is about to be granted.
+    /// Draws the id of a new attempt.
     pub(crate) fn new_attempt(&self) -> AttemptId {
         let mut bits = [0; 16];
         self.decide(|rng| rng.fill_bytes(&mut bits));

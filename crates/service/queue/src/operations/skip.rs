@@ -1,4 +1,4 @@
-//! Skipping rollouts: an operator gives them up, and the campaign goes on without them.
+//! Skipping of rollouts: an operator gives them up, and the campaign continues without them.
 
 use super::campaigns::going_on;
 use super::context::Context;
@@ -9,17 +9,16 @@ use crate::rules::lease::{FailureReason, JobState};
 use crate::store::failpoint::Step;
 use crate::store::jobs;
 
-/// Error that is stored with a rollout that was skipped.
+/// Error text stored with a skipped rollout.
 const SKIPPED: &str = "an operator skipped this rollout";
 
 impl Queue {
-    /// Puts rollouts that wait or are being run into quarantine; all of those that are
-    /// named, or none. They count against nobody, and `retry_jobs` takes them out again.
-    /// Returns how many.
+    /// Quarantines all of the named rollouts, or none. They must be waiting or leased. Nobody is
+    /// charged, and `retry_jobs` takes them out again. Returns their number.
     ///
     /// # Errors
-    /// When the campaign or a job is unknown, the campaign is over, a job is committed or
-    /// in quarantine, or the database fails.
+    /// If the campaign or a job is unknown, the campaign has ended, a job is committed or in
+    /// quarantine, or the database fails.
     pub async fn skip_jobs(
         &self,
         name: &CampaignName,

@@ -1,13 +1,13 @@
-//! Correction of stored instants when the coordinator starts, and of leases also after it was
-//! suspended.
+//! Correction of stored instants when the coordinator starts, and of leases also after the machine
+//! was suspended.
 
 use super::context::Context;
 use super::shared::Shared;
 use crate::store::failpoint::Step;
 use crate::store::{StoreError, backup, instants, jobs};
 
-/// Gives every lease its full time again, since no heartbeat could arrive while the
-/// coordinator was down, and sets instants back that lie ahead of the clock.
+/// Restarts every lease, since no heartbeat could arrive while the coordinator was down, and
+/// corrects instants that lie in the future.
 pub(crate) async fn start(shared: &Shared) -> Result<(), StoreError> {
     backup::remove_leftover(shared.store.folder());
     let mut context = Context::begin(shared, vec![Step::Start]).await?;
@@ -18,7 +18,7 @@ pub(crate) async fn start(shared: &Shared) -> Result<(), StoreError> {
     context.commit().await
 }
 
-/// Gives every lease its full time again.
+/// Restarts every lease with its full duration.
 pub(super) async fn restart_leases(context: &mut Context<'_>) -> Result<(), StoreError> {
     let expires = context.now.plus(context.shared.timing.lease);
     jobs::restart_leases(&mut context.tx, expires).await

@@ -1,13 +1,11 @@
-//! Campaigns that may end early: as outcomes come, it is looked whether the rule is
-//! met.
+//! Campaigns that may stop early: the stop rule is evaluated as outcomes arrive.
 //!
-//! Whether it is, and after how many configurations, is a pure function of the
-//! outcomes. So it is looked at again whenever something was settled and at every
-//! start, and a look that was cut off is made up for.
+//! The stopping point is a pure function of the outcomes. It is therefore evaluated again after
+//! every settled job and at every start, which also repairs interrupted evaluations.
 //!
-//! Leases of a campaign are taken back when it stops. Their results could not change an interval:
-//! those rest on the configurations up to the look at which the rule was met, and in these nothing
-//! is in flight.
+//! When a campaign stops, its leases are revoked. Their results could not change an interval:
+//! intervals use only the configurations up to the look at which the rule was met, in which no
+//! rollout is leased.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -25,18 +23,18 @@ use crate::store::failpoint::Step;
 use crate::store::stops::{self, Stoppable};
 use crate::store::{Doing, StoreError, undecodable};
 
-/// After a look that failed; the disk may be full.
+/// Pause after a failed evaluation; the disk may be full.
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
 
-/// In which configuration each campaign is, as of the last look: the first that is not
-/// complete. While it is the same, nothing new counts.
+/// First incomplete configuration of each campaign at the last evaluation. While it is unchanged,
+/// no new outcome counts.
 type Fronts = BTreeMap<CampaignId, Front>;
 
-/// A configuration, or its nominal rollout: the task, whether it is the former, and its
-/// number or that of the initial state.
+/// A configuration or a nominal rollout: the task, true for a configuration, and the number of the
+/// configuration or of the initial state.
 type Front = (TaskRef, bool, u16);
 
-/// Stops campaigns whose rule is met, as outcomes come.
+/// Stops campaigns whose rule is met, as outcomes arrive.
 pub(crate) async fn run(shared: Arc<Shared>) {
     let mut settled = shared.settled.subscribe();
     let mut fronts = Fronts::new();
@@ -50,7 +48,7 @@ pub(crate) async fn run(shared: Arc<Shared>) {
             continue;
         }
         tokio::time::sleep(pause_after(began.elapsed())).await;
-        // The sender is kept by the same queue.
+        // Never closes: the sender belongs to the same queue.
         let _ = settled.changed().await;
     }
 }
@@ -62,7 +60,7 @@ async fn look(shared: &Shared, fronts: &mut Fronts) -> Result<(), StoreError> {
     fronts.retain(|id, _| stoppable.iter().any(|it| it.campaign == *id));
     for campaign in stoppable {
         let first = stops::first_unsettled(&mut view, campaign.campaign).await?;
-        // One that is through has nothing to save.
+        // A complete campaign has no rollouts left to save.
         let Some(first) = first else { continue };
         let order = first.unit_order;
         let first: RolloutId = first
@@ -87,12 +85,12 @@ async fn look(shared: &Shared, fronts: &mut Fronts) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Stops a campaign whose rule `look` found met, unless the campaign was cancelled since or one
-/// of the rollouts before `order`, which the look rests on, was taken out of quarantine. Returns
-/// false if it goes on.
+/// Stops a campaign whose rule `look` found met, unless the campaign was cancelled since, or one of
+/// the rollouts before `order`, on which the evaluation rests, was taken out of quarantine. Returns
+/// false if the campaign continues.
 ///
-/// The rule is not evaluated again: of 150,000 outcomes that takes most of a minute, in which a
-/// transaction would keep every claim and result waiting.
+/// The rule is not evaluated again here: for 150,000 outcomes that takes most of a minute, during
+/// which the transaction would block every claim and result.
 async fn stop(
     shared: &Shared,
     campaign: CampaignId,
@@ -112,7 +110,7 @@ async fn stop(
     let why = "the campaign has stopped early: its rule is met";
     context.take_back(campaign, why).await?;
     context.cache.forget_campaigns();
-    // A campaign that follows from this one may go on.
+    // A campaign that derives from this one may now grow.
     context.settles = true;
     context.commit().await?;
     let (used, of) = (look.used.len(), look.units);
@@ -121,7 +119,7 @@ async fn stop(
     Ok(true)
 }
 
-/// The look at which a campaign's rule is first met, if it is.
+/// Returns the look at which a campaign's stop rule is first met, if it is met.
 async fn when_met(
     tx: &mut SqliteConnection,
     campaign: &Stoppable,
@@ -143,8 +141,8 @@ mod tests {
     use super::*;
     use crate::expand::NewCampaign;
 
-    /// The soak found that a rule which was evaluated inside the transaction held up every claim
-    /// for 40 s, so that the transaction has to notice by itself that a look is out of date.
+    /// Regression (soak test): evaluating the rule inside the transaction blocked every claim for
+    /// 40 s. The transaction must therefore detect that an evaluation is out of date.
     #[tokio::test(flavor = "multi_thread")]
     async fn a_look_is_out_of_date_once_a_rollout_before_its_front_waits_again() {
         let folder = tempfile::tempdir().expect("a temporary folder");

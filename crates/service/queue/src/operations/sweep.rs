@@ -1,5 +1,5 @@
-//! Periodic work of the queue: expired leases are taken away, and claims that wait for a back-off
-//! or a pause are woken when it ends.
+//! Periodic work of the queue: ends expired leases, and wakes claims that wait for the end of a
+//! back-off or pause.
 
 use std::collections::BTreeSet;
 use std::sync::atomic::Ordering;
@@ -15,15 +15,15 @@ use crate::store::StoreError;
 use crate::store::failpoint::Step;
 use crate::store::jobs::{self, ExpiredRow};
 
-/// Leases that one sweep takes away.
+/// Most leases that one sweep ends.
 const MAX_EXPIRED_PER_SWEEP: u32 = 1_024;
 
 impl Queue {
-    /// Takes away leases that expired and wakes claims that wait for a back-off
-    /// or a pause to end. Called every [`Timing::sweep`](crate::Timing::sweep).
+    /// Ends expired leases and wakes claims that wait for the end of a back-off or pause. Called
+    /// every [`Timing::sweep`](crate::Timing::sweep).
     ///
     /// # Errors
-    /// When the database fails; the next sweep tries again.
+    /// If the database fails; the next sweep tries again.
     pub async fn sweep(&self) -> Result<(), QueueError> {
         let shared = &*self.shared;
         let last = UnixMillis(self.last_sweep.load(Ordering::Relaxed));
@@ -47,8 +47,8 @@ impl Queue {
 }
 
 impl Context<'_> {
-    /// Takes expired leases away. A worker that forgets several at once is struck once,
-    /// and one that falls silent not at all. Answers whether there were any.
+    /// Ends expired leases. A worker whose heartbeats left out several leases at once gets one
+    /// strike, and a worker that fell silent gets none. Returns true if any lease expired.
     async fn take_expired(&mut self) -> Result<bool, StoreError> {
         let expired = jobs::expired(&mut self.tx, self.now, MAX_EXPIRED_PER_SWEEP).await?;
         let mut to_strike: BTreeSet<WorkerId> = BTreeSet::new();

@@ -1,9 +1,8 @@
-//! Group commit: what workers ask for is gathered while one transaction runs and
-//! goes into the next together, so that many answers wait for one `fsync`.
+//! Group commit: requests of workers are collected while one transaction runs and go into the next
+//! one together, so that many answers share one `fsync`.
 //!
-//! An operation that fails does not fail the others: the transaction is undone
-//! and each of its operations is tried in one of its own. A transaction that cannot
-//! even begin fails all of them at once.
+//! A failing operation does not fail the others: the transaction is rolled back and each operation
+//! is retried in its own transaction. If a transaction cannot begin, all its operations fail.
 
 use std::sync::Arc;
 
@@ -22,31 +21,30 @@ use crate::store::failpoint::Step;
 
 /// Most operations of one transaction.
 const MAX_BATCH: usize = 256;
-/// Operations that wait for the next transactions; while there are so many,
-/// callers wait to hand in theirs.
+/// Most operations that wait for a transaction; beyond that, callers wait to submit theirs.
 pub(crate) const MAX_WAITING: usize = 4_096;
 
 /// An operation that a worker asks for.
 pub(crate) enum Operation {
-    /// Leases a job. The flag says whether the claim has just come, and not only
-    /// been woken while it waited.
+    /// Leases a job. The flag is false for a claim that was only woken while it waited.
     Claim(Pending<(ClaimRequest, bool), Claimed>),
     /// Renews leases.
     Heartbeat(Pending<Heartbeat, Vec<AttemptId>>),
     /// Stores a result.
     Commit(Pending<Box<CommitReport>, CommitReply>),
-    /// Ends an attempt without one.
+    /// Ends an attempt without a result.
     Release(Pending<Release, ReleaseReply>),
 }
 
-/// A request, and its answer, which is given when the transaction is on the disk.
+/// A request and the channel for its answer, which is sent once the transaction is committed to
+/// disk.
 pub(crate) struct Pending<Q, A> {
     request: Q,
     answer: Option<Result<A, QueueError>>,
     reply: oneshot::Sender<Result<A, QueueError>>,
 }
 
-/// Executes operations until all senders are gone.
+/// Executes operations until all senders are dropped.
 pub(crate) async fn run(shared: Arc<Shared>, mut asked: mpsc::Receiver<Operation>) {
     let mut batch = Vec::with_capacity(MAX_BATCH);
     while asked.recv_many(&mut batch, MAX_BATCH).await > 0 {
@@ -78,9 +76,9 @@ async fn write(shared: &Shared, batch: &mut [Operation]) {
     }
 }
 
-/// Executes operations in one transaction: each has its answer then, or nothing
-/// at all happened. A worker waits for each answer before it asks for the next
-/// thing, so their order is free: what makes jobs leasable goes first.
+/// Executes operations in one transaction, which answers all of them or has no effect. A worker
+/// waits for each answer before its next request, so the order is free: operations that make jobs
+/// leasable go first.
 async fn transact(
     mut context: Context<'_>,
     operations: &mut [Operation],
@@ -88,7 +86,7 @@ async fn transact(
     let (mut claims, mut heartbeats, mut commits) = (Vec::new(), Vec::new(), Vec::new());
     for operation in operations {
         match operation {
-            // A lease for a worker that has gone would only expire.
+            // A lease for a worker that has disconnected would only expire.
             Operation::Claim(pending) if pending.reply.is_closed() => {}
             Operation::Claim(pending) => claims.push(pending),
             Operation::Heartbeat(pending) => heartbeats.push(pending),
@@ -153,7 +151,7 @@ impl Operation {
 }
 
 impl<Q, A> Pending<Q, A> {
-    /// A request, and where its answer will come.
+    /// Creates a pending request and the receiver of its answer.
     pub(crate) fn new(request: Q) -> (Pending<Q, A>, oneshot::Receiver<Result<A, QueueError>>) {
         let (reply, answer) = oneshot::channel();
         let pending = Pending {
@@ -166,7 +164,7 @@ impl<Q, A> Pending<Q, A> {
 
     fn reply(self) {
         if let Some(answer) = self.answer {
-            // The caller may have gone.
+            // The caller may have disconnected.
             let _ = self.reply.send(answer);
         }
     }
@@ -187,8 +185,8 @@ mod tests {
     use crate::store::{DATABASE_FILE, Store};
     use crate::timing::Timing;
 
-    /// Defect 12: a transaction that could not begin was tried again for each of
-    /// its operations: up to 256 waits for the lock in a row.
+    /// Regression (defect 12): a transaction that could not begin was retried for each of its
+    /// operations, up to 256 consecutive waits for the lock.
     #[tokio::test(flavor = "multi_thread")]
     async fn a_transaction_that_cannot_begin_fails_all_of_its_operations_at_once() {
         const OPERATIONS: u32 = 40;
@@ -210,10 +208,10 @@ mod tests {
             let error = refused.expect_err("another has the lock");
             assert!(matches!(error, QueueError::Store(_)), "{error:?}");
         }
-        // One wait for the first, and one for those that came meanwhile.
+        // One wait for the first operation, and one for those that arrived in the meantime.
         assert!(began.elapsed() < BUSY * OPERATIONS / 4);
         lock.rollback().await.expect("lets go");
-        // It is answered again: no worker of this name ever registered.
+        // Requests are answered again; no worker with this name is registered.
         let answer = queue.heartbeat(&worker, &[]).await;
         assert!(
             matches!(answer, Err(QueueError::UnknownWorker { .. })),

@@ -16,20 +16,20 @@ use crate::store::derivations::{self, Source};
 use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, workers};
 
-/// A campaign's rate is taken over so long, or, if that is less, since its first
-/// rollout began or since it was resumed.
+/// Window over which a campaign's rate is measured; shorter if its first rollout began, or it was
+/// resumed, within the window.
 pub const RATE_WINDOW: Duration = Duration::from_secs(300);
 
 /// Counts of a campaign's jobs, by state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Wait.
+    /// Waiting jobs.
     pub queued: u64,
-    /// Are being run.
+    /// Leased jobs.
     pub leased: u64,
-    /// Have a result.
+    /// Jobs with a result.
     pub committed: u64,
-    /// Are in quarantine.
+    /// Quarantined jobs.
     pub quarantined: u64,
     /// Committed jobs that reached their goal.
     pub succeeded: u64,
@@ -40,37 +40,37 @@ pub struct Counts {
 pub struct CampaignStatus {
     /// The campaign.
     pub campaign: Campaign,
-    /// Its jobs by state.
+    /// Numbers of its jobs, by state.
     pub counts: Counts,
-    /// Why its policy's jobs wait, if they do.
+    /// Reason why jobs of its policy are paused, if they are.
     pub policy_pause_reason: Option<String>,
-    /// How long it takes until a rollout tries its paused policy again.
+    /// Time until a probe tries its paused policy again.
     pub policy_retry: Option<Duration>,
     /// Committed rollouts per second over [`RATE_WINDOW`].
     pub rate_per_sec: Option<f64>,
-    /// Seconds that the rest takes at that rate.
+    /// Seconds that the remaining rollouts take at that rate.
     pub eta_secs: Option<f64>,
-    /// Workers alive that suit its assets, simulator and renderer.
+    /// Live workers that meet its requirements and its pin.
     pub live_workers: u32,
-    /// Why nothing is running although jobs wait; empty otherwise.
+    /// Reason why no job is leased although jobs wait; empty otherwise.
     pub waiting_reason: String,
-    /// How its results mix fingerprints, if they have more than one.
+    /// Mix of fingerprints among its results, if they have more than one.
     pub fingerprints: Option<Fingerprints>,
-    /// How it may end early, or did.
+    /// Early stop: its rule, and its point if the campaign has stopped.
     pub stop: Option<EarlyStop>,
-    /// The campaign from whose outcomes its rollouts follow, if they do.
+    /// The campaign that this one derives from, if any.
     pub source: Option<Source>,
-    /// Whether further rollouts may follow by themselves.
+    /// True if further rollouts may be added automatically.
     pub may_grow: bool,
 }
 
 impl Counts {
-    /// All jobs.
+    /// Returns the number of all jobs.
     pub fn total(&self) -> u64 {
         self.queued + self.leased + self.committed + self.quarantined
     }
 
-    /// A campaign's, as its tally has them: one row, however large the campaign is.
+    /// Reads the counts of a campaign from its tally: one row, however large the campaign is.
     pub(crate) async fn of(
         tx: &mut SqliteConnection,
         campaign: CampaignId,
@@ -94,10 +94,10 @@ impl Counts {
 }
 
 impl View {
-    /// A campaign by its name.
+    /// Finds a campaign by its name.
     ///
     /// # Errors
-    /// When there is no such campaign or the database fails.
+    /// If there is no such campaign or the database fails.
     pub async fn campaign(&mut self, name: &CampaignName) -> Result<Campaign, QueueError> {
         match campaigns::by_name(self.tx(), name).await? {
             Some(campaign) => Ok(campaign),
@@ -105,18 +105,18 @@ impl View {
         }
     }
 
-    /// A campaign's specification, JSON.
+    /// Returns a campaign's specification, JSON.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn spec(&mut self, campaign: &Campaign) -> Result<String, StoreError> {
         campaigns::spec(self.tx(), campaign.id).await
     }
 
-    /// How a campaign may end early, or did; none of one that runs to its end.
+    /// Returns the early stop of a campaign; `None` for one that always runs to its end.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn early_stop(
         &mut self,
         campaign: &Campaign,
@@ -127,7 +127,7 @@ impl View {
     /// Returns the status of all campaigns, oldest first.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn statuses(&mut self) -> Result<Vec<CampaignStatus>, StoreError> {
         let live = self.live_pins().await?;
         let mut list = Vec::new();
@@ -140,7 +140,7 @@ impl View {
     /// Returns the status of one campaign.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn status(&mut self, campaign: Campaign) -> Result<CampaignStatus, StoreError> {
         let live = self.live_pins().await?;
         self.status_among(campaign, &live).await
@@ -221,9 +221,9 @@ impl View {
     }
 }
 
-/// Rollouts per second of late; none before one came about. What a campaign had
-/// under way when it was paused says nothing of its pace after it is resumed:
-/// counted are rollouts that began since.
+/// Returns recent rollouts per second; `None` before the first rollout completed. Only rollouts
+/// that began since the campaign was last resumed count: one in progress across a pause says
+/// nothing about the pace.
 async fn rate(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -249,7 +249,7 @@ async fn rate(
     Ok((span > 0.0).then(|| committed as f64 / span))
 }
 
-/// Describes what a campaign that follows from another waits for; empty if for nothing.
+/// Describes the outcomes that a derived campaign waits for; empty if it waits for none.
 fn awaited_reason(source: &Source) -> String {
     let Source {
         name,

@@ -1,20 +1,20 @@
-//! When something was committed, and how large the database is.
+//! Detection of commits, and sizes of the database files.
 
 use sqlx::Sqlite;
 use sqlx::pool::PoolConnection;
 
 use crate::store::{DATABASE_FILE, Doing, Store, StoreError};
 
-/// Tells when something was committed, from a connection of its own.
+/// Detects commits of other connections, on a connection of its own.
 #[derive(Debug)]
 pub struct Changes(PoolConnection<Sqlite>);
 
 /// Sizes of the database's files, bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sizes {
-    /// The database itself.
+    /// Main database file.
     pub database: u64,
-    /// Its write-ahead log.
+    /// Write-ahead log.
     pub log: u64,
 }
 
@@ -23,10 +23,10 @@ impl Changes {
         store.reader().await.map(Changes)
     }
 
-    /// A number that another connection's commit changes.
+    /// Returns a number that changes with every commit of another connection.
     ///
     /// # Errors
-    /// When the database cannot be read.
+    /// If the database cannot be read.
     pub async fn version(&mut self) -> Result<i64, StoreError> {
         sqlx::query_scalar("PRAGMA data_version")
             .fetch_one(&mut *self.0)
@@ -36,7 +36,7 @@ impl Changes {
 }
 
 impl Store {
-    /// Sizes of the database's files; one that is missing has none.
+    /// Returns the sizes of the database files; a missing file counts as 0.
     pub fn sizes(&self) -> Sizes {
         let size = |name: &str| std::fs::metadata(self.folder().join(name)).map_or(0, |m| m.len());
         Sizes {

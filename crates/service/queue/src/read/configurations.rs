@@ -1,4 +1,4 @@
-//! The rollouts of a configuration, side by side.
+//! Rollouts of a configuration for comparison.
 
 use rollout_types::{AttemptId, Digests, GoalProgress, Motion, Provenance, Realised};
 use sqlx::types::Text;
@@ -10,7 +10,7 @@ use crate::store::provenance::provenance;
 use crate::store::results::digests;
 use crate::store::{Doing, StoreError, json};
 
-/// One rollout of a configuration, as far as its job goes.
+/// One rollout of a configuration with the state of its job.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RolloutLine {
     /// The job.
@@ -21,9 +21,9 @@ pub struct RolloutLine {
     pub state: String,
     /// Leases granted so far.
     pub attempt: AttemptNumber,
-    /// Failures that count against it.
+    /// Charged attempts of the job.
     pub charged_attempts: u32,
-    /// One manifest row, JSON.
+    /// Manifest row, JSON.
     pub manifest_row: String,
     /// Seed for the policy.
     pub policy_seed: i64,
@@ -36,7 +36,7 @@ pub struct RolloutLine {
     pub stale_reports: u32,
 }
 
-/// Result of a rollout, with its course and its origin.
+/// Result of a rollout with its measurements and provenance.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ResultLine {
     /// The job.
@@ -51,7 +51,7 @@ pub struct ResultLine {
     pub worker_id: WorkerId,
     /// Instant of the commit.
     pub committed_ms: UnixMillis,
-    /// Whether the goal was reached.
+    /// True if the goal was reached.
     pub success: bool,
     /// The policy's control steps.
     pub steps: u32,
@@ -61,15 +61,15 @@ pub struct ResultLine {
     pub ik_residual_mm: Option<f64>,
     /// Actions clipped into [-1, 1].
     pub clipped_actions: u32,
-    /// Times that the policy was asked.
+    /// Queries of the policy.
     pub policy_queries: u32,
-    /// Predicates of the goal, where its worker says.
+    /// Predicates of the goal, if the worker reported them.
     pub goal_predicates: Option<u32>,
     /// Predicates of the goal that held at the end.
     pub goal_at_end: Option<u32>,
     /// Most predicates of the goal that held together.
     pub goal_at_most: Option<u32>,
-    /// Reports of another outcome.
+    /// Reports of an outcome that differs from the committed one.
     pub divergences: u32,
     /// Digests of the scene, the initial state and the first frames, for comparison.
     #[sqlx(json)]
@@ -77,7 +77,7 @@ pub struct ResultLine {
     /// The perturbation as it was realised.
     #[sqlx(json)]
     pub realised: Realised,
-    /// Its video below the data folder, and how large that is, bytes.
+    /// Path of its video below the data folder.
     pub video: Option<String>,
     /// Size of its video, bytes.
     pub video_bytes: Option<i64>,
@@ -87,7 +87,7 @@ pub struct ResultLine {
 }
 
 impl ResultLine {
-    /// How much of the goal held, where its worker says.
+    /// Returns how much of the goal held, if the worker reported it.
     pub fn goal(&self) -> Option<GoalProgress> {
         Some(GoalProgress {
             predicates: self.goal_predicates?,
@@ -98,10 +98,10 @@ impl ResultLine {
 }
 
 impl View {
-    /// Those of the named rollouts that the campaign has, in one replicate.
+    /// Returns those of the named rollouts that the campaign has, in one replicate.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn rollouts(
         &mut self,
         campaign: CampaignId,
@@ -124,10 +124,10 @@ impl View {
         .doing("read a configuration's rollouts")
     }
 
-    /// The replicates in which a campaign has a rollout.
+    /// Returns the replicates in which a campaign has a rollout.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn replicates(
         &mut self,
         campaign: CampaignId,
@@ -143,11 +143,11 @@ impl View {
         .doing("read a rollout's replicates")
     }
 
-    /// A campaign's rollout ids that begin like this and go on with something,
-    /// in replicate 0.
+    /// Returns a campaign's rollout ids in replicate 0 that start with a prefix and are longer than
+    /// it.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn beginning(
         &mut self,
         campaign: CampaignId,
@@ -164,10 +164,10 @@ impl View {
         .doing("read a configuration's neighbours")
     }
 
-    /// The committed results of some jobs.
+    /// Returns the committed results of some jobs.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn results(&mut self, jobs: &[JobId]) -> Result<Vec<ResultLine>, StoreError> {
         sqlx::query_as(concat!(
             "SELECT r.job_id, r.attempt_id, r.attempt, r.worker_id, r.committed_ms, r.success,
@@ -191,7 +191,7 @@ impl View {
     /// Returns the motion of the robots of some committed jobs.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn paths(&mut self, jobs: &[JobId]) -> Result<Vec<(JobId, Motion)>, StoreError> {
         let rows: Vec<(JobId, Vec<u8>)> = sqlx::query_as(
             "SELECT job_id, path FROM motion WHERE job_id IN (SELECT value FROM json_each(?))",

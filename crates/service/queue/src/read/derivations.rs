@@ -6,28 +6,28 @@ use crate::operations::error::QueueError;
 use crate::store::campaigns::{self, Campaign};
 use crate::store::{Doing, StoreError, derivations, json};
 
-/// One rollout of a configuration, as its explanation needs it.
+/// One rollout of a configuration, with the fields that explaining it needs.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SubsetRow {
     /// Id of the rollout.
     pub rollout_id: String,
     /// Number of the replicate of the rollout.
     pub replicate: u32,
-    /// Its initial state.
+    /// Initial state of the rollout.
     pub init_id: u16,
-    /// Whether it is in quarantine.
+    /// True if the job is in quarantine.
     pub is_quarantined: bool,
-    /// Whether the goal was reached, once it is committed.
+    /// Outcome, true if the goal was reached; `None` until the job is committed.
     pub success: Option<bool>,
-    /// Whether there is a video of it.
+    /// True if the rollout has a video.
     pub is_filmed: bool,
 }
 
 impl View {
-    /// The campaign that a campaign follows from, if it follows from one.
+    /// Returns the campaign that a campaign derives from, if any.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn source(&mut self, campaign: CampaignId) -> Result<Option<Campaign>, StoreError> {
         match derivations::source(self.tx(), campaign).await? {
             Some(source) => Ok(Some(campaigns::by_id(self.tx(), source).await?)),
@@ -35,10 +35,10 @@ impl View {
         }
     }
 
-    /// The campaigns that follow from a campaign, oldest first.
+    /// Returns the campaigns that derive from a campaign, oldest first.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn following(&mut self, campaign: CampaignId) -> Result<Vec<Campaign>, QueueError> {
         let mut list = Vec::new();
         for name in derivations::of(self.tx(), campaign).await? {
@@ -47,11 +47,11 @@ impl View {
         Ok(list)
     }
 
-    /// Those of the named rollouts that a campaign has, in every replicate, by rollout
-    /// id, then replicate.
+    /// Returns those of the named rollouts that a campaign has, in every replicate, by rollout id,
+    /// then replicate.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn subsets(
         &mut self,
         campaign: CampaignId,

@@ -1,4 +1,5 @@
-//! How long rollouts would take, from what was measured, and what bounds them: pure.
+//! Forecast of the duration of rollouts from measured ones, and the limiting resource. Pure
+//! functions.
 
 use std::collections::BTreeMap;
 
@@ -6,39 +7,38 @@ use rollout_types::Pin;
 
 use super::speed::{Machine, Rate, Spent, rate};
 
-/// How long rollouts would take.
+/// Forecast of the duration of rollouts.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Forecast {
-    /// The workers alive that run alike, as a campaign requires; of several kinds
-    /// those that are done first.
+    /// Live workers of one kind, which share the pin that a campaign requires; among several kinds,
+    /// the one that finishes first.
     pub workers: u32,
-    /// Their slots.
+    /// Slots of these workers.
     pub slots: u32,
-    /// Cores that these share; none where a worker does not say.
+    /// Cores of these workers; `None` if one does not report them.
     pub cores: Option<u32>,
-    /// Seconds that they take together; none where nothing was measured.
+    /// Seconds until all rollouts are done; `None` without measurements.
     pub secs: Option<f64>,
-    /// Results that this rests on.
+    /// Number of results that the forecast is based on.
     pub results: u64,
-    /// Whether they are of the policy that was asked for; else they are of others.
+    /// True if these results are of the requested policy, false if they are of other policies.
     pub is_of_policy: bool,
-    /// Suites without a result: taken to be as fast as the others.
+    /// Suites without a result, assumed to be as fast as the others.
     pub unmeasured_suites: Vec<String>,
-    /// Time of a rollout and the bottleneck; none where no result says where its time went.
+    /// Time of a rollout and the bottleneck; `None` if no result reports where its time went.
     pub speed: Option<Speed>,
 }
 
 /// Time that a rollout takes, and the bottleneck of the forecast.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Speed {
-    /// Results that say where their time went.
+    /// Results that report where their time went.
     pub results: u64,
     /// Mean time of one rollout, by part.
     pub spent: Spent,
-    /// Rate on the workers of the forecast; none where a worker does not say how many cores it
-    /// has.
+    /// Rate on the workers of the forecast; `None` if a worker does not report its number of cores.
     pub rate: Option<Rate>,
-    /// Time of the rollouts with as many slots as help, seconds.
+    /// Seconds that the rollouts take with as many slots as increase the rate.
     pub enough_slots_secs: Option<f64>,
 }
 
@@ -49,7 +49,7 @@ pub struct Planned<'a> {
     pub policy: &'a str,
     /// Numbers of rollouts, by suite.
     pub rollouts: BTreeMap<String, u64>,
-    /// Queries per second that the policy's server answers at most, if that is known.
+    /// Most queries per second that the policy's server answers, if known.
     pub policy_rate: Option<f64>,
 }
 
@@ -59,12 +59,12 @@ pub(super) struct Measured {
     pub(super) policy: String,
     pub(super) renderer: String,
     pub(super) suite: String,
-    /// Whether every slot had a core for itself.
+    /// True if every slot had a core to itself.
     pub(super) is_roomy: bool,
     pub(super) results: i64,
     /// Mean duration of a rollout, seconds.
     pub(super) secs: f64,
-    /// Results that say where their time went, and their means.
+    /// Results that report where their time went.
     pub(super) known: i64,
     pub(super) physics_secs: f64,
     pub(super) drawing_secs: f64,
@@ -101,7 +101,7 @@ pub(super) fn forecast(workers: &[Live], measured: &[Measured], planned: &Planne
     of_kinds.min_by(least).unwrap_or_default()
 }
 
-/// The forecast on workers that run alike, from what was drawn as they draw.
+/// Returns the forecast for workers of one kind, from results of the same renderer.
 fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forecast {
     let slots = all_of(alike.iter().map(|it| it.slots));
     let machine = |it: &&Live| {
@@ -138,7 +138,7 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
         longest = longest.max(secs);
     }
     let rollouts = total(&planned.rollouts);
-    // A rollout takes its time, however many slots there are.
+    // Additional slots do not shorten a single rollout.
     let at = |per_sec: f64| (rollouts as f64 / per_sec).max(longest);
     let speed = spent(&used, &planned.rollouts).map(|(results, spent)| {
         let rate = rate(
@@ -165,7 +165,7 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
     }
 }
 
-/// Sums figures that workers report; it saturates, since a worker may report any number.
+/// Sums numbers reported by workers. Saturates, since a worker may report any number.
 fn all_of(numbers: impl Iterator<Item = u32>) -> u32 {
     numbers.fold(0, u32::saturating_add)
 }
@@ -174,7 +174,7 @@ fn total(rollouts: &BTreeMap<String, u64>) -> u64 {
     rollouts.values().copied().fold(0, u64::saturating_add)
 }
 
-/// A figure of some results, and of how many it is the mean.
+/// Accessors of a mean value and of the number of results that it covers.
 type Figure = (fn(&Measured) -> f64, fn(&Measured) -> i64);
 
 fn of_suite<'a>(measured: &[&'a Measured], suite: &str) -> Vec<&'a Measured> {
@@ -182,12 +182,12 @@ fn of_suite<'a>(measured: &[&'a Measured], suite: &str) -> Vec<&'a Measured> {
     in_suite.copied().collect()
 }
 
-/// Returns the mean time of one of the rollouts, and the number of results that it rests on; a
-/// suite without one is taken to be as the others. None where no result says it.
+/// Returns the mean time of a planned rollout, and the number of results that it is based on. A
+/// suite without results is assumed to be like the others. `None` if no result reports its times.
 fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, Spent)> {
     let results: i64 = used.iter().map(|it| it.known).sum();
     let total = total(rollouts);
-    // Of nothing that is left, all suites alike.
+    // If no rollouts remain, all suites weigh the same.
     let weight = |suite: &str| match total {
         0 => 0.0,
         _ => rollouts.get(suite).copied().unwrap_or_default() as f64 / total as f64,
@@ -210,14 +210,14 @@ fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, S
         drawing_secs: figure(used, |it| it.drawing_secs)?,
         policy_secs: figure(used, |it| it.policy_secs)?,
         waiting_secs: figure(used, |it| it.waiting_secs)?,
-        // On shared cores, slots wait for one another.
+        // Counted only with a core for every slot: on shared cores, slots wait for one another.
         taken_secs: figure(&roomy, |it| it.waiting_secs).unwrap_or(0.0),
         queries: figure(used, |it| it.queries)?,
     };
     Some((results.unsigned_abs(), spent))
 }
 
-/// The mean of a figure over some results; none without a result.
+/// Returns the mean of a value over some results; `None` without results.
 fn mean(measured: &[&Measured], (value, count): Figure) -> Option<f64> {
     let (mut sum, mut results) = (0.0, 0.0);
     for it in measured {
@@ -277,7 +277,7 @@ mod tests {
         forecast(&workers, measured, &planned)
     }
 
-    /// Ten seconds: four on a core, five of the policy, one of waiting.
+    /// A rollout of ten seconds: four on a core, five for the policy, one waiting.
     fn known(suite: &str, is_roomy: bool) -> Measured {
         Measured {
             known: 10,
@@ -336,7 +336,7 @@ mod tests {
         let rate = speed.rate.expect("cores are known");
         assert_eq!(rate.bottleneck, Bottleneck::Slots);
         assert_eq!(forecast.secs, Some(250.0));
-        // A rollout keeps a core from others for five of its ten seconds.
+        // A rollout occupies a core for five of its ten seconds.
         assert_eq!(
             (rate.enough_slots, speed.enough_slots_secs),
             (8, Some(125.0))

@@ -1,4 +1,4 @@
-//! Inputs of forecasts: the workers that are alive, and recent durations of rollouts.
+//! Inputs of forecasts: live workers and recent durations of rollouts.
 
 use std::time::Duration;
 
@@ -9,26 +9,25 @@ use crate::store::campaigns::Campaign;
 use crate::store::workers::pin;
 use crate::store::{Doing, StoreError};
 
-/// How far back a result is looked at, and how many of each campaign.
+/// Age limit of results, and limit per campaign.
 const RECENT: Duration = Duration::from_secs(7 * 24 * 3_600);
 const RECENT_RESULTS: u32 = 200;
 
 impl View {
-    /// How long rollouts would take on the workers that are alive, if they run
-    /// nothing else.
+    /// Forecasts the duration of rollouts on the live workers, assuming that they run nothing else.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn forecast(&mut self, planned: &Planned<'_>) -> Result<Forecast, StoreError> {
         let workers = self.live().await?;
         let measured = self.measured(None).await?;
         Ok(forecast(&workers, &measured, planned))
     }
 
-    /// How long what waits of a campaign would take, from its own results.
+    /// Forecasts the duration of a campaign's waiting rollouts from its own results.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn pace(&mut self, campaign: &Campaign) -> Result<Forecast, StoreError> {
         let queued: Vec<(String, i64)> = sqlx::query_as(
             "SELECT task, count(*) FROM job WHERE campaign_id = ? AND state = 'queued'
@@ -64,7 +63,7 @@ impl View {
         workers.doing("look at the slots of live workers")
     }
 
-    /// Returns recent durations of rollouts, of one campaign or of all.
+    /// Returns recent durations of rollouts, of one campaign or of all campaigns.
     async fn measured(&mut self, of: Option<CampaignId>) -> Result<Vec<Measured>, StoreError> {
         let recent = self.now.minus(RECENT);
         sqlx::query_as(

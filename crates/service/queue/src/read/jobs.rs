@@ -10,31 +10,31 @@ use crate::operations::error::QueueError;
 use crate::store::campaigns::Campaign;
 use crate::store::{Doing, StoreError, json};
 
-/// Most jobs that one look at a campaign shows.
+/// Most jobs that one query returns.
 pub const MAX_JOBS_LISTED: u32 = 1_000;
-/// Failures that are shown at a time, newest first.
+/// Most failures that one query returns, newest first.
 const MAX_FAILURES_SHOWN: u32 = 100;
 
 /// Selection of jobs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct JobFilter<'a> {
-    /// "queued", "leased", "committed" or "quarantined"; all without it.
+    /// State: "queued", "leased", "committed" or "quarantined". `None` selects all.
     pub state: Option<&'a str>,
-    /// Committed ones that reached their goal, or that did not; all without it.
+    /// Outcome of committed jobs; `None` selects all jobs.
     pub success: Option<bool>,
-    /// Those of a task, "libero_object/0", or of a suite, "libero_object".
+    /// A task such as "libero_object/0", or a suite such as "libero_object".
     pub task: Option<&'a str>,
-    /// Those of a condition.
+    /// Condition of the rollout.
     pub condition: Option<Condition>,
-    /// Those of a level.
+    /// Level of the rollout.
     pub level: Option<Level>,
-    /// Those after this one.
+    /// Only jobs after this one, for paging.
     pub after: JobId,
-    /// At most so many; bounded by [`MAX_JOBS_LISTED`].
+    /// Most jobs to return, capped at [`MAX_JOBS_LISTED`].
     pub limit: u32,
 }
 
-/// A job as people see it.
+/// A job as listed to operators.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct JobLine {
     /// The job.
@@ -47,7 +47,7 @@ pub struct JobLine {
     pub state: String,
     /// Leases granted so far.
     pub attempt: AttemptNumber,
-    /// Failures that count against it.
+    /// Charged attempts of the job.
     pub charged_attempts: u32,
     /// Earliest instant of its next lease, while it waits.
     pub not_before_ms: Option<UnixMillis>,
@@ -55,20 +55,20 @@ pub struct JobLine {
     pub attempt_id: Option<String>,
     /// The worker that holds its lease, while it is leased.
     pub lease_owner: Option<WorkerId>,
-    /// When its lease ends without a heartbeat.
+    /// Instant at which its lease expires without a heartbeat.
     pub lease_expires_ms: Option<UnixMillis>,
     /// The policy's control steps that its worker last reported, while it is
     /// leased; 0 while the scene settles.
     pub control_steps: Option<u32>,
     /// Error of its last failure.
     pub last_error: Option<String>,
-    /// Whether it reached its goal, once it is committed.
+    /// Outcome, true if the goal was reached; `None` until the job is committed.
     pub success: Option<bool>,
     /// The policy's control steps, once it is committed.
     pub steps: Option<u32>,
 }
 
-/// An attempt that brought no result.
+/// An attempt that ended without a result.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct FailureLine {
     /// The job.
@@ -81,9 +81,9 @@ pub struct FailureLine {
     pub failed_ms: UnixMillis,
     /// Kind of the failure, as `FailureReason` names it.
     pub reason: String,
-    /// Whether it counts against job and worker.
+    /// True if the failure is charged.
     pub charged: bool,
-    /// In words.
+    /// Description of the failure.
     pub error: String,
 }
 
@@ -92,17 +92,17 @@ pub struct FailureLine {
 pub struct JobDetails {
     /// The job.
     pub line: JobLine,
-    /// One manifest row, JSON.
+    /// Manifest row, JSON.
     pub manifest_row: String,
     /// Reports that were refused because their lease was gone.
     pub stale_reports: u32,
-    /// Attempts that brought no result, newest first.
+    /// Attempts that ended without a result, newest first.
     pub failures: Vec<FailureLine>,
     /// The committed result.
     pub result: Option<ResultLine>,
 }
 
-/// The columns of [`JobLine`] and where they come from.
+/// The columns of [`JobLine`] and their sources.
 macro_rules! job_lines {
     () => {
         concat!(
@@ -117,10 +117,10 @@ macro_rules! job_lines {
 }
 
 impl View {
-    /// Jobs of a campaign, in paired-unit order.
+    /// Returns jobs of a campaign in paired-unit order.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn jobs(
         &mut self,
         campaign: &Campaign,
@@ -143,17 +143,17 @@ impl View {
         .bind(filter.success)
         .bind(filter.task)
         .bind(filter.condition.map(Condition::name))
-        // Nominal rollouts are of level L0 too, and their ids name none.
+        // Nominal rollouts have level L0, but their ids do not contain it.
         .bind(filter.level.as_ref().map(Level::to_string))
         .fetch_all(self.tx())
         .await
         .doing("list jobs")
     }
 
-    /// One job of a campaign.
+    /// Returns one job of a campaign.
     ///
     /// # Errors
-    /// When there is no such job or the database fails.
+    /// If there is no such job or the database fails.
     pub async fn job(&mut self, campaign: &Campaign, job: &JobName) -> Result<JobLine, QueueError> {
         let line = sqlx::query_as(concat!(
             job_lines!(),
@@ -171,10 +171,10 @@ impl View {
         })
     }
 
-    /// Everything about one job.
+    /// Returns everything about one job.
     ///
     /// # Errors
-    /// When there is no such job or the database fails.
+    /// If there is no such job or the database fails.
     pub async fn job_details(
         &mut self,
         campaign: &Campaign,
@@ -197,10 +197,10 @@ impl View {
         })
     }
 
-    /// The newest attempts of some jobs that brought no result, newest first.
+    /// Returns the newest attempts of some jobs that ended without a result, newest first.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn failures(&mut self, jobs: &[JobId]) -> Result<Vec<FailureLine>, StoreError> {
         sqlx::query_as(
             "SELECT job_id, attempt, worker_id, failed_ms, reason, charged, error

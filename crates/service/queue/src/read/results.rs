@@ -1,4 +1,4 @@
-//! A campaign's results, as reports and exports read them.
+//! Results of a campaign for reports and exports.
 
 use rollout_types::{Fingerprints, Provenance};
 
@@ -10,31 +10,31 @@ use crate::ids::CampaignId;
 use crate::store::provenance::provenance;
 use crate::store::{Doing, StoreError};
 
-/// State that a campaign's report depends on: while it is the same, so is the report.
+/// State that a campaign's report depends on: equal editions have equal reports.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Edition {
     id: CampaignId,
-    // Row numbers may be given again after a deletion.
+    // Distinguishes campaigns, since row numbers are reused after a deletion.
     created_ms: UnixMillis,
     committed: i64,
     quarantined: i64,
     divergent: i64,
-    // More are added to a campaign that follows from another.
+    // Jobs are added to a derived campaign.
     jobs: i64,
-    // Results of a campaign that stopped early do not all count.
+    // Not all results count in a campaign that stopped early.
     has_stopped: bool,
 }
 
-/// A committed rollout as exports read it.
+/// A committed rollout for exports.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ExportedRow {
     /// Id of the rollout.
     pub rollout_id: String,
     /// Number of the replicate of the rollout.
     pub replicate: u32,
-    /// One manifest row, JSON.
+    /// Manifest row, JSON.
     pub manifest_row: String,
-    /// Whether the goal was reached.
+    /// True if the goal was reached.
     pub success: bool,
     /// The policy's control steps.
     pub steps: u32,
@@ -42,7 +42,7 @@ pub struct ExportedRow {
     pub wall_secs: f64,
     /// Residual of the inverse kinematics, mm.
     pub ik_residual_mm: Option<f64>,
-    /// Predicates of the goal, where its worker says.
+    /// Predicates of the goal, if the worker reported them.
     pub goal_predicates: Option<u32>,
     /// Predicates of the goal that held at the end.
     pub goal_at_end: Option<u32>,
@@ -50,20 +50,20 @@ pub struct ExportedRow {
     pub goal_at_most: Option<u32>,
 }
 
-/// A job as reports count it.
+/// A job for reports.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RecordRow {
     /// Id of the rollout.
     pub rollout_id: String,
     /// Number of the replicate of the rollout.
     pub replicate: u32,
-    /// Its initial state.
+    /// Initial state of the rollout.
     pub init_id: u16,
-    /// Whether it is in quarantine.
+    /// True if the job is in quarantine.
     pub is_quarantined: bool,
-    /// Whether the goal was reached, once it is committed.
+    /// Outcome, true if the goal was reached; `None` until the job is committed.
     pub success: Option<bool>,
-    /// The mode that it was realised in, once it is committed.
+    /// Realisation mode, once the job is committed.
     pub realisation: Option<String>,
 }
 
@@ -72,24 +72,24 @@ pub struct RecordRow {
 pub struct SetupRow {
     /// Id of the rollout.
     pub rollout_id: String,
-    /// Its manifest row, JSON.
+    /// Manifest row, JSON.
     pub manifest_row: String,
-    /// SHA-256 of the composed scene, once it is committed.
+    /// SHA-256 of the composed scene, once the job is committed.
     pub scene_digest: Option<String>,
-    /// SHA-256 of the initial state's bytes, once it is committed.
+    /// SHA-256 of the initial state's bytes, once the job is committed.
     pub init_state_digest: Option<String>,
 }
 
 impl Edition {
-    /// Whether the other is an earlier or a later one of the same campaign.
+    /// Returns true if both editions are of the same campaign.
     pub fn is_of_same_campaign(&self, other: &Edition) -> bool {
         (self.id, self.created_ms) == (other.id, other.created_ms)
     }
 }
 
 impl View {
-    /// Returns the state that a campaign's report depends on. Divergent rollouts are counted,
-    /// which are few; the other counts are the campaign's tally.
+    /// Returns the state that a campaign's report depends on. Counts come from the campaign's
+    /// tally, except for divergent rollouts, which are few and counted here.
     ///
     /// # Errors
     /// If the database fails.
@@ -109,11 +109,10 @@ impl View {
         .doing("look whether a campaign's results changed")
     }
 
-    /// Up to `limit` committed rollouts after one, by rollout id, then
-    /// replicate.
+    /// Returns up to `limit` committed rollouts after a given one, by rollout id, then replicate.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn exported(
         &mut self,
         campaign: CampaignId,
@@ -137,11 +136,10 @@ impl View {
         .doing("read results")
     }
 
-    /// All jobs of a campaign with what is known of them, by rollout id, then
-    /// replicate.
+    /// Returns all jobs of a campaign with their outcomes, by rollout id, then replicate.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn records(&mut self, campaign: CampaignId) -> Result<Vec<RecordRow>, StoreError> {
         sqlx::query_as(
             "SELECT j.rollout_id, j.replicate, j.init_id, j.state = 'quarantined' AS is_quarantined,
@@ -156,8 +154,8 @@ impl View {
         .doing("read what is known of a campaign")
     }
 
-    /// Returns the setups of a campaign's rollouts, of its first replicate: all replicates have
-    /// the same.
+    /// Returns the setups of a campaign's rollouts in its first replicate; all replicates share
+    /// them.
     ///
     /// # Errors
     /// If the database fails.
@@ -173,10 +171,10 @@ impl View {
         .doing("read what a campaign's rollouts are")
     }
 
-    /// The seeds that a policy is given, by rollout, then replicate.
+    /// Returns the policy seeds of a campaign, by rollout, then replicate.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn policy_seeds(
         &mut self,
         campaign: CampaignId,
@@ -193,10 +191,10 @@ impl View {
         Ok(rows.into_iter().map(seed).collect())
     }
 
-    /// The distinct provenances of a campaign's results.
+    /// Returns the distinct provenances of a campaign's results.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn provenances(
         &mut self,
         campaign: CampaignId,
@@ -214,11 +212,11 @@ impl View {
         Ok(rows.into_iter().map(|Json(row)| row).collect())
     }
 
-    /// Actions beyond the range in a campaign's results: how many, of how many, and
-    /// in how many rollouts.
+    /// Returns the number of clipped actions in a campaign's results, the number of all actions,
+    /// and the number of rollouts with clipped actions.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn beyond_range(
         &mut self,
         campaign: CampaignId,
@@ -234,12 +232,12 @@ impl View {
         .doing("count a campaign's actions beyond the range")
     }
 
-    /// Results of each fingerprint in a campaign, and the tasks and initial
-    /// states that have several; none while there is one. Walks the results'
-    /// index, and the committed jobs only if there is something to tell.
+    /// Returns the results of each fingerprint in a campaign, and the tasks and initial states that
+    /// have several fingerprints; `None` if there is only one. Reads the committed jobs only if
+    /// there are several; otherwise the results' index is enough.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn fingerprints(
         &mut self,
         campaign: CampaignId,
@@ -278,10 +276,10 @@ impl View {
         }))
     }
 
-    /// Rollouts of a campaign that were reported again with another outcome.
+    /// Returns the rollouts of a campaign that were reported again with another outcome.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn divergent(
         &mut self,
         campaign: CampaignId,

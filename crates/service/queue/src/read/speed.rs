@@ -1,33 +1,33 @@
-//! Rollouts of one kind per second on some workers, and the bottleneck: pure.
+//! Rate of rollouts of one kind on a set of workers, and its bottleneck. Pure functions.
 //!
-//! Three things bound a rate, and the least of them holds. A slot runs one rollout
-//! at a time, from its start to its end. A worker's slots share its cores, on which
-//! physics and drawing take processor time. The policy's server answers so many
-//! queries per second. These are the bounds of any closed queueing system, reached
-//! where nobody waits for anybody by chance; so a rate is what can be hoped for.
+//! A rate has three upper bounds, and the smallest applies. A slot runs one rollout at a time, from
+//! start to end. A worker's slots share its cores, on which physics and rendering take processor
+//! time. The policy's server answers a limited number of queries per second. These are the
+//! asymptotic bounds of a closed queueing network; random waiting lowers the actual rate, so the
+//! result is a best case.
 
 /// Slots and cores of a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Machine {
-    /// Rollouts that it runs side by side.
+    /// Rollouts that run concurrently.
     pub(super) slots: u32,
-    /// Cores that they share.
+    /// Cores that the slots share.
     pub(super) cores: u32,
 }
 
-/// Mean time of one rollout, seconds, and how often it asks the policy.
+/// Mean times of one rollout, seconds, and its mean number of policy queries.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spent {
     /// Processor time of the physics.
     pub physics_secs: f64,
-    /// Processor time of drawing.
+    /// Processor time of rendering.
     pub drawing_secs: f64,
-    /// Until the policy has answered.
+    /// Time waiting for the policy's answers.
     pub policy_secs: f64,
     /// Rest of its duration: waiting for a core, a card or a disk.
     pub waiting_secs: f64,
-    /// Part of the wait in which its slot had a core for itself: something else took that time,
-    /// and would take it from further slots as well.
+    /// Part of the waiting time during which every slot had a core to itself: it was lost to
+    /// something else, such as a disk, and further slots would lose it as well.
     pub taken_secs: f64,
     /// Queries of the policy.
     pub queries: f64,
@@ -36,42 +36,42 @@ pub struct Spent {
 /// The bound that limits a rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bottleneck {
-    /// More slots make it faster.
+    /// More slots would raise the rate.
     Slots,
     /// Every core is busy.
     Cores,
-    /// The policy's server answers no faster.
+    /// The policy's server is saturated.
     Policy,
 }
 
-/// How fast rollouts go.
+/// Rate of rollouts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
     /// Rollouts per second.
     pub per_sec: f64,
     /// The bound that limits the rate.
     pub bottleneck: Bottleneck,
-    /// The fewest slots that are as fast as any number of them.
+    /// Fewest slots that reach the highest rate.
     pub enough_slots: u32,
-    /// Rollouts per second with so many.
+    /// Rollouts per second with that many slots.
     pub most_per_sec: f64,
 }
 
 impl Spent {
-    /// On a core, or for its sake.
+    /// Returns the time that occupies a core: processor time and `taken_secs`.
     fn busy(&self) -> f64 {
         self.physics_secs + self.drawing_secs + self.taken_secs
     }
 
-    /// From start to end where nobody else wants the core.
+    /// Returns the duration when no other slot needs the core.
     fn alone(&self) -> f64 {
         self.busy() + self.policy_secs
     }
 }
 
-/// How fast rollouts that take `spent` go on `machines`, if the policy's server
-/// answers `policy_rate` queries per second at most. None where rollouts take no
-/// processor time, or there is no machine: then nothing was measured.
+/// Returns the rate of rollouts with the times `spent` on `machines`, if the policy's server
+/// answers at most `policy_rate` queries per second. `None` if there is no machine or the rollouts
+/// take no processor time, which means that nothing was measured.
 pub(super) fn rate(machines: &[Machine], spent: &Spent, policy_rate: Option<f64>) -> Option<Rate> {
     let (busy, alone) = (spent.busy(), spent.alone());
     if busy <= 0.0 || !alone.is_finite() || machines.is_empty() {
@@ -91,7 +91,7 @@ pub(super) fn rate(machines: &[Machine], spent: &Spent, policy_rate: Option<f64>
         () if simulated < full => Bottleneck::Slots,
         () => Bottleneck::Cores,
     };
-    // Slots under way at a rate; a last bit of rounding is no further slot.
+    // Slots in use at a rate; the factor keeps a rounding error from adding a slot.
     let under_way = |per_sec: f64| (per_sec * alone * (1.0 - 1e-12)).ceil();
     let to_fill = |it: &Machine| under_way(by_cores(it));
     let enough = match answered < full {
@@ -101,7 +101,7 @@ pub(super) fn rate(machines: &[Machine], spent: &Spent, policy_rate: Option<f64>
     Some(Rate {
         per_sec: simulated.min(answered),
         bottleneck,
-        // A cast stops at the ends of its range.
+        // A float cast saturates.
         enough_slots: enough.max(1.0) as u32,
         most_per_sec: full.min(answered),
     })
@@ -113,7 +113,7 @@ mod tests {
 
     use super::*;
 
-    /// Four seconds on a core, six of the policy in thirty queries.
+    /// A rollout with four seconds on a core, and six seconds of the policy in thirty queries.
     const ROLLOUT: Spent = Spent {
         physics_secs: 3.0,
         drawing_secs: 1.0,

@@ -1,4 +1,4 @@
-//! Standing of workers and policies, on which campaigns depend, and the quarantine.
+//! State of workers and policies, and the quarantine.
 
 use super::View;
 use crate::clock::UnixMillis;
@@ -7,42 +7,41 @@ use crate::rules::outage::PolicyHealth;
 use crate::store::policies::health;
 use crate::store::{Doing, StoreError};
 
-/// Most workers of one answer: those with the latest calls.
+/// Most workers that one query returns: those with the latest calls.
 pub const MAX_WORKERS_LISTED: u32 = 1_000;
 
-/// A worker as people see it.
+/// A worker as listed to operators.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct WorkerLine {
-    /// Its id.
+    /// Id of the worker.
     pub id: WorkerId,
-    /// The machine it runs on.
+    /// Machine of the worker.
     pub host: String,
-    /// Rollouts that it runs side by side.
+    /// Rollouts that it runs concurrently.
     pub slots: u32,
-    /// Leases that it holds.
+    /// Leases that it holds now.
     pub leases: u32,
-    /// Name of its asset pack.
+    /// Name of the asset pack.
     pub asset_pack: String,
-    /// Version of its simulator.
+    /// Version of the simulator.
     pub mujoco_version: String,
-    /// Renderer of its frames.
+    /// Name of the renderer.
     pub renderer: String,
-    /// Version of its program.
+    /// Version of the worker's program.
     pub program_version: String,
     /// Instant of its last registration.
     pub registered_ms: UnixMillis,
     /// Instant of its last call.
     pub last_seen_ms: UnixMillis,
-    /// Ended in good order, and said so.
+    /// True if it signed off after a clean shutdown.
     pub has_signed_off: bool,
     /// Charged failures in a row.
     pub charged_in_a_row: u32,
-    /// Why it may lease no more, if so.
+    /// Reason why it may not lease any more, if it may not.
     pub stopped_reason: Option<String>,
-    /// Heard of lately, and has not said good-bye.
+    /// True if it called recently and has not signed off.
     pub is_alive: bool,
-    /// Videos of finished rollouts that it draws or sends; 0 of one that has
-    /// gone.
+    /// Videos of finished rollouts that it draws or sends; 0 for a worker that has gone.
     #[sqlx(skip)]
     pub filming: u32,
 }
@@ -53,12 +52,12 @@ pub struct PolicyLine {
     id: PolicyId,
     /// Endpoint of the policy.
     pub endpoint: String,
-    /// Its name there.
+    /// Name of the policy at its endpoint.
     pub name: String,
     /// Health of the policy.
     #[sqlx(json)]
     pub health: PolicyHealth,
-    /// The campaigns that measure it, oldest first.
+    /// Campaigns that measure the policy, oldest first.
     #[sqlx(skip)]
     pub campaigns: Vec<CampaignName>,
 }
@@ -66,23 +65,23 @@ pub struct PolicyLine {
 /// A quarantined rollout.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct QuarantinedLine {
-    /// Its campaign.
+    /// Campaign of the rollout.
     pub campaign: CampaignName,
     /// Id of the rollout.
     pub rollout_id: String,
     /// Number of the replicate of the rollout.
     pub replicate: u32,
-    /// Failures that count against it.
+    /// Charged attempts of the job.
     pub charged_attempts: u32,
-    /// Error of its last failure.
+    /// Error of the last failure.
     pub last_error: String,
 }
 
 impl View {
-    /// Up to [`MAX_WORKERS_LISTED`] workers, those with the latest calls first.
+    /// Returns up to [`MAX_WORKERS_LISTED`] workers, those with the latest calls first.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn workers(&mut self) -> Result<Vec<WorkerLine>, StoreError> {
         let alive_since = self.now.minus(self.timing.worker_alive);
         let mut workers: Vec<WorkerLine> = sqlx::query_as(
@@ -107,10 +106,10 @@ impl View {
         Ok(workers)
     }
 
-    /// All policies with their health, by name.
+    /// Returns all policies with their health, by name.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn policies(&mut self) -> Result<Vec<PolicyLine>, StoreError> {
         let mut policies: Vec<PolicyLine> = sqlx::query_as(concat!(
             "SELECT p.id, p.endpoint, p.name, ",
@@ -134,10 +133,10 @@ impl View {
         Ok(policies)
     }
 
-    /// Up to `limit` quarantined rollouts of a campaign, or of all.
+    /// Returns up to `limit` quarantined rollouts, of one campaign or of all.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn quarantine(
         &mut self,
         campaign: Option<CampaignId>,
@@ -157,10 +156,10 @@ impl View {
         .doing("read the quarantine")
     }
 
-    /// How many attempts ended without a result, by how they ended.
+    /// Returns the number of attempts that ended without a result, by failure reason.
     ///
     /// # Errors
-    /// When the database fails.
+    /// If the database fails.
     pub async fn endings(&mut self) -> Result<Vec<(String, i64)>, StoreError> {
         sqlx::query_as("SELECT reason, attempts FROM ending_tally WHERE attempts > 0")
             .fetch_all(self.tx())

@@ -1,5 +1,5 @@
-//! States of a campaign, and the changes that an operator may make to them. Not responsible for
-//! the states of single jobs (`lease`).
+//! States of a campaign, and the changes that an operator may make to them. States of single jobs
+//! are in `lease`.
 
 use std::ops::RangeInclusive;
 
@@ -7,34 +7,33 @@ use serde::Deserialize;
 
 use crate::clock::UnixMillis;
 
-/// The priorities that a campaign may have; 0 where nothing is said. The store's
-/// CHECK constraint says the same.
+/// Valid priorities of a campaign; the default is 0. Must match the store's CHECK constraint.
 pub const PRIORITIES: RangeInclusive<i32> = -100..=100;
 
-/// State of a campaign, as its operator set it. The store's CHECK constraints say the same.
+/// State of a campaign. Must match the store's CHECK constraints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
 pub enum CampaignState {
-    /// Its jobs are leased.
+    /// Jobs of the campaign are leased.
     Running {
-        /// Since it was created or last resumed.
+        /// Instant at which the campaign was created or last resumed.
         since: UnixMillis,
     },
-    /// Nothing is leased; what was leased before may still be committed.
+    /// Leasing is suspended; attempts in progress may still be committed.
     Paused {
-        /// Since when.
+        /// Instant of the pause.
         since: UnixMillis,
     },
-    /// Nothing is leased ever again, and leases were taken back. Its results
-    /// stay. Final.
+    /// Cancelled by an operator: nothing is leased again, and leases were revoked. Results are
+    /// kept. Final.
     Cancelled {
-        /// Since when.
+        /// Instant of the cancellation.
         since: UnixMillis,
     },
-    /// Its rule was met: nothing is leased ever again, and leases were taken back.
-    /// Its results stay. Final.
+    /// Stopped because its rule was met: nothing is leased again, and leases were revoked. Results
+    /// are kept. Final.
     Stopped {
-        /// Since when.
+        /// Instant of the stop.
         since: UnixMillis,
     },
 }
@@ -42,23 +41,23 @@ pub enum CampaignState {
 /// A change that an operator asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Change {
-    /// Lease nothing more until it is resumed.
+    /// Suspend leasing until the campaign is resumed.
     Pause,
-    /// Go on.
+    /// Resume leasing.
     Resume,
-    /// End it.
+    /// Cancel the campaign for good.
     Cancel,
 }
 
-/// A campaign that is cancelled or stopped was to become something else.
+/// A campaign that is cancelled or stopped cannot change its state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EndedIsFinal;
 
 impl CampaignState {
-    /// The state after a change; the same state if it is there already.
+    /// Returns the state after a change, which may be the same state.
     ///
     /// # Errors
-    /// When the campaign is cancelled or stopped: that is final.
+    /// If the campaign is cancelled or stopped, which is final.
     pub fn after(self, change: Change, now: UnixMillis) -> Result<Self, EndedIsFinal> {
         match (self, change) {
             (CampaignState::Running { .. }, Change::Resume)
@@ -73,12 +72,12 @@ impl CampaignState {
         }
     }
 
-    /// Whether its jobs may be leased.
+    /// Returns true if jobs of the campaign may be leased.
     pub fn may_lease(self) -> bool {
         matches!(self, CampaignState::Running { .. })
     }
 
-    /// Whether nothing more of it is ever leased.
+    /// Returns true if the state is final.
     pub fn is_over(self) -> bool {
         matches!(
             self,
@@ -86,7 +85,7 @@ impl CampaignState {
         )
     }
 
-    /// Since when it is in this state.
+    /// Returns the instant at which this state began.
     pub fn since(self) -> UnixMillis {
         match self {
             CampaignState::Running { since }
@@ -96,7 +95,7 @@ impl CampaignState {
         }
     }
 
-    /// Its name in the store and to people.
+    /// Returns the name of the state in the store and in messages.
     pub fn name(self) -> &'static str {
         match self {
             CampaignState::Running { .. } => "running",

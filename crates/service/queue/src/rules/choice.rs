@@ -2,34 +2,33 @@
 
 use crate::ids::CampaignId;
 
-/// A campaign of which jobs wait that a worker can have, as a claim sees it.
+/// A campaign with waiting jobs that the claiming worker can run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WaitingCampaign {
     /// Id of the campaign.
     pub id: CampaignId,
-    /// The higher, the earlier.
+    /// Priority: higher ones are leased first.
     pub priority: i32,
-    /// Leases on it now.
+    /// Current number of leases.
     pub leased: u32,
-    /// Turn of the last lease: a number that rises with every lease. 0 if it is not known.
+    /// Turn of the last lease, a number that rises with every lease; 0 if unknown.
     pub last_turn: u64,
 }
 
-/// The campaign that jobs are leased from next, and how many of `claims` it is
-/// given before the others are looked at again; at least one.
+/// Returns the campaign to lease from next, and how many of `claims` it gets before campaigns are
+/// compared again; at least one.
 ///
-/// The highest priority goes first. Campaigns of one priority share the workers:
-/// the one with the fewest leases is next, among equals the one that has waited
-/// for its turn the longest, then the one that was created first. Claims that
-/// arrive together are given out as if each had come alone.
+/// The highest priority goes first. Campaigns of equal priority share the workers: the one with the
+/// fewest leases is next; ties go to the longest wait since its last turn, then to the oldest
+/// campaign. Claims that arrive together are assigned as if they had arrived one by one.
 pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(CampaignId, usize)> {
     let priority = waiting.iter().map(|campaign| campaign.priority).max()?;
     let peers = waiting.iter().filter(|it| it.priority == priority);
     let mut peers: Vec<&WaitingCampaign> = peers.collect();
     peers.sort_by_key(|it| (it.leased, it.last_turn, it.id));
     let first = peers.first()?;
-    // With so many leases each, its peers and it have the same number once all
-    // claims are met; peers that have more already get none.
+    // Find the number of leases that the campaign and its peers reach together once all claims are
+    // served; peers that already have more get none.
     let mut level = usize::MAX;
     let mut leases = claims;
     for (others, peer) in peers.iter().enumerate() {
@@ -40,28 +39,27 @@ pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(Ca
     Some((first.id, share.max(1)))
 }
 
-/// A task of one campaign of which jobs wait, as a claim sees it.
+/// A task of one campaign with waiting jobs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WaitingTask {
     /// "libero_goal/3".
     pub task: String,
-    /// Place of its next job in paired-unit order.
+    /// Place of the task's next job in paired-unit order.
     pub first_unit: i64,
-    /// Leases on it now.
+    /// Current number of leases.
     pub leased: u32,
 }
 
-/// Picks the task of a campaign that a worker starts on: the one that the
-/// fewest leases are on; among equals the one whose next job comes first in
-/// paired-unit order.
+/// Chooses the task that a worker starts on: the one with the fewest leases; ties go to the task
+/// whose next job comes first in paired-unit order.
 pub fn choose_task(waiting: &[WaitingTask]) -> Option<&WaitingTask> {
     waiting
         .iter()
         .min_by_key(|candidate| (candidate.leased, candidate.first_unit))
 }
 
-/// The tasks among which the next `jobs` jobs of a campaign are that is leased in the
-/// order of its jobs: of each of the others, the first job comes after all of these.
+/// Returns the tasks that contain the next `jobs` jobs of a campaign leased in job order. The first
+/// waiting job of every other task comes after all of these jobs.
 pub fn first_tasks(mut waiting: Vec<WaitingTask>, jobs: usize) -> Vec<String> {
     waiting.sort_by_key(|task| task.first_unit);
     let first = waiting.into_iter().take(jobs);
@@ -109,8 +107,8 @@ mod tests {
         );
     }
 
-    /// Leases given to each campaign when `claims` arrive together, and when
-    /// they come one by one.
+    /// Returns the leases of each campaign when `claims` arrive together, and when they arrive one
+    /// by one.
     fn check(leased: &[u32], claims: usize) {
         let given = |at_a_time: usize| {
             let mut waiting: Vec<WaitingCampaign> = (1..)

@@ -1,5 +1,5 @@
-//! Next rollouts of a campaign that explains another. The subsets that explain a configuration are
-//! `lattice`'s business; here those that it asks for become rollouts.
+//! Next rollouts of a campaign that explains another. `lattice` decides which subsets of axes to
+//! try; this module turns them into rollouts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -8,26 +8,25 @@ use lattice::{Sample, configurations, explain, plan};
 use libero_ctrl::{AxisSet, Condition, Explanation, RolloutId};
 use paired::Record;
 
-/// Rollouts that follow from what is known.
+/// Rollouts to add.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Wanted {
-    /// The simultaneous rollout of their configuration, in the campaign that is
-    /// explained.
+    /// The simultaneous rollout of the configuration in the explained campaign.
     pub(crate) simultaneous: RolloutId,
     /// The axes to perturb.
     pub(crate) axes: AxisSet,
-    /// The replicates to run: those that neither campaign has.
+    /// Replicates to run, which neither campaign has yet.
     pub(crate) replicates: Range<u32>,
 }
 
-/// The rollouts that follow from the records of the explained campaign and the
-/// explaining one's `own`; none where everything is explained, or asked for.
+/// Returns the rollouts to add, given the records of the explained campaign and `own`, those of the
+/// explaining campaign; empty if everything is explained or already requested.
 pub(crate) fn wanted(
     explained: &[Record],
     own: &[Record],
     explanation: &Explanation,
 ) -> Vec<Wanted> {
-    // Of a single axis there is nothing to explain.
+    // A single axis leaves nothing to explain.
     let Ok(known) = configurations(explained, own, explanation) else {
         return Vec::new();
     };
@@ -45,9 +44,9 @@ pub(crate) fn wanted(
     all
 }
 
-/// The rollouts of `own` that show an explanation, and are worth a film: under the
-/// minimal subsets, and under the largest subsets of each that do not flip the
-/// outcome. Of each the first replicate that does what most of them do.
+/// Returns the rollouts of `own` that illustrate an explanation and are worth filming: those under
+/// the minimal subsets, and under the largest subsets of each that do not flip the outcome. For
+/// each subset it is the first replicate that shows the majority's outcome.
 pub(crate) fn telling(
     explained: &[Record],
     own: &[Record],

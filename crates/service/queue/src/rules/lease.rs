@@ -1,6 +1,5 @@
-//! Life of one job: its states, the transitions between them, and how an attempt without a result
-//! is charged. Not responsible for which job is leased next (`choice`) nor for a policy's outages
-//! (`outage`).
+//! Lifecycle of one job: its states, their transitions, and the charging of attempts without a
+//! result. `choice` decides which job is leased next; `outage` handles outages of policies.
 
 use std::time::Duration;
 
@@ -17,35 +16,34 @@ pub const MAX_CHARGED_ATTEMPTS: u32 = 3;
 /// that many are alive: one broken machine must not put a rollout into quarantine.
 /// Workers that do not say on which machine they run count as one machine each.
 pub const MIN_MACHINES_TO_QUARANTINE: u32 = 2;
-/// Failures of its machine in a row after which a worker leases no more.
+/// Machine failures in a row after which a worker stops leasing.
 pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
-/// Attempts of one job that were cut off with their worker before the job waits for
-/// a back-off each time, so that others get their turn on the workers that are left.
+/// Attempts of one job cut off with their worker after which the job waits for a back-off each
+/// time, so that other jobs get the remaining workers.
 pub const SILENCES_UNTIL_BACKOFF: u32 = 3;
-/// Attempts of one job that were cut off with their worker before the job is
-/// quarantined: it takes its workers down. A network that is cut so often while this
-/// very job runs, and each time until the job's worker is gone for good, is not one
-/// to wait for.
+/// Attempts of one job cut off with their worker after which the job is quarantined, since it
+/// probably crashes its workers: a network would have to fail that often during this very job, each
+/// time until the worker is gone for good.
 pub const MAX_SILENCES: u32 = 10;
-/// Attempts of one job that lost their policy before the job waits for a back-off
-/// each time, so that others get their turn while the policy is there.
+/// Attempts of one job that lost their policy after which the job waits for a back-off each time,
+/// so that other jobs run while the policy is available.
 pub const LOSSES_UNTIL_BACKOFF: u32 = 2;
-/// Attempts of one job that lost their policy before the job is run alone only: with
-/// no other lease of that policy, and when no other job of it waits.
-/// The index `job_alone` of the schema has this number, too.
+/// Attempts of one job that lost their policy after which the job runs only as the policy's single
+/// lease, and only when no other job of the policy waits. The schema's index `job_alone` uses the
+/// same number.
 pub const LOSSES_UNTIL_ALONE: u32 = 4;
-/// Attempts of one job that lost their policy, the last of them alone with it, before
-/// the job is quarantined: it takes its policy down.
+/// Attempts of one job that lost their policy, the last of them as its single lease, after which
+/// the job is quarantined, since it crashes its policy.
 pub const MAX_LOSSES: u32 = 6;
 
-/// One rollout × replicate, as far as leasing goes.
+/// Lease state of a job: one rollout × replicate.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Job {
     /// Id of the job.
     pub id: JobId,
     /// Leases granted so far.
     pub attempt: AttemptNumber,
-    /// Attempts that ended in a failure of policy, machine or simulator.
+    /// Attempts that ended in a charged failure of policy, machine or simulator.
     pub charged_attempts: u32,
     /// Attempts that lost their policy.
     pub losses: u32,
@@ -53,7 +51,7 @@ pub struct Job {
     pub state: JobState,
 }
 
-/// Lease state of a job. The store's CHECK constraints say the same.
+/// Lease state of a job. Must match the store's CHECK constraints.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
 pub enum JobState {
@@ -64,7 +62,7 @@ pub enum JobState {
     },
     /// A worker holds its lease.
     Leased(Lease),
-    /// Its result is stored. Final.
+    /// The result is stored. Final.
     Committed,
     /// Taken out after too many charged attempts, until an operator retries it.
     Quarantined,
@@ -73,55 +71,54 @@ pub enum JobState {
 /// A lease: one attempt at one job, by one worker.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Lease {
-    /// The attempt's name.
+    /// Id of the attempt.
     pub attempt: AttemptId,
-    /// Its worker.
+    /// Worker that holds the lease.
     pub owner: WorkerId,
-    /// Since when.
+    /// Instant of the grant.
     pub granted: UnixMillis,
-    /// Until when, unless a heartbeat renews it.
+    /// Instant of expiry unless a heartbeat renews the lease.
     pub expires: UnixMillis,
     /// Past this instant no heartbeat renews it.
     pub ceiling: UnixMillis,
-    /// Whether a heartbeat of its worker has named it.
+    /// True once a heartbeat of the worker has named the lease.
     pub is_acknowledged: bool,
 }
 
-/// The part of a result that two reports of one rollout must share. Wall time is
-/// no part of it.
+/// The part of a result on which two reports of one rollout must agree. Excludes wall time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 pub struct OutcomeKey {
-    /// Whether the goal was reached.
+    /// True if the goal was reached.
     pub success: bool,
     /// The policy's control steps.
     pub steps: u32,
 }
 
-/// Judgement on a reported result, before its siblings are looked at.
+/// Judgement on a reported result, before the comparison with its siblings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommitJudgement {
-    /// The attempt holds the lease: store it.
+    /// The attempt holds the lease: the result can be stored.
     Accept,
-    /// Stored already, with this outcome: fine.
+    /// The same outcome is already stored.
     Duplicate,
-    /// Stored already, with another outcome: keep it apart.
+    /// Another outcome is already stored: this one is recorded separately.
     Divergent,
-    /// The lease is gone: refuse and count.
+    /// The attempt no longer holds the lease: the result is refused and counted.
     Stale,
 }
 
-/// Whom a failure counts against.
+/// The party that a failure is charged to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Party {
-    /// The policy: it pauses after a run of them.
+    /// The policy, which is paused after several failures in a row.
     Policy,
-    /// The worker's machine: it leases no more after a run of them.
+    /// The worker's machine, which stops leasing after several failures in a row.
     Machine,
-    /// The simulator, which fails in the same way wherever it runs.
+    /// The simulator, which fails in the same way on every machine.
     Simulator,
 }
 
-/// Why an attempt brought no result.
+/// Reason why an attempt ended without a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum FailureReason {
     /// The simulator failed: the physics diverged, or a scene is inconsistent.
@@ -132,9 +129,9 @@ pub enum FailureReason {
     SlotCrashed,
     /// The slot's progress stopped.
     SlotStuck,
-    /// The policy's answer broke its protocol.
+    /// The policy's answer violated the protocol.
     PolicyMisbehaved,
-    /// The lease expired: its worker's heartbeats came and left it out.
+    /// The lease expired because the worker's heartbeats left it out.
     LeaseLost,
     /// The attempt reached its ceiling.
     Overdue,
@@ -142,24 +139,22 @@ pub enum FailureReason {
     Unpaired,
     /// The policy cannot be reached or is overloaded.
     PolicyUnavailable,
-    /// The worker drains.
+    /// The worker is draining.
     Draining,
     /// The campaign was cancelled.
     Cancelled,
-    /// Another worker's result pinned the campaign to what this one does not run
-    /// on.
+    /// Another worker's result pinned the campaign to another asset pack, simulator or renderer.
     Unsuited,
-    /// The lease expired before a heartbeat named it: the answer to its claim was
-    /// lost.
+    /// The lease expired before a heartbeat named it: the answer to the claim was lost.
     NeverAcknowledged,
-    /// The lease expired and no heartbeat of its worker came any more: the network was
-    /// cut, or the worker or its whole machine is gone.
+    /// The lease expired and the worker's heartbeats stopped: the network was cut, or the worker or
+    /// its machine is gone.
     WorkerSilent,
-    /// The policy had answered in this attempt and cannot be reached any more.
+    /// The policy answered in this attempt and then became unreachable.
     PolicyLost,
-    /// The last of too many attempts that lost their policy.
+    /// Last of too many attempts that lost their policy.
     TakesPolicyDown,
-    /// The last of too many attempts that were cut off with their worker.
+    /// Last of too many attempts that were cut off with their worker.
     TakesWorkerDown,
     /// An operator skipped the rollout.
     Skipped,
@@ -168,30 +163,30 @@ pub enum FailureReason {
 /// Next step of a failed attempt's job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AfterFailure {
-    /// Back in the queue, not before an instant.
+    /// Requeue the job, to be leased after an instant.
     Requeue {
         /// End of its back-off.
         not_before: UnixMillis,
     },
-    /// Into quarantine.
+    /// Quarantine the job.
     Quarantine,
 }
 
-/// Evidence against a job from its attempts so far, the one that ends now included. Counted since
-/// the job was last taken out of quarantine by hand.
+/// Evidence against a job from its attempts, including the one that ends now, since an operator
+/// last took the job out of quarantine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Suspicion {
     /// Distinct machines with a charged failure.
     pub failed_on_machines: u32,
     /// Distinct machines with an attempt that was cut off with its worker.
     pub silent_on_machines: u32,
-    /// Machines with a worker alive now that could run it.
+    /// Machines with a live worker that could run the job.
     pub able_machines: u32,
     /// Attempts that were cut off with their worker.
     pub silences: u32,
 }
 
-/// A lease that was cut off with its worker, which may still come back with the result.
+/// A lease that was cut off with its worker, which may reconnect with the result.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct CutOff {
     /// Number of the attempt within its job.
@@ -200,18 +195,18 @@ pub struct CutOff {
     pub lease: Lease,
 }
 
-/// The failures in a row of a worker's machine, after one more.
+/// Failures in a row of a worker's machine, after one more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Strike {
-    /// How many.
+    /// Number of failures in a row.
     pub in_a_row: u32,
-    /// Whether it may lease no more.
+    /// True if the worker must stop leasing.
     pub stop: bool,
 }
 
 impl Job {
-    /// Its lease, if this very attempt holds it. An expired lease is held until
-    /// it is taken away: the attempt is what fences, not the clock.
+    /// Returns the lease if this very attempt holds it. An expired lease counts as held until the
+    /// sweep ends it: reports are fenced by the attempt, not by the clock.
     pub fn lease_of(&self, attempt: AttemptId) -> Option<&Lease> {
         match &self.state {
             JobState::Leased(lease) if lease.attempt == attempt => Some(lease),
@@ -219,7 +214,7 @@ impl Job {
         }
     }
 
-    /// Judges an outcome that `attempt`, one of this job's, reports. `stored` is the committed
+    /// Judges an outcome reported by `attempt`, an attempt of this job. `stored` is the committed
     /// outcome, if there is one.
     pub fn judge_commit(
         &self,
@@ -235,8 +230,8 @@ impl Job {
         }
     }
 
-    /// The lease that a worker which comes back resumes: its job was leased to nobody
-    /// since, and the attempt's ceiling is not reached.
+    /// Returns the lease that a reconnected worker may resume: its job was not leased again in the
+    /// meantime, and the attempt's ceiling is not reached.
     pub fn resumes<'a>(&self, cut_off: &'a CutOff, now: UnixMillis) -> Option<&'a Lease> {
         let waits = matches!(self.state, JobState::Queued { .. });
         let is_newest = self.attempt == cut_off.number;
@@ -252,7 +247,7 @@ impl Job {
         rng: &mut impl Rng,
     ) -> AfterFailure {
         let machines = MIN_MACHINES_TO_QUARANTINE.min(suspicion.able_machines);
-        // Whether it is quarantined, and its place in the row of back-offs.
+        // Whether the job is quarantined, and the exponent of its back-off.
         let (is_over, wait) = match reason {
             FailureReason::Skipped => return AfterFailure::Quarantine,
             FailureReason::PolicyLost => {
@@ -296,14 +291,14 @@ impl Job {
 }
 
 impl Lease {
-    /// Why this lease, which lasts `lasts` without a heartbeat, has expired.
-    /// `last_heartbeat` is its worker's, whether or not it named this attempt.
+    /// Returns the reason for the expiry of this lease, whose duration without a heartbeat is
+    /// `lasts`. `last_heartbeat` is the worker's last one, whether or not it named this attempt.
     ///
-    /// A worker whose heartbeats stopped took all its leases with it, and nothing is
-    /// known of the rollout: the network may be cut. One that goes on sending heartbeats
-    /// and leaves the attempt out has forgotten it. That is told by the second half of the
-    /// lease, since a heartbeat may be late and be overtaken by another. At the ceiling
-    /// of the attempt every heartbeat within a lease says that the worker is there.
+    /// If the worker's heartbeats stopped, all its leases expired together and nothing is known
+    /// about the rollout: the network may be cut. If its heartbeats continued and left the attempt
+    /// out, the worker has forgotten it. The second half of the lease distinguishes the two, since
+    /// a heartbeat may be late and be overtaken by another. At the attempt's ceiling, any heartbeat
+    /// within one lease shows that the worker is alive.
     pub fn why_expired(
         &self,
         last_heartbeat: Option<UnixMillis>,
@@ -324,8 +319,8 @@ impl Lease {
 }
 
 impl FailureReason {
-    /// Whom it counts against: one party only. None for what the network, an
-    /// operator, a policy that cannot be reached, or the rollout itself caused.
+    /// Returns the one party that the failure is charged to; `None` if it was caused by the
+    /// network, an operator, an unreachable policy, or the rollout itself.
     pub fn blames(self) -> Option<Party> {
         match self {
             FailureReason::PolicyMisbehaved => Some(Party::Policy),
@@ -349,12 +344,12 @@ impl FailureReason {
         }
     }
 
-    /// Whether the attempt is one of those after which its job is quarantined.
+    /// Returns true if the attempt counts towards the limit after which its job is quarantined.
     pub fn is_charged(self) -> bool {
         self.blames().is_some()
     }
 
-    /// Whether the attempt had its policy and lost it.
+    /// Returns true if the attempt had reached its policy and lost it.
     pub fn is_loss(self) -> bool {
         matches!(
             self,
@@ -362,7 +357,7 @@ impl FailureReason {
         )
     }
 
-    /// Whether the attempt's worker may come back with its result.
+    /// Returns true if the attempt's worker may reconnect with its result.
     pub fn may_be_resumed(self) -> bool {
         matches!(
             self,
@@ -370,7 +365,7 @@ impl FailureReason {
         )
     }
 
-    /// The reason that is stored with an attempt after which its job does `then`.
+    /// Returns the reason to store with an attempt whose job continues with `then`.
     #[must_use]
     pub fn before(self, then: AfterFailure) -> FailureReason {
         match (self, then) {
@@ -382,8 +377,8 @@ impl FailureReason {
         }
     }
 
-    /// The error that is stored with an attempt, which says so where it is the last of too
-    /// many.
+    /// Returns the error text to store with an attempt, which mentions the limit if this was the
+    /// last of too many attempts.
     pub fn explained(self, error: &str, losses: u32, silences: u32) -> String {
         match self {
             FailureReason::TakesPolicyDown => format!(
@@ -399,7 +394,7 @@ impl FailureReason {
         }
     }
 
-    /// Its name in the store and in reports.
+    /// Returns the name of the reason in the store and in reports.
     pub fn as_str(self) -> &'static str {
         match self {
             FailureReason::SimulatorError => "simulator_error",
@@ -424,9 +419,9 @@ impl FailureReason {
     }
 }
 
-/// The failures in a row that a worker begins with on a machine whose last worker had
-/// `in_a_row`: a machine that is broken stays so when its worker is started again, and
-/// one more failure stops that one. A result that is committed clears them.
+/// Returns the failures in a row that a new worker starts with on a machine whose last worker had
+/// `in_a_row`. A broken machine stays broken when its worker restarts, so one more failure stops
+/// the new worker too. A committed result resets the count.
 pub fn inherited(in_a_row: u32) -> u32 {
     in_a_row.min(MAX_WORKER_FAILURES_IN_A_ROW - 1)
 }
@@ -440,9 +435,8 @@ pub fn strike(in_a_row: u32) -> Strike {
     }
 }
 
-/// Whether a coordinator that last looked for expired leases so long ago was
-/// suspended: then every lease gets its full time again, and no worker is
-/// charged.
+/// Returns true if so much time has passed since the last sweep that the coordinator must have been
+/// suspended. Every lease is then restarted, and no worker is charged.
 pub fn was_asleep(since_last_sweep: Duration, lease: Duration) -> bool {
     since_last_sweep >= lease / 2
 }
@@ -483,7 +477,7 @@ mod tests {
         let at = |millis| Some(UnixMillis(millis));
         check(late(false), at(59), FailureReason::NeverAcknowledged, false);
         check(late(false), None, FailureReason::NeverAcknowledged, false);
-        // The last heartbeat renewed it, or an older one came after that.
+        // The last heartbeat renewed the lease, or an older one arrived after it.
         check(late(true), at(20), FailureReason::WorkerSilent, false);
         check(late(true), at(40), FailureReason::WorkerSilent, false);
         check(late(true), at(41), FailureReason::LeaseLost, true);
@@ -529,7 +523,7 @@ mod tests {
         }
     }
 
-    /// Returns the next step of a job after its `count`th attempt that ended like this.
+    /// Returns the next step of a job after `count` attempts that ended for this reason.
     fn after(reason: FailureReason, count: u32, machines: u32) -> AfterFailure {
         let suspicion = Suspicion {
             failed_on_machines: 0,

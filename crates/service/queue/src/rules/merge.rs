@@ -1,5 +1,4 @@
-//! Merge of what two halves of one campaign know of its rollouts, and contradictions between the
-//! halves.
+//! Merge of two halves' knowledge of a campaign's rollouts, and detection of contradictions.
 
 use std::collections::BTreeMap;
 
@@ -10,38 +9,38 @@ use super::lease::OutcomeKey;
 pub struct Known {
     /// Progress of the rollout.
     pub standing: Standing,
-    /// Reports of another outcome than the committed one, which are findings.
+    /// Reports of an outcome that differs from the committed one.
     pub divergences: u32,
-    /// Whether it was filmed.
+    /// True if the rollout was filmed.
     pub is_filmed: bool,
-    /// Failures that count against it.
+    /// Charged attempts of the job.
     pub charged_attempts: u32,
     /// Attempts so far.
     pub attempts: u32,
 }
 
-/// Progress of a rollout.
+/// State of a rollout in one half.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Standing {
-    /// It is to be run.
+    /// Still to be run.
     #[default]
     Open,
-    /// It ran out of attempts.
+    /// Quarantined after too many attempts.
     Quarantined,
-    /// It has an outcome.
+    /// Committed with this outcome.
     Committed(OutcomeKey),
 }
 
-/// The half whose account of a rollout is kept.
+/// The half whose record of a rollout is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kept {
-    /// The first one's.
+    /// First half.
     First,
-    /// The second one's.
+    /// Second half.
     Second,
 }
 
-/// Two outcomes of one rollout.
+/// Two different outcomes of one rollout.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Contradiction<N> {
     /// The rollout.
@@ -53,11 +52,11 @@ pub struct Contradiction<N> {
 }
 
 impl Known {
-    /// Chooses the account of a rollout to keep: an outcome before a quarantine, and that before
-    /// nothing; of two alike, the account that holds more.
+    /// Chooses which record of a rollout to keep: an outcome is preferred to a quarantine, and a
+    /// quarantine to an open rollout; of two equal ones, the record with more information.
     ///
     /// # Errors
-    /// If both halves hold an outcome and the two differ: both outcomes.
+    /// If both halves have an outcome and the outcomes differ. The error holds both.
     pub fn beside(&self, other: &Known) -> Result<Kept, (OutcomeKey, OutcomeKey)> {
         if let (Standing::Committed(first), Standing::Committed(second)) =
             (self.standing, other.standing)
@@ -87,11 +86,11 @@ impl Known {
     }
 }
 
-/// Chooses the half whose account is kept, for every rollout. One that a half lacks is the
-/// other's.
+/// Chooses the half whose record is kept, for every rollout. A rollout that one half lacks is taken
+/// from the other.
 ///
 /// # Errors
-/// Every contradiction, in order.
+/// All contradictions, in order, if there are any.
 pub fn merge<N: Clone + Ord>(
     first: &BTreeMap<N, Known>,
     second: &BTreeMap<N, Known>,
@@ -153,7 +152,7 @@ mod tests {
         proptest::collection::btree_map(0..6_u8, known(), 0..6)
     }
 
-    /// Returns the knowledge of the merged campaign.
+    /// Returns the merged state.
     fn merged(first: &Half, second: &Half) -> Option<Half> {
         let kept = merge(first, second).ok()?;
         let of = |(of, kept): (u8, Kept)| match kept {
@@ -218,7 +217,7 @@ mod tests {
             prop_assert_eq!(merged(&a, &b), merged(&b, &a));
             let left = merged(&a, &b).and_then(|ab| merged(&ab, &c));
             let right = merged(&b, &c).and_then(|bc| merged(&a, &bc));
-            // A contradiction is found in whatever order.
+            // Contradictions are found in either order of the halves.
             prop_assert_eq!(left, right);
         }
 

@@ -1,9 +1,9 @@
-//! A policy's outages and misbehaviour: when its jobs pause, and how they resume
-//! by themselves. One policy is one name at one endpoint; others are not touched.
+//! Outages and protocol violations of a policy: when its jobs are paused, and how they resume
+//! automatically. A policy is one name at one endpoint; other policies are not affected.
 //!
-//! After an outage, or a run of nonsense, the policy's jobs wait for a back-off;
-//! then one job, the probe, is let through. Its first answered query resumes the
-//! rest; another failure doubles the back-off.
+//! After an outage, or several invalid answers in a row, the policy's jobs wait for a back-off.
+//! Then one job, the probe, is leased. Its first answered query resumes the other jobs; another
+//! failure doubles the back-off.
 
 use rand_chacha::rand_core::Rng;
 use rollout_types::{AttemptId, Waits};
@@ -11,41 +11,41 @@ use serde::Deserialize;
 
 use crate::clock::UnixMillis;
 
-/// Attempts in a row that a policy may answer nonsense in before it pauses.
+/// Attempts in a row with invalid answers after which a policy is paused.
 pub const MAX_MISBEHAVED_IN_A_ROW: u32 = 5;
 
-/// One policy at one endpoint, as far as its health goes.
+/// Health of one policy at one endpoint.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct PolicyHealth {
     /// Pauses since the last committed rollout.
     pub outages: u32,
-    /// Attempts that it answered nonsense in since the last committed rollout.
+    /// Attempts with invalid answers since the last committed rollout.
     pub misbehaved: u32,
-    /// Since when it is taken to answer; leases granted earlier are no evidence
-    /// of a new outage.
+    /// Instant since which the policy is considered available; failures of leases granted earlier
+    /// are not evidence of a new outage.
     pub available_since: UnixMillis,
     /// State of the policy.
     pub state: PolicyState,
 }
 
-/// State of a policy. The store's CHECK constraints say the same.
+/// State of a policy. Must match the store's CHECK constraints.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
 pub enum PolicyState {
-    /// Its jobs are leased.
+    /// Jobs of the policy are leased.
     Available,
-    /// Its jobs wait.
+    /// Jobs of the policy wait.
     Paused {
-        /// When a probe may go.
+        /// Earliest instant of a probe.
         resume: UnixMillis,
-        /// The error that its last attempt reported.
+        /// Error that the last attempt reported.
         reason: String,
     },
-    /// One job is out to try it; the others wait.
+    /// One job, the probe, is leased; the others wait.
     Probing {
-        /// The probe.
+        /// Attempt that probes the policy.
         attempt: AttemptId,
-        /// The error of the last outage.
+        /// Error of the last outage.
         reason: String,
     },
 }
@@ -53,22 +53,21 @@ pub enum PolicyState {
 /// Evidence about a policy that an attempt could not reach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Contact {
-    /// Queries that it had answered in this very attempt, if it was there when the attempt
-    /// asked its first one.
+    /// Queries that the policy answered in this attempt, if it was reachable at the first query.
     pub answered: Option<u32>,
-    /// Whether it has answered another attempt since this job last could not reach it.
+    /// True if the policy has answered another attempt since this job last failed to reach it.
     pub is_back: bool,
-    /// Whether no other job of it waits but those that lost it again and again.
+    /// True if the policy's only waiting jobs are those that repeatedly lost it.
     pub is_last: bool,
 }
 
 impl Contact {
-    /// Whether the attempt had its policy and lost it, so that the rollout itself may have
-    /// taken it down: then its job is counted as one that loses its policy.
+    /// Returns true if the attempt had reached its policy and lost it, so that the rollout may have
+    /// crashed the policy. The loss is then counted against the job.
     ///
-    /// A policy that stands aside from the first query on may never have been able to
-    /// answer any: only one that answers others in between, or would have no other
-    /// rollout to answer, was lost.
+    /// A policy that is unreachable from the first query on may never have been able to answer. It
+    /// counts as lost only if it answers other attempts in between, or has no other rollout to
+    /// answer.
     pub fn was_lost(self) -> bool {
         match self.answered {
             None => false,
@@ -78,19 +77,19 @@ impl Contact {
     }
 }
 
-/// How many of a policy's jobs may be leased now.
+/// Number of a policy's jobs that may be leased now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowance {
-    /// As many as are asked for.
+    /// Any number.
     Unlimited,
-    /// One, which becomes the probe.
+    /// One job, which becomes the probe.
     Probe,
-    /// None.
+    /// No job.
     Nothing,
 }
 
 impl PolicyHealth {
-    /// A policy of which nothing bad is known.
+    /// Creates the health record of a new policy, which is available.
     pub fn new(now: UnixMillis) -> PolicyHealth {
         PolicyHealth {
             outages: 0,
@@ -100,7 +99,7 @@ impl PolicyHealth {
         }
     }
 
-    /// How many of its jobs may be leased.
+    /// Returns how many jobs of the policy may be leased.
     pub fn allowance(&self, now: UnixMillis) -> Allowance {
         match &self.state {
             PolicyState::Available => Allowance::Unlimited,
@@ -109,7 +108,7 @@ impl PolicyHealth {
         }
     }
 
-    /// The probe was leased.
+    /// Returns the health after the probe was leased.
     #[must_use]
     pub fn with_probe(&self, attempt: AttemptId) -> PolicyHealth {
         match &self.state {
@@ -124,8 +123,8 @@ impl PolicyHealth {
         }
     }
 
-    /// A job that has lost this policy again and again was leased, alone: nothing else of
-    /// the policy is leased until it ends.
+    /// Returns the health after a job that repeatedly lost this policy was leased alone: no other
+    /// job of the policy is leased until it ends.
     #[must_use]
     pub fn with_lone_probe(&self, attempt: AttemptId, reason: String) -> PolicyHealth {
         PolicyHealth {
@@ -135,11 +134,11 @@ impl PolicyHealth {
         }
     }
 
-    /// A job leased at `granted` could not reach the policy.
+    /// Returns the health after a job leased at `granted` could not reach the policy.
     ///
-    /// Rollouts that were under way when it fell fail one after the other: only
-    /// the first of them is an outage, and none is, that was leased before the
-    /// policy last came back.
+    /// When a policy goes down, the rollouts in progress fail one after the other: only the first
+    /// failure is counted as an outage. Failures of leases granted before the policy last came back
+    /// are ignored.
     #[must_use]
     pub fn after_outage(
         &self,
@@ -160,9 +159,9 @@ impl PolicyHealth {
         }
     }
 
-    /// The policy answered nonsense in this attempt. It pauses after a run of
-    /// them, and at once if this was the probe: other campaigns' rollouts are
-    /// worth more than its own.
+    /// Returns the health after an attempt with invalid answers. The policy is paused after several
+    /// of them in a row, and at once if the attempt was the probe, to protect the rollouts of other
+    /// campaigns.
     #[must_use]
     pub fn after_misbehaviour(
         &self,
@@ -199,7 +198,7 @@ impl PolicyHealth {
         }
     }
 
-    /// An operator asks for a probe now instead of at the end of the back-off.
+    /// Allows a probe now instead of at the end of the back-off, as requested by an operator.
     #[must_use]
     pub fn due_at_once(&self, now: UnixMillis) -> PolicyHealth {
         match &self.state {
@@ -214,7 +213,7 @@ impl PolicyHealth {
         }
     }
 
-    /// The policy answered a query of this attempt.
+    /// Returns the health after the policy answered a query of this attempt.
     #[must_use]
     pub fn after_answer(&self, attempt: AttemptId, now: UnixMillis) -> PolicyHealth {
         if !self.is_probe(attempt) {
@@ -227,8 +226,8 @@ impl PolicyHealth {
         }
     }
 
-    /// A rollout of this policy was committed: if it is available, its past is
-    /// forgotten.
+    /// Returns the health after a rollout of this policy was committed; the failure counts of an
+    /// available policy are reset.
     #[must_use]
     pub fn after_commit(&self, attempt: AttemptId, now: UnixMillis) -> PolicyHealth {
         let mut health = self.after_answer(attempt, now);
@@ -239,8 +238,8 @@ impl PolicyHealth {
         health
     }
 
-    /// The attempt ended for a reason that says nothing about the policy: if it
-    /// was the probe, another may go at once.
+    /// Returns the health after the attempt ended for a reason unrelated to the policy; if it was
+    /// the probe, another probe may be leased at once.
     #[must_use]
     pub fn after_other_failure(&self, attempt: AttemptId, now: UnixMillis) -> PolicyHealth {
         match &self.state {
@@ -255,7 +254,7 @@ impl PolicyHealth {
         }
     }
 
-    /// Whether this attempt is out to try the policy.
+    /// Returns true if this attempt is the probe.
     pub fn is_probe(&self, of: AttemptId) -> bool {
         matches!(&self.state, PolicyState::Probing { attempt, .. } if *attempt == of)
     }

@@ -1,7 +1,6 @@
-//! Whether a result may stand beside its configuration's others. A matched
-//! comparison is worth nothing if the scene, the initial state, the perturbation
-//! or the first frame differ between rollouts that share them. That they share
-//! assets, simulator and renderer is the pin's business.
+//! Consistency of a result with its configuration's siblings. A matched comparison is invalid if
+//! the scene, the initial state, the perturbation or the first frame differ between rollouts that
+//! should share them. Assets, simulator and renderer are covered by the campaign's pin.
 
 use std::sync::Arc;
 
@@ -10,11 +9,11 @@ use rollout_types::{Digests, Provenance, Realised};
 
 use crate::ids::WorkerId;
 
-/// The axes that the policy sees before its first action. The others act later,
-/// or in words.
+/// Axes that affect the first observation. The others change later observations, actions or the
+/// instruction.
 const SEEN_AT_FIRST: [Axis; 4] = [Axis::Camera, Axis::Lighting, Axis::Robot, Axis::Sensor];
-/// The axes whose realisation draws nothing: it follows from the parameters
-/// and the initial state alone, in either mode.
+/// Axes realised without random values: their realisation follows from the parameters and the
+/// initial state alone, in either mode.
 const DRAWING_NOTHING: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
 
 /// Requirements of a campaign on one of its results.
@@ -22,11 +21,11 @@ const DRAWING_NOTHING: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
 pub(crate) struct Demand<'a> {
     /// The campaign's realisation mode.
     pub(crate) realisation: Realisation,
-    /// The rollout that was to be run.
+    /// Manifest row of the rollout.
     pub(crate) row: &'a ManifestRow,
 }
 
-/// A result, as far as others are compared with it.
+/// The parts of a result that siblings are compared by.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Sibling {
     pub(crate) rollout: RolloutId,
@@ -37,7 +36,7 @@ pub(crate) struct Sibling {
 }
 
 impl Sibling {
-    /// Whether nothing more can be found by comparing with the other too.
+    /// Returns true if comparing with `other` too can find nothing more.
     pub(crate) fn stands_for(&self, other: &Sibling) -> bool {
         self.rollout == other.rollout
             && self.digests.first_frame.is_empty() == other.digests.first_frame.is_empty()
@@ -45,9 +44,8 @@ impl Sibling {
     }
 }
 
-/// The first difference that keeps a result out, in words; none if it may
-/// stand. The siblings are committed rollouts of the same campaign, task and
-/// initial state.
+/// Describes the first difference that makes a result inconsistent; `None` if it may be stored. The
+/// siblings are committed rollouts of the same campaign, task and initial state.
 pub(crate) fn difference(
     demand: &Demand<'_>,
     siblings: &[Sibling],
@@ -65,7 +63,8 @@ fn from_the_campaign(demand: &Demand<'_>, provenance: &Provenance) -> Option<Str
     differs("realisation mode", here, there, "in the campaign")
 }
 
-/// A perturbation that was left out would agree with every sibling.
+/// Checks the realised axes against the manifest row, since a perturbation that was left out would
+/// agree with every sibling.
 fn from_the_row(row: &ManifestRow, realised: &Realised) -> Option<String> {
     let names = |axes: &mut dyn Iterator<Item = Axis>| {
         let names: Vec<&str> = axes.map(Axis::name).collect();
@@ -80,7 +79,7 @@ fn from_the_row(row: &ManifestRow, realised: &Realised) -> Option<String> {
     differs(what, &here, &there, "in its manifest row")
 }
 
-/// One sibling speaks for the others: each was compared before it was stored.
+/// Compares with one sibling only: the others were compared before they were stored.
 fn from_the_scene(siblings: &[Sibling], digests: &Digests) -> Option<String> {
     let sibling = siblings.first()?;
     let (there, whose) = (&sibling.digests, named(sibling));
@@ -107,22 +106,22 @@ fn from_the_perturbation(
     })
 }
 
-/// Whether two rollouts of one initial state that both perturb an axis must
-/// have realised it identically.
+/// Returns true if two rollouts of one initial state that both perturb an axis must have the same
+/// realisation of it.
 fn shares(axis: Axis, mode: Realisation, one: &RolloutId, other: &RolloutId) -> bool {
     let of_one_configuration = one.level() == other.level() && one.config() == other.config();
     match mode {
         Realisation::Matched => of_one_configuration,
-        // Random values are drawn from the rollout's id.
+        // Random values are seeded with the rollout's id.
         Realisation::Reference if DRAWING_NOTHING.contains(&axis) => of_one_configuration,
         Realisation::Reference => one == other,
     }
 }
 
-/// Compares first frames. Of one scene and initial state, the axes that are seen at first decide
-/// what the policy sees first: replicates see the same, and so do the nominal rollout and those
-/// that perturb actions or words. Frames are compared bit by bit, so only those of the same bits
-/// in the simulator and the renderer are, and only if the realised values have the same bits.
+/// Compares first frames. For one scene and initial state, the axes in `SEEN_AT_FIRST` determine
+/// the policy's first observation, so replicates share it, as do the nominal rollout and those that
+/// perturb only actions or words. Frames are compared bit by bit, and only between results whose
+/// fingerprint and realised values have the same bits.
 fn from_the_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<String> {
     if result.digests.first_frame.is_empty() {
         return None;
@@ -138,7 +137,7 @@ fn from_the_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<String
     differs("first-frame digest", here, there, &named(sibling))
 }
 
-/// Whether the same scene gives the same frames to the same policy.
+/// Returns true if the same scene must give the same frames to the same policy.
 fn sees_alike(one: &Provenance, other: &Provenance) -> bool {
     one.pin.renderer == other.pin.renderer
         && one.fingerprint == other.fingerprint
@@ -166,12 +165,12 @@ mod tests {
 
     use super::*;
 
-    /// A digest of 64 times this digit.
+    /// Returns a digest of 64 equal digits.
     fn hex(digit: char) -> String {
         digit.to_string().repeat(64)
     }
 
-    /// Some axes, each realised as one value.
+    /// Returns realised axes, each with one value.
     fn axes(values: &[(Axis, f64)]) -> Realised {
         let mut realised = Realised::default();
         for (axis, value) in values {
@@ -180,7 +179,7 @@ mod tests {
         realised
     }
 
-    /// A row of the whole design.
+    /// Returns a row of the full design.
     fn row(id: &str) -> ManifestRow {
         let rows = Design::v0_1().expand().expect("rows");
         let id: RolloutId = id.parse().expect("an id");
@@ -215,7 +214,7 @@ mod tests {
         }
     }
 
-    /// Returns why a result that realised these values, in this mode, is kept out.
+    /// Describes why a result with these realised values, in this mode, is inconsistent.
     fn kept_out(
         (id, mode): (&str, Realisation),
         values: &[(Axis, f64)],
@@ -250,7 +249,7 @@ mod tests {
         (Axis::Actuation, 5.0),
     ];
 
-    /// A combination whose sibling realised one of its axes differently.
+    /// Compares a combination with a sibling that realised one of its axes differently.
     fn against_a_single(mode: Realisation, axis: Axis) -> Option<String> {
         let other = sibling(&format!("goal/t0/{axis}/L2/c01"), &[(axis, 0.0)], "");
         kept_out((COMBINATION, mode), &FIVE, "", &other)
@@ -286,7 +285,7 @@ mod tests {
         for axis in [Axis::Sensor, Axis::Actuation] {
             assert_eq!(against_a_single(Realisation::Reference, axis), None);
         }
-        // But not in a replicate of the very rollout.
+        // Replicates of one rollout must still agree.
         let of_sensor = ("goal/t0/sensor/L2/c01", Realisation::Reference);
         let replicate = sibling(of_sensor.0, &[(Axis::Sensor, 0.0)], "");
         let difference = kept_out(of_sensor, &FIVE[3..4], "", &replicate);
@@ -332,7 +331,7 @@ mod tests {
             check(saw(id, values, &beside), &["first-frame digest", "sibling"]);
         }
         assert_eq!(saw(language, &[], &sibling(clean, &[], &seen)), None);
-        // The combination shows its camera, and blind rollouts show nothing.
+        // The combination's frame shows its camera perturbation, and blind rollouts have no frame.
         assert_eq!(saw(COMBINATION, &FIVE, &sibling(clean, &[], &other)), None);
         assert_eq!(saw(language, &[], &sibling(clean, &[], "")), None);
         let blind = kept_out(matched(language), &[], "", &sibling(clean, &[], &other));

@@ -1,13 +1,12 @@
-//! Next rollouts of a campaign that measures another one's thresholds. The radii are `thresholds`'
-//! business; here they become rows of the design.
+//! Next rollouts of a campaign that measures another one's thresholds. `thresholds` decides the
+//! radii; this module turns them into rows of the design.
 
 use libero_ctrl::{Design, DesignError, ManifestRow, Thresholds};
 use paired::Record;
 use thresholds::Measurement;
 
-/// The rows that follow from the records of the campaign that is measured, which has
-/// this design, and from those of the one that measures it; none where everything is
-/// found, or asked for.
+/// Returns the rows to add, given the records of the measured campaign, which has this design, and
+/// those of the measuring one; empty if everything is found or already requested.
 pub(crate) fn wanted(
     design: &Design,
     source: &[Record],

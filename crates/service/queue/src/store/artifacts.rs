@@ -1,4 +1,4 @@
-//! Statements on `artifact`: which files are kept beside which outcome.
+//! Statements on `artifact`: the files stored beside outcomes.
 
 use std::collections::BTreeSet;
 
@@ -14,13 +14,13 @@ use crate::ids::{CampaignId, JobId};
 pub(crate) struct ArtifactOwner {
     pub(crate) campaign: CampaignId,
     pub(crate) job: JobId,
-    /// The folder of its campaign's files.
+    /// Folder of the campaign's files.
     pub(crate) folder: String,
     pub(crate) rollout_id: String,
     pub(crate) replicate: u32,
 }
 
-/// The rollout whose committed outcome is of this attempt.
+/// Returns the rollout whose committed outcome is of this attempt.
 pub(crate) async fn owner(
     tx: &mut SqliteConnection,
     attempt: AttemptId,
@@ -52,7 +52,7 @@ pub(crate) async fn recorded(
     Ok(found.into_iter().collect())
 }
 
-/// Records a stored video; one sent again replaces it.
+/// Records a stored video, replacing an earlier upload.
 pub(crate) async fn record(
     tx: &mut SqliteConnection,
     attempt: AttemptId,

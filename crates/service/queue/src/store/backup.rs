@@ -1,5 +1,5 @@
-//! A copy of the database while it is used: one consistent view, compacted,
-//! without stopping the writer.
+//! Backup of the database while it is in use: one consistent view, compacted, without stopping the
+//! writer.
 
 use std::path::{Path, PathBuf};
 
@@ -7,15 +7,15 @@ use tempfile::TempPath;
 
 use super::{Doing, Store, StoreError};
 
-/// The file in the data folder that a copy is made in.
+/// Name of the backup file in the data folder.
 const BACKUP_FILE: &str = "backup.partial";
 
-/// Copies what is committed now into a file that is removed when its path is
-/// dropped. One copy at a time: the caller sees to it.
+/// Copies the committed state into a file that is removed when the returned path is dropped. The
+/// caller ensures that only one copy is made at a time.
 pub(crate) async fn copy(store: &Store) -> Result<TempPath, StoreError> {
     remove_leftover(store.folder());
     let mut reader = store.reader().await?;
-    // It is removed even if it is half done.
+    // Also removes an incomplete copy.
     let copy = TempPath::try_from_path(place(store));
     let copy = copy.map_err(sqlx::Error::Io).doing("copy the database")?;
     sqlx::query("VACUUM INTO ?")
@@ -26,8 +26,8 @@ pub(crate) async fn copy(store: &Store) -> Result<TempPath, StoreError> {
     Ok(copy)
 }
 
-/// The copy's path: in the data folder, whose disk has room for it, or among temporary
-/// files if the data folder is gone and the copy is all that will be left.
+/// Returns the path of the copy: in the data folder, whose disk is expected to have room, or among
+/// temporary files if the data folder is gone.
 fn place(store: &Store) -> PathBuf {
     match store.is_in_place() {
         true => store.folder().join(BACKUP_FILE),
@@ -35,9 +35,9 @@ fn place(store: &Store) -> PathBuf {
     }
 }
 
-/// Removes the half-done copy of a process that was killed.
+/// Removes the incomplete copy of a process that was killed.
 pub(crate) fn remove_leftover(folder: &Path) {
-    // It is not there, as a rule; one that stays is overwritten or reported
-    // by the next backup.
+    // Usually there is none; one that cannot be removed is overwritten or reported by the next
+    // backup.
     let _ = std::fs::remove_file(folder.join(BACKUP_FILE));
 }

@@ -1,4 +1,4 @@
-//! Another database beside the writer's own, to copy rows from.
+//! A second database attached to the writer, to copy rows from.
 
 use std::path::Path;
 
@@ -8,8 +8,8 @@ use sqlx::{Connection, Sqlite};
 use super::failpoint::Step;
 use super::{Doing, Store, StoreError, Tx};
 
-/// The writer with another database beside it, as the schema `source`. Whoever wants
-/// to write waits until it is dropped.
+/// The writer with another database attached as the schema `source`. Other writers wait until this
+/// is dropped.
 pub(crate) struct Beside<'a> {
     connection: PoolConnection<Sqlite>,
     store: &'a Store,
@@ -17,7 +17,7 @@ pub(crate) struct Beside<'a> {
 }
 
 impl Store {
-    /// Opens another database file beside this one. Nothing is written to it.
+    /// Attaches another database file, to which nothing is written.
     pub(crate) async fn beside(&self, file: &Path) -> Result<Beside<'_>, StoreError> {
         let connection = self.writer.acquire().await;
         let mut beside = Beside {
@@ -37,14 +37,14 @@ impl Store {
 impl Drop for Beside<'_> {
     fn drop(&mut self) {
         if self.is_attached {
-            // The pool opens another one, which knows nothing of the other database.
+            // The pool opens a new connection, without the attached database.
             self.connection.close_on_drop();
         }
     }
 }
 
 impl Beside<'_> {
-    /// Lets the other database go and gives the writer back with what it has in memory.
+    /// Detaches the other database and returns the writer to the pool with its page cache.
     pub(crate) async fn detach(mut self) -> Result<(), StoreError> {
         let detached = sqlx::query("DETACH source").execute(&mut *self.connection);
         detached.await.doing("close the database of an archive")?;
@@ -52,8 +52,8 @@ impl Beside<'_> {
         Ok(())
     }
 
-    /// Begins the writing transaction, for these steps. Not an immediate one: that
-    /// would lock the other database too, which may be in use.
+    /// Begins the writing transaction for these steps. It is not an immediate one, which would also
+    /// lock the attached database.
     pub(crate) async fn write(&mut self, steps: Vec<Step>) -> Result<Tx<'_>, StoreError> {
         let transaction = self.connection.begin().await;
         Ok(Tx {

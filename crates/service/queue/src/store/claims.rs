@@ -1,4 +1,4 @@
-//! Statements that grant leases: where jobs wait, and taking them.
+//! Statements that find waiting jobs and grant leases.
 
 use sqlx::types::Text;
 use std::collections::{BTreeMap, VecDeque};
@@ -13,7 +13,7 @@ use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
 use crate::rules::choice::WaitingTask;
 use crate::rules::lease::{LOSSES_UNTIL_ALONE, MAX_CHARGED_ATTEMPTS};
 
-/// A job as it is handed to a worker.
+/// A leased job with the fields that a worker needs.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct LeasedJob {
     pub(crate) id: JobId,
@@ -23,7 +23,7 @@ pub(crate) struct LeasedJob {
     pub(crate) lease_owner: WorkerId,
     pub(crate) campaign_id: CampaignId,
     pub(crate) replicate: u32,
-    /// One manifest row, JSON.
+    /// Manifest row, JSON.
     pub(crate) manifest_row: String,
     pub(crate) policy_seed: i64,
 }
@@ -36,7 +36,7 @@ macro_rules! leased_columns {
     };
 }
 
-/// A job that waits.
+/// A waiting job.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Candidate {
     pub(crate) id: JobId,
@@ -44,12 +44,13 @@ pub(crate) struct Candidate {
     task: String,
     /// Place in paired-unit order.
     pub(crate) unit_order: i64,
-    /// The machines on which it failed, JSON, once it has failed so often that it
-    /// matters which.
+    /// Machines on which it failed, JSON; `None` until it has failed often enough for this to
+    /// matter.
     failed_on: Option<String>,
 }
 
-/// The `failed_on` of a [`Candidate`], job `j`: as many failures as the parameter.
+/// SQL for the `failed_on` of a [`Candidate`], job `j`; the parameter is the number of failures
+/// from which it matters.
 macro_rules! failed_on {
     ($failures:literal) => {
         concat!(
@@ -63,18 +64,18 @@ macro_rules! failed_on {
     };
 }
 
-/// A job that is run alone only.
+/// A job that runs only as its policy's single lease.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Lone {
     #[sqlx(flatten)]
     pub(crate) job: Candidate,
     pub(crate) task: String,
     pub(crate) rollout_id: String,
-    /// Attempts that lost their policy.
+    /// Attempts that lost the policy.
     pub(crate) losses: u32,
 }
 
-/// A lease on its way into the database.
+/// A lease to be stored.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Grant {
     pub(crate) job: i64,
@@ -83,7 +84,7 @@ pub(crate) struct Grant {
     pub(crate) claim: String,
 }
 
-/// How long leases last.
+/// Durations of leases.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Term {
     pub(crate) granted: UnixMillis,
@@ -93,7 +94,7 @@ pub(crate) struct Term {
 }
 
 impl Candidate {
-    /// Whether it has failed too often, and on this very machine.
+    /// Returns true if the job has failed too often, and on this very machine.
     pub(crate) fn has_failed_on(&self, machine: &str) -> bool {
         let failed_on = self.failed_on.as_deref().unwrap_or("[]");
         let failed_on: Vec<&str> = serde_json::from_str(failed_on).unwrap_or_default();
@@ -101,7 +102,7 @@ impl Candidate {
     }
 }
 
-/// The leases that these claims got before.
+/// Returns the leases that repeated claims got earlier.
 pub(crate) async fn repeated(
     tx: &mut SqliteConnection,
     claims: &[&str],
@@ -117,8 +118,7 @@ pub(crate) async fn repeated(
     .doing("look for claims that are repeated")
 }
 
-/// The leases that campaigns hold; one that holds none is left out. Walks the
-/// leased jobs only.
+/// Returns the number of leases of each campaign that has any. Reads leased jobs only.
 pub(crate) async fn leases(
     tx: &mut SqliteConnection,
 ) -> Result<BTreeMap<CampaignId, u32>, StoreError> {
@@ -131,8 +131,8 @@ pub(crate) async fn leases(
     Ok(rows.into_iter().collect())
 }
 
-/// The tasks of a campaign of which jobs wait. One index seek per task, whatever
-/// the number of jobs.
+/// Returns the tasks of a campaign with waiting jobs. One index seek per task, however many jobs
+/// there are.
 pub(crate) async fn waiting_tasks(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -164,8 +164,7 @@ pub(crate) async fn waiting_tasks(
     Ok(rows.into_iter().filter_map(waiting).collect())
 }
 
-/// By task, up to `limit` jobs of each whose back-off is over, in paired-unit
-/// order.
+/// Returns up to `limit` jobs of each task whose back-off is over, by task, then paired-unit order.
 pub(crate) async fn candidates(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -200,7 +199,7 @@ pub(crate) async fn candidates(
     Ok(candidates)
 }
 
-/// The campaigns with jobs that are run alone only. Walks these jobs.
+/// Returns the campaigns with jobs that run alone. Reads only these jobs.
 pub(crate) async fn with_lone_jobs(
     tx: &mut SqliteConnection,
 ) -> Result<Vec<CampaignId>, StoreError> {
@@ -212,15 +211,15 @@ pub(crate) async fn with_lone_jobs(
     .doing("look for campaigns with jobs that are run alone")
 }
 
-/// Up to `limit` jobs of a campaign whose back-off is over and which are run alone only,
-/// in paired-unit order.
+/// Returns up to `limit` jobs of a campaign that run alone and whose back-off is over, in
+/// paired-unit order.
 pub(crate) async fn lone(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
     limit: usize,
     now: UnixMillis,
 ) -> Result<Vec<Lone>, StoreError> {
-    // The number is that of the index `job_alone`.
+    // The number must match the index `job_alone`.
     sqlx::query_as(concat!(
         "SELECT j.id, j.task, j.unit_order, j.rollout_id, j.losses, ",
         failed_on!("?4"),
@@ -237,8 +236,8 @@ pub(crate) async fn lone(
     .doing("look for jobs that are run alone")
 }
 
-/// Leases waiting jobs, each to its worker: one statement raises the attempts
-/// and grants the leases.
+/// Leases waiting jobs to their workers: one statement increments the attempts and grants the
+/// leases.
 pub(crate) async fn grant(
     tx: &mut SqliteConnection,
     grants: &[Grant],

@@ -1,5 +1,5 @@
-//! Statements on `derivation`: campaigns that follow from others, and what their next
-//! jobs follow from.
+//! Statements on `derivation`: campaigns that derive from others, and the inputs of their next
+//! jobs.
 
 use sqlx::SqliteConnection;
 
@@ -8,35 +8,35 @@ use crate::expand::NewJob;
 use crate::ids::{CampaignId, CampaignName};
 use crate::store::campaigns;
 
-/// A campaign that follows from another.
+/// A campaign that derives from another.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Derived {
     pub(crate) campaign: CampaignId,
-    /// The campaign that it follows from.
+    /// The campaign that it derives from.
     pub(crate) source: CampaignId,
-    /// Its specification, JSON.
+    /// Specification, JSON.
     pub(crate) spec: String,
-    /// Its jobs so far.
+    /// Number of its jobs so far.
     pub(crate) jobs: i64,
-    /// Jobs of its source without an outcome, unless that one has stopped early.
+    /// Number of the source's jobs without an outcome; 0 if the source has stopped early.
     pub(crate) unsettled: i64,
-    /// Equal revisions mean equal outcomes.
+    /// Revision of the outcomes: equal revisions mean equal outcomes.
     pub(crate) revision: i64,
     #[sqlx(flatten)]
     pub(crate) source_edition: SourceEdition,
 }
 
-/// The state of a source; equal editions of one source have equal records.
+/// State of a source; equal editions of one source have equal records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct SourceEdition {
     #[sqlx(rename = "source_revision")]
     revision: i64,
-    /// It stopped early, so that only a part of its outcomes counts.
+    /// True if the source stopped early, so that only a part of its outcomes counts.
     #[sqlx(rename = "source_has_stopped")]
     has_stopped: bool,
 }
 
-/// A job of either campaign.
+/// A job of the derived campaign or its source.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct OutcomeRow {
     pub(crate) rollout_id: String,
@@ -46,8 +46,8 @@ pub(crate) struct OutcomeRow {
     pub(crate) success: Option<bool>,
 }
 
-/// Jobs of the source of `d` that are still to have an outcome: none of one that has stopped
-/// early. One row of `tally` is read.
+/// SQL for the number of jobs of `d`'s source that still lack an outcome; 0 if the source has
+/// stopped early. Reads one row of `tally`.
 macro_rules! unsettled {
     () => {
         "(SELECT iif(EXISTS (SELECT 1 FROM stop s WHERE s.campaign_id = d.source_id
@@ -56,7 +56,7 @@ macro_rules! unsettled {
     };
 }
 
-/// Notes that a campaign follows from another.
+/// Records that a campaign derives from another.
 pub(crate) async fn insert(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -71,7 +71,7 @@ pub(crate) async fn insert(
         .map(drop)
 }
 
-/// The campaigns that follow from others and are not cancelled.
+/// Returns the derived campaigns that are not cancelled.
 pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, StoreError> {
     sqlx::query_as(concat!(
         "SELECT d.campaign_id AS campaign, d.source_id AS source, c.spec, c.jobs, ",
@@ -89,8 +89,8 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, Store
     .doing("list campaigns that follow from others")
 }
 
-/// Whether a campaign still follows from the same source, has as many jobs as it had
-/// when `campaign` was read, and is not cancelled. No other campaign ever gets its number.
+/// Returns true if a campaign still has the source and the number of jobs that it had when
+/// `campaign` was read, and is not cancelled. Row numbers of campaigns are never reused.
 pub(crate) async fn is_as_it_was(
     tx: &mut SqliteConnection,
     campaign: &Derived,
@@ -107,7 +107,7 @@ pub(crate) async fn is_as_it_was(
     .doing("look whether a campaign is as it was")
 }
 
-/// The campaign that one follows from, if it follows from one.
+/// Returns the campaign that this one derives from, if any.
 pub(crate) async fn source(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -119,18 +119,18 @@ pub(crate) async fn source(
         .doing("look which campaign another follows from")
 }
 
-/// The campaign that another one waits for, and its rollouts without an outcome yet.
+/// The campaign that a derived one waits for, and the number of its rollouts without an outcome.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Source {
-    /// The other one's name.
+    /// Name of the source campaign.
     pub name: CampaignName,
-    /// Its rollouts that are still to have an outcome: until then nothing follows.
+    /// Rollouts that still lack an outcome; nothing is derived until this is 0.
     pub awaited: u32,
-    /// Whether they never will, because it is cancelled.
+    /// True if the outcomes will never arrive, because the source is cancelled.
     pub is_cancelled: bool,
 }
 
-/// Returns the campaign that another one waits for, if it follows from one.
+/// Returns the campaign that a derived one waits for.
 pub(crate) async fn awaited(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -147,7 +147,7 @@ pub(crate) async fn awaited(
     .doing("read what a campaign that follows from another waits for")
 }
 
-/// The names of the campaigns that follow from one.
+/// Returns the names of the campaigns that derive from this one.
 pub(crate) async fn of(
     tx: &mut SqliteConnection,
     source: CampaignId,
@@ -162,7 +162,7 @@ pub(crate) async fn of(
     .doing("list the campaigns that follow from one")
 }
 
-/// Returns the outcomes of a campaign's jobs, as far as they are known.
+/// Returns the known outcomes of a campaign's jobs.
 pub(crate) async fn outcomes(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -179,7 +179,7 @@ pub(crate) async fn outcomes(
     .doing("read the outcomes that a campaign follows from")
 }
 
-/// The manifest rows of a campaign's rollouts, JSON.
+/// Returns the manifest rows of a campaign's rollouts, JSON.
 pub(crate) async fn rows(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -196,7 +196,7 @@ pub(crate) async fn rows(
     .doing("read the rollouts to explain")
 }
 
-/// Adds jobs to a campaign, behind those that it has.
+/// Appends jobs to a campaign.
 pub(crate) async fn append(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

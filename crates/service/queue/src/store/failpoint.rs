@@ -1,6 +1,5 @@
-//! Places where the process can be made to die: before and after the end of
-//! every writing transaction. Tests crash it at each of them once. Compiled into
-//! programs with debug assertions only; elsewhere [`Failpoints`] is empty.
+//! Failpoints: places where tests can kill the process, before and after the commit of every
+//! writing transaction. Compiled only with debug assertions; otherwise [`Failpoints`] is empty.
 
 #[cfg(debug_assertions)]
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -42,9 +41,8 @@ pub enum Step {
     Stop,
 }
 
-/// The variable that names the failpoint to die at, a [`Side`] and a [`Step`]:
-/// `Before:Commit` or `After:Commit`, and for the n-th time that it is reached
-/// `After:Commit:n`.
+/// Environment variable that names the failpoint, a [`Side`] and a [`Step`]: `Before:Commit` or
+/// `After:Commit`, or `After:Commit:n` for the n-th time that it is reached.
 pub const FAILPOINT_VARIABLE: &str = "COORDINATOR_DIE_AT";
 
 /// The failpoint of this process, if it has one.
@@ -54,17 +52,17 @@ pub(crate) struct Failpoints {
     armed: Option<(String, AtomicU32)>,
 }
 
-/// On which side of a transaction's end a failpoint lies.
+/// Side of a transaction's commit on which a failpoint lies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// Everything is written and nothing is committed.
+    /// Everything is written but not committed.
     Before,
-    /// It is committed, and no answer was sent.
+    /// The transaction is committed but no answer was sent.
     After,
 }
 
 impl Step {
-    /// All of them.
+    /// All steps.
     pub const ALL: [Step; 16] = [
         Step::Start,
         Step::Register,
@@ -110,7 +108,7 @@ impl Failpoints {
         Failpoints { armed }
     }
 
-    /// Ends the process as `kill -9` would if this is its failpoint.
+    /// Kills the process like `kill -9` if this is its failpoint.
     pub(crate) fn reach(&self, side: Side, step: Step) {
         let Some((point, countdown)) = &self.armed else {
             return;

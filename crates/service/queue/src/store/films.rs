@@ -1,4 +1,4 @@
-//! Statements on `motion`: which rollouts are left to be filmed, and from what.
+//! Statements on `motion`: rollouts still to be filmed, and their inputs.
 
 use rollout_types::{AttemptId, Pin};
 use sqlx::SqliteConnection;
@@ -7,23 +7,23 @@ use sqlx::types::Text;
 use super::{Doing, StoreError};
 use crate::ids::{CampaignId, CampaignName, JobId};
 
-/// A committed rollout that is to be filmed.
+/// A committed rollout to be filmed.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Film {
     /// The attempt beside whose outcome the video is stored.
     #[sqlx(rename = "attempt_id")]
     pub attempt: Text<AttemptId>,
-    /// Its campaign.
+    /// Campaign of the rollout.
     pub campaign: CampaignName,
     /// Number of the replicate.
     pub replicate: u32,
-    /// One manifest row, JSON.
+    /// Manifest row, JSON.
     pub manifest_row: String,
     /// "matched" or "reference".
     pub realisation: String,
     /// The actions of every control step, as [`rollout_types::Motion`] packs them.
     pub actions: Vec<u8>,
-    /// Outcome that the film must reproduce.
+    /// Outcome that the video must reproduce.
     pub success: bool,
 }
 
@@ -34,24 +34,24 @@ pub(crate) struct FilmableRow {
     pub(crate) rollout_id: String,
     pub(crate) replicate: u32,
     pub(crate) init_id: u16,
-    /// None while it is not committed.
+    /// Outcome; `None` until the job is committed.
     pub(crate) success: Option<bool>,
-    /// Whether it has actions to be filmed from, and no video yet.
+    /// True if the rollout has stored actions and no video yet.
     pub(crate) is_wanting: bool,
 }
 
-/// A campaign that records transitions. The rollouts of it that are to be filmed stay the
-/// same, but for those that are filmed, as long as these revisions do.
+/// A campaign that records transitions. While these revisions stay the same, so does the set of its
+/// rollouts to be filmed, except that filmed ones leave it.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct Filmed {
     pub(crate) campaign: CampaignId,
     pub(crate) revision: i64,
-    /// The campaign that it follows from.
+    /// The campaign that it derives from.
     pub(crate) source: Option<CampaignId>,
     pub(crate) source_revision: Option<i64>,
 }
 
-/// Campaigns that record transitions with this asset pack and simulator, oldest first.
+/// Returns the campaigns with this asset pack and simulator that record transitions, oldest first.
 pub(crate) async fn filmed_campaigns(
     tx: &mut SqliteConnection,
     pin: &Pin,
@@ -72,7 +72,7 @@ pub(crate) async fn filmed_campaigns(
     .doing("look for campaigns that are filmed")
 }
 
-/// All rollouts of a campaign, as far as filming goes.
+/// Returns all rollouts of a campaign with the fields that filming needs.
 pub(crate) async fn filmable(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -91,7 +91,7 @@ pub(crate) async fn filmable(
     .doing("look for rollouts to film")
 }
 
-/// A committed rollout with everything that filming it takes.
+/// Returns a committed rollout with all inputs of filming.
 pub(crate) async fn film(tx: &mut SqliteConnection, job: JobId) -> Result<Film, StoreError> {
     sqlx::query_as(
         "SELECT r.attempt_id, c.name AS campaign, j.replicate, j.manifest_row, c.realisation,

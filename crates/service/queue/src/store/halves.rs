@@ -1,4 +1,4 @@
-//! Statements that compare a campaign with its other half, attached as the schema
+//! Statements that compare a campaign with its other half, which is attached as the schema
 //! `source`.
 
 use std::collections::BTreeMap;
@@ -16,7 +16,7 @@ use crate::ids::{CampaignId, WorkerId};
 use crate::rules::lease::OutcomeKey;
 use crate::rules::merge::{Known, Standing};
 
-/// The main database's schema, and that of the one beside it.
+/// Schema of the main database, or of the attached one.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Schema {
     /// The first half.
@@ -28,7 +28,7 @@ pub(crate) enum Schema {
 /// A rollout and replicate.
 pub(crate) type Rollout = (String, u32);
 
-/// A committed result, as far as others are compared with it.
+/// The parts of a committed result that siblings are compared by.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Stored {
     pub(crate) rollout_id: String,
@@ -62,7 +62,7 @@ impl Schema {
     }
 }
 
-/// Returns one half's knowledge of its rollouts.
+/// Returns the state of each rollout in one half.
 pub(crate) async fn known(
     tx: &mut SqliteConnection,
     schema: Schema,
@@ -110,7 +110,7 @@ pub(crate) async fn known(
     Ok(known.collect())
 }
 
-/// A rollout that only one of the halves has, or that is another one in each.
+/// Returns a rollout that only one half has, or that differs between the halves.
 pub(crate) async fn other_rollout(
     tx: &mut SqliteConnection,
     (main, source): (CampaignId, CampaignId),
@@ -130,7 +130,7 @@ pub(crate) async fn other_rollout(
     .doing("compare the rollouts of two halves")
 }
 
-/// The results of a half, by rollout.
+/// Returns the results of one half, by rollout.
 pub(crate) async fn results(
     tx: &mut SqliteConnection,
     schema: Schema,
@@ -152,7 +152,7 @@ pub(crate) async fn results(
     .doing("read the results of a half")
 }
 
-/// A campaign without results takes the other half's pin.
+/// Copies the other half's pin to a campaign without results.
 pub(crate) async fn take_pin(
     tx: &mut SqliteConnection,
     (main, source): (CampaignId, CampaignId),

@@ -1,18 +1,17 @@
-//! Instants that are stored, brought into line with a clock that was set back while no
-//! coordinator ran.
+//! Correction of stored instants after the system clock was set back while no coordinator ran.
 //!
-//! The clock of a running coordinator never goes back. The next one may begin earlier
-//! than the instants that it finds: then a policy would have been available since
-//! tomorrow, so that no outage counts, and a worker that is gone would count as alive
-//! until then. Instants that lie behind the clock are past, however far it jumped ahead.
+//! The clock of a running coordinator never goes back, but the next coordinator may start earlier
+//! than stored instants. Left alone, a policy would count as available since tomorrow, so that no
+//! outage counts, and a worker that has gone would count as alive until then. Stored instants in
+//! the past need no correction, however far the clock jumped ahead.
 
 use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError};
 use crate::clock::UnixMillis;
 
-/// Statements that set back instants ahead of the present one, `?1`. Of back-offs and pauses,
-/// which may end later, the longest wait is kept: `?2`.
+/// Statements that move future instants back to the current one, `?1`. Back-offs and pauses end at
+/// `?2`, the end of the longest possible wait, at the latest.
 const SET_BACK: &[&str] = &[
     "UPDATE campaign SET created_ms = min(created_ms, ?1),
          state_since_ms = min(state_since_ms, ?1), pinned_ms = min(pinned_ms, ?1)
@@ -24,7 +23,7 @@ const SET_BACK: &[&str] = &[
          last_seen_ms = min(last_seen_ms, ?1), signed_off_ms = min(signed_off_ms, ?1),
          heartbeat_ms = min(heartbeat_ms, ?1)
      WHERE last_seen_ms > ?1 OR registered_ms > ?1 OR signed_off_ms > ?1 OR heartbeat_ms > ?1",
-    // An attempt's ceiling stays as far from its beginning as it was.
+    // Keeps the duration from the attempt's start to its ceiling.
     "UPDATE job SET leased_ms = ?1, ceiling_ms = ?1 + ceiling_ms - leased_ms
      WHERE state = 'leased' AND leased_ms > ?1",
     "UPDATE job SET not_before_ms = ?2
@@ -38,8 +37,7 @@ const SET_BACK: &[&str] = &[
     "UPDATE artifact SET stored_ms = ?1 WHERE stored_ms > ?1",
 ];
 
-/// Sets instants back that lie ahead of `now`; what waits does so until `latest` at the
-/// most.
+/// Moves instants that lie after `now` back to it, and the ends of waits back to `latest`.
 pub(crate) async fn set_back(
     tx: &mut SqliteConnection,
     now: UnixMillis,

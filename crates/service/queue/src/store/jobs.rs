@@ -1,7 +1,7 @@
-//! Statements on `job` and `failure`: renewing and ending an attempt, and what is
-//! known of a job. Granting leases is the business of `claims`.
+//! Statements on `job` and `failure`: renewing and ending attempts, and reading jobs. `claims`
+//! grants leases.
 //!
-//! Every statement that moves a leased job is conditional on its attempt.
+//! Every statement that changes the state of a leased job is conditional on its attempt.
 
 use sqlx::types::Text;
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,12 +26,12 @@ pub(crate) struct InitialState {
     pub(crate) init_id: i64,
 }
 
-/// An attempt that a call names, with its job.
+/// An attempt named in a call, with its job.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct NamedAttempt {
     #[sqlx(rename = "named")]
     pub(crate) id: Text<AttemptId>,
-    /// The worker that has or had its lease.
+    /// The worker that holds or held its lease.
     pub(crate) worker: WorkerId,
     pub(crate) number: AttemptNumber,
     #[sqlx(json)]
@@ -39,13 +39,13 @@ pub(crate) struct NamedAttempt {
     /// Initial state that the job shares with its siblings.
     #[sqlx(flatten)]
     pub(crate) of: InitialState,
-    /// The rollout that it is to run.
+    /// Manifest row of the job.
     #[sqlx(json, rename = "manifest_row")]
     pub(crate) row: ManifestRow,
     /// The job's committed outcome, if it has one.
     #[sqlx(json(nullable))]
     pub(crate) stored: Option<OutcomeKey>,
-    /// The attempt's lease, if it was cut off with its worker.
+    /// The attempt's lease, if the attempt was cut off with its worker.
     #[sqlx(json(nullable))]
     pub(crate) cut_off: Option<CutOff>,
 }
@@ -56,7 +56,7 @@ pub(crate) struct LeasedRow {
     #[sqlx(json)]
     pub(crate) job: Job,
     pub(crate) campaign_id: CampaignId,
-    /// Progress last reported.
+    /// Control steps last reported.
     pub(crate) control_steps: u32,
 }
 
@@ -69,7 +69,7 @@ pub(crate) struct ExpiredRow {
     pub(crate) heartbeat_ms: Option<UnixMillis>,
 }
 
-/// Counts of a job's attempts so far, and one more on some machine.
+/// Numbers of a job's attempts, including one that ends now.
 #[derive(Clone, Copy, Debug, sqlx_macros::FromRow)]
 pub(crate) struct History {
     pub(crate) failed_on_machines: u32,
@@ -85,8 +85,8 @@ pub(crate) struct Progress<'a> {
     pub(crate) control_steps: u32,
 }
 
-/// The [`Job`] of a row of table `j`, as JSON; the CHECK constraints promise that
-/// it reads back.
+/// SQL for the [`Job`] of a row of table `j`, as JSON; the CHECK constraints guarantee that it can
+/// be parsed.
 macro_rules! job {
     () => {
         "json_object('id', j.id, 'attempt', j.attempt, 'charged_attempts', j.charged_attempts,
@@ -97,8 +97,7 @@ macro_rules! job {
     };
 }
 
-/// Attempts by their ids, whether or not they still hold their leases; those
-/// that there are.
+/// Returns the attempts with these ids that exist, whether or not they still hold their leases.
 pub(crate) async fn named(
     tx: &mut SqliteConnection,
     attempts: &[AttemptId],
@@ -131,8 +130,8 @@ pub(crate) async fn named(
     Ok(found.into_iter().map(by_id).collect())
 }
 
-/// Renews leases up to their ceilings, acknowledges them, and stores their
-/// progress. Answers which of them are still held.
+/// Renews leases up to their ceilings, acknowledges them, and stores their progress. Returns those
+/// that are still held.
 pub(crate) async fn renew(
     tx: &mut SqliteConnection,
     progress: &[Progress<'_>],
@@ -156,8 +155,8 @@ pub(crate) async fn renew(
     read.collect::<Result<_, _>>().doing("renew leases")
 }
 
-/// Gives every lease its full time again, and no more, also past its ceiling:
-/// what a worker could not report meanwhile it reports now.
+/// Restarts every lease with exactly its full duration, even past its ceiling, so that workers can
+/// report what they could not report in the meantime.
 pub(crate) async fn restart_leases(
     tx: &mut SqliteConnection,
     expires: UnixMillis,
@@ -173,8 +172,8 @@ pub(crate) async fn restart_leases(
     .map(drop)
 }
 
-/// Grants a lease again that was cut off with its worker, which has come back: the
-/// attempt has not ended after all. Its job waits and was not leased since.
+/// Restores a lease that was cut off with its worker, which has reconnected. The job waits and was
+/// not leased in the meantime.
 pub(crate) async fn resume(
     tx: &mut SqliteConnection,
     job: JobId,
@@ -186,7 +185,7 @@ pub(crate) async fn resume(
         .execute(&mut *tx)
         .await
         .doing("resume an attempt")?;
-    // No claim is repeated for it any more: its worker has it.
+    // The claim's idempotency key is replaced, since the worker already has this lease.
     sqlx::query(
         "UPDATE job SET state = 'leased', not_before_ms = NULL, attempt_id = ?2, claim_id = ?2,
              acknowledged = 1, lease_owner = ?3, leased_ms = ?4, lease_expires_ms = min(?5, ?6),
@@ -205,7 +204,8 @@ pub(crate) async fn resume(
     .map(drop)
 }
 
-/// No worker that was cut off is heard any more with a result of this campaign.
+/// Discards the attempts of a campaign that were cut off with their worker, so that their results
+/// are refused.
 pub(crate) async fn forget_cut_off(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -222,8 +222,8 @@ pub(crate) async fn forget_cut_off(
     .map(drop)
 }
 
-/// Puts a job that waits into quarantine because an operator skips it: an attempt of its
-/// own, which nobody ran, says so.
+/// Quarantines a waiting job that an operator skips. The reason is recorded as an attempt that
+/// nobody ran.
 pub(crate) async fn skip(
     tx: &mut SqliteConnection,
     job: JobId,
@@ -257,7 +257,7 @@ pub(crate) async fn skip(
     .map(drop)
 }
 
-/// Ends a lease without a result and records how.
+/// Ends a lease without a result and records the failure.
 pub(crate) async fn fail(
     tx: &mut SqliteConnection,
     job: &Job,
@@ -343,7 +343,7 @@ pub(crate) async fn count_stale_report(
         .map(drop)
 }
 
-/// The leases of a campaign.
+/// Returns the leases of a campaign.
 pub(crate) async fn leased(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -360,7 +360,7 @@ pub(crate) async fn leased(
     .doing("look for a campaign's leases")
 }
 
-/// Up to `limit` leases that have expired at `now`, longest first.
+/// Returns up to `limit` leases that have expired at `now`, the longest expired first.
 pub(crate) async fn expired(
     tx: &mut SqliteConnection,
     now: UnixMillis,
@@ -381,7 +381,7 @@ pub(crate) async fn expired(
     .doing("look for expired leases")
 }
 
-/// The lease of a job, if it has one.
+/// Returns the lease of a job, if it has one.
 pub(crate) async fn lease(
     tx: &mut SqliteConnection,
     job: JobId,
@@ -397,7 +397,7 @@ pub(crate) async fn lease(
     .doing("look up a lease")
 }
 
-/// The quarantined jobs of a campaign.
+/// Returns the quarantined jobs of a campaign.
 pub(crate) async fn quarantined(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -409,7 +409,7 @@ pub(crate) async fn quarantined(
         .doing("look for quarantined jobs")
 }
 
-/// One job of a campaign, by its rollout.
+/// Finds a job of a campaign by its rollout.
 pub(crate) async fn by_rollout(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -427,8 +427,7 @@ pub(crate) async fn by_rollout(
     .doing("look up a job")
 }
 
-/// Takes a job out of quarantine: it may be leased at once, and its failures so
-/// far are forgiven.
+/// Takes a job out of quarantine: it may be leased at once, and its past failures no longer count.
 pub(crate) async fn retry(
     tx: &mut SqliteConnection,
     job: JobId,
@@ -447,8 +446,8 @@ pub(crate) async fn retry(
     .map(drop)
 }
 
-/// Counts a job's attempts since it was last retried by hand, and one more by `worker`. A worker
-/// that does not say on which machine it runs is a machine of its own.
+/// Counts a job's attempts since an operator last retried it, including one more by `worker`. A
+/// worker that does not name its machine counts as a machine of its own.
 pub(crate) async fn history(
     tx: &mut SqliteConnection,
     job: JobId,
@@ -472,7 +471,7 @@ pub(crate) async fn history(
     .doing("look what a job's attempts amount to")
 }
 
-/// When a job last ended an attempt because its policy could not be reached.
+/// Returns the instant at which a job last ended an attempt because its policy was unreachable.
 pub(crate) async fn last_without_policy(
     tx: &mut SqliteConnection,
     job: JobId,
@@ -487,8 +486,8 @@ pub(crate) async fn last_without_policy(
     .doing("look when a job last did without its policy")
 }
 
-/// Whether a job of a policy waits, other than this one, that has lost the policy fewer
-/// than `losses` times.
+/// Returns true if another job of the policy waits that has lost the policy fewer than `losses`
+/// times.
 pub(crate) async fn others_wait(
     tx: &mut SqliteConnection,
     policy: PolicyId,
@@ -509,8 +508,8 @@ pub(crate) async fn others_wait(
     .doing("look for other jobs of a policy")
 }
 
-/// Whether a back-off or a policy's pause ended in `(after, until]`: waiting
-/// claims are woken then.
+/// Returns true if a back-off or a policy's pause ended in `(after, until]`, so that waiting claims
+/// must be woken.
 pub(crate) async fn fell_due(
     tx: &mut SqliteConnection,
     after: UnixMillis,

@@ -1,6 +1,6 @@
-//! Statements on `passage`: campaigns that come or go piece by piece, so that workers are
-//! served in between. Nobody sees one: it has a name that no campaign can have, leases nothing,
-//! and is left out wherever campaigns are listed.
+//! Statements on `passage`: campaigns that are inserted or deleted in batches, so that workers are
+//! served in between. Such a campaign is hidden: its name is one that no campaign can have, it
+//! leases nothing, and lists of campaigns leave it out.
 
 use sqlx::SqliteConnection;
 
@@ -8,13 +8,13 @@ use super::{Doing, StoreError};
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, CampaignName, PolicyId};
 
-/// Statements that hide a campaign, each with its number.
+/// Statements that hide a campaign, each with the campaign's row number as `?1`.
 const HIDING: [&str; 2] = [
     "INSERT INTO passage (campaign_id) VALUES (?1)",
     "UPDATE campaign SET name = '~' || id, folder = NULL WHERE id = ?1",
 ];
 
-/// Statements that take away, with a campaign that goes, whatever others see of it.
+/// Statements that remove what others could see of a campaign being deleted.
 const LEAVING: [&str; 4] = [
     "UPDATE campaign SET state = 'cancelled' WHERE id = ?1",
     "DELETE FROM derivation WHERE campaign_id = ?1",
@@ -48,13 +48,13 @@ pub(crate) async fn arrive(tx: &mut SqliteConnection, id: CampaignId) -> Result<
     .await
 }
 
-/// Hides a campaign that is to be deleted.
+/// Hides a campaign that is being deleted.
 pub(crate) async fn leave(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
     run(tx, &HIDING, id).await?;
     run(tx, &LEAVING, id).await
 }
 
-/// Shows a campaign whose jobs are all here, under its name.
+/// Makes a campaign visible under its name once all its jobs are stored.
 pub(crate) async fn arrived(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -76,7 +76,7 @@ pub(crate) async fn arrived(
     run(tx, &["DELETE FROM passage WHERE campaign_id = ?1"], id).await
 }
 
-/// The campaigns that come or go, with their policies.
+/// Returns the campaigns being inserted or deleted, with their policies.
 pub(crate) async fn all(
     tx: &mut SqliteConnection,
 ) -> Result<Vec<(CampaignId, PolicyId)>, StoreError> {
@@ -89,8 +89,7 @@ pub(crate) async fn all(
     .doing("list campaigns that come or go")
 }
 
-/// Deletes up to so many jobs of a campaign with everything that belongs to them. Returns how
-/// many.
+/// Deletes up to `limit` jobs of a campaign with all dependent rows. Returns their number.
 pub(crate) async fn delete_jobs(
     tx: &mut SqliteConnection,
     id: CampaignId,

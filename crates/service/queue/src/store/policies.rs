@@ -10,8 +10,8 @@ use crate::ids::{CampaignId, PolicyId};
 use crate::rules::lease::LOSSES_UNTIL_ALONE;
 use crate::rules::outage::{PolicyHealth, PolicyState};
 
-/// The [`PolicyHealth`] of a row of table `p`, as JSON; the CHECK constraints
-/// promise that it reads back.
+/// SQL for the [`PolicyHealth`] of a row of table `p`, as JSON; the CHECK constraints guarantee
+/// that it can be parsed.
 macro_rules! health {
     () => {
         "json_object('outages', p.outages, 'misbehaved', p.misbehaved,
@@ -56,17 +56,16 @@ pub(crate) async fn remove_unused(
     .map(drop)
 }
 
-/// An attempt that is out to try its policy.
+/// An attempt that probes its policy.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Probe {
     pub(crate) campaign: CampaignId,
     pub(crate) attempt: Text<AttemptId>,
-    /// Control steps before the policy is first asked.
+    /// Control steps before the first query of the policy.
     pub(crate) settle_steps: u32,
 }
 
-/// The probes that are out; those that run alone are left out, because their first answer
-/// says nothing yet.
+/// Returns the leased probes, except those that run alone: their first answer is no evidence yet.
 pub(crate) async fn probes(tx: &mut SqliteConnection) -> Result<Vec<Probe>, StoreError> {
     sqlx::query_as(
         "SELECT j.campaign_id AS campaign, j.attempt_id AS attempt,
@@ -80,7 +79,7 @@ pub(crate) async fn probes(tx: &mut SqliteConnection) -> Result<Vec<Probe>, Stor
     .doing("look for probes")
 }
 
-/// Whether no job of a policy is leased.
+/// Returns true if no job of the policy is leased.
 pub(crate) async fn is_idle(tx: &mut SqliteConnection, id: PolicyId) -> Result<bool, StoreError> {
     sqlx::query_scalar(
         "SELECT NOT EXISTS (SELECT 1 FROM campaign c JOIN job j ON j.campaign_id = c.id

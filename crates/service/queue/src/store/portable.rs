@@ -1,8 +1,8 @@
-//! Statements that copy one campaign from another database, attached as the schema
-//! `source`, with everything that belongs to it.
+//! Statements that copy one campaign with all dependent rows from another database, which is
+//! attached as the schema `source`.
 //!
-//! Columns are copied by their names, so that one which a later migration adds is
-//! copied too; a table that one adds has to be named here.
+//! Columns are copied by name, so a column that a later migration adds is copied automatically; a
+//! new table must be added to the lists here.
 
 use sqlx::{AssertSqlSafe, SqliteConnection};
 
@@ -14,23 +14,22 @@ use crate::ids::{CampaignId, CampaignName, JobId};
 #[derive(Clone, Debug)]
 pub(crate) struct Called {
     pub(crate) name: CampaignName,
-    /// Its specification, which names it, JSON.
+    /// Specification under the new name, JSON.
     pub(crate) spec: String,
     /// SHA-256 of the specification, hex.
     pub(crate) spec_digest: String,
-    /// The folder of its files, below that of all artifacts.
+    /// Folder of the campaign's files below the artifacts folder.
     pub(crate) folder: String,
 }
 
-/// Statement parts that copy the rows of a table.
+/// Parts of the statement that copies the rows of one table.
 struct Copied {
     table: &'static str,
-    /// The `FROM` clause of its rows, `s`.
+    /// The `FROM` clause; the copied rows have the alias `s`.
     from: &'static str,
-    /// Columns that become another value than they had; NULL stands for a row number
-    /// that is given anew.
+    /// Columns with a changed value; NULL stands for a new row number.
     values: &'static [(&'static str, &'static str)],
-    /// After the last column.
+    /// SQL that follows the last column.
     rest: &'static str,
 }
 
@@ -38,11 +37,11 @@ struct Copied {
 const CAMPAIGN: (&str, &str) = ("campaign_id", "(SELECT new FROM temp.moved)");
 const JOB: (&str, &str) = ("job_id", "m.new");
 
-/// How a leased attempt of a campaign that is moved ends in the copy.
+/// Error text stored with an attempt that was in progress when its campaign was copied.
 const MOVED: &str = "the campaign was copied while this attempt ran";
 
-/// The tables that are copied row by row, in order. `CROSS JOIN` makes SQLite begin with the jobs
-/// that are copied, which may be few of many.
+/// Tables copied row by row, in order. `CROSS JOIN` makes SQLite start from the copied jobs, which
+/// may be a small part of all jobs.
 const COPIED: [Copied; 10] = [
     Copied {
         table: "campaign_task",
@@ -50,7 +49,7 @@ const COPIED: [Copied; 10] = [
         values: &[CAMPAIGN],
         rest: " ORDER BY s.task ON CONFLICT DO NOTHING",
     },
-    // Workers that are gone: none of them works for this coordinator.
+    // Workers are copied as signed off: none of them works for this coordinator.
     Copied {
         table: "worker",
         from: "source.worker s JOIN (SELECT worker_id, max(committed_ms) AS last_ms
@@ -70,7 +69,7 @@ const COPIED: [Copied; 10] = [
         values: &[("id", "NULL")],
         rest: " ORDER BY s.id ON CONFLICT DO NOTHING",
     },
-    // A committed job is leased until its result is there: the schema says so.
+    // A committed job is copied as leased until its result is stored, as the schema requires.
     Copied {
         table: "job",
         from: "temp.moved_job m CROSS JOIN source.job s ON s.id = m.old
@@ -134,7 +133,7 @@ const COPIED: [Copied; 10] = [
         values: &[
             JOB,
             ("attempt_id", "a.new"),
-            // Whoever comes back with a result brings it to the other coordinator.
+            // A worker that reconnects reports its result to the other coordinator.
             ("leased_ms", "NULL"),
             ("ceiling_ms", "NULL"),
         ],
@@ -146,7 +145,7 @@ const COPIED: [Copied; 10] = [
                WHERE TRUE",
         values: &[
             ("attempt_id", "a.new"),
-            // The text after the last slash is the file's own name.
+            // The text after the last slash is the file name.
             (
                 "path",
                 "'artifacts/' || (SELECT folder FROM temp.moved) || '/'
@@ -155,7 +154,7 @@ const COPIED: [Copied; 10] = [
         ],
         rest: " ORDER BY s.path, s.kind",
     },
-    // The last: a campaign that has stopped holds no lease.
+    // Copied last, because a stopped campaign must hold no lease.
     Copied {
         table: "stop",
         from: "source.stop s WHERE s.campaign_id = (SELECT old FROM temp.moved)",
@@ -164,11 +163,11 @@ const COPIED: [Copied; 10] = [
     },
 ];
 
-/// Tables of a campaign rather than of its jobs. The rows of one are to be there before the
-/// first job.
+/// Tables with rows per campaign rather than per job. Their rows must exist before the first job is
+/// copied.
 const OF_CAMPAIGN: [&str; 2] = ["campaign_task", "worker"];
 
-/// The campaign itself, which all of them refer to.
+/// The campaign's own row, which all others refer to.
 const CAMPAIGN_ROW: Copied = Copied {
     table: "campaign",
     from: "source.campaign s JOIN temp.moved m ON m.old = s.id WHERE TRUE",
@@ -183,9 +182,8 @@ const CAMPAIGN_ROW: Copied = Copied {
     rest: " RETURNING id",
 };
 
-/// Tables that stay behind. A policy's health and what is to be removed are this
-/// coordinator's own; a campaign that follows from another says so in its
-/// specification; triggers count the rows that are copied.
+/// Tables that are not copied. A policy's health and pending removals are this coordinator's own;
+/// the specification names the source of a derived campaign; triggers count the copied rows.
 #[cfg(test)]
 const LEFT: [&str; 9] = [
     "_sqlx_migrations",
@@ -199,8 +197,7 @@ const LEFT: [&str; 9] = [
     "ending_tally",
 ];
 
-/// Copies a campaign from the schema `source`. Leases end without a charge: their
-/// jobs wait again.
+/// Copies a campaign from the schema `source`. Leases end without a charge: their jobs wait again.
 pub(crate) async fn copy(
     tx: &mut SqliteConnection,
     old: CampaignId,
@@ -222,8 +219,7 @@ pub(crate) async fn copy(
     Ok(new)
 }
 
-/// As [`copy`], without what belongs to the campaign: [`copy_piece`] adds that, and
-/// [`copy_rest`].
+/// As [`copy`], but without jobs, which [`copy_piece`] and [`copy_rest`] complete.
 pub(crate) async fn copy_without_jobs(
     tx: &mut SqliteConnection,
     old: CampaignId,
@@ -237,8 +233,8 @@ pub(crate) async fn copy_without_jobs(
     Ok(new)
 }
 
-/// Copies some jobs with everything that belongs to them, and numbers them in this order behind
-/// all jobs that ever were here.
+/// Copies some jobs with their dependent rows. Their new numbers follow this order and come after
+/// those of all jobs that ever existed here.
 pub(crate) async fn copy_piece(
     tx: &mut SqliteConnection,
     (campaign, old): (CampaignId, CampaignId),
@@ -266,7 +262,7 @@ pub(crate) async fn copy_piece(
     end(tx).await
 }
 
-/// The jobs of a campaign in paired-unit order.
+/// Returns the jobs of a campaign in paired-unit order.
 pub(crate) async fn jobs(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -278,7 +274,7 @@ pub(crate) async fn jobs(
         .doing("list the jobs of a campaign that is copied")
 }
 
-/// Copies what is left once all jobs are here: whether it has stopped early, and its state.
+/// Copies what depends on all jobs being present: the early stop and the state of the campaign.
 pub(crate) async fn copy_rest(
     tx: &mut SqliteConnection,
     (campaign, old): (CampaignId, CampaignId),
@@ -301,7 +297,7 @@ pub(crate) async fn copy_rest(
     end(tx).await
 }
 
-/// Copies the row of a campaign, whose policy is found or stored.
+/// Copies the row of a campaign, and finds or stores its policy.
 async fn copy_row(
     tx: &mut SqliteConnection,
     old: CampaignId,
@@ -341,8 +337,8 @@ async fn copy_row(
     Ok(new)
 }
 
-/// Puts jobs of a campaign from the schema `source` into the place of those of the same
-/// rollouts, with everything that belongs to them.
+/// Replaces jobs of this campaign by those of the same rollouts in the schema `source`, with their
+/// dependent rows.
 pub(crate) async fn replace(
     tx: &mut SqliteConnection,
     (campaign, old): (CampaignId, CampaignId),
@@ -404,8 +400,7 @@ async fn end(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     .await
 }
 
-/// Copies the chosen jobs with everything that belongs to them, as far as it is in the tables
-/// that are wanted.
+/// Copies rows of the chosen jobs in the chosen tables.
 async fn rows(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -424,8 +419,8 @@ async fn rows(
     end_leases(tx).await
 }
 
-/// An attempt gets another id only if one of its own is here: then this is a copy
-/// beside the original.
+/// Assigns ids to the copied attempts: the original ones, unless one of them exists here, in which
+/// case this is a copy beside its original.
 async fn name_attempts(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,
@@ -448,7 +443,7 @@ async fn name_attempts(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     .await
 }
 
-/// Finds the rows here of the origins that were copied or were here before.
+/// Maps the copied origins to their rows in this database.
 async fn find_origins(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     let columns = columns(tx, "provenance").await?;
     let columns = columns.iter().filter(|name| *name != "id");
@@ -463,7 +458,7 @@ async fn find_origins(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(tx, &statement).await
 }
 
-/// Jobs whose results are there now are committed.
+/// Marks the jobs whose results were copied as committed.
 async fn commit_jobs(tx: &mut SqliteConnection, campaign: CampaignId) -> Result<(), StoreError> {
     sqlx::query(
         "UPDATE main.job SET state = 'committed', lease_owner = NULL, leased_ms = NULL,
@@ -478,7 +473,7 @@ async fn commit_jobs(tx: &mut SqliteConnection, campaign: CampaignId) -> Result<
     .map(drop)
 }
 
-/// Attempts that were under way have ended here, charged to nobody.
+/// Ends copied attempts that were in progress, without a charge.
 async fn end_leases(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     sqlx::query(
         "INSERT INTO main.failure (attempt_id, job_id, attempt, worker_id, failed_ms, reason,
@@ -496,7 +491,7 @@ async fn end_leases(tx: &mut SqliteConnection) -> Result<(), StoreError> {
 }
 
 impl Copied {
-    /// The statement that copies the rows.
+    /// Returns the statement that copies the rows.
     async fn statement(&self, tx: &mut SqliteConnection) -> Result<String, StoreError> {
         let columns = columns(tx, self.table).await?;
         let value = |column: &String| {
@@ -515,7 +510,7 @@ impl Copied {
     }
 }
 
-/// The columns of a table of this database.
+/// Returns the columns of a table in this database.
 async fn columns(tx: &mut SqliteConnection, table: &str) -> Result<Vec<String>, StoreError> {
     sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'main') ORDER BY cid")
         .bind(table)
@@ -524,7 +519,7 @@ async fn columns(tx: &mut SqliteConnection, table: &str) -> Result<Vec<String>, 
         .doing("read a table's columns")
 }
 
-/// Runs statements that hold no value from outside.
+/// Runs constant SQL statements without parameters.
 async fn run(tx: &mut SqliteConnection, statements: &str) -> Result<(), StoreError> {
     sqlx::raw_sql(AssertSqlSafe(statements.to_owned()))
         .execute(tx)
@@ -533,8 +528,8 @@ async fn run(tx: &mut SqliteConnection, statements: &str) -> Result<(), StoreErr
         .map(drop)
 }
 
-/// Takes away what differs between two databases of one content: when they were made, and
-/// what the counts of them went through.
+/// Removes the differences between two databases of equal content: instants of their creation and
+/// the history of their counters.
 pub(crate) async fn forget_when(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,
@@ -546,7 +541,7 @@ pub(crate) async fn forget_when(tx: &mut SqliteConnection) -> Result<(), StoreEr
     .await
 }
 
-/// Takes away the videos that are not there any more.
+/// Removes the rows of videos whose files are missing.
 pub(crate) async fn forget_artifacts(
     tx: &mut SqliteConnection,
     missing: &[String],

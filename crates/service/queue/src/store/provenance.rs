@@ -1,5 +1,4 @@
-//! Statements on `provenance`: where results came from, as far as many of them
-//! share it.
+//! Statements on `provenance`: the part of an origin that many results share.
 
 use libero_ctrl::Suite;
 use rollout_types::Provenance;
@@ -9,7 +8,7 @@ use sqlx::types::Json;
 use super::{Doing, StoreError};
 use crate::ids::CampaignId;
 
-/// Row number of an origin that is stored.
+/// Row number of a stored origin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx_macros::Type)]
 #[sqlx(transparent)]
 pub(crate) struct ProvenanceId(i64);
@@ -29,7 +28,7 @@ macro_rules! provenance {
 }
 pub(crate) use provenance;
 
-/// An origin of a campaign's results of a suite that names its policy's settings.
+/// Returns an origin of a campaign's results in a suite that contains the settings of its policy.
 pub(crate) async fn of_suite(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -54,12 +53,12 @@ pub(crate) async fn of_suite(
     Ok(found.map(|Json(origin)| origin))
 }
 
-/// The row number of an origin, which is stored if it is new.
+/// Returns the row number of an origin, storing the origin if it is new.
 pub(crate) async fn find_or_insert(
     tx: &mut SqliteConnection,
     of: &Provenance,
 ) -> Result<ProvenanceId, StoreError> {
-    // Updated to itself: only a row that was written is returned.
+    // The no-op update makes RETURNING return an existing row too.
     sqlx::query_scalar(
         "INSERT INTO provenance (host, renderer, fingerprint, mujoco_version, asset_pack,
              asset_pack_digest, realisation, policy_name, policy_checkpoint,

@@ -1,11 +1,10 @@
-//! Statements on `removal`: folders of deleted campaigns that may still be on
-//! the disk.
+//! Statements on `removal`: folders of deleted campaigns whose files may still exist.
 
 use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError};
 
-/// Notes that a folder is to be removed.
+/// Marks a folder for removal.
 pub(crate) async fn note(tx: &mut SqliteConnection, folder: &str) -> Result<(), StoreError> {
     sqlx::query("INSERT OR IGNORE INTO removal (folder) VALUES (?)")
         .bind(folder)
@@ -15,7 +14,7 @@ pub(crate) async fn note(tx: &mut SqliteConnection, folder: &str) -> Result<(), 
         .map(drop)
 }
 
-/// Notes that a folder is gone.
+/// Unmarks a folder that was removed.
 pub(crate) async fn done(tx: &mut SqliteConnection, folder: &str) -> Result<(), StoreError> {
     sqlx::query("DELETE FROM removal WHERE folder = ?")
         .bind(folder)
@@ -25,7 +24,7 @@ pub(crate) async fn done(tx: &mut SqliteConnection, folder: &str) -> Result<(), 
         .map(drop)
 }
 
-/// Folders that are to be removed.
+/// Returns the folders marked for removal.
 pub(crate) async fn pending(tx: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
     sqlx::query_scalar("SELECT folder FROM removal ORDER BY folder")
         .fetch_all(tx)

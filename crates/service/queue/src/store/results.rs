@@ -1,5 +1,5 @@
-//! Statements on `result`, `motion` and `divergence`: what came out, and what it
-//! is compared with.
+//! Statements on `result`, `motion` and `divergence`: results and the siblings that they are
+//! compared with.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
 use crate::rules::pairing::Sibling;
 
-/// A result on its way into the database.
+/// A result to be stored.
 #[derive(Clone, Debug)]
 pub(crate) struct NewResult<'a> {
     pub(crate) attempt: AttemptId,
@@ -29,7 +29,7 @@ pub(crate) struct NewResult<'a> {
     pub(crate) motion: &'a Motion,
 }
 
-/// The [`Digests`] of a result `r`, as JSON.
+/// SQL for the [`Digests`] of a result `r`, as JSON.
 macro_rules! digests {
     () => {
         "json_object('scene', r.scene_digest, 'init_state', r.init_state_digest,
@@ -38,8 +38,7 @@ macro_rules! digests {
 }
 pub(crate) use digests;
 
-/// Stores results; their jobs are marked as committed right after, in the same
-/// transaction.
+/// Stores results. The caller marks their jobs as committed later in the same transaction.
 pub(crate) async fn insert(
     tx: &mut SqliteConnection,
     results: &[NewResult<'_>],
@@ -96,8 +95,7 @@ pub(crate) async fn insert(
     Ok(())
 }
 
-/// Keeps a result that contradicts the committed one. The same report twice is
-/// kept once.
+/// Records a result that contradicts the committed one. Repeated reports are stored once.
 pub(crate) async fn insert_divergence(
     tx: &mut SqliteConnection,
     job: JobId,
@@ -125,13 +123,13 @@ pub(crate) async fn insert_divergence(
     .map(drop)
 }
 
-/// The committed rollouts of an initial state, in the campaign and in the one that
-/// it follows from. Of replicates that see alike, the first stands for the others.
+/// Returns the committed rollouts of an initial state, in the campaign and in its source. Of
+/// replicates with equal renderer, fingerprint and policy, only the first is returned.
 pub(crate) async fn siblings(
     tx: &mut SqliteConnection,
     of: &InitialState,
 ) -> Result<Vec<Sibling>, StoreError> {
-    // With a lone min(), SQLite takes the other columns from that very row.
+    // With a single min(), SQLite takes the other columns from the same row.
     type Row = (
         i64,
         String,

@@ -1,4 +1,4 @@
-//! Statements on `stop`: campaigns that may end early, and those that did.
+//! Statements on `stop`: campaigns that may stop early, and those that have.
 
 use libero_ctrl::Stop;
 use sqlx::SqliteConnection;
@@ -7,7 +7,7 @@ use super::{Doing, StoreError};
 use crate::clock::UnixMillis;
 use crate::ids::CampaignId;
 
-/// A campaign that may end early and has not.
+/// A campaign that may stop early and has not.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Stoppable {
     pub(crate) campaign: CampaignId,
@@ -19,23 +19,23 @@ pub(crate) struct Stoppable {
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct FirstUnsettled {
     pub(crate) rollout_id: String,
-    /// Place in that order.
+    /// Place of the rollout in that order.
     pub(crate) unit_order: i64,
 }
 
-/// How a campaign may end early, or did.
+/// Early stop of a campaign: its rule, and its point once it has happened.
 #[derive(Clone, Debug, PartialEq, sqlx_macros::FromRow)]
 pub struct EarlyStop {
-    /// The rule, and what its order is drawn from.
+    /// The rule, with the seed of the drawn order.
     #[sqlx(json)]
     pub stop: Stop,
-    /// Configurations of the campaign.
+    /// Number of configurations in the campaign.
     pub configurations: u32,
-    /// After so many of them it stopped; none while it has not.
+    /// Number of configurations after which the campaign stopped; `None` if it has not.
     pub used: Option<u32>,
 }
 
-/// Notes that a campaign may end early.
+/// Records that a campaign may stop early.
 pub(crate) async fn insert(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -50,7 +50,7 @@ pub(crate) async fn insert(
         .map(drop)
 }
 
-/// The campaigns that may still end early.
+/// Returns the campaigns that may still stop early.
 pub(crate) async fn stoppable(tx: &mut SqliteConnection) -> Result<Vec<Stoppable>, StoreError> {
     sqlx::query_as(
         "SELECT s.campaign_id AS campaign, c.spec -> '$.stop' AS stop FROM stop s
@@ -62,8 +62,8 @@ pub(crate) async fn stoppable(tx: &mut SqliteConnection) -> Result<Vec<Stoppable
     .doing("list campaigns that may end early")
 }
 
-/// The first rollout without an outcome in the order in which a campaign's jobs are
-/// leased; none if it is through. Two index seeks per task.
+/// Returns the first rollout without an outcome, in the order in which a campaign's jobs are
+/// leased; `None` if the campaign is complete. Two index seeks per task.
 pub(crate) async fn first_unsettled(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -82,7 +82,7 @@ pub(crate) async fn first_unsettled(
     .doing("look for the first rollout without an outcome")
 }
 
-/// Stops a campaign after so many of its configurations.
+/// Records that a campaign stopped after a number of its configurations.
 pub(crate) async fn stop(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -99,7 +99,7 @@ pub(crate) async fn stop(
         .map(drop)
 }
 
-/// How a campaign may end early, or did; none of one that runs to its end.
+/// Returns the early stop of a campaign; `None` for one that always runs to its end.
 pub(crate) async fn of(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

@@ -1,4 +1,4 @@
-//! Statements on `worker`: which are alive, with which assets and simulator.
+//! Statements on `worker`: registration, liveness, and the pins of workers.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,44 +11,44 @@ use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
 use crate::rules::lease::Strike;
 
-/// A worker as it announced itself.
+/// A worker as registered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WorkerInfo {
-    /// Its id.
+    /// Id of the worker.
     pub id: WorkerId,
-    /// The name of the machine it runs on.
+    /// Name of the machine.
     pub host: String,
-    /// Id of that machine, if it says so: the same for every worker there, now and after a
-    /// restart.
+    /// Id of the machine, if the worker reports it: equal for all workers on one machine, and
+    /// stable across restarts.
     pub machine: Option<String>,
-    /// Rollouts that it runs side by side.
+    /// Rollouts that run concurrently.
     pub slots: u32,
-    /// Cores that they share, if it says so.
+    /// Cores that the slots share, if the worker reports them.
     pub cores: Option<u32>,
-    /// Asset pack, simulator and renderer that it runs on.
+    /// Asset pack, simulator and renderer.
     pub pin: Pin,
-    /// Version of its program.
+    /// Version of the worker's program.
     pub program_version: String,
 }
 
-/// A worker's standing with the coordinator.
+/// State of a worker in the coordinator.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct Standing {
     pub(crate) id: WorkerId,
-    /// The machine it runs on: its own id if it does not say.
+    /// Machine of the worker; the worker's own id if it does not name its machine.
     pub(crate) machine: String,
-    /// Asset pack, simulator and renderer that it runs on.
+    /// Asset pack, simulator and renderer.
     #[sqlx(json)]
     pub(crate) pin: Pin,
     /// Instant of its last call.
     pub(crate) last_seen_ms: UnixMillis,
     /// Charged failures in a row.
     pub(crate) charged_in_a_row: u32,
-    /// Why it may lease no more, if so.
+    /// Reason why the worker may not lease any more, if it may not.
     pub(crate) stopped_reason: Option<String>,
 }
 
-/// The [`Pin`] of a worker or a campaign, as JSON.
+/// SQL for the [`Pin`] of a worker or a campaign, as JSON.
 macro_rules! pin {
     ($of:literal) => {
         concat!(
@@ -66,13 +66,13 @@ macro_rules! pin {
 }
 pub(crate) use pin;
 
-/// Ids for `json_each`. A worker that asks with several slots is one worker.
+/// Serialises worker ids for `json_each`, each only once, since several slots of a worker may call
+/// together.
 fn each_once(ids: &[&WorkerId]) -> String {
     json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>())
 }
 
-/// The failures in a row of the worker that was last started on a machine, other than
-/// this one.
+/// Returns the failures in a row of the last worker that started on a machine, other than this one.
 pub(crate) async fn last_on_machine(
     tx: &mut SqliteConnection,
     machine: &str,
@@ -90,8 +90,7 @@ pub(crate) async fn last_on_machine(
     Ok(last.unwrap_or(0))
 }
 
-/// Stores a worker that announces itself, with the failures in a row that it begins
-/// with.
+/// Stores a registering worker, with the failures in a row that it inherits.
 pub(crate) async fn upsert(
     tx: &mut SqliteConnection,
     worker: &WorkerInfo,
@@ -126,7 +125,7 @@ pub(crate) async fn upsert(
     .map(drop)
 }
 
-/// The standing of those workers that ever announced themselves.
+/// Returns the standings of those workers that have registered.
 pub(crate) async fn standings(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
@@ -181,7 +180,7 @@ pub(crate) async fn beat(
     .map(drop)
 }
 
-/// Stores a worker's run of failures, and why it must stop if it must.
+/// Stores a worker's failures in a row, and the reason why it must stop leasing, if it must.
 pub(crate) async fn set_strike(
     tx: &mut SqliteConnection,
     id: &WorkerId,
@@ -201,8 +200,8 @@ pub(crate) async fn set_strike(
     .map(drop)
 }
 
-/// Workers reported rollouts that were committed: they are there, and their
-/// runs of failures are over.
+/// Notes that workers reported results that were committed: they are alive, and their failures in a
+/// row are reset.
 pub(crate) async fn succeeded(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
@@ -221,7 +220,7 @@ pub(crate) async fn succeeded(
     .map(drop)
 }
 
-/// Notes that a worker ended in good order; says whether it is known.
+/// Notes that a worker shut down cleanly; returns false if the worker is unknown.
 pub(crate) async fn sign_off(
     tx: &mut SqliteConnection,
     id: &WorkerId,
@@ -236,16 +235,16 @@ pub(crate) async fn sign_off(
     Ok(noted.rows_affected() > 0)
 }
 
-/// A worker that is there and may lease.
+/// A live worker that may lease.
 #[derive(Clone, Debug)]
 pub(crate) struct Live {
-    /// Asset pack, simulator and renderer that it runs on.
+    /// Asset pack, simulator and renderer.
     pub(crate) pin: Pin,
-    /// Its machine: its own id if it does not say.
+    /// Machine of the worker; the worker's own id if it does not name its machine.
     pub(crate) machine: String,
 }
 
-/// Workers that have called since `since`, have not said good-bye and may lease.
+/// Returns the workers that have called since `since`, have not signed off, and may lease.
 pub(crate) async fn live(
     tx: &mut SqliteConnection,
     since: UnixMillis,

@@ -1,4 +1,4 @@
-//! The members of one parcel, received in the order of their positions.
+//! Reception of the files in one parcel, in the order of their positions.
 
 use std::collections::HashMap;
 use std::fs::{self, File, OpenOptions};
@@ -15,16 +15,16 @@ use crate::origin::{Member, Origin, Parcel, Stream};
 use crate::progress::{Progress, Report};
 use crate::verify::{VerifiedFolder, hex};
 
-/// Tries in vain after which a fetch is given up.
+/// Failed tries after which a fetch is given up.
 pub(super) const MAX_TRIES: u32 = 5;
-/// A try that gained less than this was in vain.
+/// A try that received less than this counts as failed.
 pub(super) const GAIN_BYTES: u64 = 1 << 20;
-/// Members that lie closer together are asked for in one request.
+/// Files with gaps up to this size between them are requested together.
 const MAX_GAP_BYTES: u64 = 1 << 18;
-/// Bytes that are read at a time.
+/// Size of a read.
 const BLOCK_BYTES: usize = 1 << 16;
 
-/// Called with the progress; says whether to go on.
+/// Callback with the progress; returns whether to continue.
 type Show<'a> = dyn FnMut(Report) -> ControlFlow<()> + 'a;
 
 pub(super) struct Receiver<'a> {
@@ -32,12 +32,12 @@ pub(super) struct Receiver<'a> {
     parcel: &'a Parcel<'a>,
     into: &'a VerifiedFolder,
     incoming: &'a Path,
-    /// Members that are in place.
+    /// Number of files in place.
     done: usize,
-    /// False once the server has sent a whole parcel when it was asked for a part.
+    /// False once the server has answered a range request with the whole parcel.
     knows_ranges: bool,
     gained: u64,
-    /// Number of times that members arrived altered.
+    /// Number of corrupted receptions, by file.
     corruptions: HashMap<&'static str, u32>,
 }
 
@@ -64,12 +64,12 @@ impl<'a> Receiver<'a> {
         self.done == self.parcel.members.len()
     }
 
-    /// Bytes that were received so far.
+    /// Returns the number of bytes received so far.
     pub(super) fn gained(&self) -> u64 {
         self.gained
     }
 
-    /// Sends one request, and puts the members that it brings in place.
+    /// Sends one request and stores the files that its answer contains.
     pub(super) fn stream(
         &mut self,
         progress: &mut Progress,
@@ -78,7 +78,7 @@ impl<'a> Receiver<'a> {
         let first = self.parcel.members[self.done];
         let have = size(&self.part(&first));
         if have >= first.stored {
-            // The last fetch ended before the file got its name.
+            // An earlier fetch ended between the last byte and the rename.
             return self.finish(&first, progress, show);
         }
         let end = self.end_of_run();
@@ -100,7 +100,7 @@ impl<'a> Receiver<'a> {
         Ok(())
     }
 
-    /// The end of the run of neighbouring members that begins with the next one.
+    /// Returns the end of the contiguous range of files that starts with the next one.
     fn end_of_run(&self) -> u64 {
         if !self.knows_ranges {
             return self.parcel.bytes;
@@ -117,7 +117,7 @@ impl<'a> Receiver<'a> {
         end
     }
 
-    /// Adds what is missing to a member's part.
+    /// Appends the missing bytes to a partially received file.
     fn fill(
         &mut self,
         member: &Member<'_>,
@@ -146,7 +146,7 @@ impl<'a> Receiver<'a> {
         outcome
     }
 
-    /// Reads so many bytes.
+    /// Reads a number of bytes.
     fn read(
         &self,
         stream: &mut Stream,
@@ -180,7 +180,7 @@ impl<'a> Receiver<'a> {
         Ok(())
     }
 
-    /// Gives a member that has arrived its name, if it is the table's.
+    /// Verifies a completely received file and gives it its final name.
     fn finish(
         &mut self,
         member: &Member<'_>,
@@ -192,7 +192,7 @@ impl<'a> Receiver<'a> {
         let target = self.into.folder().join(member.file.path);
         let unpacked = unpack(member, &part, &whole);
         if unpacked.is_err() {
-            // On a full disk, half a file would only take room.
+            // On a full disk, the incomplete file would only take up space.
             let _ = fs::remove_file(&whole);
         }
         if let Some(problem) = unpacked.map_err(RequestError::Final)? {
@@ -211,7 +211,7 @@ impl<'a> Receiver<'a> {
         tell(show, *progress)
     }
 
-    /// Counts an altered member.
+    /// Counts a corrupted file.
     fn corrupted(&mut self, member: &Member<'_>, problem: String) -> RequestError {
         let tries = self.corruptions.entry(member.file.path).or_default();
         *tries += 1;
@@ -227,7 +227,7 @@ impl<'a> Receiver<'a> {
         })
     }
 
-    /// The place for what has arrived of a member.
+    /// Returns the path of a partially received file.
     fn part(&self, member: &Member<'_>) -> PathBuf {
         let kind = if member.is_deflated {
             "deflated"
@@ -239,7 +239,7 @@ impl<'a> Receiver<'a> {
     }
 }
 
-/// Writes a member as it is to be, and says how it differs from the table.
+/// Unpacks a received file and describes how it differs from the table, if it does.
 fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<String>, AssetsError> {
     let source = File::open(part).map_err(|source| AssetsError::Read {
         path: part.to_owned(),
@@ -254,7 +254,7 @@ fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<Strin
     let mut hash = Sha256::new();
     let mut bytes = 0;
     let mut block = vec![0; BLOCK_BYTES];
-    // A file that does not end is not the table's.
+    // Stops once the expected size is exceeded, since the data may be endless.
     while bytes <= member.file.bytes {
         match source.read(&mut block) {
             Ok(0) => break,
@@ -285,7 +285,7 @@ fn tell(show: &mut Show<'_>, progress: Progress) -> Result<(), RequestError> {
     }
 }
 
-/// Size of a file that may not be there.
+/// Returns the size of a file; 0 if there is none.
 fn size(path: &Path) -> u64 {
     fs::metadata(path).map_or(0, |facts| facts.len())
 }

@@ -1,4 +1,4 @@
-//! Fetches from an index of their own, over real sockets.
+//! Fetches from a test index, over real sockets.
 
 mod test_index;
 
@@ -17,11 +17,11 @@ use test_index::{Fault, LARGE, OTHER, SMALL, TestIndex, UNWANTED, Wheels, conten
 
 const WANTED: [&str; 3] = [LARGE, SMALL, OTHER];
 
-/// Variables that make a test program fetch in a process of its own.
+/// Variables that make this test program fetch in a child process.
 const INDEX_VARIABLE: &str = "FETCH_TEST_INDEX";
 const FOLDER_VARIABLE: &str = "FETCH_TEST_FOLDER";
 
-/// Outcome of a fetch, and what it reported.
+/// Outcome of a fetch, and its reports.
 struct Done {
     outcome: Result<Fetched, AssetsError>,
     pauses: usize,
@@ -59,7 +59,7 @@ fn fetch_while(
         into: &into,
         pause: &mut |wait| {
             pauses += 1;
-            // Only who waits for another process has to wait.
+            // Only waiting for another process takes real time.
             if wait == LOCK_POLL {
                 thread::sleep(wait);
             }
@@ -91,7 +91,7 @@ fn place() -> (TempDir, PathBuf) {
     (folder, into)
 }
 
-/// The files below a folder, sorted.
+/// Returns the files below a folder, sorted.
 fn files(folder: &Path) -> Vec<String> {
     let mut found = Vec::new();
     let mut folders = vec![folder.to_owned()];
@@ -119,7 +119,7 @@ fn check_whole(into: &Path) {
     assert_eq!(files(into), WANTED, "and nothing is left over");
 }
 
-/// Every file that has its name is whole.
+/// Checks that every file under its final name is complete.
 fn check_nothing_half(into: &Path) {
     for path in files(into) {
         if !path.starts_with(INCOMING) {
@@ -383,7 +383,8 @@ fn a_folder_of_wheels_needs_no_network() {
     check_nothing_half(&into);
 }
 
-/// Starts this program to fetch in a process of its own; `before` is a shell's.
+/// Returns the command that starts this program as a fetching child process, after the shell
+/// commands `before`.
 fn start_fetching(before: &str, index: &str, into: &Path) -> Command {
     let mut shell = Command::new("sh");
     let program = env::current_exe().expect("a program");
@@ -440,7 +441,8 @@ fn two_processes_at_once_fetch_each_file_once() {
 fn a_full_disk_is_named_and_leaves_nothing_half() {
     let (_folder, into) = place();
     let index = TestIndex::start(Fault::None);
-    // Files of at most 64 kB, in units of 512 bytes; a signal would end the process.
+    // Limits files to 64 kB, in units of 512 bytes, and ignores the signal that would kill the
+    // process.
     let limit = "trap '' XFSZ; ulimit -f 128;";
     let output = start_fetching(limit, &index.url(), &into).output();
     let said = said(&output.expect("runs"));

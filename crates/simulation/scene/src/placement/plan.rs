@@ -1,5 +1,5 @@
-//! Plan of the samplers of a problem's `:init`, in the original's order: joints as they
-//! are named, then the things on the workspace, on sites, in sites, on objects.
+//! Plans the samplers for a problem's `:init`, in the original's order: joints as listed, then
+//! objects on the workspace, on sites, in sites, and on other objects.
 
 use libero_ctrl::Predicate;
 
@@ -12,7 +12,7 @@ use crate::instance::{InstanceKind, RegionSite};
 use crate::object::ObjectPart;
 use crate::rotation::Rotation;
 
-/// Height of an object's underside over the workspace or another object, m.
+/// Height of an object's underside above the workspace or another object, m.
 const OBJECT_Z_OFFSET: f64 = 0.01;
 
 /// Inputs of the plan, and the samplers planned so far.
@@ -24,7 +24,7 @@ struct Plan<'a> {
     samplers: Samplers,
 }
 
-/// Place to which a statement assigns its object.
+/// Place that a statement assigns to its object.
 enum Place<'a> {
     Workspace(&'a Region),
     OnSite(&'a Region),
@@ -33,12 +33,11 @@ enum Place<'a> {
 }
 
 impl Samplers {
-    /// The samplers of a problem.
+    /// Plans the samplers of a problem.
     ///
     /// # Errors
-    /// [`SceneError::Inconsistent`] where the original fails, too: the initial
-    /// state places something twice, or on what has no place, or opens what
-    /// cannot be opened.
+    /// [`SceneError::Inconsistent`] where the original fails too: the initial state places an
+    /// object twice or on something without a place, or opens something that cannot be opened.
     pub(crate) fn new(
         problem: &Problem,
         arena: &Arena,
@@ -89,8 +88,8 @@ impl<'a> Plan<'a> {
             .is_some_and(|part| part.instance.kind == kind)
     }
 
-    /// Place that a statement of `:init` gives its first argument. `None` for statements
-    /// that place nothing, which the original passes over.
+    /// Returns the place that a statement of `:init` assigns to its first argument; `None` for
+    /// statements that place nothing, which the original ignores.
     fn place(&self, predicate: &'a Predicate) -> Option<Place<'a>> {
         let [_, place] = predicate.arguments.as_slice() else {
             return None;
@@ -121,7 +120,7 @@ impl<'a> Plan<'a> {
                 let parent = site.parent.as_deref().unwrap_or_default();
                 (self.part(parent), &site.joints)
             }
-            // The original passes over what it does not know.
+            // The original ignores unknown statements.
             (None, None) => return Ok(()),
         };
         let articulation = part.map_or(Articulation::None, |part| {
@@ -224,7 +223,7 @@ impl<'a> Plan<'a> {
         Ok(())
     }
 
-    /// A base at a region's site, and the site's half extents, m.
+    /// Returns the base at a region's site, and the site's half extents, m.
     fn site(
         &mut self,
         predicate: &Predicate,
@@ -264,7 +263,7 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// A rectangle's bounds, moved inwards.
+/// Returns a rectangle's bounds, shrunk by `inset`.
 fn bounds(rectangle: &Rectangle, inset: f64) -> [[f64; 2]; 2] {
     [rectangle.x, rectangle.y].map(|[low, high]| [low + inset, high - inset])
 }

@@ -1,10 +1,10 @@
-//! Every numeric array of a compiled model by name, for comparing models. The
-//! names and sizes are those of MuJoCo 3.3.7's `mjxmacro.h`; what is left out
-//! is the payload of meshes, textures, height fields and their search trees.
+//! Every numeric array of a compiled model by name, for comparing models. Names and sizes follow
+//! MuJoCo 3.3.7's `mjxmacro.h`; excluded are the contents of meshes, textures, height fields and
+//! their search trees.
 
 use mujoco_rs::mujoco_c::mjModel;
 
-/// A named array, widened to doubles.
+/// A named array, converted to doubles.
 pub struct NamedArray {
     /// Name of the field of `mjModel`.
     pub name: &'static str,
@@ -12,7 +12,7 @@ pub struct NamedArray {
     pub values: Vec<f64>,
 }
 
-/// One array, as MuJoCo keeps it.
+/// An array in MuJoCo's element type.
 pub struct ModelArray {
     /// Length along the first axis: bodies, geoms, …
     pub rows: usize,
@@ -81,7 +81,7 @@ macro_rules! arrays {
     ($($name:ident: $rows:ident x $columns:tt $(* $factor:literal)?,)*) => {
         const NAMES: &[&str] = &[$(stringify!($name),)*];
 
-        /// The array of a name; none of a name that is not in the table.
+        /// Returns the array with a name; `None` if the table does not have it.
         pub(super) fn one(model: &mjModel, name: &str) -> Option<ModelArray> {
             match name {
                 $(

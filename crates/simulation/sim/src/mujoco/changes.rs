@@ -1,9 +1,9 @@
-//! Changing a model's own arrays.
+//! Mutable access to a model's own arrays.
 
 use super::model::Model;
 use super::own::each_own_array;
 
-/// One of them, to be changed.
+/// Mutable slice of one of these arrays.
 pub enum OwnArray<'a> {
     /// Doubles.
     Double(&'a mut [f64]),
@@ -44,7 +44,7 @@ macro_rules! change {
                 }
             )*
 
-            /// An array that may be changed, by MuJoCo's name; none of another name.
+            /// Returns a mutable array by MuJoCo's name; `None` if it is not one of these.
             pub fn own_array_mut(&mut self, name: &str) -> Option<OwnArray<'_>> {
                 match name {
                     $(stringify!($name) => Some(self.$method().into()),)*
@@ -87,7 +87,7 @@ mod tests {
         assert!(second.cam_pos().iter().all(|value| *value == 7.0));
         assert_ne!(first.headlight_ambient(), second.headlight_ambient());
         assert!(first.own_array_mut("geom_pos").is_none());
-        // It outlives the model that it was made from, with names and states.
+        // The copy outlives the original model, with names and states.
         let state = Data::new(&first).expect("a state");
         drop(first);
         assert_eq!(state.qpos(&second).len(), 7);

@@ -8,16 +8,16 @@ use super::model::Model;
 use super::slices::values;
 use crate::error::SimError;
 
-/// Simulation state of a model, owned.
+/// Owned simulation state of a model.
 ///
-/// A model and its states are separate, because a rollout perturbs the model while
-/// several states of it exist. Methods take the model that the state was made for.
+/// Model and state are separate types, because a rollout perturbs a model that has several states.
+/// Methods take the model that the state was made for.
 ///
 /// # Panics
-/// Every method that is given another model.
+/// Every method panics if it is given another model.
 pub struct Data {
     raw: NonNull<c::mjData>,
-    /// The model's serial number. The arrays have that model's sizes.
+    /// Serial number of the model, whose sizes the arrays have.
     model: u64,
 }
 
@@ -75,7 +75,7 @@ macro_rules! stages {
 }
 
 impl Data {
-    /// State at the model's reference configuration.
+    /// Creates a state at the model's reference configuration.
     pub fn new(model: &Model) -> Result<Self, SimError> {
         // SAFETY: a live model; null on failure, checked.
         let raw = unsafe { c::mj_makeData(model.as_ptr()) };
@@ -86,7 +86,7 @@ impl Data {
     }
 
     /// # Panics
-    /// If this is a state of another model.
+    /// If this state was made for another model.
     pub(super) fn assert_made_for(&self, model: &Model) {
         assert!(
             self.model == model.serial(),
@@ -111,7 +111,7 @@ impl Data {
         unsafe { self.raw.as_ref() }
     }
 
-    /// Simulated time, s.
+    /// Returns the simulated time, s.
     pub fn time_secs(&self) -> f64 {
         self.raw().time
     }
@@ -122,7 +122,7 @@ impl Data {
         unsafe { self.raw.as_mut() }.time = secs;
     }
 
-    /// The contacts found by the last collision pass.
+    /// Returns the contacts found by the last collision pass.
     pub fn contacts(&self) -> impl Iterator<Item = Contact> {
         let data = self.raw();
         // SAFETY: `contact` holds `ncon` contacts until the next step.
@@ -133,8 +133,8 @@ impl Data {
         })
     }
 
-    /// Number of times that the simulation has been found unstable: bad positions,
-    /// velocities or accelerations.
+    /// Returns how often the simulation became unstable: bad positions, velocities or
+    /// accelerations.
     pub fn instabilities(&self) -> i32 {
         let warnings = &self.raw().warning;
         [
@@ -147,7 +147,7 @@ impl Data {
         .sum()
     }
 
-    /// Dense joint-space inertia, nv × nv, row by row.
+    /// Computes the dense joint-space inertia, nv × nv, row by row.
     pub fn full_inertia(&self, model: &Model, inertia: &mut [f64]) {
         self.assert_made_for(model);
         assert_eq!(inertia.len(), model.nv() * model.nv(), "nv × nv values");
@@ -156,7 +156,7 @@ impl Data {
         unsafe { c::mj_fullM(model.as_ptr(), inertia.as_mut_ptr(), self.raw().qM) }
     }
 
-    /// Jacobian of a site's position and rotation, each 3 × nv, row by row.
+    /// Computes the Jacobian of a site's position and rotation, each 3 × nv, row by row.
     pub fn site_jacobian(&self, model: &Model, site: usize, pos: &mut [f64], rot: &mut [f64]) {
         self.assert_made_for(model);
         assert_eq!(pos.len(), 3 * model.nv(), "3 × nv values");
@@ -176,21 +176,21 @@ impl Data {
     }
 
     stages! {
-        /// Back to the model's reference configuration.
+        /// Resets to the model's reference configuration.
         reset = mj_resetData;
-        /// Everything but the integration.
+        /// Computes everything except the integration.
         forward = mj_forward;
-        /// One step.
+        /// Simulates one step.
         step = mj_step;
-        /// First half of a step: all that depends on positions and velocities.
+        /// First half of a step: everything that depends on positions and velocities.
         step1 = mj_step1;
         /// Second half of a step: forces, accelerations, integration.
         step2 = mj_step2;
-        /// Poses of bodies, geoms and sites.
+        /// Computes the poses of bodies, geoms and sites.
         kinematics = mj_kinematics;
-        /// Quantities about centres of mass, which Jacobians need.
+        /// Computes quantities about centres of mass, which Jacobians need.
         com_pos = mj_comPos;
-        /// Poses of cameras and lights.
+        /// Computes the poses of cameras and lights.
         camlight = mj_camlight;
     }
 
@@ -252,7 +252,7 @@ mod tests {
 
     use super::*;
 
-    /// A model with this many bodies, each with a hinge, a motor and a site.
+    /// Returns a model with this many bodies, each with a hinge, a motor and a site.
     fn chain(bodies: usize) -> Model {
         let body = |at: usize| {
             format!(r#"<body><joint name="j{at}"/><geom size="0.1"/><site name="s{at}"/>"#)
@@ -270,7 +270,7 @@ mod tests {
 
     #[test]
     fn no_method_takes_a_state_of_another_model() {
-        // The larger one's sizes would reach beyond the state's arrays.
+        // With the larger model's sizes, accesses would exceed the state's arrays.
         let (own, other) = (chain(2), chain(40));
         let foreign = Data::new(&other).expect("a state");
         type Call = fn(&mut Data, &Model, &Data);
@@ -320,7 +320,7 @@ mod tests {
         std::mem::swap(&mut own, &mut other);
         assert_eq!(data.qpos(&other).len(), 2);
         assert!(catch_unwind(AssertUnwindSafe(|| data.qpos(&own).len())).is_err());
-        // A model of the same source is another one: it may be perturbed.
+        // A model of the same source counts as another model, since it may be perturbed.
         let twin = chain(2);
         assert!(catch_unwind(AssertUnwindSafe(|| data.qpos(&twin).len())).is_err());
         drop((own, other));

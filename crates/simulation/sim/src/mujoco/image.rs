@@ -1,5 +1,5 @@
-//! A compiled model as bytes that processes can share: MuJoCo's structure, whose pointers all
-//! lead into one buffer, and that buffer.
+//! Serialised compiled models that processes can share: MuJoCo's structure, whose pointers all lead
+//! into one buffer, and that buffer.
 
 use std::mem::offset_of;
 use std::ptr::NonNull;
@@ -11,14 +11,15 @@ use mujoco_rs::mujoco_c::mjModel;
 use super::model::{Compilation, Kept, Model};
 use super::slices::values;
 
-/// MuJoCo aligns arrays to this, bytes; so must be what an image is made of again.
+/// Alignment of MuJoCo's arrays, bytes; required of the bytes that an image is restored from.
 pub(crate) const ALIGNMENT: usize = 64;
-/// Bytes of MuJoCo's structure.
+/// Size of MuJoCo's structure, bytes.
 pub(crate) const STRUCTURE: usize = size_of::<mjModel>();
-/// The structure's pointers, all of them: into its buffer, the first at its start.
+/// Position of all pointers in the structure. They lead into its buffer, the first one to its
+/// start.
 const POINTERS: std::ops::Range<usize> =
     offset_of!(mjModel, buffer)..offset_of!(mjModel, signature);
-/// Stands for a null pointer.
+/// Represents a null pointer.
 const NULL: usize = usize::MAX;
 
 const _: () = assert!(
@@ -28,18 +29,18 @@ const _: () = assert!(
         && offset_of!(mjModel, mapD2M) + size_of::<usize>() == POINTERS.end
 );
 
-/// A compiled model as bytes.
+/// A serialised compiled model.
 pub(crate) struct ModelImage<'a> {
-    /// MuJoCo's structure, with offsets in place of pointers.
+    /// MuJoCo's structure with offsets in place of pointers.
     pub(crate) structure: Vec<u8>,
-    /// The arrays, cut where the textures' texels were.
+    /// The arrays, split where the textures' texels were removed.
     pub(crate) arrays: [&'a [u8]; 2],
 }
 
 impl Model {
-    /// The model as it was compiled, without the texels of its textures, which only OpenGL
-    /// is given and which are most of it. None if its arrays do not lie as is assumed here,
-    /// or the texels are missing already.
+    /// Serialises the compiled model without its texels, which only OpenGL uses and which are most
+    /// of the model. `None` if the arrays do not have the expected layout, or the texels are
+    /// already missing.
     pub(crate) fn image(&self) -> Option<ModelImage<'_>> {
         let compiled = self.compilation().structure();
         let (start, length) = (compiled.buffer as usize, compiled.nbuffer as usize);
@@ -52,7 +53,7 @@ impl Model {
             0 => length,
             _ => (compiled.tex_data as usize).checked_sub(start)?,
         };
-        // A whole number of lines, so that what follows stays aligned.
+        // A multiple of the alignment, so that the following arrays stay aligned.
         let removed = texels / ALIGNMENT * ALIGNMENT;
         if cut + removed > length {
             return None;
@@ -89,12 +90,12 @@ impl Model {
         })
     }
 
-    /// A model whose arrays stay where they are in the bytes of an image, one part behind the
-    /// other. None if they are not aligned, or have another size.
+    /// Restores a model without copying its arrays out of the image's bytes, which follow one
+    /// another. `None` if they are misaligned or have another size.
     ///
     /// # Safety
-    /// The bytes are those of [`Model::image`] of the same version of MuJoCo on the same kind
-    /// of machine.
+    /// The bytes must come from [`Model::image`] of the same version of MuJoCo on the same kind of
+    /// machine.
     pub(crate) unsafe fn of_image(structure: &[u8], arrays: Bytes) -> Option<Self> {
         super::install_handlers();
         let start = arrays.as_ptr();
@@ -126,19 +127,18 @@ impl Model {
         ))))
     }
 
-    /// Returns true if the model has textures whose texels are not in its memory.
+    /// Returns true if the model has textures whose texels are not in memory.
     pub(crate) fn lacks_texels(&self) -> bool {
         let compiled = self.compilation().structure();
         compiled.ntexdata > 0 && compiled.tex_data.is_null()
     }
 
-    /// The texels of all textures, one texture after the other; none of a model that lacks
-    /// them.
+    /// Returns the texels of all textures in order; empty if they are missing.
     pub(crate) fn texels(&self) -> Bytes {
         Bytes::from_owner(Texels(Arc::clone(self.compilation())))
     }
 
-    /// Has a model that lacks them see texels for as long as `use_model` takes.
+    /// Provides texels to a model without them while `use_model` runs.
     pub(crate) fn with_texels<T>(
         &mut self,
         texels: &[u8],
@@ -152,7 +152,7 @@ impl Model {
     }
 }
 
-/// A compilation's texels.
+/// Keeps a compilation alive for its texels.
 struct Texels(Arc<Compilation>);
 
 impl AsRef<[u8]> for Texels {

@@ -14,13 +14,13 @@ use super::own::OwnArrays;
 use super::slices::values;
 use crate::error::SimError;
 
-/// A compiled model. What a rollout changes ([`own`](super::own)) belongs to it; all
-/// the rest (meshes, textures, whatever is computed from them) it shares with the
-/// other models of one compilation.
+/// A compiled model. It owns the arrays that a rollout changes ([`own`](super::own)) and shares
+/// everything else (meshes, textures and data computed from them) with the other models of its
+/// compilation.
 pub struct Model {
-    /// MuJoCo's structure: the compilation's, but for where `own` lies.
+    /// MuJoCo's structure: a copy of the compilation's, except for the pointers to `own` arrays.
     raw: Box<c::mjModel>,
-    /// Pointed at by `raw`, and reached through it.
+    /// Referenced by pointers in `raw`.
     _own: OwnArrays,
     compilation: Arc<Compilation>,
 }
@@ -29,21 +29,21 @@ pub struct Model {
 pub(super) struct Compilation {
     raw: NonNull<c::mjModel>,
     kept: Kept,
-    /// Unique in the process. States and scenes have the sizes of the model that
-    /// they were made for, and check by this number that they are used with it.
+    /// Unique in the process. States and scenes have the sizes of the model that they were made
+    /// for, and check this number before they are used with a model.
     serial: u64,
 }
 
-/// Owner of the memory of a compilation.
+/// Owner of a compilation's memory.
 pub(super) enum Kept {
-    /// MuJoCo, structure and arrays.
+    /// MuJoCo owns structure and arrays.
     Compiled,
-    /// The structure is a box's; the arrays lie in these bytes.
+    /// A box owns the structure; the arrays are in these bytes.
     Shared(#[expect(dead_code, reason = "they are reached through the structure")] Bytes),
 }
 
 impl Compilation {
-    /// A structure that this frees when it is dropped, as `kept` says.
+    /// Takes ownership of a structure, which is freed on drop according to `kept`.
     pub(super) fn new(raw: NonNull<c::mjModel>, kept: Kept) -> Self {
         static COMPILED: AtomicU64 = AtomicU64::new(0);
         Self {
@@ -69,7 +69,7 @@ unsafe impl Send for Model {}
 // SAFETY: as above; `&self` only reads.
 unsafe impl Sync for Model {}
 
-/// Kinds of named things in a model.
+/// Kinds of named elements in a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ObjectKind {
     /// A body.
@@ -106,7 +106,7 @@ impl ObjectKind {
     }
 }
 
-/// Longest compiler message kept.
+/// Longest compiler message, bytes.
 const ERROR_BYTES: usize = 1024;
 
 macro_rules! slices {
@@ -154,8 +154,8 @@ impl Model {
         Ok(Self::of(Arc::new(Compilation::new(raw, Kept::Compiled))))
     }
 
-    /// Another model of this one's compilation, with arrays of its own that are now
-    /// as this one's.
+    /// Returns another model of this compilation, whose own arrays are copies of this model's
+    /// current ones.
     #[must_use]
     pub fn share(&self) -> Self {
         let mut other = Self::of(Arc::clone(&self.compilation));
@@ -174,10 +174,10 @@ impl Model {
         }
     }
 
-    /// Takes over what may be changed of another model of the same compilation.
+    /// Copies the own arrays of another model of the same compilation.
     ///
     /// # Panics
-    /// If the other is of another compilation.
+    /// If the other model is of another compilation.
     pub fn copy_own(&mut self, other: &Self) {
         assert!(
             self.serial() == other.serial(),
@@ -208,27 +208,27 @@ impl Model {
         self.compilation.serial
     }
 
-    /// Sets flags of `option.disableflags`.
+    /// Sets bits of `option.disableflags`.
     pub fn disable(&mut self, flags: i32) {
         self.raw.opt.disableflags |= flags;
     }
 
-    /// Number of position coordinates.
+    /// Returns the number of position coordinates.
     pub fn nq(&self) -> usize {
         self.raw().nq as usize
     }
 
-    /// Number of degrees of freedom.
+    /// Returns the number of degrees of freedom.
     pub fn nv(&self) -> usize {
         self.raw().nv as usize
     }
 
-    /// Number of actuators.
+    /// Returns the number of actuators.
     pub fn nu(&self) -> usize {
         self.raw().nu as usize
     }
 
-    /// Number of objects of a kind.
+    /// Returns the number of elements of a kind.
     pub fn count(&self, kind: ObjectKind) -> usize {
         let model = self.raw();
         let count = match kind {
@@ -244,7 +244,7 @@ impl Model {
         count as usize
     }
 
-    /// The name of a thing; none if it has none.
+    /// Returns the name of an element; `None` if it is unnamed.
     pub fn name(&self, kind: ObjectKind, id: usize) -> Option<String> {
         // SAFETY: an id out of range gives null, checked below; the string
         // lives as long as the model.
@@ -259,7 +259,7 @@ impl Model {
         Some(name)
     }
 
-    /// The id of a named thing; an error naming it if there is none.
+    /// Returns the id of a named element, or an error that names it.
     pub fn id(&self, kind: ObjectKind, name: &str) -> Result<usize, SimError> {
         let missing = || SimError::Missing {
             kind,
@@ -271,17 +271,17 @@ impl Model {
         usize::try_from(id).map_err(|_| missing())
     }
 
-    /// Every numeric array but the payload of meshes and textures.
+    /// Returns every numeric array except the contents of meshes and textures.
     pub fn arrays(&self) -> Vec<NamedArray> {
         arrays::all(self.raw())
     }
 
-    /// One of these arrays; none of that name.
+    /// Returns one of these arrays; `None` if there is none with this name.
     pub fn array(&self, name: &str) -> Option<ModelArray> {
         arrays::one(self.raw(), name)
     }
 
-    /// The headlight's ambient colour.
+    /// Returns the headlight's ambient colour.
     pub fn headlight_ambient(&self) -> [f32; 3] {
         self.raw().vis.headlight.ambient
     }
@@ -291,21 +291,22 @@ impl Model {
         self.raw.vis.headlight.ambient = rgb;
     }
 
-    /// Extent, m, and the near and the far plane of cameras, in extents.
+    /// Returns the model's extent, m, and the near and far planes of cameras, as multiples of the
+    /// extent.
     pub fn planes(&self) -> [f64; 3] {
         let raw = self.raw();
         let map = &raw.vis.map;
         [raw.stat.extent, map.znear.into(), map.zfar.into()]
     }
 
-    /// Makes room for pictures of this size, pixels, in contexts made later.
+    /// Enlarges the offscreen buffer of contexts created later to at least this size, pixels.
     pub(crate) fn grow_offscreen_buffer(&mut self, width: u32, height: u32) {
         let global = &mut self.raw.vis.global;
         global.offwidth = global.offwidth.max(width as i32);
         global.offheight = global.offheight.max(height as i32);
     }
 
-    /// Textures of the model.
+    /// Returns the textures of the model.
     pub(crate) fn textures(&self) -> impl Iterator<Item = TextureData> {
         let raw = self.raw();
         // SAFETY: the fields point at so many values while the model lives; a
@@ -328,7 +329,7 @@ impl Model {
         })
     }
 
-    /// Meshes of the model.
+    /// Returns the meshes of the model.
     pub(crate) fn meshes(&self) -> Meshes<'_> {
         Meshes(self.raw())
     }
@@ -383,7 +384,7 @@ impl Model {
     }
 }
 
-/// A texture as it was compiled.
+/// A texture of a compiled model.
 pub(crate) struct TextureData {
     /// `mjtTexture`.
     pub(crate) kind: i32,
@@ -397,17 +398,17 @@ pub(crate) struct TextureData {
 }
 
 impl TextureData {
-    /// Range of its texels among those of all textures.
+    /// Returns the range of its texels among those of all textures.
     pub(crate) fn texels(&self) -> Range<usize> {
         self.start..self.start + self.width * self.height * self.channels
     }
 }
 
-/// Meshes as they were compiled.
+/// Meshes of a compiled model.
 pub(crate) struct Meshes<'a>(&'a c::mjModel);
 
-/// A mesh; faces name the vertices, normals and texture coordinates of their
-/// three corners.
+/// A mesh. Faces hold the indices of the vertices, normals and texture coordinates of their
+/// corners.
 pub(crate) struct MeshData<'a> {
     pub(crate) vertices: &'a [f32],
     pub(crate) normals: &'a [f32],
@@ -418,12 +419,12 @@ pub(crate) struct MeshData<'a> {
 }
 
 impl<'a> Meshes<'a> {
-    /// Number of meshes.
+    /// Returns the number of meshes.
     pub(crate) fn count(&self) -> usize {
         self.0.nmesh as usize
     }
 
-    /// One of them.
+    /// Returns one mesh.
     pub(crate) fn get(&self, index: usize) -> MeshData<'a> {
         let raw = self.0;
         // SAFETY: the fields point at so many values while the model lives; a

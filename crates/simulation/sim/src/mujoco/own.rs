@@ -1,5 +1,5 @@
-//! The arrays of a model that rollouts change: poses of fixtures, cameras, lights, and
-//! what glows. Each model has its own.
+//! Arrays of a model that rollouts change: poses of fixtures, cameras, lights, and opacities of
+//! burner sites. Each model has its own copies.
 
 use std::ptr::NonNull;
 
@@ -7,8 +7,8 @@ use mujoco_rs::mujoco_c::mjModel;
 
 use super::slices::values;
 
-/// Calls a macro with each array: the method that gives it to be changed, MuJoCo's name,
-/// its values and their number.
+/// Calls a macro with each array: the method for mutable access, MuJoCo's name, the element type
+/// and the length.
 macro_rules! each_own_array {
     ($use:ident) => {
         $use! {
@@ -28,8 +28,8 @@ pub(super) use each_own_array;
 
 /// An allocation that MuJoCo's structure points into, freed when dropped.
 ///
-/// It is held by a raw pointer and not as a `Box`: moving a `Box` asserts that nothing
-/// else points at its contents, which invalidates every pointer taken before the move.
+/// Uses a raw pointer rather than a `Box`: moving a `Box` asserts exclusive access to its contents,
+/// which invalidates every pointer taken before the move.
 struct Allocation<T>(NonNull<[T]>);
 
 impl<T: Copy> Allocation<T> {
@@ -51,14 +51,14 @@ impl<T> Drop for Allocation<T> {
 
 macro_rules! keep {
     ($($method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {
-        /// Keeps the arrays alive.
+        /// Owner of the arrays.
         #[expect(dead_code, reason = "they are reached through the model")]
         pub(super) struct OwnArrays {
             $($name: Allocation<$kind>,)*
         }
 
         impl OwnArrays {
-            /// Copies a model's arrays and has it point at the copies.
+            /// Copies a model's arrays and sets its pointers to the copies.
             pub(super) fn of(model: &mut mjModel) -> Self {
                 $(
                     // SAFETY: the field points at this many values.

@@ -1,7 +1,6 @@
 //! MuJoCo's arrays as slices.
 
-/// A slice of `count` values; empty for a null pointer, which arrays without
-/// elements may have.
+/// Returns a slice of `count` values; empty for a null pointer, which empty arrays may have.
 ///
 /// # Safety
 /// The pointer is null, or points at `count` values that outlive `'a`.

@@ -1,5 +1,5 @@
-//! MuJoCo's abstract scene of a model's state (`mjvScene`): geoms, lights and
-//! cameras, from which both renderers draw.
+//! MuJoCo's abstract scene of a model's state (`mjvScene`): geoms, lights and cameras. Both
+//! renderers draw it.
 
 use std::collections::BTreeMap;
 use std::mem::MaybeUninit;
@@ -8,9 +8,9 @@ use mujoco_rs::mujoco_c as c;
 
 use super::{Data, Model};
 
-/// Geoms in one picture at most, as in robosuite; further ones are not drawn.
+/// Most geoms in one picture, as in robosuite; further ones are not drawn.
 const MAX_GEOMS: i32 = 1000;
-/// Geom groups: collision geometry is not drawn, visual geometry is.
+/// Geom group of collision geometry, which is not drawn.
 const COLLISION_GROUP: usize = 0;
 
 /// Object in a pixel of a segmentation image.
@@ -26,8 +26,8 @@ pub struct Segment {
 pub(crate) struct VisualScene {
     options: c::mjvOption,
     scene: Box<c::mjvScene>,
-    /// The model's serial number. The scene has room for that model's skins and
-    /// flexible bodies.
+    /// Serial number of the model. The scene has capacity for that model's skins and flexible
+    /// bodies.
     model: u64,
 }
 
@@ -35,7 +35,7 @@ pub(crate) struct VisualScene {
 unsafe impl Send for VisualScene {}
 
 impl VisualScene {
-    /// An empty one.
+    /// Creates an empty scene.
     pub(crate) fn new(model: &Model) -> Self {
         let mut options = MaybeUninit::uninit();
         let mut scene = Box::new(MaybeUninit::uninit());
@@ -61,8 +61,7 @@ impl VisualScene {
         &self.scene
     }
 
-    /// The camera halfway between the two eyes, which is where a picture is drawn
-    /// from.
+    /// Returns the camera halfway between the two eyes, from which pictures are drawn.
     pub(crate) fn eye(&self) -> c::mjvGLCamera {
         let [left, right] = &self.scene.camera;
         // SAFETY: it reads the two cameras, and nothing else.
@@ -74,7 +73,7 @@ impl VisualScene {
         unsafe { std::slice::from_raw_parts(self.scene.geoms, self.scene.ngeom as usize) }
     }
 
-    /// The model's objects by the numbers that geoms have in segmentation images.
+    /// Returns the model's objects by the ids of geoms in segmentation images.
     pub(crate) fn segments(&self) -> BTreeMap<u32, Segment> {
         let numbered = self.geoms().iter().filter_map(|geom| {
             let number = u32::try_from(geom.segid).ok()?;
@@ -84,7 +83,7 @@ impl VisualScene {
         numbered.collect()
     }
 
-    /// Updates the scene to a state, as a camera of the model sees it.
+    /// Updates the scene to a state, for a camera of the model.
     ///
     /// # Panics
     /// If the state or this scene was made for another model.

@@ -1,25 +1,25 @@
-//! The actuation axis: what happens to an action between the policy and the
-//! controller. The gripper is never touched.
+//! The actuation axis: distorts actions between the policy and the controller. The gripper is never
+//! changed.
 
 use libero_ctrl::ActuationDistortion;
 use libero_ctrl::numpy::DefaultRng;
 use libero_ctrl::streams::{MatchedStream, Randomness};
 use nalgebra::{Rotation3, Unit, Vector3};
 
-/// A lag shorter than this is none, control steps.
+/// Shorter lags are ignored, control steps.
 const SHORTEST_LAG: f64 = 1e-9;
-/// Noise below this is none, action units.
+/// Weaker noise is ignored, action units.
 const LEAST_NOISE: f64 = 1e-12;
-/// Components of an action that belong to the arm: translation, rotation.
+/// Number of action components for the arm: translation and rotation.
 const ARM: usize = 6;
 
-/// Distorts the actions of one rollout, one call per control step.
+/// Distorts the actions of one rollout, with one call per control step.
 #[derive(Clone)]
 pub struct ActuationStage {
     gain: f64,
     misalignment: Rotation3<f64>,
     bias: [f64; ARM],
-    /// Share of the new command in the lagged one; 1 without lag.
+    /// Weight of the new command in the lagged one; 1 without lag.
     responsiveness: f64,
     noise_sigma: [f64; ARM],
     noise: StepNoise,
@@ -28,7 +28,7 @@ pub struct ActuationStage {
     fixed: FixedElements,
 }
 
-/// Elements that are drawn once per rollout.
+/// Random elements that are drawn once per rollout.
 #[derive(Clone, Copy)]
 struct FixedElements {
     bias_direction: [f64; ARM],
@@ -42,7 +42,7 @@ enum StepNoise {
 }
 
 impl ActuationStage {
-    /// A stage at the beginning of a rollout. `demo_action_rms` is the suite's:
+    /// Creates the stage at the start of a rollout. `demo_action_rms` is the suite's, for
     /// translation and rotation ([`libero_ctrl::Suite::demo_action_rms`]).
     pub fn new(
         distortion: &ActuationDistortion,
@@ -76,8 +76,8 @@ impl ActuationStage {
         }
     }
 
-    /// The action that the controller gets: gain, misalignment, bias, lag,
-    /// noise, in this order, then clipped to [−1, 1].
+    /// Returns the action for the controller: gain, misalignment, bias, lag and noise are applied
+    /// in this order, then clipping to [−1, 1].
     pub fn apply(&mut self, action: &[f64; 7]) -> [f64; 7] {
         let translation = Vector3::new(action[0], action[1], action[2]) * self.gain;
         let rotation = Vector3::new(action[3], action[4], action[5]) * self.gain;
@@ -98,7 +98,7 @@ impl ActuationStage {
         output.map(|component| component.clamp(-1.0, 1.0))
     }
 
-    /// The drawn elements, which a result keeps: bias direction, misalignment axis, and
+    /// Returns the drawn elements to store with the result: bias direction, misalignment axis, and
     /// the noise of the next step.
     pub fn realised(&self) -> Vec<f64> {
         let noise = self.clone().next_noise();
@@ -110,7 +110,7 @@ impl ActuationStage {
         .concat()
     }
 
-    /// Six standard normals; none are drawn where the noise is nought.
+    /// Draws six standard normals; draws none if the noise is zero.
     fn next_noise(&mut self) -> [f64; ARM] {
         let step = self.step;
         self.step += 1;
@@ -128,7 +128,7 @@ impl ActuationStage {
 }
 
 impl FixedElements {
-    /// Six normals for the bias direction, then three for the axis.
+    /// Draws six normals for the bias direction, then three for the axis.
     fn draw(randomness: &Randomness) -> Self {
         match *randomness {
             Randomness::Matched(stream) => {

@@ -1,16 +1,15 @@
-//! The camera axis: moves the `agentview` camera on a sphere about the point it
-//! looks at, and that point on the horizontal plane. Never the wrist camera.
+//! The camera axis: moves the `agentview` camera on a sphere about its look-at point, and the
+//! look-at point in the horizontal plane. The wrist camera is never moved.
 
 use libero_ctrl::CameraShift;
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-/// Distance of the look-at point where the scene gives none, m.
+/// Distance of the look-at point if the scene does not determine it, m.
 const FALLBACK_DISTANCE_M: f64 = 1.1;
-/// A look-at point nearer than this, or behind the camera, is none, m.
+/// Least distance of a valid look-at point; it must also be in front of the camera, m.
 const NEAREST_DISTANCE_M: f64 = 0.2;
 
-/// Pose of a fixed camera, world frame. The camera looks along its −z, its y is
-/// up in the picture.
+/// Pose of a fixed camera, world frame. The camera looks along −z, and y is up in the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraPose {
     /// Position, m.
@@ -19,10 +18,9 @@ pub struct CameraPose {
     pub quat_wxyz: [f64; 4],
 }
 
-/// The point on the nominal optical axis nearest to the mean of the movable
-/// objects' centres of mass (`xipos`) in the task's initial state 0; 1.1 m
-/// ahead where that is nearer than 0.2 m, behind the camera, or where nothing
-/// is movable. World frame, m.
+/// Returns the point on the nominal optical axis nearest to the mean of the movable objects'
+/// centres of mass (`xipos`) in the task's initial state 0. If that point is nearer than 0.2 m or
+/// behind the camera, or if nothing is movable, returns the point 1.1 m ahead. World frame, m.
 pub fn look_at_point(nominal: &CameraPose, centres_of_mass: &[[f64; 3]]) -> [f64; 3] {
     let position = Vector3::from(nominal.position);
     let [w, x, y, z] = nominal.quat_wxyz;
@@ -31,7 +29,7 @@ pub fn look_at_point(nominal: &CameraPose, centres_of_mass: &[[f64; 3]]) -> [f64
     let sum: Vector3<f64> = centres_of_mass.iter().map(|&c| Vector3::from(c)).sum();
     let mean = sum / centres_of_mass.len() as f64;
     let distance = (mean - position).dot(&forward);
-    // Without movable objects the mean is 0/0, and so is the distance.
+    // Without movable objects the mean is 0/0, and the distance is NaN.
     let usable = distance.is_finite() && distance >= NEAREST_DISTANCE_M;
     let distance = if usable {
         distance
@@ -41,10 +39,10 @@ pub fn look_at_point(nominal: &CameraPose, centres_of_mass: &[[f64; 3]]) -> [f64
     (position + distance * forward).into()
 }
 
-/// The camera's perturbed pose.
+/// Returns the camera's perturbed pose.
 ///
-/// The nominal position in spherical coordinates about `look_at`, shifted, about
-/// the shifted look-at point; looking at that point with world z up.
+/// The nominal position is converted to spherical coordinates about `look_at`, shifted, and applied
+/// about the shifted look-at point; the camera looks at that point with world z up.
 pub fn shift_camera(nominal: &CameraPose, look_at: [f64; 3], shift: &CameraShift) -> CameraPose {
     let look_at = Vector3::from(look_at);
     let offset = Vector3::from(nominal.position) - look_at;
@@ -81,7 +79,7 @@ fn looking_at(position: Vector3<f64>, target: Vector3<f64>) -> [f64; 4] {
 mod tests {
     use super::*;
 
-    /// A camera at (1, 0, 1) that looks at the origin.
+    /// Returns a camera at (1, 0, 1) that looks at the origin.
     fn nominal() -> CameraPose {
         let position = Vector3::new(1.0, 0.0, 1.0);
         CameraPose {

@@ -1,5 +1,5 @@
-//! The 8 × 8 discrete cosine transform in integers, both ways, to the bit as
-//! libjpeg's "islow" computes it.
+//! The 8 × 8 discrete cosine transform and its inverse in integers, bit-identical to libjpeg's
+//! "islow".
 
 /// Samples or coefficients, row by row.
 pub(super) type Block = [i32; 64];
@@ -23,7 +23,7 @@ const F_2_053: i32 = 16819;
 const F_2_562: i32 = 20995;
 const F_3_072: i32 = 25172;
 
-/// Coefficients, eight times too large, of samples around zero.
+/// Returns coefficients, scaled by eight, of samples centred at zero.
 pub(super) fn forward(samples: &Block) -> Block {
     let mut block = *samples;
     for row in 0..8 {
@@ -41,7 +41,7 @@ pub(super) fn forward(samples: &Block) -> Block {
     block
 }
 
-/// Samples around zero of coefficients of true size.
+/// Returns samples centred at zero from unscaled coefficients.
 pub(super) fn inverse(coefficients: &Block) -> Block {
     let mut block = *coefficients;
     for column in 0..8 {
@@ -54,7 +54,7 @@ pub(super) fn inverse(coefficients: &Block) -> Block {
     block
 }
 
-/// Transforms one line of a block and rounds `shift` bits away.
+/// Transforms one line of a block and rounds away `shift` bits.
 fn pass(
     block: &mut Block,
     start: usize,
@@ -68,7 +68,7 @@ fn pass(
     }
 }
 
-/// Results have 13 fractional bits.
+/// Transforms a line; results have 13 fractional bits.
 fn forward_line(x: [i32; 8]) -> [i32; 8] {
     let sum: [i32; 4] = std::array::from_fn(|i| x[i] + x[7 - i]);
     let [d7, d6, d5, d4]: [i32; 4] = std::array::from_fn(|i| x[i] - x[7 - i]);
@@ -88,7 +88,7 @@ fn forward_line(x: [i32; 8]) -> [i32; 8] {
     ]
 }
 
-/// Arguments have no fractional bits, results 13.
+/// Inverse-transforms a line of integers; results have 13 fractional bits.
 fn inverse_line(x: [i32; 8]) -> [i32; 8] {
     let even = (x[2] + x[6]) * F_0_541;
     let (e2, e3) = (even - x[6] * F_1_847, even + x[2] * F_0_765);
@@ -105,7 +105,7 @@ fn inverse_line(x: [i32; 8]) -> [i32; 8] {
     })
 }
 
-/// The rotations that both directions share.
+/// Rotations that both directions share.
 fn odd_part([a, b, c, d]: [i32; 4]) -> [i32; 4] {
     let common = (a + c + b + d) * F_1_175;
     let ad = -(a + d) * F_0_899;

@@ -1,11 +1,11 @@
-//! Effect of JPEG compression on a picture, without the bitstream: colour conversion,
-//! 4:2:0 chroma, discrete cosine transform and quantisation, and the way back. Entropy
-//! coding loses nothing, so it is left out.
+//! Effect of JPEG compression on a picture, without the bitstream: colour conversion, 4:2:0 chroma,
+//! discrete cosine transform, quantisation, and their inverses. Entropy coding is lossless and left
+//! out.
 //!
-//! The integer arithmetic is that of libjpeg's defaults, which Pillow uses:
-//! "islow" transforms, quality-scaled Annex K tables, smooth chroma upsampling.
-//! Two JPEG libraries differ by more than the perturbation may: a picture must
-//! not depend on the decoder at hand.
+//! The integer arithmetic is that of libjpeg's defaults, which Pillow uses: "islow" transforms,
+//! quality-scaled Annex K tables, smooth chroma upsampling. A JPEG library is not used, because
+//! libraries differ by more than the tolerance of the perturbation, and pictures must not depend on
+//! the decoder.
 //!
 //! Sources: ITU-T T.81, Annex K; C. Loeffler, A. Ligtenberg and G. Moschytz,
 //! "Practical fast 1-D DCT algorithms with 11 multiplications" (1989); the
@@ -32,8 +32,8 @@ const CHROMINANCE_STEPS: [u16; 64] = [
     99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99,
 ];
 
-/// Replaces an RGB picture of `width` × `height` pixels by what remains of it
-/// after JPEG compression at `quality`, 1 to 100.
+/// Replaces an RGB picture of `width` × `height` pixels by its JPEG-compressed version at
+/// `quality`, 1 to 100.
 pub(super) fn round_trip(rgb: &mut [u8], width: usize, height: usize, quality: u8) {
     let [mut luminance, blue, red] = to_planes(rgb, width, height);
     luminance.quantise(&scaled(&LUMINANCE_STEPS, quality));
@@ -53,20 +53,20 @@ pub(super) fn round_trip(rgb: &mut [u8], width: usize, height: usize, quality: u
 struct Plane {
     width: usize,
     height: usize,
-    /// Samples per row: the width, or more where the encoder pads.
+    /// Samples per row: the width, plus the encoder's padding.
     stride: usize,
     samples: Vec<u8>,
 }
 
 impl Plane {
-    /// A row with its padding samples, or the nearest where it lies outside.
+    /// Returns a row with its padding; the nearest row if `y` is out of range.
     fn row(&self, y: usize) -> &[u8] {
         let y = y.min(self.height - 1);
         &self.samples[y * self.stride..(y + 1) * self.stride]
     }
 
-    /// Transforms, quantises and transforms back, block by block. Blocks that
-    /// stick out repeat the border.
+    /// Transforms, quantises and transforms back, block by block. Blocks that extend beyond the
+    /// picture repeat the border.
     fn quantise(&mut self, steps: &[i32; 64]) {
         for top in (0..self.height).step_by(SIDE) {
             for left in (0..self.stride).step_by(SIDE) {
@@ -99,9 +99,8 @@ impl Plane {
         }
     }
 
-    /// Means of 2 × 2 samples, up to whole blocks to the right. The rounding
-    /// alternates along a row, so that it has no bias; it does so in the
-    /// padding samples too.
+    /// Averages 2 × 2 samples, padded on the right to whole blocks. The rounding alternates along a
+    /// row, padding included, so that it has no bias.
     fn halved(&self) -> Self {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let stride = width.next_multiple_of(SIDE);
@@ -127,8 +126,8 @@ impl Plane {
         }
     }
 
-    /// Twice the size by a triangle filter: each sample is 9/16 of the nearest,
-    /// 3/16 of the two next to it, 1/16 of the one across.
+    /// Doubles the size with a triangle filter: 9/16 of the nearest sample, 3/16 of each of its two
+    /// neighbours, 1/16 of the diagonal one.
     fn doubled(&self, width: usize, height: usize) -> Self {
         let mut samples = Vec::with_capacity(width * height);
         for y in 0..height {
@@ -160,7 +159,7 @@ impl Plane {
     }
 }
 
-/// The tables at a quality: 50 as they stand, 100 all ones.
+/// Scales a quantisation table to a quality: unchanged at 50, all ones at 100.
 fn scaled(steps: &[u16; 64], quality: u8) -> [i32; 64] {
     let quality = i32::from(quality);
     let percent = if quality < 50 {
@@ -171,22 +170,22 @@ fn scaled(steps: &[u16; 64], quality: u8) -> [i32; 64] {
     steps.map(|step| ((i32::from(step) * percent + 50) / 100).clamp(1, 255))
 }
 
-/// The multiple of `step` nearest to an eighth of a coefficient; the forward
-/// transform's results are eight times too large.
+/// Returns the multiple of `step` nearest to an eighth of a coefficient, since the forward
+/// transform scales by eight.
 fn quantised(coefficient: i32, step: i32) -> i32 {
     let divisor = 8 * step;
     let magnitude = (coefficient.abs() + divisor / 2) / divisor;
     coefficient.signum() * magnitude * step
 }
 
-/// A factor with 16 fractional bits.
+/// Converts a factor to 16 fractional bits.
 const fn fixed(value: f64) -> i32 {
     (value * 65536.0 + 0.5) as i32
 }
 
 const HALF: i32 = 1 << 15;
 
-/// Luminance, blue and red difference (JFIF).
+/// Converts to luminance, blue difference and red difference (JFIF).
 fn to_planes(rgb: &[u8], width: usize, height: usize) -> [Plane; 3] {
     let convert = |[r, g, b]: [i32; 3], offset: i32| Plane {
         width,
@@ -200,7 +199,7 @@ fn to_planes(rgb: &[u8], width: usize, height: usize) -> [Plane; 3] {
             })
             .collect(),
     };
-    // The differences round down at one half, so that white stays below 256.
+    // The differences round half down, so that white stays below 256.
     let centre = (128 << 16) + HALF - 1;
     [
         convert([fixed(0.299), fixed(0.587), fixed(0.114)], HALF),
@@ -244,8 +243,8 @@ mod tests {
         };
         assert!(loss(90) < loss(50) && loss(50) < loss(10));
     }
-    /// SHA-256 (first eight bytes) of what Pillow 13 makes
-    /// of the same pictures, whose sides are no multiples of a block's.
+    /// SHA-256 (first eight bytes) of Pillow 13's results for the same pictures, whose sides are
+    /// not multiples of the block size.
     #[test]
     fn borders_are_pillows() {
         let check = |width: usize, height: usize, quality, expected: &str| {
@@ -271,7 +270,7 @@ mod tests {
         check(6, 5, 90, "d5d958767693b7e7");
     }
 
-    /// The transforms' 32 bits are enough for the harshest pictures.
+    /// The transforms fit in 32 bits even for extreme pictures.
     #[test]
     fn black_and_white_noise_does_not_overflow() {
         let mut word = 1_u32;

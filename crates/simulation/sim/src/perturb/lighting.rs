@@ -1,14 +1,12 @@
-//! The lighting axis: brightness, colour, ambient term and elevation of a
-//! scene's lights. Shadows are never cast, perturbed or not; the scene turns
-//! them off.
+//! The lighting axis: brightness, colour, ambient term and elevation of a scene's lights. Shadows
+//! are disabled in the scene, perturbed or not.
 
 use libero_ctrl::LightingShift;
 use nalgebra::{Rotation3, Unit, Vector3};
 
 /// Luminance of linear red, green and blue (ITU-R BT.709).
 const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
-/// A light is straight above the look-at point if its horizontal offset is at
-/// most this, m.
+/// Largest horizontal offset of a light that counts as straight above the look-at point, m.
 const OVERHEAD_M: f64 = 1e-9;
 
 /// One light of a scene, world frame.
@@ -16,7 +14,7 @@ const OVERHEAD_M: f64 = 1e-9;
 pub struct Light {
     /// Position, m.
     pub position: [f64; 3],
-    /// Unit direction in which it shines.
+    /// Unit direction of its beam.
     pub direction: [f64; 3],
     /// Diffuse colour, red, green and blue.
     pub diffuse: [f64; 3],
@@ -33,8 +31,7 @@ pub struct Lighting {
     pub headlight_ambient: [f64; 3],
 }
 
-/// The perturbed lights. `look_at` is the nominal look-at point of the camera
-/// axis.
+/// Returns the perturbed lights. `look_at` is the nominal look-at point of the camera axis.
 pub fn shift_lighting(nominal: &Lighting, look_at: [f64; 3], shift: &LightingShift) -> Lighting {
     let gain = shift.d_intensity_ev.exp2();
     let colour = colour(shift.d_log2_warm, shift.d_tint_g);
@@ -56,8 +53,7 @@ pub fn shift_lighting(nominal: &Lighting, look_at: [f64; 3], shift: &LightingShi
     }
 }
 
-/// Colour factors of unit luminance, so that only `d_intensity_ev` changes the
-/// brightness.
+/// Returns colour factors of unit luminance, so that only `d_intensity_ev` changes the brightness.
 fn colour(log2_warm: f64, log2_tint: f64) -> [f64; 3] {
     let half_tint = (-log2_tint / 2.0).exp2();
     let factors = [
@@ -69,8 +65,8 @@ fn colour(log2_warm: f64, log2_tint: f64) -> [f64; 3] {
     factors.map(|factor| factor / luminance)
 }
 
-/// Turns a light's position about the look-at point, and its direction, by
-/// `angle` rad about the horizontal axis across its offset.
+/// Rotates a light's position about the look-at point, and its direction, by `angle` rad about the
+/// horizontal axis perpendicular to its offset.
 fn elevate(light: &Light, look_at: [f64; 3], angle: f64) -> ([f64; 3], [f64; 3]) {
     let look_at = Vector3::from(look_at);
     let offset = Vector3::from(light.position) - look_at;

@@ -1,6 +1,5 @@
-//! The robot axis: an initial pose of the arm whose end-effector is displaced.
-//! Damped least squares over whatever computes the arm's kinematics; MuJoCo is
-//! not known here.
+//! The robot axis: an initial arm posture with a displaced end-effector, by damped least squares.
+//! The kinematics are a parameter, so this module does not depend on MuJoCo.
 
 use libero_ctrl::RobotShift;
 use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
@@ -9,55 +8,54 @@ use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, SVector, UnitQuaternion, Ve
 pub const JOINTS: usize = 7;
 /// Damping λ of the least squares.
 const DAMPING: f64 = 0.08;
-/// Iterations before the best found so far is taken.
+/// Iterations after which the best posture so far is taken.
 const MAX_ITERATIONS: u32 = 200;
-/// Close enough: position, m.
+/// Position error that counts as converged, m.
 const POSITION_TOLERANCE_M: f64 = 2e-4;
-/// Close enough: orientation, rad.
+/// Orientation error that counts as converged, rad.
 const ROTATION_TOLERANCE_RAD: f64 = 2e-3;
-/// A joint this close to a limit counts as clamped, rad.
+/// Distance from a limit at which a joint counts as clamped, rad.
 const CLAMPED_RAD: f64 = 1e-6;
 
 /// Joint angles, rad.
 pub type JointVector = SVector<f64, JOINTS>;
-/// World-frame velocity of the end-effector per joint velocity: translation
-/// rows, then rotation rows.
+/// World-frame velocity of the end-effector per joint velocity: translation rows, then rotation
+/// rows.
 pub type Jacobian = SMatrix<f64, 6, JOINTS>;
 /// Lower and upper limit of a joint, rad.
 pub type JointRange = [f64; 2];
 
-/// The end-effector at one posture of the arm, world frame.
+/// State of the end-effector at one posture of the arm, world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmState {
     /// Position of the site between the fingertips, m.
     pub position: Vector3<f64>,
     /// Orientation, `world_from_site`.
     pub rotation: Matrix3<f64>,
-    /// Jacobian of both.
+    /// Jacobian of position and orientation.
     pub jacobian: Jacobian,
 }
 
 /// Result of the search for a posture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IkSolution {
-    /// The arm's posture.
+    /// Posture of the arm.
     pub joints: JointVector,
     /// Distance of the end-effector from its target, mm.
     pub residual_mm: f64,
-    /// Angle between its orientation and the target's, degrees.
+    /// Angle between the orientation of the end-effector and its target, degrees.
     pub residual_deg: f64,
     /// Joints at their limits.
     pub clamped_joints: u32,
-    /// Steps taken.
+    /// Iterations taken.
     pub iterations: u32,
 }
 
-/// Finds the posture whose end-effector pose is that of `nominal` displaced by
-/// `shift`: translated in the world, and turned about it (rotation vector, on
-/// the left).
+/// Finds the posture whose end-effector pose is that of `nominal` displaced by `shift`: translated
+/// in the world frame, and rotated in place by a rotation vector applied on the left.
 ///
-/// `kinematics` gives the end-effector at a posture. The solution may miss the
-/// target where the joints' ranges end; the residual says by how much.
+/// `kinematics` returns the end-effector at a posture. Joint limits may keep the solution from
+/// reaching the target; the residual is the remaining distance.
 pub fn solve_shifted_pose(
     mut kinematics: impl FnMut(&JointVector) -> ArmState,
     nominal: &JointVector,
@@ -128,7 +126,7 @@ fn damped_step(jacobian: &Jacobian, error: &Vector6<f64>) -> JointVector {
 }
 
 fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
-    // Goes through a quaternion: the arc cosine of the trace loses half the digits of a
+    // Converts through a quaternion, since the arc cosine of the trace loses half the digits of a
     // small angle.
     let rotation = Rotation3::from_matrix_unchecked(*rotation);
     UnitQuaternion::from_rotation_matrix(&rotation).scaled_axis()
@@ -140,7 +138,7 @@ mod tests {
 
     const WIDE: [JointRange; JOINTS] = [[-3.0, 3.0]; JOINTS];
 
-    /// A chain of links of 0.2 m about alternating axes.
+    /// Kinematics of a chain of 0.2 m links about alternating axes.
     fn chain(q: &JointVector) -> ArmState {
         let mut position = Vector3::zeros();
         let mut rotation = Matrix3::identity();

@@ -1,5 +1,5 @@
-//! The sensor axis: what happens to a rendered picture before the policy sees
-//! it. Motion blur, defocus, compression, read-out noise, in this order.
+//! The sensor axis: corrupts rendered pictures before the policy sees them. Motion blur, defocus,
+//! compression and read-out noise, in this order.
 //!
 //! The arithmetic follows NumPy and SciPy (`ndimage.convolve`,
 //! `gaussian_filter`, mode `nearest`, truncated at 4 σ) in double precision.
@@ -12,20 +12,20 @@ use libero_ctrl::streams::{MatchedStream, Randomness};
 
 use super::jpeg;
 
-/// Pixel lengths of the parameters hold at this picture size.
+/// Picture size at which the parameters' lengths in pixels apply.
 const REFERENCE_PX: f64 = 128.0;
-/// A motion blur shorter than this is none, pixels.
+/// Shorter motion blurs are ignored, pixels.
 const SHORTEST_MOTION_PX: f64 = 1.5;
-/// A Gaussian blur narrower than this is none, pixels.
+/// Narrower Gaussian blurs are ignored, pixels.
 const LEAST_BLUR_PX: f64 = 1e-3;
-/// A compression weaker than this is none.
+/// Weaker compression is ignored.
 const LEAST_JPEG_LOG2: f64 = 1e-3;
-/// Noise below this is none, on values in [0, 1].
+/// Weaker noise is ignored, for values in [0, 1].
 const LEAST_NOISE: f64 = 1e-5;
 /// Cut-off of the Gaussian, standard deviations.
 const TRUNCATE_SIGMAS: f64 = 4.0;
 
-/// Camera that a picture comes from.
+/// Camera of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum FrameSource {
     /// `agentview`.
@@ -35,7 +35,7 @@ pub enum FrameSource {
 }
 
 impl FrameSource {
-    /// Cameras, in the order in which they draw from NumPy's stream.
+    /// Cameras in the order in which they draw from NumPy's stream.
     pub const ALL: [Self; 2] = [Self::Agentview, Self::Wrist];
 
     const fn lane(self) -> u32 {
@@ -43,12 +43,12 @@ impl FrameSource {
     }
 }
 
-/// One picture: RGB, row by row, in whatever orientation the renderer gives.
+/// A picture: RGB, row by row, in the renderer's orientation.
 #[derive(Debug)]
 pub struct Frame<'a> {
     /// Camera of the frame.
     pub source: FrameSource,
-    /// The policy's control step for which it was rendered, from 0.
+    /// Control step of the policy for which it was rendered, from 0.
     pub step: u32,
     /// Pixels per row.
     pub width: usize,
@@ -74,7 +74,7 @@ enum FrameNoise {
 }
 
 impl SensorStage {
-    /// A stage at the beginning of a rollout.
+    /// Creates the stage at the start of a rollout.
     pub fn new(corruption: &SensorCorruption, randomness: &Randomness) -> Self {
         let (motion_angle, noise) = match *randomness {
             Randomness::Matched(stream) => {
@@ -94,12 +94,11 @@ impl SensorStage {
 
     /// Corrupts a picture in place.
     ///
-    /// The result depends on the picture, its step and its camera, and not on
-    /// which pictures came before: a policy that looks seldom, or through one
-    /// camera, sees what any other sees. In the `reference` realisation, where
-    /// both cameras draw from one stream at every step, noise is also drawn
-    /// and discarded for pictures that were not asked for; both cameras must then
-    /// have one size.
+    /// The result depends only on the picture, its step and its camera, not on earlier pictures: a
+    /// policy that requests few pictures, or one camera, gets the same ones as any other. In the
+    /// `reference` realisation, both cameras draw from one stream at every step, so noise for
+    /// pictures that were not requested is drawn and discarded; both cameras must then have the
+    /// same size.
     ///
     /// # Panics
     /// If `rgb` is not `width` × `height` × 3 bytes.
@@ -131,8 +130,8 @@ impl SensorStage {
         frame.rgb.copy_from_slice(&picture.to_bytes());
     }
 
-    /// The drawn elements, which a result keeps: the blur's angle, and the first noise
-    /// values of the first picture of each camera.
+    /// Returns the drawn elements to store with the result: the blur's angle, and the first noise
+    /// values of each camera's first picture.
     pub fn realised(&self) -> Vec<f64> {
         let mut realised = vec![self.motion_angle];
         for source in FrameSource::ALL {
@@ -141,7 +140,7 @@ impl SensorStage {
                     let mut rng = stream.at(0, source.lane());
                     realised.extend((0..4).map(|_| rng.standard_normal()));
                 }
-                // One stream: its beginning identifies all of it.
+                // The start of a single stream identifies the whole stream.
                 FrameNoise::Reference(frames) => {
                     let mut rng = frames.first.clone();
                     realised.extend((0..4).map(|_| rng.standard_normal()));
@@ -180,9 +179,9 @@ impl SensorStage {
     }
 }
 
-/// NumPy's one noise stream, at the beginning of every picture. Normals take a
-/// varying number of words, so that a picture is only reached through those
-/// before it; what has been passed is kept (32 bytes per picture).
+/// NumPy's single noise stream, saved at the start of every picture. Normals take a varying number
+/// of words, so a picture's position in the stream is only known after drawing those before it;
+/// saved positions take 32 bytes per picture.
 #[derive(Clone)]
 struct NumpyFrames {
     first: DefaultRng,
@@ -215,17 +214,17 @@ impl NumpyFrames {
     }
 }
 
-/// A picture on [0, 1], channels interleaved.
+/// A picture with values in [0, 1], channels interleaved.
 struct Picture {
     width: usize,
     height: usize,
     values: Vec<f64>,
 }
 
-/// A square kernel with `weight` at some places and nothing elsewhere.
+/// A square kernel with `weight` at some elements and zero elsewhere.
 struct LineKernel {
     size: usize,
-    /// Row and column of each place.
+    /// Row and column of each non-zero element.
     places: Vec<(usize, usize)>,
     weight: f64,
 }
@@ -251,7 +250,7 @@ impl Picture {
         self.values.iter().map(byte).collect()
     }
 
-    /// The picture with its borders replicated by `margin` pixels all round.
+    /// Returns the picture with its borders replicated by `margin` pixels on all sides.
     fn padded(&self, margin: usize) -> Self {
         let width = self.width + 2 * margin;
         let height = self.height + 2 * margin;
@@ -274,7 +273,7 @@ impl Picture {
         }
     }
 
-    /// Convolution with a kernel centred at its element `size / 2`.
+    /// Convolves with a kernel centred at its element `size / 2`.
     fn motion_blurred(&self, kernel: &LineKernel) -> Self {
         let margin = kernel.size;
         let padded = self.padded(margin);
@@ -282,7 +281,7 @@ impl Picture {
         let row_len = self.width * 3;
         let mut values = vec![0.0; self.values.len()];
         for (y, output) in values.chunks_exact_mut(row_len).enumerate() {
-            // Convolution mirrors the kernel; SciPy adds up in that order.
+            // Convolution mirrors the kernel, and SciPy sums in that order.
             for &(row, column) in kernel.places.iter().rev() {
                 let y = y + margin + centre - row;
                 let x = margin + centre - column;
@@ -297,8 +296,8 @@ impl Picture {
         Self { values, ..*self }
     }
 
-    /// Separable convolution with a symmetric kernel, given from its centre
-    /// outwards: down the columns first, then along the rows, as SciPy does.
+    /// Convolves separably with a symmetric kernel, given from its centre outwards: first along
+    /// columns, then along rows, as in SciPy.
     fn gaussian_blurred(&self, kernel: &[f64]) -> Self {
         let radius = kernel.len() - 1;
         let row_len = self.width * 3;
@@ -327,8 +326,8 @@ impl Picture {
     }
 }
 
-/// `output` = centre · kernel\[0\] + Σ (left + right) · kernel\[k\], from the
-/// outermost pair inwards, which is SciPy's order.
+/// Computes `output` = centre · kernel\[0\] + Σ (left + right) · kernel\[k\], from the outermost
+/// pair inwards, in SciPy's order.
 fn symmetric_sum<'a>(
     output: &mut [f64],
     kernel: &[f64],
@@ -364,7 +363,7 @@ fn replicate_ends(padded: &mut [f64], row: &[f64], margin: usize) {
     }
 }
 
-/// n samples of a line through the centre of an n × n kernel, normalised.
+/// Returns n samples of a line through the centre of an n × n kernel, normalised.
 fn motion_kernel(length_px: f64, angle: f64) -> LineKernel {
     let size = length_px.round_ties_even() as usize;
     let centre = (size as f64 - 1.0) / 2.0;
@@ -388,7 +387,7 @@ fn motion_kernel(length_px: f64, angle: f64) -> LineKernel {
     }
 }
 
-/// A normalised Gaussian from its centre outwards.
+/// Returns a normalised Gaussian from its centre outwards.
 fn gaussian_kernel(sigma_px: f64) -> Vec<f64> {
     let radius = (TRUNCATE_SIGMAS * sigma_px + 0.5) as usize;
     let exponent = -0.5 / (sigma_px * sigma_px);
@@ -400,9 +399,9 @@ fn gaussian_kernel(sigma_px: f64) -> Vec<f64> {
     whole[radius..].iter().map(|weight| weight / sum).collect()
 }
 
-/// Adds up in NumPy's order, which for 8 to 128 values is eight sums side by
-/// side. An even patch of a picture lies exactly on the border between two grey
-/// levels, so that the last digit of the weights decides which one it gets.
+/// Sums in NumPy's order, which for 8 to 128 values is eight parallel sums. A uniform patch of a
+/// picture can lie exactly on the border between two grey levels, where the last bit of the weights
+/// decides.
 fn numpy_sum(values: &[f64]) -> f64 {
     let (whole, rest) = values.split_at(values.len() / 8 * 8);
     let mut lanes = whole.chunks_exact(8);

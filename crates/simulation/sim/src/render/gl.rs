@@ -1,5 +1,5 @@
-//! MuJoCo's own renderer, through OpenGL. The scenes of a simulator share its
-//! context; the pictures of each have their own buffers.
+//! MuJoCo's own renderer, through OpenGL. The scenes of a simulator share an OpenGL context; each
+//! has its own frame buffers.
 
 use std::mem::MaybeUninit;
 use std::rc::Rc;
@@ -12,8 +12,8 @@ use crate::mujoco::{Model, Segment, VisualScene};
 use super::gl_context::GlContext;
 use super::view::View;
 
-/// MuJoCo's state for drawing one scene. It lives in an OpenGL context, which is
-/// therefore freed after it.
+/// MuJoCo's state for drawing one scene. It belongs to an OpenGL context, which is therefore freed
+/// after it.
 pub(crate) struct GlCanvas {
     visual_scene: VisualScene,
     context: Box<c::mjrContext>,
@@ -21,8 +21,7 @@ pub(crate) struct GlCanvas {
 }
 
 impl GlCanvas {
-    /// Uploads a model's meshes and textures; the model has room for pictures of this
-    /// size, pixels.
+    /// Uploads a model's meshes and textures; the model's offscreen buffer has this size, pixels.
     pub(crate) fn new(
         opengl: &Rc<GlContext>,
         model: &Model,
@@ -58,8 +57,7 @@ impl GlCanvas {
         Ok(canvas)
     }
 
-    /// Returns true if it was made in this context, and a picture of this size fits the
-    /// buffers.
+    /// Returns true if this was made in the context, and a picture of this size fits the buffers.
     pub(crate) fn suits(&self, opengl: &Rc<GlContext>, size: [u32; 2]) -> bool {
         Rc::ptr_eq(&self.opengl, opengl) && self.holds(size)
     }
@@ -71,22 +69,21 @@ impl GlCanvas {
             .all(|(side, room)| i64::from(side) <= i64::from(room))
     }
 
-    /// Draws what a camera of the model sees; rows from bottom to top.
+    /// Renders a camera of the model; rows from bottom to top.
     pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
         let mut rgb = vec![0; pixels(view.size) * 3];
         self.render(view, &[], Target::Colours(&mut rgb))?;
         Ok(rgb)
     }
 
-    /// Draws how far it is to what the camera sees: 0 at the near plane, 1 at the
-    /// far one, as OpenGL keeps it.
+    /// Renders depths: 0 at the near plane, 1 at the far plane, as in OpenGL.
     pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
         let mut depth = vec![0.0; pixels(view.size)];
         self.render(view, &[], Target::Depths(&mut depth))?;
         Ok(depth)
     }
 
-    /// Draws which geom the camera sees, by its place in segmentation images.
+    /// Renders the visible geoms, by their ids in segmentation images.
     pub(crate) fn segmentation(
         &mut self,
         view: View<'_>,
@@ -99,13 +96,13 @@ impl GlCanvas {
         let numbers = rgb
             .chunks_exact(3)
             .map(|pixel| u32::from_le_bytes([pixel[0], pixel[1], pixel[2], 0]));
-        // 0 is the background, 1 the first.
+        // 0 is the background; ids start at 1.
         Ok(numbers
             .map(|number| segments.get(&number.checked_sub(1)?).copied())
             .collect())
     }
 
-    /// Draws with these flags set.
+    /// Renders with these flags set.
     fn render(
         &mut self,
         view: View<'_>,
@@ -151,8 +148,8 @@ impl GlCanvas {
 
 impl Drop for GlCanvas {
     fn drop(&mut self) {
-        // In another context the same names would refer to other objects. If the
-        // context is lost, its objects are gone too.
+        // In another context the same names would refer to other objects. If the context is lost,
+        // so are its objects.
         if self.opengl.make_current().is_ok() {
             // SAFETY: made in `new`, freed once, in its OpenGL context.
             unsafe { c::mjr_freeContext(&mut *self.context) }

@@ -1,4 +1,4 @@
-//! An OpenGL context without a window, on a chosen device.
+//! Windowless OpenGL context on a chosen device.
 
 use std::ffi::{CStr, c_char, c_void};
 use std::rc::Rc;
@@ -7,13 +7,13 @@ use khronos_egl as egl;
 
 use crate::error::SimError;
 
-/// OpenGL device that draws.
+/// OpenGL device for rendering.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum GlDevice {
-    /// The first that works, in the driver's order.
+    /// The first device that works, in the driver's order.
     #[default]
     Auto,
-    /// The n-th of the driver's list.
+    /// The n-th device of the driver's list.
     Index(usize),
 }
 
@@ -28,15 +28,14 @@ const PLATFORM_DEVICE: egl::Enum = 0x313F;
 const PLATFORM_SURFACELESS: egl::Enum = 0x31DD;
 /// `GL_RENDERER`.
 const GL_RENDERER: u32 = 0x1F01;
-/// More devices than a machine has; bounds the list asked for.
+/// Most devices that are listed; more than any machine has.
 const MAX_DEVICES: usize = 32;
 
 const REMEDY: &str = "install what drawing through OpenGL needs with `cargo xtask setup --gl` (Debian: `apt-get \
      install libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0`) or with the NVIDIA driver, or \
      choose another device with --renderer gl:N";
 
-/// An OpenGL context, bound to the thread that opened it. Canvases share its
-/// ownership.
+/// An OpenGL context, bound to the thread that opened it. Canvases share ownership of it.
 pub struct GlContext {
     egl: Egl,
     display: egl::Display,
@@ -72,7 +71,7 @@ impl GlContext {
         )))
     }
 
-    /// Makes it the current context of this thread.
+    /// Makes this context current on this thread.
     pub(super) fn make_current(&self) -> Result<(), SimError> {
         let made = self
             .egl
@@ -80,7 +79,7 @@ impl GlContext {
         made.map_err(|error| graphics(format!("the OpenGL context is lost ({error})")))
     }
 
-    /// Name of the renderer in the driver's words, for example `llvmpipe (…)`.
+    /// Returns the driver's name of the renderer, for example `llvmpipe (…)`.
     pub fn renderer(&self) -> &str {
         &self.renderer
     }
@@ -88,7 +87,7 @@ impl GlContext {
 
 impl Drop for GlContext {
     fn drop(&mut self) {
-        // Nothing can be done about a driver that fails here.
+        // Errors are ignored: a driver that fails here cannot be helped.
         if self.egl.get_current_context() == Some(self.context) {
             let _ = self.egl.make_current(self.display, None, None, None);
         }
@@ -103,7 +102,7 @@ fn graphics(problem: String) -> SimError {
     }
 }
 
-/// The displays to try, in order.
+/// Returns the displays to try, in order.
 fn candidates(egl: &Egl, device: GlDevice) -> Result<Vec<egl::Display>, SimError> {
     let devices = devices(egl);
     let display = |platform: egl::Enum, native: *mut c_void| {
@@ -147,7 +146,7 @@ fn devices(egl: &Egl) -> Vec<*mut c_void> {
 
 fn open_on(egl: &Egl, display: egl::Display) -> Result<egl::Context, egl::Error> {
     egl.initialize(display)?;
-    // Per thread, and OpenGL ES by default.
+    // The API is chosen per thread, and is OpenGL ES by default.
     egl.bind_api(egl::OPENGL_API)?;
     let wanted = [
         egl::RED_SIZE,

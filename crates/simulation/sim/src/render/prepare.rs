@@ -1,7 +1,6 @@
-//! Prepares a compiled model's meshes and textures for our renderer. Scenes have
-//! the robot and much of the room in common, and simulators of one process their
-//! scenes, so a mesh or a texture is prepared once per process; once per machine where scenes
-//! are kept in files.
+//! Prepares a compiled model's meshes and textures for the software renderer. Scenes share the
+//! robot and much of the room, and simulators of one process share scenes, so each mesh or texture
+//! is prepared only once per process, or once per machine if scene files are enabled.
 
 use std::collections::HashMap;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError, Weak};
@@ -16,20 +15,20 @@ use twox_hash::XxHash3_128;
 use crate::error::SimError;
 use crate::mujoco::{MeshData, Model, TextureData};
 
-/// OpenGL draws what our renderer cannot.
+/// Remedy for scenes that the software renderer cannot draw.
 const REMEDY: &str = "draw it with --renderer gl";
-/// Roles of textures in `mat_texid`, and the one that colours.
+/// Number of texture roles in `mat_texid`, and the role of colour.
 const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
 const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
 
-/// Cache of what this process has prepared, by the digest of its source. The digest need
-/// only be fast: there is nothing to gain from a forged collision.
+/// Prepared items of this process by the digest of their source. The digest is chosen for speed: a
+/// forged collision would gain nothing.
 type Known<T> = LazyLock<Mutex<HashMap<u128, Weak<T>>>>;
 
 static MESHES: Known<Mesh> = LazyLock::new(Mutex::default);
 static TEXTURES: Known<Texture> = LazyLock::new(Mutex::default);
 
-/// The texture that colours a material, and how it repeats.
+/// The colour texture of a material, and its repetition.
 #[derive(Clone, Copy)]
 pub(super) struct Material {
     pub(super) texture: usize,
@@ -37,18 +36,18 @@ pub(super) struct Material {
     pub(super) uniform: bool,
 }
 
-/// Immutable drawing data of a model.
+/// Immutable rendering data of a model.
 pub(crate) struct Prepared {
     pub(super) model: raster::Model,
     pub(super) materials: Vec<Option<Material>>,
-    /// The first texture that is meant for the sky.
+    /// Index of the first sky texture.
     pub(super) sky: Option<usize>,
-    /// Texels of each texture's largest level.
+    /// Largest level of each texture.
     pub(super) largest: Vec<Bytes>,
 }
 
-/// Prepared parts of a model as bytes: each mesh, and of each texture the largest level
-/// and the smaller ones.
+/// Serialised rendering data of a model: each mesh, and for each texture the largest level and the
+/// smaller ones.
 pub(crate) struct PreparedBytes {
     pub(crate) meshes: Vec<Bytes>,
     pub(crate) textures: Vec<[Bytes; 2]>,
@@ -58,7 +57,7 @@ impl Prepared {
     /// Prepares a model.
     ///
     /// # Errors
-    /// If it has what our renderer cannot draw.
+    /// If the software renderer cannot draw the model.
     pub(crate) fn of(model: &Model) -> Result<Self, SimError> {
         let texels = model.texels();
         let largest: Vec<Bytes> = model
@@ -84,10 +83,10 @@ impl Prepared {
         )
     }
 
-    /// Takes over what was prepared of the same model before; it stays in its bytes.
+    /// Restores data that was prepared earlier for the same model, without copying its bytes.
     ///
     /// # Errors
-    /// If the bytes are not of this model.
+    /// If the bytes do not belong to this model.
     pub(crate) fn of_bytes(model: &Model, bytes: &PreparedBytes) -> Result<Self, SimError> {
         let meshes = bytes.meshes.iter().cloned().map(Mesh::from_bytes);
         let textures = model.textures().zip(&bytes.textures);
@@ -104,18 +103,18 @@ impl Prepared {
         )
     }
 
-    /// Meshes as bytes.
+    /// Serialises the meshes.
     pub(crate) fn meshes(&self) -> impl Iterator<Item = Vec<u8>> {
         self.model.meshes.iter().map(|mesh| mesh.to_bytes())
     }
 
-    /// Per texture: the largest level and the smaller ones.
+    /// Returns the largest level and the smaller ones of each texture.
     pub(crate) fn textures(&self) -> impl Iterator<Item = [&[u8]; 2]> {
         let textures = self.largest.iter().zip(&self.model.textures);
         textures.map(|(largest, texture)| [largest, texture.smaller()])
     }
 
-    /// The texels of all textures, as MuJoCo keeps them.
+    /// Returns the texels of all textures in MuJoCo's format.
     pub(super) fn texels(&self, model: &Model) -> Vec<u8> {
         let mut all = vec![0; model.raw().ntexdata as usize];
         for (texture, largest) in model.textures().zip(&self.largest) {
@@ -148,7 +147,7 @@ fn made<T>(part: Result<T, ModelError>) -> Result<Arc<T>, SimError> {
         .map_err(|error| graphics(error.to_string()))
 }
 
-/// A model of shapes and planes, which are made faster than they are read.
+/// Creates a model with shapes and planes, which are computed faster than loaded.
 fn with_planes(model: &Model) -> Result<raster::Model, SimError> {
     let raw = model.raw();
     let quality = &raw.vis.quality;
@@ -178,7 +177,7 @@ fn with_planes(model: &Model) -> Result<raster::Model, SimError> {
     Ok(prepared)
 }
 
-/// Returns what was made from the same source if it is still in use, or makes it.
+/// Returns the cached item of the same source if it is still in use, or creates it.
 fn shared<T>(
     known: &Known<T>,
     digest: u128,
@@ -210,7 +209,7 @@ fn digest_of_mesh(mesh: &MeshData<'_>) -> u128 {
     )
 }
 
-/// Digest of a texture and of its texels.
+/// Returns the digest of a texture and its texels.
 pub(crate) fn digest_of_texture(texture: &TextureData, texels: &[u8]) -> u128 {
     let sizes = [texture.width, texture.height, texture.channels].map(usize::to_le_bytes);
     let kinds = [texture.kind, texture.colorspace].map(i32::to_le_bytes);
@@ -218,7 +217,7 @@ pub(crate) fn digest_of_texture(texture: &TextureData, texels: &[u8]) -> u128 {
     digest(head.into_iter().chain([texels]))
 }
 
-/// Hashes parts, each after its length.
+/// Hashes parts, each preceded by its length.
 fn digest<'a>(parts: impl Iterator<Item = &'a [u8]>) -> u128 {
     let mut hash = XxHash3_128::new();
     for part in parts {
@@ -285,7 +284,7 @@ fn materials(model: &Model) -> Vec<Option<Material>> {
     .collect()
 }
 
-/// The error for what our renderer cannot draw.
+/// Returns the error for content that the software renderer cannot draw.
 pub(super) fn graphics(problem: String) -> SimError {
     SimError::Graphics {
         problem,

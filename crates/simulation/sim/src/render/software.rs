@@ -1,5 +1,4 @@
-//! Our own renderer. It draws MuJoCo's abstract scene of a model's state
-//! (`mjvScene`).
+//! The software renderer, which draws MuJoCo's abstract scene of a model's state (`mjvScene`).
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,7 +13,7 @@ use crate::mujoco::{Model, Segment, VisualScene};
 
 const PLANE: i32 = c::mjtGeom::mjGEOM_PLANE as i32;
 
-/// Software renderer's state for drawing one scene.
+/// State of the software renderer for drawing one scene.
 pub(crate) struct SoftwareCanvas {
     visual_scene: VisualScene,
     prepared: Arc<Prepared>,
@@ -24,7 +23,7 @@ pub(crate) struct SoftwareCanvas {
 }
 
 impl SoftwareCanvas {
-    /// For a model and what is prepared for it.
+    /// Creates a canvas for a model and its prepared data.
     pub(crate) fn new(model: &Model, prepared: Arc<Prepared>) -> Self {
         Self {
             visual_scene: VisualScene::new(model),
@@ -51,20 +50,19 @@ impl SoftwareCanvas {
         }
     }
 
-    /// Draws what a camera of the model sees; rows from bottom to top.
+    /// Renders a camera of the model; rows from bottom to top.
     pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
         Ok(self.draw_on_canvas(view)?.to_vec())
     }
 
-    /// Draws how far it is to what the camera sees: 0 at the near plane, 1 at the
-    /// far one, as OpenGL keeps it.
+    /// Renders depths: 0 at the near plane, 1 at the far plane, as in OpenGL.
     pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
         let camera = view.camera;
         self.draw_on_canvas(view)?;
         Ok(self.canvases[&camera].depths().collect())
     }
 
-    /// Draws which geom the camera sees.
+    /// Renders the visible geoms.
     pub(crate) fn segmentation(
         &mut self,
         view: View<'_>,
@@ -91,7 +89,7 @@ impl SoftwareCanvas {
             .map_err(|error| graphics(error.to_string()))
     }
 
-    /// Makes the scene of a model's state.
+    /// Updates the scene to the model's state.
     fn update(&mut self, view: View<'_>) -> Result<(), SimError> {
         self.visual_scene.update(view.model, view.data, view.camera);
         let seen = self.visual_scene.scene();

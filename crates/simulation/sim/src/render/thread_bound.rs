@@ -1,11 +1,10 @@
-//! Container that moves between threads, for a value that may be used and freed only on
-//! the thread that made it.
+//! Container that can move between threads although its value may be used and freed only on the
+//! thread that made it.
 
 use std::mem::ManuallyDrop;
 use std::thread::{self, ThreadId};
 
-/// A value that only the thread that made it can reach. If another thread drops it, it
-/// is never freed.
+/// A value that only its own thread can access. If another thread drops it, the value is leaked.
 pub(crate) struct ThreadBound<T> {
     owner: ThreadId,
     value: ManuallyDrop<T>,
@@ -26,12 +25,12 @@ impl<T> ThreadBound<T> {
         self.owner == thread::current().id()
     }
 
-    /// The value; none on another thread.
+    /// Returns the value; `None` on another thread.
     pub(crate) fn get(&self) -> Option<&T> {
         self.is_here().then(|| &*self.value)
     }
 
-    /// The value, to be used.
+    /// Returns the value for mutation.
     ///
     /// # Panics
     /// On another thread.

@@ -2,12 +2,12 @@
 
 use crate::mujoco::{Data, Model};
 
-/// Camera of a model, with the state and the size in which it is drawn.
+/// A camera of a model, with the state and the picture size to render.
 pub(crate) struct View<'a> {
     pub(crate) model: &'a Model,
-    /// A state of the model.
+    /// State of the model.
     pub(crate) data: &'a mut Data,
-    /// The camera's id.
+    /// Id of the camera.
     pub(crate) camera: usize,
     /// Width and height, pixels.
     pub(crate) size: [u32; 2],

@@ -1,5 +1,5 @@
-//! A file of sections: what it is, how long it is, a checksum, a table, and the sections, each
-//! aligned as MuJoCo's arrays and our renderer's need it.
+//! File format of sections: kind, length, checksum, section table, and sections, each aligned as
+//! required by MuJoCo's arrays and the software renderer.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -13,16 +13,16 @@ use super::{NAME_DIGITS, Name};
 use crate::mujoco::ALIGNMENT;
 
 const MAGIC: &[u8; 16] = b"rollout scenes\n\0";
-/// Places in the head: name, length of the file, checksum of all behind it.
+/// Fields of the header: name, length of the file, checksum of everything after the header.
 const NAME: Range<usize> = 16..16 + NAME_DIGITS;
 const LENGTH: Range<usize> = NAME.end..NAME.end + 8;
 const CHECKSUM: Range<usize> = LENGTH.end..LENGTH.end + 16;
-/// Bytes of the head; the checksum covers the rest.
+/// Length of the header, bytes; the checksum covers the rest.
 const HEAD: usize = CHECKSUM.end;
-/// Bytes that are written or read at a time.
+/// Size of reads and writes, bytes.
 const BLOCK: usize = 1 << 20;
 
-/// Writes a file: each section is its parts, one behind the other.
+/// Writes a file; each section is the concatenation of its parts.
 pub(super) fn write(
     out: &mut (impl Write + Seek),
     name: &Name,
@@ -77,8 +77,8 @@ impl<W: Write> Summing<W> {
     }
 }
 
-/// Reads the head of a file, and returns its checksum; none if it is not of this name, or not
-/// as long as it was.
+/// Reads the header of a file and returns its checksum; `None` if the file has another name or
+/// length.
 pub(super) fn read_head(mut file: &File, name: &Name, length: u64) -> io::Result<Option<u128>> {
     let mut head = [0; HEAD];
     if length < HEAD as u64 {
@@ -92,8 +92,8 @@ pub(super) fn read_head(mut file: &File, name: &Name, length: u64) -> io::Result
     Ok(fits.then_some(checksum))
 }
 
-/// Returns true if all behind the head has this checksum. Reads the file rather than a mapping,
-/// whose pages would count as this process's.
+/// Returns true if everything after the header has this checksum. Reads the file rather than a
+/// mapping, whose pages would count towards this process's memory.
 pub(super) fn has_checksum(mut file: &File, checksum: u128) -> io::Result<bool> {
     file.seek(SeekFrom::Start(HEAD as u64))?;
     let mut sum = XxHash3_128::new();
@@ -106,7 +106,7 @@ pub(super) fn has_checksum(mut file: &File, checksum: u128) -> io::Result<bool> 
     }
 }
 
-/// A mapped file, and a lock on it that lasts as long.
+/// A mapped file and its lock.
 struct Mapped {
     map: Mmap,
     _lock: Option<File>,
@@ -118,8 +118,8 @@ impl AsRef<[u8]> for Mapped {
     }
 }
 
-/// Maps the sections of a file, and keeps its lock until all of them are dropped. None if its
-/// table is not one.
+/// Maps the sections of a file, and keeps its lock until all of them are dropped. `None` if the
+/// section table is invalid.
 pub(super) fn map(file: &File, lock: Option<File>) -> io::Result<Option<Vec<Bytes>>> {
     // SAFETY: the pages are never written to, neither through this mapping, which is read-only,
     // nor in the file: programs of this project write a file once, before it has its name, and

@@ -1,4 +1,4 @@
-//! Making room: the scenes that were used longest ago are removed, unless they are mapped.
+//! Eviction: removes the least recently used scenes that are not mapped.
 
 use std::collections::HashSet;
 use std::fs::{self, File};
@@ -9,7 +9,7 @@ use super::container;
 use super::folder::{ASIDE, SceneFolder, names_of_textures};
 use super::text;
 
-/// A scene that may be removed.
+/// A scene that can be evicted.
 struct Scene {
     name: String,
     bytes: u64,
@@ -17,15 +17,14 @@ struct Scene {
 }
 
 impl SceneFolder {
-    /// Removes what crashed writers left, and scenes until the rest is within the limit, but
-    /// never the one of the name `keep` nor any that is mapped. The caller holds the folder's
-    /// lock.
+    /// Removes remains of crashed writers, and scenes until the rest is within the limit, but never
+    /// the scene `keep` or a mapped one. The caller holds the folder's lock.
     pub(super) fn make_room(&self, keep: &str) -> io::Result<()> {
         let (mut total, mut scenes, mut textures) = (0, Vec::<Scene>::new(), Vec::new());
         let mut notes = Vec::new();
         for entry in fs::read_dir(&self.dir)? {
             let entry = entry?;
-            // Gone meanwhile: a note that was replaced, or a file aside.
+            // The file is already gone: a replaced note or a temporary file.
             let Ok(facts) = entry.metadata() else {
                 continue;
             };
@@ -65,7 +64,7 @@ impl SceneFolder {
         let mut left: Vec<&str> = scenes.iter().map(|scene| &*scene.name).collect();
         let mut candidates = scenes.iter().filter(|scene| scene.name != keep);
         loop {
-            // Textures that no scene needs go first.
+            // Textures that no scene uses are removed first.
             let needed = self.textures_of(&left);
             textures.retain(|(name, bytes)| {
                 let stays = needed.contains(name);
@@ -91,8 +90,8 @@ impl SceneFolder {
         }
     }
 
-    /// Names of the textures of scenes. One that cannot be read has none: it is compiled anew
-    /// when it is needed.
+    /// Returns the names of the textures of scenes. A scene that cannot be read counts as having
+    /// none: it is compiled again when needed.
     fn textures_of(&self, scenes: &[&str]) -> HashSet<String> {
         let sections = |name: &&str| {
             let file = File::open(self.scene(name)).ok()?;

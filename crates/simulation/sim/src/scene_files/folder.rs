@@ -1,4 +1,4 @@
-//! The folder of scene files: who may write there, what of it is trusted, and its locks.
+//! Folder of scene files: permissions, trust, and locks.
 
 use std::fs::{self, DirBuilder, File, OpenOptions, Permissions, TryLockError};
 use std::io;
@@ -15,20 +15,20 @@ use super::{Name, Obtained, Preparation, digits, layout, text};
 use crate::mujoco::Model;
 use crate::render::{Prepared, PreparedBytes, digest_of_texture};
 
-/// Bytes of files that are kept unless `$ROLLOUT_SCENES_GIB` says otherwise.
+/// Limit of the files' total size, unless `$ROLLOUT_SCENES_GIB` is set.
 const LIMIT_GIB: u64 = 16;
-/// Longest wait for another process that compiles or writes a scene. Compiling takes seconds,
-/// and a worker takes a slot that says nothing for minutes for one that stands still.
+/// Longest wait for another process that compiles or writes a scene. Compiling takes seconds, and a
+/// worker treats a slot without progress for minutes as stuck.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Interval at which a lock is tried.
+/// Interval of lock attempts.
 const POLL: Duration = Duration::from_millis(10);
-/// Rights of a file that is never written to again.
+/// Permissions of a finished file.
 const READ_ONLY: u32 = 0o444;
-/// Rights of others to write.
+/// Permission bits for writing by others.
 const OTHERS_WRITE: u32 = 0o022;
-/// The administrator, whose files everybody may trust.
+/// Root, whose files are always trusted.
 const ROOT: u32 = 0;
-/// Begins names of files that are being written.
+/// Prefix of the names of files being written.
 pub(super) const ASIDE: &str = ".aside-";
 /// Sections of a scene file before its meshes.
 const TEXTURES: usize = 0;
@@ -36,7 +36,7 @@ const STRUCTURE: usize = 1;
 const ARRAYS: usize = 2;
 const MESHES: usize = 3;
 
-/// Reason why scenes are not kept in files.
+/// Reason why scenes are not stored in files.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneFileError {
     /// A file or folder cannot be read or written.
@@ -53,7 +53,7 @@ pub enum SceneFileError {
         #[source]
         source: io::Error,
     },
-    /// Another user could change the files.
+    /// Another user could modify the files.
     #[error(
         "trust {} with scenes: user {owner} owns it and its mode is {mode:o}; it must belong to \
          this user or root, and nobody else may write to it: correct that, or choose another \
@@ -62,12 +62,12 @@ pub enum SceneFileError {
     Untrusted {
         /// The folder.
         path: PathBuf,
-        /// Number of the user that owns it.
+        /// Id of the owner.
         owner: u32,
         /// Mode bits of the file or folder.
         mode: u32,
     },
-    /// Another process has been writing for too long.
+    /// Another process has held a lock for too long.
     #[error("wait for {}: another process has held it for {secs} s", path.display())]
     Busy {
         /// The lock.
@@ -75,7 +75,7 @@ pub enum SceneFileError {
         /// Seconds waited.
         secs: u64,
     },
-    /// MuJoCo's arrays do not lie as this program assumes.
+    /// MuJoCo's arrays do not have the layout that this program expects.
     #[error("lay a model out in a file: its arrays do not lie in one buffer of MuJoCo's")]
     Layout,
 }
@@ -84,29 +84,29 @@ pub enum SceneFileError {
 #[derive(Debug)]
 pub struct SceneFolder {
     pub(super) dir: PathBuf,
-    /// Bytes that files may take together.
+    /// Limit of the files' total size, bytes.
     pub(super) limit: u64,
-    /// Number of this process's user.
+    /// Id of this process's user.
     pub(super) user: u32,
     /// Layout of MuJoCo's arrays; see [`layout`].
     pub(super) layout: String,
     /// Longest wait for another process.
     pub(super) patience: Duration,
-    /// Bytes after which the disk is full, in tests.
+    /// Simulated free disk space in tests, bytes.
     #[cfg(test)]
     pub(super) room: std::sync::atomic::AtomicU64,
 }
 
-/// An opened file that is trusted by its rights, and has a head of its name and length.
+/// An opened file with trusted permissions, and with a header that has its name and length.
 struct Opened {
     file: File,
     checksum: u128,
-    /// Facts that change when the file does.
+    /// File metadata that changes when the file is written.
     stamp: String,
 }
 
 impl SceneFolder {
-    /// A folder, which is made when the first scene is kept there.
+    /// Names a folder, which is created when the first scene is stored.
     pub fn new(dir: &Path) -> Self {
         let gib = std::env::var("ROLLOUT_SCENES_GIB").ok();
         let gib = gib.and_then(|text| text.parse().ok()).unwrap_or(LIMIT_GIB);
@@ -121,11 +121,11 @@ impl SceneFolder {
         }
     }
 
-    /// Makes the folder, or checks that it is trusted. It need not be writable: another user
-    /// may have filled it.
+    /// Creates the folder, or checks that it is trusted. It may be read-only: another user may have
+    /// filled it.
     ///
     /// # Errors
-    /// If it cannot be made, or is not to be trusted.
+    /// If it cannot be created or is not trusted.
     pub fn check(&self) -> Result<(), SceneFileError> {
         if self.is_there()? {
             return Ok(());
@@ -138,10 +138,10 @@ impl SceneFolder {
         self.is_there().map(drop)
     }
 
-    /// Maps a scene. None if it is not there, or not whole.
+    /// Maps a scene; `None` if it is missing or incomplete.
     ///
     /// # Errors
-    /// If the folder is not to be trusted, or a file cannot be read.
+    /// If the folder is not trusted, or a file cannot be read.
     pub(super) fn load(&self, name: &Name) -> Result<Option<Obtained>, SceneFileError> {
         if !self.is_there()? {
             return Ok(None);
@@ -151,8 +151,8 @@ impl SceneFolder {
             return Ok(None);
         };
         let failed = |source| failure("read", &path, source);
-        // Held for as long as the scene is mapped. Without locks it may be removed
-        // meanwhile, and stays mapped.
+        // Held while the scene is mapped. Without locks the file may be removed in the meantime;
+        // the mapping stays valid.
         let _ = scene.file.lock_shared();
         if scene.file.metadata().map_err(failed)?.nlink() == 0 {
             return Ok(None);
@@ -188,11 +188,11 @@ impl SceneFolder {
         Ok(assemble(&sections, textures))
     }
 
-    /// Writes a scene, and its textures that are not there yet; removes others for which there
-    /// is no room.
+    /// Stores a scene and those of its textures that are missing; evicts other scenes if there is
+    /// no room.
     ///
     /// # Errors
-    /// If files cannot be written; nothing half is left under a file's name.
+    /// If files cannot be written; no incomplete file is left under a final name.
     pub(super) fn store(
         &self,
         name: &Name,
@@ -226,8 +226,7 @@ impl SceneFolder {
             .map_err(|source| failure("make room in", &self.dir, source))
     }
 
-    /// Waits for a lock of this name, but not for a process that stands still; dropping the
-    /// file releases it.
+    /// Waits for the lock with this name, up to the time limit; dropping the file releases it.
     pub(super) fn lock(&self, name: &str) -> Result<File, SceneFileError> {
         self.check()?;
         let path = self.dir.join(name);
@@ -243,9 +242,8 @@ impl SceneFolder {
         loop {
             match file.try_lock() {
                 Ok(()) => return Ok(file),
-                // A file system without locks has no scene files that are removed while others
-                // read them, since removing takes a lock; and two that write one scene write
-                // the same.
+                // A file system without locks never evicts files in use, since eviction requires a
+                // lock; and two processes that write one scene write identical files.
                 Err(TryLockError::Error(_)) => return Ok(file),
                 Err(TryLockError::WouldBlock) if begun.elapsed() < self.patience => {
                     thread::sleep(POLL);
@@ -268,7 +266,7 @@ impl SceneFolder {
         self.dir.join(format!("{name}.texture"))
     }
 
-    /// Returns true if the folder is there and trusted, false if it is not there.
+    /// Returns true if the folder exists and is trusted, false if it does not exist.
     fn is_there(&self) -> Result<bool, SceneFileError> {
         let facts = match fs::metadata(&self.dir) {
             Ok(facts) => facts,
@@ -289,7 +287,7 @@ impl SceneFolder {
         [self.user, ROOT].contains(&facts.uid()) && facts.mode() & OTHERS_WRITE == 0
     }
 
-    /// Opens a file; none if it is not there, not trusted, or not as long as it was written.
+    /// Opens a file; `None` if it is missing, not trusted, or has another length.
     fn open(&self, path: &Path, name: &Name) -> Result<Option<Opened>, SceneFileError> {
         let options = OpenOptions::new()
             .read(true)
@@ -329,7 +327,8 @@ impl SceneFolder {
         container::has_checksum(&file, checksum).map_err(|source| failure("read", path, source))
     }
 
-    /// Writes a file aside, and gives it its name and rights once it is on the disk.
+    /// Writes a file under a temporary name, and renames it with its permissions once it is on
+    /// disk.
     fn write(
         &self,
         path: &Path,
@@ -340,7 +339,8 @@ impl SceneFolder {
             let mut aside = tempfile::Builder::new()
                 .prefix(ASIDE)
                 .tempfile_in(&self.dir)?;
-            // Released when this process ends in whatever way: whoever gets it may remove it.
+            // Released when this process ends, however it ends; whoever gets the lock may remove
+            // the file.
             let _ = aside.as_file().try_lock();
             let out = aside.as_file_mut();
             #[cfg(test)]
@@ -349,7 +349,7 @@ impl SceneFolder {
                 room: &self.room,
             };
             container::write(out, name, sections)?;
-            // Some file systems only say now that they are full.
+            // Some file systems report a full disk only here.
             aside.as_file().sync_data()?;
             aside
                 .as_file()
@@ -359,14 +359,14 @@ impl SceneFolder {
         written.map_err(|source| failure("write", path, source))
     }
 
-    /// Returns true if these files, as they are now, were checked since this machine started;
+    /// Returns true if these files in their current state were checked since this machine booted;
     /// marks them as used.
     fn was_checked(&self, name: &Name, stamps: &str) -> bool {
         let Some(note) = self.note(name) else {
             return false;
         };
         if fs::read_to_string(&note).is_ok_and(|noted| noted == stamps) {
-            // The last use decides which scene is removed first. Others' folders are read only.
+            // Eviction uses the time of last use. Folders of other users are read-only.
             if let Ok(file) = OpenOptions::new().write(true).open(note) {
                 let now = Timespec {
                     tv_sec: 0,
@@ -385,7 +385,7 @@ impl SceneFolder {
         false
     }
 
-    /// Without a note they are checked again the next time.
+    /// Records the check. If that fails, the files are checked again next time.
     fn note_check(&self, name: &Name, stamps: &str) {
         let Some(note) = self.note(name) else {
             return;
@@ -400,8 +400,8 @@ impl SceneFolder {
         drop(written);
     }
 
-    /// Path of the note that this machine has checked a file since it started; another
-    /// machine that shares the folder has notes of its own.
+    /// Path of the record that this machine has checked a file since it booted; other machines that
+    /// share the folder have their own records.
     fn note(&self, name: &Name) -> Option<PathBuf> {
         let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
         let file = format!("{}.{}.checked", text(name), boot.trim());
@@ -409,7 +409,7 @@ impl SceneFolder {
     }
 }
 
-/// Names of the textures of a scene, of its sections; none if they are not names.
+/// Reads the names of a scene's textures from its sections; `None` if they are invalid.
 pub(super) fn names_of_textures(sections: &[Bytes]) -> Option<&[Name]> {
     let digits = sections.get(TEXTURES)?;
     let (names, rest) = digits.as_chunks();
@@ -417,7 +417,7 @@ pub(super) fn names_of_textures(sections: &[Bytes]) -> Option<&[Name]> {
     are_names.then_some(names)
 }
 
-/// Makes a scene of mapped sections; none if they are of no scene.
+/// Restores a scene from mapped sections; `None` if they do not belong to a scene.
 fn assemble(sections: &[Bytes], textures: Vec<Option<Vec<Bytes>>>) -> Option<Obtained> {
     let (structure, arrays) = (sections.get(STRUCTURE)?, sections.get(ARRAYS)?);
     // SAFETY: written by `store`, of the same layout since the name says so, and not changed
@@ -444,7 +444,7 @@ fn failure(doing: &'static str, path: &Path, source: io::Error) -> SceneFileErro
     }
 }
 
-/// A link in place of a file could lead to one that changes.
+/// Refuses symbolic links, which could lead to a file that changes.
 fn no_links() -> i32 {
     OFlags::NOFOLLOW.bits() as i32
 }

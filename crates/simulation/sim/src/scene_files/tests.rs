@@ -1,5 +1,5 @@
-//! Files under everything that can happen to them; each scene that comes out of it moves and
-//! looks as one that was compiled.
+//! Fault tests of scene files: every scene obtained must behave and look like a freshly compiled
+//! one.
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, Seek, SeekFrom, Write};
@@ -18,10 +18,10 @@ use crate::render::{Canvas, Drawer, View};
 const NAME: Name = [b'a'; NAME_DIGITS];
 const OTHER: Name = [b'b'; NAME_DIGITS];
 
-/// A file on a disk that gets full.
+/// A file on a simulated disk that fills up.
 pub(super) struct Disk<'a> {
     pub(super) file: &'a mut File,
-    /// Bytes that it still has room for.
+    /// Remaining bytes on the disk.
     pub(super) room: &'a AtomicU64,
 }
 
@@ -47,8 +47,8 @@ impl Seek for Disk<'_> {
     }
 }
 
-/// Meshes that collide and fall, textures of three kinds, and what is drawn without either.
-/// `size` tells scenes apart that have one texture in common.
+/// Compiles a scene with meshes that collide and fall, textures of three kinds, and shapes with
+/// neither. `size` distinguishes scenes, which share one texture.
 fn compile(size: f64) -> Result<Model, SimError> {
     Model::compile(&format!(
         r#"<mujoco><asset>
@@ -69,7 +69,7 @@ fn compile(size: f64) -> Result<Model, SimError> {
     ))
 }
 
-/// Positions after half a second, and what is then seen.
+/// Returns the positions after half a second, and a frame of them.
 fn behaviour(obtained: Obtained) -> (Vec<f64>, Vec<u8>) {
     let Obtained {
         model: shared,
@@ -99,7 +99,7 @@ fn behaviour(obtained: Obtained) -> (Vec<f64>, Vec<u8>) {
 }
 
 struct Fixture {
-    /// Keeps the folder.
+    /// Keeps the temporary folder alive.
     _aside: TempDir,
     folder: SceneFolder,
     wanted: (Vec<f64>, Vec<u8>),
@@ -115,8 +115,8 @@ impl Fixture {
         }
     }
 
-    /// Obtains the scene, which behaves as it should, and returns whether it was compiled for
-    /// that, and whether it is mapped.
+    /// Obtains the scene and checks its behaviour. Returns whether it was compiled, and whether it
+    /// is mapped.
     fn obtain(&self) -> (bool, bool) {
         let mut compiled = false;
         let obtained = self.folder.obtain(&NAME, || {
@@ -147,7 +147,7 @@ impl Fixture {
     }
 }
 
-/// Changes a file as nobody may: in place, or by cutting it short.
+/// Modifies a file illegally: in place, or by truncating it.
 fn tamper(file: &Path, change: impl FnOnce(&mut Vec<u8>)) {
     let mut bytes = fs::read(file).expect("read");
     change(&mut bytes);
@@ -295,7 +295,7 @@ fn a_file_is_checked_once_and_again_after_it_or_the_machine_changed() {
 #[test]
 fn a_folder_that_cannot_be_made_costs_memory_and_is_said() {
     let mut fixture = Fixture::new();
-    // Nobody, root neither, makes folders there, as in a folder that is read only.
+    // Not even root can create folders there, as in a read-only folder.
     fixture.folder.dir = "/proc/rollout-scenes".into();
     assert_eq!(fixture.obtain(), (true, false));
     let error = fixture.folder.check().expect_err("no folder").to_string();
@@ -341,7 +341,7 @@ fn another_program_has_other_textures() {
     fixture.obtain();
     let before = fixture.files(".texture");
     fixture.folder.layout += "another";
-    // Its scenes have other names, too: this stands for one.
+    // Another program also uses other scene names, which this name represents.
     let obtained = fixture.folder.obtain(&OTHER, || compile(0.1));
     assert!(behaviour(obtained.expect("a scene")) == fixture.wanted);
     assert_eq!(fixture.files(".texture").len(), 2 * before.len());
@@ -369,7 +369,7 @@ fn room_is_made_by_the_oldest_scene_that_is_not_mapped() {
     assert_eq!(names(&fixture), ["a", "b"], "one is mapped, one is new");
     drop(keep(&fixture, &[b'c'; NAME_DIGITS], 0.3));
     assert_eq!(names(&fixture), ["a", "c"], "nobody maps the second");
-    // Of three textures a scene has one of its own.
+    // One of a scene's three textures is its own.
     assert_eq!(fixture.files(".texture").len(), 4);
     assert!(behaviour(first) == fixture.wanted);
     drop(keep(&fixture, &[b'd'; NAME_DIGITS], 0.4));

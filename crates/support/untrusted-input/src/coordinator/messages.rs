@@ -1,4 +1,4 @@
-//! Messages that mean something.
+//! Valid messages.
 
 use prost::Message;
 use proto::coordinator as wire;
@@ -8,10 +8,10 @@ use rollout_types::AttemptId;
 
 use super::methods::CLAIM;
 
-/// A method and a message of it.
+/// A method and an encoded message of it.
 pub(super) type Said = (&'static str, Vec<u8>);
 
-/// Two rollouts: a perturbed one, and its nominal one.
+/// Specification with two rollouts, a perturbed and a nominal one.
 const SPEC: &str = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
     "tasks":["libero_object/0"],"axes":["camera"],"levels":["L1"],"configs":[0],
     "nominal":"eval"}"#;
@@ -20,12 +20,12 @@ pub(super) const SEED: u64 = 1;
 /// Control steps of the rollout.
 const STEPS: u32 = 100;
 
-/// Calls made before an input starts: worker `w` is left with a lease.
+/// Calls made before an input, after which worker `w` holds a lease.
 pub(super) fn a_lease() -> [Said; 3] {
     [create(), registration("w"), claim()]
 }
 
-/// A worker makes itself known.
+/// Registration of a worker.
 pub(super) fn registration(worker_id: &str) -> Said {
     let request = wire::RegisterRequest {
         protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
@@ -133,7 +133,7 @@ pub(super) fn job() -> wire::JobName {
     }
 }
 
-/// The id of the first attempt that a coordinator of this seed grants.
+/// Returns the id of the first attempt that a coordinator with this seed grants.
 pub(super) fn attempt() -> String {
     let mut bits = [0; 16];
     ChaCha8Rng::seed_from_u64(SEED).fill_bytes(&mut bits);

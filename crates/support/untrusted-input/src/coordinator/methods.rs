@@ -1,6 +1,6 @@
-//! The methods of the coordinator that are called.
+//! Methods of the coordinator under test.
 
-/// Every method; an input names one by its place.
+/// All methods; an input selects one by its index.
 pub(super) const METHODS: [&str; 25] = [
     "WorkerService/Register",
     CLAIM,
@@ -29,5 +29,5 @@ pub(super) const METHODS: [&str; 25] = [
     "OperatorService/SkipJobs",
 ];
 
-/// Only method whose answer may wait: for a job.
+/// The only method whose answer may wait, namely for a job.
 pub(super) const CLAIM: &str = "WorkerService/Claim";

@@ -1,4 +1,4 @@
-//! Inputs to begin with.
+//! Seed inputs.
 
 use prost::Message;
 use proto::coordinator as wire;
@@ -14,7 +14,8 @@ use crate::script;
 /// File name of a worker's video.
 const VIDEO: &str = "video.mp4";
 
-/// Inputs: every method by itself, and a rollout from its lease to its export.
+/// Returns seed inputs: every method alone, and the calls of a rollout from its lease to its
+/// export.
 pub(crate) fn seeds() -> Vec<Vec<u8>> {
     let named = name().encode_to_vec();
     let job = wire::GetJobRequest {
@@ -99,7 +100,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         ("OperatorService/ImportCampaign", import.encode_to_vec()),
     ];
     let mut seeds: Vec<Vec<u8>> = alone.iter().map(|said| calls(&[said])).collect();
-    // A video is taken once its outcome is there.
+    // A video is accepted only after its outcome.
     let committed = [
         calls(&[&heartbeat(), &commit()]),
         upload().concat(),
@@ -119,7 +120,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     seeds
 }
 
-/// The campaign in one file.
+/// Returns an archive of the campaign.
 fn archive() -> Vec<u8> {
     let archived = ("OperatorService/ArchiveCampaign", name().encode_to_vec());
     let (_, pieces) = after(&[create(), archived]);
@@ -127,7 +128,7 @@ fn archive() -> Vec<u8> {
     pieces.into_iter().flat_map(piece).collect()
 }
 
-/// Several calls as an input.
+/// Encodes several calls as an input.
 fn calls(said: &[&Said]) -> Vec<u8> {
     let write = |said: &&Said| script::write(number(said.0), &said.1);
     said.iter().flat_map(write).collect()
@@ -138,7 +139,7 @@ fn number(method: &str) -> u8 {
     u8::try_from(place.expect("a method")).expect("few")
 }
 
-/// A video in two pieces.
+/// Returns the messages of a video upload in two pieces.
 fn upload() -> [Vec<u8>; 2] {
     let first = wire::ArtifactChunk {
         attempt_id: attempt(),

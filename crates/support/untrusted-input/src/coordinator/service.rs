@@ -1,4 +1,4 @@
-//! The coordinator that strangers call.
+//! The coordinator under test.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ use super::messages::{SEED, Said, registration};
 use super::methods::CLAIM;
 use crate::call::{block_on, call};
 
-/// Time that a claim's caller waits before it hangs up.
+/// Time that a claim may wait before its caller disconnects.
 const PATIENCE: Duration = Duration::from_millis(20);
 /// Constant time of the stopped clock.
 const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
@@ -34,8 +34,8 @@ pub(super) struct Open {
 }
 
 impl Open {
-    /// Opens a data folder, as a coordinator that starts does. Its attempts are not named as
-    /// those of an earlier start: names are random, and never given twice.
+    /// Opens a data folder like a starting coordinator. The seed differs from that of an earlier
+    /// start, since attempt ids are never reused.
     pub(super) async fn in_folder(data: &Path) -> Open {
         let starts = u64::from(data.join(DATABASE_FILE).exists());
         let coordinator = Coordinator::open(Config {
@@ -54,7 +54,7 @@ impl Open {
         }
     }
 
-    /// Calls a method; no answer if it waits for a job.
+    /// Calls a method; returns `None` if the call waits for a job.
     pub(super) async fn call(&mut self, method: &str, messages: &[&[u8]]) -> Option<Answer> {
         let path = format!("/rollout.coordinator.v1.{method}");
         let answering = call(&mut self.services, &path, messages);
@@ -63,8 +63,8 @@ impl Open {
         }
         let answer = timeout(PATIENCE, answering).await.ok();
         if answer.is_none() {
-            // The call that was given up may still be committed. The next call waits
-            // for it, so that its effect is not attributed to that one.
+            // The abandoned call may still be committed. A further call waits for that, so that the
+            // effect is not attributed to the next call.
             let (method, message) = registration("next");
             let path = format!("/rollout.coordinator.v1.{method}");
             let after = call(&mut self.services, &path, &[&message]).await;
@@ -78,7 +78,7 @@ impl Open {
     }
 }
 
-/// The database after sound calls, and the answer to the last of them.
+/// Returns the database after valid calls, and the answer to the last one.
 pub(super) fn after(calls: &[Said]) -> (Vec<u8>, Vec<Bytes>) {
     block_on(async {
         let folder = tempfile::tempdir().expect("a temporary folder");

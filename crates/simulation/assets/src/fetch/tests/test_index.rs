@@ -1,5 +1,4 @@
-//! A package index on this machine that serves small wheels over HTTP, and can be
-//! told what to do wrong.
+//! A local package index that serves small wheels over HTTP and can simulate faults.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -15,50 +14,50 @@ use sha2::{Digest, Sha256};
 use crate::table::{Table, Text};
 use crate::verify::hex;
 
-/// A large file, first in the first wheel.
+/// A large file, the first one in the first wheel.
 pub(super) const LARGE: &str = "scenes/large texture.png";
-/// A small file behind it.
+/// A small file after the other two in the first wheel.
 pub(super) const SMALL: &str = "scenes/room.xml";
-/// A file of the second wheel.
+/// A file in the second wheel.
 pub(super) const OTHER: &str = "textures/wall.png";
-/// A file that nobody asks for, between the first two.
+/// A file between the first two that no test requests.
 pub(super) const UNWANTED: &str = "scenes/unwanted.stl";
 
-/// Fault of the index.
+/// Fault that the index simulates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
     None,
-    /// Pages are for browsers only, as those of simple mirrors.
+    /// Pages are HTML only, as on simple mirrors.
     PagesForBrowsers,
-    /// Connections end half-way through what they should send.
+    /// Every connection ends half-way through its answer.
     CutsMidway,
-    /// A request for a part of a wheel gets all of it.
+    /// A range request gets the whole wheel.
     NoRanges,
-    /// The same, and the first connection ends half-way.
+    /// A range request gets the whole wheel, and the first connection ends half-way.
     NoRangesAndCutsOnce,
-    /// The large file has other bytes.
+    /// The large file has wrong bytes.
     WrongBytes,
-    /// The large file has other bytes when it is sent for the first time.
+    /// The large file has wrong bytes in its first transfer.
     WrongBytesOnce,
     /// The first two answers are 503.
     BusyAtFirst,
-    /// The wheels are not for everybody.
+    /// The wheels are forbidden.
     Forbidden,
-    /// There is no such project.
+    /// The project does not exist.
     NoProject,
-    /// The projects have no such file.
+    /// The project lacks the requested wheel.
     NoWheel,
-    /// The second half of a wheel's first answer never comes.
+    /// The second half of a wheel's first answer is never sent.
     Stalls,
-    /// Bytes come slowly, but steadily.
+    /// Bytes arrive slowly but steadily.
     Slow,
-    /// The wheels have another size.
+    /// The wheels have the wrong size.
     OtherWheel,
     /// Requests without credentials are refused.
     NeedsCredentials,
 }
 
-/// The bytes of a file.
+/// Returns the bytes of a file.
 pub(super) fn content(path: &str) -> Vec<u8> {
     let noise = |count: u32| {
         let mut state = 1_u32;
@@ -76,14 +75,14 @@ pub(super) fn content(path: &str) -> Vec<u8> {
     }
 }
 
-/// Wheels in a row of bytes each, and the table of their members.
+/// Bytes of the wheels, and the table of their files.
 pub(super) struct Wheels {
     bytes: [Vec<u8>; 2],
     pub(super) table: &'static Table,
 }
 
 impl Wheels {
-    /// The wheel's file name.
+    /// Returns the wheel's file name.
     pub(super) fn name(wheel: usize) -> String {
         format!("part_{wheel}-1.0-py3-none-any.whl")
     }
@@ -123,7 +122,7 @@ impl Wheels {
         }
     }
 
-    /// Writes them into a folder.
+    /// Writes the wheels into a folder.
     pub(super) fn write(&self, folder: &std::path::Path) {
         for (wheel, bytes) in self.bytes.iter().enumerate() {
             std::fs::write(folder.join(Self::name(wheel)), bytes).expect("writes");
@@ -144,7 +143,7 @@ struct Server {
 }
 
 impl TestIndex {
-    /// Serves until the test's process ends.
+    /// Serves until the test process ends.
     pub(super) fn start(fault: Fault) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let address = listener.local_addr().expect("an address");
@@ -157,7 +156,7 @@ impl TestIndex {
         thread::spawn(move || {
             for stream in listener.incoming() {
                 let server = Arc::clone(&serving);
-                // A client that hangs up is not the index' concern.
+                // Errors of disconnected clients are ignored.
                 thread::spawn(move || drop(server.serve(stream.expect("a connection"))));
             }
         });
@@ -176,12 +175,12 @@ impl TestIndex {
         self.server.wheels.table
     }
 
-    /// `PATH`, or `PATH FIRST-LAST`, of every request.
+    /// Returns `PATH`, or `PATH FIRST-LAST`, of every request.
     pub(super) fn seen(&self) -> Vec<String> {
         self.server.seen.lock().expect("not poisoned").clone()
     }
 
-    /// The requests for wheels.
+    /// Returns the requests for wheels.
     pub(super) fn seen_of_wheels(&self) -> Vec<String> {
         let mut seen = self.seen();
         seen.retain(|request| request.contains(".whl"));
@@ -239,7 +238,7 @@ impl Server {
             if line.is_empty() {
                 break;
             }
-            // `user:secret!`
+            // Base64 of `user:secret!`.
             is_authorized |= line.eq_ignore_ascii_case("authorization: Basic dXNlcjpzZWNyZXQh");
             if let Some(bytes) = line.to_ascii_lowercase().strip_prefix("range: bytes=") {
                 let (first, last) = bytes.split_once('-').expect("two ends");
@@ -315,7 +314,7 @@ impl Server {
             Fault::Stalls if is_first => {
                 stream.write_all(&part[..half])?;
                 stream.flush()?;
-                // Until the client has given this connection up.
+                // Waits until the client has closed this connection.
                 let _ = BufReader::new(&stream).read_line(&mut String::new());
                 Ok(())
             }
@@ -331,7 +330,7 @@ impl Server {
         }
     }
 
-    /// Requests for wheels so far.
+    /// Number of requests for wheels so far.
     fn of_wheels(&self) -> usize {
         let seen = self.seen.lock().expect("not poisoned");
         seen.iter().filter(|it| it.contains(".whl")).count()
