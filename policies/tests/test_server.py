@@ -153,6 +153,49 @@ def test_a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again(serving
     assert (client.infer(query_index=1) != first).all()
 
 
+@pytest.mark.parametrize(
+    ("gripper", "expected"),
+    [
+        (Gripper.MINUS_ONE_OPENS, [-1, 1, -1]),
+        (Gripper.ONE_OPENS, [1, -1, 1]),
+        (Gripper.RLDS, [1, 0, 1]),
+        (Gripper.ZERO_OPENS, [0, 1, 0]),
+    ],
+)
+def test_what_is_under_way_reaches_the_policy_with_its_own_gripper(serving, gripper, expected):
+    class Told(Policy):
+        description = Description(
+            name="told", horizon=3, gripper=gripper, real_time_chunking=True
+        )
+
+        def reset(self, episode):
+            episode.memory = []
+
+        def infer(self, observation):
+            self.under_way = observation.under_way
+            return np.zeros((3, 7))
+
+    policy = Told()
+    client = serving(policy)
+    assert client.describe().real_time_chunking
+    client.reset()
+    client.infer()
+    assert policy.under_way is None
+    sent = np.tile(np.arange(7, dtype=np.float32) / 8, (3, 1))
+    sent[:, -1] = [-1, 1, -1]
+    request = client.request(query_index=1)
+    request.under_way.actions.extend(sent.ravel().tolist())
+    request.under_way.action_width, request.under_way.delay = 7, 2
+    client.stub.Infer(request)
+    assert policy.under_way.delay == 2
+    assert np.array_equal(policy.under_way.actions[:, :6], sent[:, :6])
+    assert policy.under_way.actions[:, 6].tolist() == expected
+    request.query_index, request.under_way.action_width = 2, 6
+    code, text = refusal(client.stub.Infer, request)
+    assert code == grpc.StatusCode.INVALID_ARGUMENT
+    assert "6 an action, not 7" in text
+
+
 def test_noise_depends_on_seed_and_query_alone(serving):
     client = serving(Noisy())
     client.reset("a", seed=3)

@@ -37,6 +37,7 @@ pub fn difference(one: &DescribeResponse, other: &DescribeResponse) -> Option<St
             ("seeding", (!it.unseeded).to_string()),
             ("language", it.language.to_string()),
             ("privileged", it.privileged.to_string()),
+            ("real-time chunking", it.real_time_chunking.to_string()),
         ]
     };
     let setting = |of: &DescribeResponse, name: &str| {

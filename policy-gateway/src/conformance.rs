@@ -15,6 +15,7 @@ pub use target::{ConformanceError, QUERIES, Target};
 use verdict::Verdict;
 
 pub mod front;
+pub mod latency;
 pub mod probe;
 pub mod scene;
 mod target;

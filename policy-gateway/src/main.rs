@@ -102,6 +102,11 @@ enum Command {
         #[arg(long, value_name = "SUITE", default_value = SUITES[0], value_parser = SUITES)]
         suite: String,
 
+        /// Measures its latency under load as well, and writes the distribution
+        /// of delays that `coordinator campaign create --execution` takes
+        #[arg(long, value_name = "FILE")]
+        latency: Option<PathBuf>,
+
         #[command(flatten)]
         access: ClientArguments,
     },
@@ -174,6 +179,7 @@ fn main() -> ExitCode {
             url,
             policy,
             suite,
+            latency,
             access,
         }) => {
             let target = |access| Target {
@@ -182,7 +188,7 @@ fn main() -> ExitCode {
                 suite,
                 access,
             };
-            check(target, access)
+            check(target, access, latency.as_deref())
         }
         Some(Command::Compare(compare)) => judge(compare.run(&|line| say(&line))),
         Some(Command::Doctor(doctor)) => judge(doctor.run(&|line| say(&line))),
@@ -286,6 +292,7 @@ fn usage_error(error: &dyn std::error::Error) -> ! {
 async fn check(
     target: impl FnOnce(Access) -> Target,
     access: ClientArguments,
+    latency: Option<&Path>,
 ) -> anyhow::Result<ExitCode> {
     let mut target = target(access.access(&[Role::Operator, Role::Worker])?);
     // Kept until the end.
@@ -303,6 +310,18 @@ async fn check(
     } else {
         "does not conform"
     });
+    if let Some(file) = latency {
+        let measured = conformance::latency::measure(&target).await?;
+        say(&measured.in_words());
+        let delays = measured.delays()?;
+        let text = serde_json::to_string_pretty(&measured)?;
+        std::fs::write(file, text + "\n").with_context(|| format!("write {}", file.display()))?;
+        say(&format!(
+            "`coordinator campaign create --execution overlap:@{}` draws from them: \
+             overlap:{delays}",
+            file.display()
+        ));
+    }
     drop(front);
     Ok(if conforms {
         ExitCode::SUCCESS

@@ -5,6 +5,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use libero_ctrl::{Query, TooLate};
 use policy_protocol::{ACTION_WIDTH, ActionFault, DescriptionFault};
 use proto::policy::{DescribeResponse, Observation, StateField};
 use transport::{AccessError, EndpointError};
@@ -49,6 +50,14 @@ pub enum PolicyError {
         endpoint: String,
         /// Fault of the description.
         fault: DescriptionFault,
+    },
+    /// Its answers are so short, and so late, that none would be executed.
+    #[error("{} cannot be run so: {problem}", named(policy))]
+    TooLate {
+        /// The policy's name at the endpoint.
+        policy: String,
+        /// Its answers and their delay. Part of the message, for campaigns show one sentence.
+        problem: TooLate,
     },
     /// It answered, and the answer cannot be executed.
     #[error(
@@ -162,7 +171,8 @@ pub trait Actor {
     fn end(&mut self, _session: PolicySession<'_>) {}
 
     /// Its answers to one observation: between one and `horizon` actions,
-    /// finite, not yet clipped.
+    /// finite, not yet clipped. It is told what is executed meanwhile, if anything is said of
+    /// it.
     ///
     /// # Errors
     /// If it does not answer, or answers something else.
@@ -172,6 +182,7 @@ pub trait Actor {
         query_index: u32,
         observation: Observation,
         horizon: usize,
+        under_way: Option<&Query>,
     ) -> Result<Vec<Action>, PolicyError>;
 }
 

@@ -8,7 +8,7 @@ use std::str::FromStr;
 use assets::HUB;
 use clap::error::ErrorKind;
 use clap::{ArgGroup, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
-use libero_ctrl::{Level, Realisation, RolloutId, Suite, TaskRef};
+use libero_ctrl::{Execution, Level, Realisation, RolloutId, Suite, TaskRef};
 use libero_family::protocol::Benchmark;
 use scene::pack::LIBERO;
 use sim::Renderer;
@@ -332,6 +332,10 @@ pub struct RolloutArguments {
     /// `reference`
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
+    /// What the robot does while an answer is under way, in control steps of
+    /// 50 ms: `wait`, `hold:4`, `overlap:4` or `overlap:4,rtc`
+    #[arg(long, value_name = "MODEL", default_value = "wait")]
+    pub execution: Execution,
     /// Makes no video and no pictures of its own, which saves drawing two per
     /// step; with --actions no renderer is opened at all
     #[arg(long)]

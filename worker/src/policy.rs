@@ -5,11 +5,12 @@
 
 use std::time::Duration;
 
-use policy_protocol::DescriptionFault;
+use libero_ctrl::Query;
+use policy_protocol::{ACTION_WIDTH, DescriptionFault};
 use proto::policy::policy_client::PolicyClient as GrpcClient;
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, InferRequest, Observation, ResetRequest,
-    StateField,
+    StateField, UnderWay,
 };
 use proto::{MAX_MESSAGE_BYTES, PROTOCOL_VERSION};
 use tokio::runtime::Runtime;
@@ -198,8 +199,20 @@ impl Actor for PolicyClient {
         query_index: u32,
         observation: Observation,
         horizon: usize,
+        under_way: Option<&Query>,
     ) -> Result<Vec<Action>, PolicyError> {
-        let request = infer_request(session, query_index, observation);
+        let mut request = infer_request(session, query_index, observation);
+        request.under_way = under_way.map(|query| UnderWay {
+            // Policies answer 32-bit numbers: nothing is lost.
+            actions: query
+                .under_way
+                .iter()
+                .flatten()
+                .map(|it| *it as f32)
+                .collect(),
+            action_width: ACTION_WIDTH as u32,
+            delay: query.delay,
+        });
         let mut grpc = self.grpc.clone();
         let call = format!("query {query_index}");
         let response = self
@@ -228,6 +241,7 @@ pub fn infer_request(
         session: session.session.to_owned(),
         query_index,
         observation: Some(observation),
+        under_way: None,
     }
 }
 

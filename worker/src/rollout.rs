@@ -9,8 +9,9 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
+use libero_ctrl::{Execution, Query, Schedule};
 use proto::policy as wire;
-use rollout_types::{GoalProgress, IkResidual, Motion, Parts, Realised, RolloutResult};
+use rollout_types::{EXECUTION, GoalProgress, IkResidual, Motion, Parts, Realised, RolloutResult};
 use sha2::{Digest, Sha256};
 use sim::episode::clip;
 use sim::{CameraRequest, Digests, Episode, Observation, ObservationRequest, SimError};
@@ -87,6 +88,8 @@ impl RolloutError {
     }
 }
 
+/// Name of the setting that says what became of real-time chunking.
+const REAL_TIME_CHUNKING: &str = "real-time chunking";
 /// Batch mode without a gateway that says more: each query goes alone, not in a
 /// batch of several rollouts.
 const UNBATCHED: &str = "single";
@@ -146,6 +149,14 @@ pub(crate) fn run_after(
     // Asked every time: a policy that was replaced since the last rollout must
     // not go into the results under its predecessor's digest.
     let description = actor.describe(assignment.policy_session())?;
+    let execution = &assignment.execution;
+    let horizon = description.horizon;
+    execution
+        .check(horizon)
+        .map_err(|problem| PolicyError::TooLate {
+            policy: assignment.policy.clone(),
+            problem,
+        })?;
     let mut run = Run {
         assignment,
         resumed,
@@ -179,7 +190,7 @@ pub(crate) fn run_after(
         policy_checkpoint_digest: description.about.checkpoint_digest.clone(),
         policy_privileged: description.about.privileged,
         policy_canonical_only: description.about.language() == wire::Language::CanonicalOnly,
-        policy_settings: settings(&description),
+        policy_settings: settings(&description, execution),
         batch_mode: match description.about.batch_mode.as_str() {
             "" => UNBATCHED.to_owned(),
             mode => mode.to_owned(),
@@ -286,14 +297,21 @@ impl Run<'_> {
     /// From the first query to the goal or the end of the budget.
     fn act(&mut self, episode: &mut Episode<'_>) -> Result<bool, RolloutError> {
         let row = &self.assignment.row;
+        let (execution, execute) = (self.assignment.execution.clone(), self.description.execute);
+        let mut schedule = Schedule::new(execution, execute, row.id.task(), row.init_id);
+        if let Some([.., gripper]) = self.executed.last() {
+            schedule = schedule.with_gripper(*gripper);
+        }
         while self.steps() < row.max_steps {
-            let room = (row.max_steps - self.steps()) as usize;
-            let actions = self.query(episode)?;
-            for sent in actions.into_iter().take(self.description.execute.min(room)) {
-                self.clipped_actions += u32::from(clip(&sent) != sent);
-                if self.step(episode, sent)? {
-                    return Ok(true);
-                }
+            if let Some(query) = schedule.due() {
+                schedule.answer(self.query(episode, &query)?);
+            }
+            let command = schedule.advance();
+            let sent = command.action;
+            let is_answered = command.source.is_some();
+            self.clipped_actions += u32::from(is_answered && clip(&sent) != sent);
+            if self.step(episode, sent)? {
+                return Ok(true);
             }
         }
         Ok(false)
@@ -314,7 +332,11 @@ impl Run<'_> {
     }
 
     /// Shows the policy the scene and gets its next actions.
-    fn query(&mut self, episode: &mut Episode<'_>) -> Result<Vec<Action>, RolloutError> {
+    fn query(
+        &mut self,
+        episode: &mut Episode<'_>,
+        query: &Query,
+    ) -> Result<Vec<Action>, RolloutError> {
         let request = observation_request(self.description);
         let seen = processor(&mut self.parts.drawing_secs, || episode.observe(&request));
         let observation = seen.map_err(|source| self.simulator_failed(source))?;
@@ -326,8 +348,9 @@ impl Run<'_> {
         let actions = by_clock(&mut self.parts.policy_secs, || {
             let session = self.assignment.policy_session();
             let horizon = self.description.horizon;
+            let under_way = self.assignment.execution.is_rtc().then_some(query);
             self.actor
-                .infer(session, self.queries, observation, horizon)
+                .infer(session, self.queries, observation, horizon, under_way)
         })?;
         self.queries += 1;
         Ok(actions)
@@ -372,15 +395,27 @@ fn carry_on(verdict: ControlFlow<()>) -> Result<(), RolloutError> {
 }
 
 /// Returns the settings that the policy's server resolved, with how much of each
-/// answer was executed.
-fn settings(description: &Description) -> BTreeMap<String, String> {
+/// answer was executed, and how while it was under way.
+fn settings(description: &Description, execution: &Execution) -> BTreeMap<String, String> {
     let given = description.about.settings.iter();
+    // A server's own word of that name would say of a rollout how it was executed.
+    let given = given.filter(|setting| setting.name != EXECUTION);
+    let model = (!execution.is_wait()).then(|| (EXECUTION.to_owned(), execution.to_string()));
+    let told = execution.is_rtc().then(|| {
+        let heeds = match description.about.real_time_chunking {
+            true => "heeded by the server",
+            false => "ignored by the server",
+        };
+        (REAL_TIME_CHUNKING.to_owned(), heeds.to_owned())
+    });
     given
         .map(|setting| (setting.name.clone(), setting.value.clone()))
         .chain([
             ("execute".to_owned(), description.execute.to_string()),
             ("horizon".to_owned(), description.horizon.to_string()),
         ])
+        .chain(model)
+        .chain(told)
         .collect()
 }
 

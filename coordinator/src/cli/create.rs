@@ -10,9 +10,10 @@ use clap::{ArgGroup, Args};
 use coordinator::client::Service;
 use coordinator::video_estimate;
 use libero_ctrl::{
-    Axis, AxisSet, CampaignSpec, Design, Directions, Level, MAX_CONFIGS, MAX_REPLICATES, Nominal,
-    PLACEBO_RADII, Placebo, PolicyRoute, Realisation, Record, RendererKind, Rollouts, Stop,
-    StopRule, Strata, TaskRef, UnknownName, Wanted, select_tasks,
+    Axis, AxisSet, CONTROL_HZ, CampaignSpec, Delays, Design, Directions, Execution, ExecutionError,
+    Level, MAX_CONFIGS, MAX_REPLICATES, Nominal, PLACEBO_RADII, Placebo, PolicyRoute, Realisation,
+    Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef, UnknownName, Wanted,
+    select_tasks,
 };
 use proto::coordinator::CreateCampaignRequest;
 use queue::expand::NewCampaign;
@@ -32,9 +33,9 @@ const DESIGN_FLAGS: [&str; 9] = [
     "placebo_radius", "placebo_configs",
 ];
 #[rustfmt::skip]
-const SPEC_FLAGS: [&str; 12] = [
+const SPEC_FLAGS: [&str; 13] = [
     "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
-    "renderer", "stop", "stop_seed", "stop_strata",
+    "renderer", "stop", "stop_seed", "stop_strata", "execution",
 ];
 /// Valid values of `--record`, `--nominal`, `--renderer`, `--directions` and `--stop-strata`.
 pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
@@ -150,6 +151,40 @@ struct SpecFlags {
     /// What must draw, likewise: `software` or `gl`.
     #[arg(long, value_parser = one_of::<RendererKind>(RENDERERS), hide_short_help = true)]
     renderer: Option<RendererKind>,
+    /// The robot's conduct while an answer is under way, N control steps of 50 ms: `wait`;
+    /// `hold:N`, the arm holds still; `overlap:N`, it goes on with the last answer;
+    /// `overlap:N,rtc`, and the policy is told with what. Instead of N, `@FILE` draws from
+    /// latencies that `policy-gateway check --latency` measured.
+    #[arg(long, value_name = "MODEL", default_value = "wait", hide_short_help = true,
+        value_parser = execution_text)]
+    execution: String,
+}
+
+/// Checks an execution model as far as it needs no file.
+fn execution_text(text: &str) -> Result<String, ExecutionError> {
+    // Any delay stands for those of the file, which is read later.
+    let (model, file) = text.split_once(":@").unwrap_or((text, ""));
+    let checked = match file {
+        "" => model.to_owned(),
+        _ => format!("{model}:0"),
+    };
+    checked.parse::<Execution>()?;
+    Ok(text.to_owned())
+}
+
+/// The execution model that a flag says, with a file of measured latencies in place of its
+/// delays.
+fn execution(text: &str) -> anyhow::Result<Execution> {
+    let Some((model, file)) = text.split_once(":@") else {
+        return Ok(text.parse()?);
+    };
+    let (file, told) = match file.strip_suffix(",rtc") {
+        Some(file) => (file, ",rtc"),
+        None => (file, ""),
+    };
+    let text = std::fs::read_to_string(file).with_context(|| format!("read `{file}`"))?;
+    let delays = Delays::from_json(&text).with_context(|| format!("use `{file}`"))?;
+    Ok(format!("{model}:{delays}{told}").parse()?)
 }
 
 /// The flags of a campaign that may end early.
@@ -241,6 +276,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         print_line(&format!("campaign {name} would have {total}"))?;
         tell_placebo(&campaign)?;
         tell_stop(&spec, &campaign)?;
+        tell_execution(&spec)?;
         print_line(&forecast::in_words(&answer, &campaign.policy))?;
         if let Some(words) = planning::in_words(&planning) {
             print_line(&words)?;
@@ -260,6 +296,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     let total = counted(created.jobs_total, "rollout");
     print_line(&format!("campaign {name} {happened}: {total}"))?;
     tell_stop(&spec, &campaign)?;
+    tell_execution(&spec)?;
     if created.priority != arguments.priority {
         let kept = created.priority;
         print_line(&format!(
@@ -267,6 +304,22 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         ))?;
     }
     tell_size(&campaign)
+}
+
+/// Says under which execution model rollouts run, unless the world waits.
+fn tell_execution(spec: &CampaignSpec) -> Result<(), CommandError> {
+    let (Some(delays), execution) = (spec.execution.delays(), &spec.execution) else {
+        return Ok(());
+    };
+    let milliseconds = |steps: u16| u32::from(steps) * 1000 / CONTROL_HZ;
+    let late = match (delays.shortest(), delays.longest()) {
+        (first, last) if first == last => format!("{} ms", milliseconds(first)),
+        (first, last) => format!("{} to {} ms", milliseconds(first), milliseconds(last)),
+    };
+    print_line(&format!(
+        "execution model {execution}: an answer takes effect after {late}"
+    ))?;
+    Ok(())
 }
 
 /// Prints the number of rollouts at the placebo level, which measure the noise floor.
@@ -323,6 +376,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             seed: arguments.stop.stop_seed,
             strata: arguments.stop.stop_strata,
         }),
+        execution: execution(&arguments.flags.execution).map_err(usage)?,
     };
     spec.check().map_err(usage)?;
     Ok(spec)

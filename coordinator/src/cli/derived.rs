@@ -50,6 +50,7 @@ pub(super) async fn create(
     record: Record,
 ) -> Result<(), CommandError> {
     let is_stopped = source.state() == State::Stopped;
+    let execution = self::spec(client, &source.campaign).await?.execution;
     let spec = CampaignSpec {
         name: name.to_owned(),
         policy: PolicyRoute {
@@ -62,6 +63,7 @@ pub(super) async fn create(
         record,
         wanted: Wanted::default(),
         stop: None,
+        execution,
     };
     spec.check().map_err(usage)?;
     let request = CreateCampaignRequest {

@@ -231,6 +231,7 @@ fn write_lease(job: Assigned) -> wire::Lease {
         policy: job.policy,
         policy_endpoint: job.policy_endpoint,
         realisation: job.realisation,
+        execution: job.execution,
         record_video: job.record == "all" || job.record == "failures",
         record_failures_only: job.record == "failures",
         keep_actions: job.record == "transitions",

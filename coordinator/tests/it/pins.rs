@@ -124,6 +124,43 @@ async fn a_policy_that_was_replaced_is_an_outage_of_the_one_that_was_measured() 
     }
 }
 
+/// A worker that is older than execution models waits, and says nothing of it.
+#[tokio::test]
+async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() {
+    for (of_campaign, of_result, expected) in [
+        (Some("overlap:4"), Some("overlap:4"), Verdict::Accepted),
+        (Some("overlap:4"), None, Verdict::Unpaired),
+        (Some("overlap:4"), Some("overlap:4,rtc"), Verdict::Unpaired),
+        (None, None, Verdict::Accepted),
+        (None, Some("hold:1"), Verdict::Unpaired),
+    ] {
+        let bench = Bench::start().await;
+        let spec = match of_campaign {
+            Some(model) => with(small_spec("late"), json!({ "execution": model })),
+            None => small_spec("late"),
+        };
+        bench.create(&spec).await.expect("created");
+        let mut worker = bench.worker_on("a", "primitives").await;
+        let lease = worker.claim_one().await;
+        assert_eq!(lease.execution, of_campaign.unwrap_or("wait"));
+        let mut report = worker.report(&lease, true);
+        let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
+        settings.retain(|name, _| name != "execution model");
+        settings.extend(of_result.map(|it| ("execution model".to_owned(), it.to_owned())));
+        let (verdict, detail) = worker.commit_request(report).await;
+        assert_eq!(verdict, expected, "{of_campaign:?} {of_result:?}: {detail}");
+        if expected == Verdict::Unpaired {
+            assert!(detail.contains("update the worker's program"), "{detail}");
+        }
+        let follows = json!({
+            "name": "why", "policy": spec["policy"], "explains": {"campaign": "late"},
+            "execution": "hold:7",
+        });
+        let error = bench.create(&follows).await.expect_err("another model");
+        assert!(error.message().contains("`execution` is hold:7"), "{error}");
+    }
+}
+
 type Replace = fn(&mut Provenance);
 
 fn execute(policy: &mut Provenance) {

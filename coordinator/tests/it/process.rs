@@ -276,6 +276,9 @@ async fn commands_that_are_wrong_exit_with_2_and_write_nothing() {
     check("--endpoint", "localhost", &["localhost", "http://"]);
     check("--replicates", "0", &["replicates"]);
     check("--realisation", "other", &["matched, reference"]);
+    check("--execution", "dawdle:3", &["no model `dawdle`", "hold:N"]);
+    check("--execution", "dawdle:@f.json", &["no model `dawdle`"]);
+    check("--execution", "overlap:201", &["from 0 to 200"]);
     check("--nominal", "some", &["some", "eval"]);
 
     let mut client = OperatorServiceClient::connect(serve.url.clone())

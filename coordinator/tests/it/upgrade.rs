@@ -21,7 +21,7 @@ use crate::process::{coordinator, text};
 /// every state, charged and uncharged failures, a policy that is down, films. The
 /// later ones are what released programs made of the second. A new migration adds the
 /// one of the schema before it.
-const RELEASED: [&str; 10] = [
+const RELEASED: [&str; 11] = [
     include_str!("../databases/schema_1.sql"),
     include_str!("../databases/schema_2.sql"),
     include_str!("../databases/schema_3.sql"),
@@ -32,6 +32,7 @@ const RELEASED: [&str; 10] = [
     include_str!("../databases/schema_8.sql"),
     include_str!("../databases/schema_9.sql"),
     include_str!("../databases/schema_10.sql"),
+    include_str!("../databases/schema_11.sql"),
 ];
 
 const FIRST_MIGRATION: &str = "0001_campaigns_jobs_results.sql";

@@ -12,7 +12,7 @@ from .actions import UnusableActions
 from .command import run
 from .conformance import CannotCheck, DoesNotConform, check
 from .description import Camera, Description, Gripper, Language, State
-from .episode import Episode, Observation, UnusableObservation
+from .episode import Episode, Observation, UnderWay, UnusableObservation
 from .fake import fake_episode, fake_observation
 from .policy import Policy, UnusableDescription
 from .processing.actions import Ensemble
@@ -37,6 +37,7 @@ __all__ = [
     "Policy",
     "Server",
     "State",
+    "UnderWay",
     "UnguardedAddress",
     "UnusableActions",
     "UnusableDescription",

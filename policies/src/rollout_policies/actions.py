@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from .description import Gripper
+from .description import Description, Gripper
+from .episode import UnderWay, UnusableObservation
 from .processing.robot import gripper_from_rlds
+from .proto import policy_pb2 as pb
 
 ACTION_WIDTH = 7
 
@@ -38,6 +40,18 @@ def read_actions(answer: object, horizon: int) -> np.ndarray:
     return actions
 
 
+def from_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
+    """Actions float32 [n, 7] of the simulator's convention with this one."""
+    turned = actions.copy()
+    if gripper is Gripper.RLDS:
+        turned[:, -1] = (1 - turned[:, -1]) / 2
+    elif gripper is Gripper.ZERO_OPENS:
+        turned[:, -1] = (1 + turned[:, -1]) / 2
+    elif gripper is not Gripper.MINUS_ONE_OPENS:
+        turned[:, -1] *= -1
+    return turned
+
+
 def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
     """Actions float32 [n, 7] of this convention with the simulator's: -1 open,
     1 closed."""
@@ -52,3 +66,18 @@ def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
         turned[:, -1] += 1
         return gripper_from_rlds(turned).astype(np.float32)
     return turned
+
+
+def read_under_way(message: pb.InferRequest, description: Description) -> UnderWay | None:
+    """What a query says is under way. Raises UnusableObservation for what is no chunk."""
+    if not message.HasField("under_way"):
+        return None
+    sent = message.under_way
+    actions = np.array(sent.actions, dtype=np.float32)
+    if sent.action_width != ACTION_WIDTH or actions.size % ACTION_WIDTH:
+        raise UnusableObservation(
+            f"what is under way is {actions.size} numbers, {sent.action_width} an action, not"
+            f" {ACTION_WIDTH}"
+        )
+    actions = from_simulator(actions.reshape(-1, ACTION_WIDTH), description.gripper)
+    return UnderWay(actions, sent.delay)

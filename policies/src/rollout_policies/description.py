@@ -130,6 +130,9 @@ class Description:
     #: Name or digest of the asset pack that it was taught on, such as "libero".
     #: Reports warn where it is measured on another.
     taught_on: str = ""
+    #: Heeds `observation.under_way`: its answers go on from what is executed while they are
+    #: under way.
+    real_time_chunking: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
@@ -189,6 +192,7 @@ class Description:
             stochastic=self.stochastic,
             language=self.language.value,
             max_batch=self.max_batch,
+            real_time_chunking=self.real_time_chunking,
             settings=[pb.Setting(name=name, value=value) for name, value in settings.items()],
         )
 
@@ -211,6 +215,7 @@ class Description:
             stochastic=message.stochastic,
             language=Language(message.language or pb.LANGUAGE_FREE_FORM),
             max_batch=max(1, message.max_batch),
+            real_time_chunking=message.real_time_chunking,
             settings={setting.name: setting.value for setting in message.settings},
         )
 

@@ -39,6 +39,18 @@ class Episode:
 
 
 @dataclass(frozen=True)
+class UnderWay:
+    """What the robot executes while the answer to a query is under way."""
+
+    #: Commands of the control steps from this observation on, float32 [n, 7], with the
+    #: gripper as the description says. The first `delay` are executed whatever is answered;
+    #: those behind them are what is left of the last answer, and this one replaces them.
+    actions: np.ndarray
+    #: Control steps until the answer takes effect: its first `delay` actions are dropped.
+    delay: int
+
+
+@dataclass(frozen=True)
 class Observation:
     """What the robot sees and feels at one query."""
 
@@ -53,6 +65,9 @@ class Observation:
     state: Mapping[State, np.ndarray] = field(default_factory=dict)
     #: What the policy's `prepare` made of it.
     prepared: Any = None
+    #: Under real-time chunking, None otherwise; say `real_time_chunking` in the description if
+    #: it is heeded.
+    under_way: UnderWay | None = None
 
     @property
     def rng(self) -> np.random.Generator:

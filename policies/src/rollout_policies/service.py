@@ -13,7 +13,7 @@ from typing import Any, Callable, Sequence
 
 import grpc
 
-from .actions import ACTION_WIDTH, UnusableActions, read_actions, to_simulator
+from .actions import ACTION_WIDTH, UnusableActions, read_actions, read_under_way, to_simulator
 from .broken import is_broken
 from .description import PROTOCOL_VERSION, Description
 from .episode import Episode, Observation, UnusableObservation, read_observation
@@ -144,6 +144,8 @@ class PolicyService(pb_grpc.PolicyServicer):
             observation = read_observation(
                 request.observation, session.episode, request.query_index, self._description
             )
+            under_way = read_under_way(request, self._description)
+            observation = replace(observation, under_way=under_way)
         except UnusableObservation as error:
             text = f"the observation cannot be used: {error}"
             return QueryError(grpc.StatusCode.INVALID_ARGUMENT, text)

@@ -52,6 +52,7 @@ impl Slot {
             session: format!("slot {number} of {}", std::process::id()),
             query_index: 0,
             observation: Some(scene::observation(&described, number)),
+            under_way: None,
         };
         let reset = ResetRequest {
             policy: policy.to_owned(),

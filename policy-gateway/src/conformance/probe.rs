@@ -329,6 +329,7 @@ impl Probe {
             session: self.session(name),
             query_index,
             observation: Some(scene::observation(&self.described, query_index)),
+            under_way: None,
         }
     }
 

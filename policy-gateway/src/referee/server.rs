@@ -128,6 +128,7 @@ impl Episode<'_> {
             session: self.session.clone(),
             query_index: self.next_query,
             observation: Some(observation),
+            under_way: None,
         };
         self.next_query += 1;
         let asked = Instant::now();

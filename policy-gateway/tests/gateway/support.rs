@@ -194,6 +194,7 @@ pub(crate) fn infer(policy: &str, session: &str, query_index: u32) -> InferReque
         session: session.to_owned(),
         query_index,
         observation: Some(Observation::default()),
+        under_way: None,
     }
 }
 

@@ -71,7 +71,7 @@ class ClaimResponse(_message.Message):
     def __init__(self, lease: _Optional[_Union[Lease, _Mapping]] = ..., idle_reason: _Optional[str] = ...) -> None: ...
 
 class Lease(_message.Message):
-    __slots__ = ("attempt_id", "job_id", "attempt", "campaign", "replicate", "manifest_row", "policy_seed", "policy", "policy_endpoint", "realisation", "record_video", "record_failures_only", "keep_actions")
+    __slots__ = ("attempt_id", "job_id", "attempt", "campaign", "replicate", "manifest_row", "policy_seed", "policy", "policy_endpoint", "realisation", "record_video", "record_failures_only", "keep_actions", "execution")
     ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
     JOB_ID_FIELD_NUMBER: _ClassVar[int]
     ATTEMPT_FIELD_NUMBER: _ClassVar[int]
@@ -85,6 +85,7 @@ class Lease(_message.Message):
     RECORD_VIDEO_FIELD_NUMBER: _ClassVar[int]
     RECORD_FAILURES_ONLY_FIELD_NUMBER: _ClassVar[int]
     KEEP_ACTIONS_FIELD_NUMBER: _ClassVar[int]
+    EXECUTION_FIELD_NUMBER: _ClassVar[int]
     attempt_id: str
     job_id: int
     attempt: int
@@ -98,7 +99,8 @@ class Lease(_message.Message):
     record_video: bool
     record_failures_only: bool
     keep_actions: bool
-    def __init__(self, attempt_id: _Optional[str] = ..., job_id: _Optional[int] = ..., attempt: _Optional[int] = ..., campaign: _Optional[str] = ..., replicate: _Optional[int] = ..., manifest_row: _Optional[str] = ..., policy_seed: _Optional[int] = ..., policy: _Optional[str] = ..., policy_endpoint: _Optional[str] = ..., realisation: _Optional[str] = ..., record_video: bool = ..., record_failures_only: bool = ..., keep_actions: bool = ...) -> None: ...
+    execution: str
+    def __init__(self, attempt_id: _Optional[str] = ..., job_id: _Optional[int] = ..., attempt: _Optional[int] = ..., campaign: _Optional[str] = ..., replicate: _Optional[int] = ..., manifest_row: _Optional[str] = ..., policy_seed: _Optional[int] = ..., policy: _Optional[str] = ..., policy_endpoint: _Optional[str] = ..., realisation: _Optional[str] = ..., record_video: bool = ..., record_failures_only: bool = ..., keep_actions: bool = ..., execution: _Optional[str] = ...) -> None: ...
 
 class HeartbeatRequest(_message.Message):
     __slots__ = ("worker_id", "progress", "filming")

@@ -13,7 +13,7 @@ use std::rc::Rc;
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use libero_ctrl::{ManifestRow, Realisation, TaskRef};
+use libero_ctrl::{ManifestRow, Query, Realisation, TaskRef};
 use prost::Message;
 use proto::policy::Observation;
 use scene::pack::LIBERO;
@@ -185,6 +185,7 @@ impl Actor for OpenLoop<'_> {
         query_index: u32,
         observation: Observation,
         horizon: usize,
+        _: Option<&Query>,
     ) -> Result<Vec<Action>, PolicyError> {
         let message = infer_request(session, query_index, observation).encode_to_vec();
         let mut timer = self.timer.borrow_mut();

@@ -21,7 +21,8 @@ use tests::phrases::raw_phrase;
 const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "Missing"];
 
 /// Errors that are sentences of their own; the others read after "failed to …".
-const SENTENCES: [&str; 12] = [
+const SENTENCES: [&str; 13] = [
+    "TooLate",
     "Trouble",
     "BackendError",
     "ActionFault",

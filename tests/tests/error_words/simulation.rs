@@ -1,7 +1,7 @@
 //! Errors of scenes, pictures and simulations, and of the worker.
 
 use assets::AssetsError;
-use libero_ctrl::NoSuchRow;
+use libero_ctrl::{Delays, Execution, NoSuchRow, TooLate};
 use libero_ctrl::numpy::LegacyRng;
 use libero_family::corruption::{Corruption, Picture, UnsuitedPicture};
 use libero_family::plus::{ProblemClass, Prompt, UnknownVariant};
@@ -51,6 +51,11 @@ fn no_policy() -> PolicyError {
         problem: "no answer within 60 s".to_owned(),
         answered: Some(3),
     }
+}
+
+fn too_late() -> TooLate {
+    let execution: Execution = "overlap:12".parse().expect("a model");
+    execution.check(10).expect_err("too late")
 }
 
 fn scenes(messages: &mut Messages) {
@@ -176,6 +181,15 @@ fn simulator(messages: &mut Messages) {
 }
 
 fn rollouts(messages: &mut Messages) {
+    messages.add("TooLate", too_late());
+    messages.add(
+        "ExecutionError",
+        "dawdle:3".parse::<Execution>().expect_err("no model"),
+    );
+    messages.add(
+        "LatencyFileError",
+        Delays::from_json("{}").expect_err("no delays"),
+    );
     variants!(messages, PolicyError,
         PolicyError::Endpoint(_) => PolicyError::Endpoint(EndpointError { given: text() }),
         PolicyError::Access(_) => PolicyError::Access(AccessError::Host { host: text() }),
@@ -192,6 +206,9 @@ fn rollouts(messages: &mut Messages) {
         PolicyError::Failed { .. } => PolicyError::Failed {
             call: "Reset".to_owned(), policy: text(), endpoint: "grpc://gpu-3:1".to_owned(),
             problem: "no such suite".to_owned(),
+        },
+        PolicyError::TooLate { .. } => PolicyError::TooLate {
+            policy: text(), problem: too_late(),
         },
         PolicyError::Ended { .. } => PolicyError::Ended { path: path(), actions: 12 },
     );

@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
 use std::{fs, process, thread};
 
-use libero_ctrl::{ManifestRow, Perturbation, RolloutId, TaskRef};
+use libero_ctrl::{ManifestRow, Perturbation, Query, RolloutId, TaskRef};
 use proto::policy::Observation;
 use serde::{Deserialize, Serialize};
 use sim::{Episode, Simulator, SimulatorConfig};
@@ -182,6 +182,7 @@ impl Actor for OpenLoop {
         query_index: u32,
         _observation: Observation,
         horizon: usize,
+        _: Option<&Query>,
     ) -> Result<Vec<Action>, PolicyError> {
         thread::sleep(self.answer_after);
         let first = query_index as usize * horizon;

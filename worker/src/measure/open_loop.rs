@@ -1,7 +1,7 @@
 //! A policy that takes no time: its actions are known beforehand, and it looks
 //! at what the published policies look at. For measurements.
 
-use libero_ctrl::{ManifestRow, Realisation};
+use libero_ctrl::{Execution, ManifestRow, Realisation};
 use policy_protocol::CAMERAS;
 use proto::PROTOCOL_VERSION;
 use proto::policy::{CameraRequest, DescribeResponse, StateField};
@@ -68,6 +68,7 @@ pub fn assignment(row: ManifestRow) -> Assignment {
         policy_deadline: POLICY_CALL_DEADLINE,
         session: Session::new(&row.id, 0, attempt),
         realisation: Realisation::Matched,
+        execution: Execution::Wait,
         video: None,
         keep_actions: false,
         row,

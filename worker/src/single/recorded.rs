@@ -16,7 +16,7 @@ use zip::ZipArchive;
 use super::error::SingleError;
 use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use crate::digest::hex;
-use libero_ctrl::JsonError;
+use libero_ctrl::{JsonError, Query};
 
 /// Most actions of a recording: far more than any budget of the protocol.
 const MAX_RECORDED_ACTIONS: usize = 10_000;
@@ -115,6 +115,7 @@ impl Actor for RecordedActions {
         _query_index: u32,
         _observation: Observation,
         horizon: usize,
+        _: Option<&Query>,
     ) -> Result<Vec<Action>, PolicyError> {
         let rest = self.actions.iter().skip(self.next).take(horizon);
         let answer: Vec<Action> = rest.copied().collect();

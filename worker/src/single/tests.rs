@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use libero_ctrl::{Axis, ManifestRow, Realisation, row_of};
+use libero_ctrl::{Axis, Execution, ManifestRow, Query, Realisation, row_of};
 use policy_protocol::CAMERAS;
 use proto::policy as wire;
 use rollout_types::GoalProgress;
@@ -76,6 +76,7 @@ pub(crate) fn assignment(row: ManifestRow, video: Option<&Path>) -> Assignment {
         session: Session::new(&row.id, 0, attempt),
         row,
         realisation: Realisation::Matched,
+        execution: Execution::Wait,
         policy: String::new(),
         policy_endpoint: String::new(),
         policy_seed: 0,
@@ -281,6 +282,7 @@ impl Actor for Looking {
         _query_index: u32,
         observation: wire::Observation,
         _horizon: usize,
+        _: Option<&Query>,
     ) -> Result<Vec<Action>, PolicyError> {
         self.seen.push(observation);
         Ok(vec![[0.5, 0.0, -0.5, 0.0, 0.0, 0.0, -1.0]])

@@ -75,6 +75,7 @@ pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
         ("MuJoCo version", "each is another simulator", mujoco as Of),
         ("asset pack", "each is another benchmark", pack),
         ("renderer", "each draws other pictures", renderer),
+        ("execution model", "each is another robot", execution),
     ];
     for (what, so, of) in comparable {
         let values = subjects.iter().flat_map(|s| s.provenances.iter().map(of));
@@ -93,7 +94,7 @@ pub(crate) type Of = fn(&Provenance) -> String;
 
 /// Properties that all results of a campaign should share, and what it means if
 /// they do not.
-const MIXTURES: [(&str, &str, Of); 6] = [
+const MIXTURES: [(&str, &str, Of); 7] = [
     (
         "MuJoCo version",
         "never pooled: each is another simulator",
@@ -115,6 +116,11 @@ const MIXTURES: [(&str, &str, Of); 6] = [
         "never pooled: each draws other pictures",
         renderer,
     ),
+    (
+        "execution model",
+        "never pooled: each is another robot",
+        execution,
+    ),
     ("program version", "compare with care", |p| {
         p.program_version.clone()
     }),
@@ -131,6 +137,10 @@ pub(crate) fn pack(p: &Provenance) -> String {
 /// Empty in results of older workers that drew no frame.
 pub(crate) fn renderer(p: &Provenance) -> String {
     p.pin.renderer.clone()
+}
+
+fn execution(p: &Provenance) -> String {
+    p.execution().to_owned()
 }
 
 fn checkpoint(p: &Provenance) -> String {

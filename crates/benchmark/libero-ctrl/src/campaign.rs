@@ -9,6 +9,7 @@ use crate::axis_set::AxisSet;
 use crate::condition::Realisation;
 use crate::design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
 use crate::directions::Directions;
+use crate::execution::Execution;
 use crate::explanation::Explanation;
 use crate::level::Level;
 use crate::manifest::{self, ManifestErrors};
@@ -51,6 +52,8 @@ pub struct CampaignSpec {
     pub wanted: Wanted,
     /// Rule by which it ends early; without one it runs to its end.
     pub stop: Option<Stop>,
+    /// The robot's conduct while an answer of its policy is under way.
+    pub execution: Execution,
 }
 
 /// Source of a campaign's rows.
@@ -287,12 +290,13 @@ impl CampaignSpec {
 
     /// Returns the version of the design that its rollouts belong to.
     pub fn version(&self) -> DesignVersion {
-        match &self.rollouts {
+        let version = match &self.rollouts {
             Rollouts::Design(design) => design.version(),
             Rollouts::Manifest(rows) => DesignVersion::of_manifest(rows),
             Rollouts::Explanation(explanation) => DesignVersion::of_explanation(explanation),
             Rollouts::Thresholds(thresholds) => DesignVersion::of_thresholds(thresholds),
-        }
+        };
+        version.under(&self.execution)
     }
 }
 
@@ -340,6 +344,8 @@ struct SpecText {
     renderer: Option<RendererKind>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     stop: Option<Stop>,
+    #[serde(default, skip_serializing_if = "Execution::is_wait")]
+    execution: Execution,
 }
 
 /// Fields that do not go together, or a task that is none.
@@ -387,6 +393,7 @@ impl TryFrom<SpecText> for CampaignSpec {
                 renderer: text.renderer,
             },
             stop: text.stop,
+            execution: text.execution,
         })
     }
 }
@@ -415,6 +422,7 @@ impl From<CampaignSpec> for SpecText {
             assets: spec.wanted.assets,
             renderer: spec.wanted.renderer,
             stop: spec.stop,
+            execution: spec.execution,
         };
         match spec.rollouts {
             Rollouts::Manifest(rows) => text.manifest = Some(rows),

@@ -9,6 +9,7 @@ use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::condition::Condition;
 use crate::directions::{Directions, MAX_CONFIGS};
+use crate::execution::Execution;
 use crate::explanation::Explanation;
 use crate::level::Level;
 use crate::manifest;
@@ -352,6 +353,21 @@ impl DesignVersion {
     /// The version of a campaign that measures another one's thresholds.
     pub fn of_thresholds(thresholds: &Thresholds) -> Self {
         Self::of_derived(THRESHOLDS, thresholds)
+    }
+
+    /// The version of the same rollouts under an execution model: of each but `wait`, another one.
+    pub(crate) fn under(self, execution: &Execution) -> Self {
+        if execution.is_wait() {
+            return self;
+        }
+        let prefixes = [MANIFEST, EXPLAINS, THRESHOLDS];
+        let prefix = prefixes.into_iter().find(|it| self.0.starts_with(it));
+        let text = format!("{} {execution}", self.0);
+        Self(format!(
+            "{}{:08x}",
+            prefix.unwrap_or(CUSTOM),
+            crc32fast::hash(text.as_bytes())
+        ))
     }
 
     fn of_derived(prefix: &str, from: &impl Serialize) -> Self {

@@ -18,6 +18,7 @@ mod campaign;
 mod condition;
 mod design;
 mod directions;
+mod execution;
 mod expansion;
 mod explanation;
 mod level;
@@ -30,6 +31,7 @@ mod privileged;
 mod rollout_id;
 mod row;
 mod row_of;
+mod schedule;
 mod stop;
 mod stop_rule;
 mod suite;
@@ -44,6 +46,9 @@ pub use campaign::{CampaignSpec, MAX_REPLICATES, PolicyRoute, Record, Rollouts, 
 pub use condition::{Condition, Realisation};
 pub use design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
 pub use directions::{Directions, MAX_CONFIGS};
+pub use execution::{
+    CONTROL_HZ, Delays, Execution, ExecutionError, LatencyFileError, MAX_DELAY, TooLate,
+};
 pub use explanation::Explanation;
 pub use level::Level;
 pub use measurable::NotMeasurable;
@@ -58,6 +63,7 @@ pub use privileged::{Entity, EntityKind, Predicate, Privileged};
 pub use rollout_id::RolloutId;
 pub use row::{MAX_ROWS, ManifestRow, RowError};
 pub use row_of::{NoSuchRow, row_of};
+pub use schedule::{ACTION_WIDTH, Action, Command, Query, Schedule};
 pub use stop::{Stop, StopError, Strata};
 pub use stop_rule::{Clause, Measure, StopRule};
 pub use suite::{INIT_STATES_PER_TASK, Suite, TASKS_PER_SUITE, TaskRef};

@@ -225,6 +225,7 @@ fn a_configuration_beyond_the_variants_speaks_one_of_them_again() {
 
 fn campaign(rollouts: Rollouts) -> CampaignSpec {
     CampaignSpec {
+        execution: Default::default(),
         name: "beyond".to_owned(),
         policy: PolicyRoute {
             name: "expert".to_owned(),

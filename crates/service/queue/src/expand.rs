@@ -29,6 +29,8 @@ pub struct NewCampaign {
     pub policy_endpoint: String,
     /// "matched" or "reference".
     pub realisation: String,
+    /// Text of its execution model.
+    pub execution: String,
     /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
     pub record: &'static str,
     /// Requirements on its workers.
@@ -143,6 +145,7 @@ impl NewCampaign {
             policy: spec.policy.name.clone(),
             policy_endpoint: spec.policy.endpoint.clone(),
             realisation: spec.realisation.to_string(),
+            execution: spec.execution.to_string(),
             wanted: spec.wanted.clone(),
             derived: match &spec.rollouts {
                 Rollouts::Design(_) | Rollouts::Manifest(_) => None,

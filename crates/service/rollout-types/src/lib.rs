@@ -13,6 +13,8 @@ mod result;
 
 pub use backoff::{Backoff, Waits};
 pub use id::{AttemptId, AttemptIdError};
-pub use provenance::{Digests, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER, TAUGHT_ON};
+pub use provenance::{
+    Digests, EXECUTION, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER, TAUGHT_ON,
+};
 pub use realised::{Realised, RealisedAxis, TOLERANCE};
 pub use result::{GoalProgress, IkResidual, Motion, Parts, RolloutResult};

@@ -12,6 +12,12 @@ pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
 /// Name of the setting in which a policy says on which asset pack it was taught.
 pub const TAUGHT_ON: &str = "taught on";
 
+/// Name of the setting with the execution model, where it is not [`WAIT`].
+pub const EXECUTION: &str = "execution model";
+
+/// The execution model of results that name none.
+const WAIT: &str = "wait";
+
 /// Asset pack, simulator and renderer of a worker. A campaign is pinned to one
 /// combination: results of two asset packs, simulators or renderers are two benchmarks,
 /// never pooled.
@@ -114,6 +120,13 @@ impl Provenance {
             .map(|(name, value)| format!("{name} {value}"))
             .collect();
         settings.join(", ")
+    }
+
+    /// Returns the text of the execution model: the robot's conduct while an answer was under way.
+    pub fn execution(&self) -> &str {
+        self.policy_settings
+            .get(EXECUTION)
+            .map_or(WAIT, String::as_str)
     }
 
     /// Returns the asset pack that the policy says it was taught on, where that is

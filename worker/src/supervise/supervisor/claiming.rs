@@ -180,6 +180,10 @@ impl Supervisor {
                 format!("read the manifest row of job {}: {problem}", lease.job_id)
             })?;
         let realisation = lease.realisation.parse();
+        let execution = match lease.execution.as_str() {
+            "" => Ok(libero_ctrl::Execution::Wait),
+            text => text.parse(),
+        };
         let endpoint = self.config.policy_endpoint.clone();
         let of = match lease.record_failures_only {
             true => VideoOf::Failures,
@@ -194,6 +198,7 @@ impl Supervisor {
             session: Session::new(&row.id, lease.replicate, attempt),
             realisation: realisation
                 .map_err(|error: libero_ctrl::UnknownName| error.to_string())?,
+            execution: execution.map_err(|error: libero_ctrl::ExecutionError| error.to_string())?,
             policy: lease.policy,
             policy_endpoint: endpoint.unwrap_or(lease.policy_endpoint),
             policy_seed: lease.policy_seed,

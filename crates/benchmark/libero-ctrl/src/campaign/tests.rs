@@ -36,6 +36,38 @@ fn design(spec: &CampaignSpec) -> &Design {
 }
 
 #[test]
+fn an_execution_model_is_written_unless_the_world_waits_and_makes_another_design() {
+    let waiting = spec(&[]).expect("a specification");
+    let text = serde_json::to_string(&waiting).expect("JSON");
+    assert!(!text.contains("execution"), "{text}");
+    let mut versions = vec![waiting.version()];
+    for model in [
+        "hold:4",
+        "overlap:4",
+        "overlap:4,rtc",
+        "overlap:3*812+4*188",
+    ] {
+        let spec = spec(&[("execution", model.into())]).expect("a specification");
+        let text = serde_json::to_string(&spec).expect("JSON");
+        assert!(
+            text.contains(&format!(r#""execution":"{model}""#)),
+            "{text}"
+        );
+        assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
+        versions.push(spec.version());
+    }
+    for version in &versions {
+        assert_eq!(version.to_string().parse().as_ref(), Ok(version));
+    }
+    let distinct: std::collections::BTreeSet<_> = versions.iter().collect();
+    assert_eq!(distinct.len(), versions.len());
+    let waits = spec(&[("execution", "wait".into())]).expect("a specification");
+    assert_eq!(waits, waiting);
+    let error = spec(&[("execution", "overlap:4000".into())]).expect_err("too long");
+    assert!(error.to_string().contains("overlap:N"), "{error}");
+}
+
+#[test]
 fn a_manifest_stands_in_place_of_a_design() {
     let rows = Design::v0_1().expand().expect("rows");
     let row = &rows[..1];

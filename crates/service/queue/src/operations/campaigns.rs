@@ -214,6 +214,17 @@ impl Context<'_> {
                 endpoint: source.endpoint,
             });
         }
+        if source.execution != new.execution {
+            let (name, theirs) = (&source.name, &source.execution);
+            return Err(QueueError::Unspecified {
+                campaign: new.name.clone(),
+                problem: format!(
+                    "`execution` is {}, and campaign `{name}` that it follows from ran under \
+                     {theirs}: write that",
+                    new.execution
+                ),
+            });
+        }
         if let Rollouts::Thresholds(thresholds) = derived {
             let spec = campaigns::spec(&mut self.tx, source.id).await?;
             let spec = CampaignSpec::from_json(&spec).map_err(undecodable);

@@ -55,6 +55,8 @@ pub struct Assigned {
     pub policy_endpoint: String,
     /// "matched" or "reference".
     pub realisation: String,
+    /// Text of the execution model.
+    pub execution: String,
     /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
     pub record: String,
 }
@@ -358,6 +360,7 @@ fn assigned(campaign: &Campaign, job: LeasedJob) -> Assigned {
         policy: campaign.policy.clone(),
         policy_endpoint: campaign.endpoint.clone(),
         realisation: campaign.realisation.clone(),
+        execution: campaign.execution.clone(),
         record: campaign.record.clone(),
     }
 }

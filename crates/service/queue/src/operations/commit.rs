@@ -150,6 +150,15 @@ impl Context<'_> {
             };
             return self.refuse(attempt, reason, detail).await;
         }
+        let (wanted, ran) = (&campaign.execution, report.provenance.execution());
+        if ran != wanted {
+            let name = &campaign.name;
+            let detail = format!(
+                "campaign `{name}` runs under execution model `{wanted}` and this result under \
+                 `{ran}`: update the worker's program"
+            );
+            return self.refuse(attempt, FailureReason::Unpaired, detail).await;
+        }
         let suite = attempt.row.id.task().suite();
         let measured = self
             .cache

@@ -37,6 +37,8 @@ pub struct Campaign {
     pub health: PolicyHealth,
     /// Source of its perturbations' random elements: "matched" or "reference".
     pub realisation: String,
+    /// Text of its execution model: the robot's conduct while an answer is under way.
+    pub execution: String,
     /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
     pub record: String,
     /// State that its operator set.
@@ -94,7 +96,7 @@ macro_rules! campaigns_where {
     ($condition:literal) => {
         concat!(
             "SELECT c.id, c.name, c.spec_digest, c.policy_id, p.name AS policy, p.endpoint,
-                 c.realisation, c.record, c.wanted, c.priority, c.created_ms,
+                 c.realisation, c.execution, c.record, c.wanted, c.priority, c.created_ms,
                  coalesce(c.folder, c.name) AS folder, c.pinned_ms,
                  json_object('is', iif(s.stopped_ms IS NULL, c.state, 'stopped'),
                      'since', coalesce(s.stopped_ms, c.state_since_ms)) AS state,
@@ -217,8 +219,8 @@ pub(crate) async fn insert_without_jobs(
         policies::find_or_insert(tx, &campaign.policy_endpoint, &campaign.policy, now).await?;
     let id: CampaignId = sqlx::query_scalar(
         "INSERT INTO campaign (name, spec, spec_digest, policy_id, realisation, record,
-             wanted, jobs, created_ms, state_since_ms, priority, folder)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10, nullif(?11, ?1)) RETURNING id",
+             wanted, jobs, created_ms, state_since_ms, priority, folder, execution)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?9, ?10, nullif(?11, ?1), ?12) RETURNING id",
     )
     .bind(&campaign.name)
     .bind(&campaign.spec)
@@ -231,6 +233,7 @@ pub(crate) async fn insert_without_jobs(
     .bind(now)
     .bind(campaign.priority)
     .bind(folder)
+    .bind(&campaign.execution)
     .fetch_one(&mut *tx)
     .await
     .doing("store a campaign")?;

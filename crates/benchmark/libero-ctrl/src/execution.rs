@@ -1,0 +1,312 @@
+//! Execution model of a campaign: the robot's conduct while its policy's answer is under
+//! way. The delay is counted in control steps, never in wall time, so that a campaign has the
+//! same outcomes however fast its policy's server is. Which command is executed at which step
+//! is `schedule`'s business.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::Deserialize;
+
+use crate::names::serde_as_text;
+use crate::streams::{MatchedRng, MatchedStream};
+use crate::suite::TaskRef;
+
+/// Control steps per second of LIBERO's robot.
+pub const CONTROL_HZ: u32 = 20;
+/// Longest delay, control steps: ten seconds.
+pub const MAX_DELAY: u16 = 200;
+/// Most different delays of a distribution.
+const MAX_DISTINCT_DELAYS: usize = 32;
+/// Largest weight of one delay.
+const MAX_WEIGHT: u32 = 1000;
+/// Part of the key of drawn delays: a change of what is drawn must change it.
+const STREAM_VERSION: &str = "libero-ctrl/v0.1/latency/1";
+
+/// The robot's conduct while an answer is under way.
+///
+/// Its text is `wait`, `hold:N`, `overlap:N` or `overlap:N,rtc`, with a number of control steps
+/// for N, or a distribution `3*812+4*188`: three steps with weight 812, four with 188.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Execution {
+    /// The world stands still, which is what a simulator does and no robot.
+    #[default]
+    Wait,
+    /// The arm holds still, then executes the answer from its first action.
+    Hold(Delays),
+    /// The arm goes on with the last answer. Action i of the answer to step t belongs to step
+    /// t + i, so that as many actions are dropped as the answer is late.
+    Overlap {
+        /// Lateness of an answer.
+        delays: Delays,
+        /// Real-time chunking: the policy is told what is executed meanwhile.
+        rtc: bool,
+    },
+}
+
+/// Delays of answers, control steps: one, or a distribution from which each is drawn.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Delays {
+    /// Steps and weight, in order of the steps; at least one.
+    weighted: Vec<(u16, u32)>,
+}
+
+/// A text that is no execution model.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "read execution model `{given}`: {problem}; write wait, hold:N, overlap:N or overlap:N,rtc \
+     with N control steps from 0 to {MAX_DELAY}, or a distribution such as 3*812+4*188"
+)]
+pub struct ExecutionError {
+    /// The text given.
+    given: String,
+    /// A clause that says what is wrong with it.
+    problem: String,
+}
+
+/// A file of measured latencies from which nothing can be drawn.
+#[derive(Debug, thiserror::Error)]
+#[error("read measured latencies: {problem}; `policy-gateway check --latency FILE` writes them")]
+pub struct LatencyFileError {
+    /// A clause that says what is wrong with it.
+    problem: String,
+}
+
+/// An execution model under which no action of a policy would ever be executed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "execution model `{execution}` drops at least {dropped} actions of each answer, and an answer \
+     has {horizon} at most: none would ever be executed. Choose a delay below {horizon}, \
+     `hold:{dropped}`, which drops none, or a policy with longer answers"
+)]
+pub struct TooLate {
+    /// The model.
+    pub execution: Execution,
+    /// Actions that are dropped at least.
+    pub dropped: u16,
+    /// Actions of an answer at most.
+    pub horizon: usize,
+}
+
+impl Execution {
+    /// Returns true if the robot waits, which earlier releases always did.
+    pub fn is_wait(&self) -> bool {
+        *self == Self::Wait
+    }
+
+    /// Returns true if the policy is to be told what is executed meanwhile.
+    pub fn is_rtc(&self) -> bool {
+        matches!(self, Self::Overlap { rtc: true, .. })
+    }
+
+    /// Returns its delays; none if the world waits.
+    pub fn delays(&self) -> Option<&Delays> {
+        match self {
+            Self::Wait => None,
+            Self::Hold(delays) | Self::Overlap { delays, .. } => Some(delays),
+        }
+    }
+
+    /// Checks that a policy whose answers have `horizon` actions at most is executed at all.
+    ///
+    /// # Errors
+    /// If every answer would come after its last action.
+    pub fn check(&self, horizon: usize) -> Result<(), TooLate> {
+        match self {
+            Self::Overlap { delays, .. } if usize::from(delays.shortest()) >= horizon => {
+                Err(TooLate {
+                    execution: self.clone(),
+                    dropped: delays.shortest(),
+                    horizon,
+                })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Delays {
+    /// The same delay of every answer; none if it is beyond [`MAX_DELAY`].
+    pub fn fixed(steps: u16) -> Option<Self> {
+        Self::weighted([(steps, 1)]).ok()
+    }
+
+    /// A distribution; weights of the same delay are added. The error is a clause.
+    fn weighted(given: impl IntoIterator<Item = (u16, u32)>) -> Result<Self, String> {
+        let mut weighted = std::collections::BTreeMap::<u16, u32>::new();
+        for (steps, weight) in given {
+            if steps > MAX_DELAY {
+                return Err(format!("a delay of {steps} control steps is too long"));
+            }
+            if !(1..=MAX_WEIGHT).contains(&weight) {
+                return Err(format!("the weight {weight} is not from 1 to {MAX_WEIGHT}"));
+            }
+            *weighted.entry(steps).or_default() += weight;
+        }
+        match weighted.len() {
+            0 => Err("it has no delay".to_owned()),
+            1 => Ok(Self {
+                weighted: weighted.into_keys().map(|steps| (steps, 1)).collect(),
+            }),
+            2..=MAX_DISTINCT_DELAYS => Ok(Self {
+                weighted: weighted.into_iter().collect(),
+            }),
+            many => Err(format!(
+                "it has {many} different delays, at most {MAX_DISTINCT_DELAYS} are possible"
+            )),
+        }
+    }
+
+    /// The distribution of measured latencies, of which `counts` says how many took so many
+    /// control steps. Weights are thousandths, and at least one.
+    ///
+    /// # Errors
+    /// If there is none, one is too long, or there are too many different ones.
+    pub fn measured(
+        counts: impl IntoIterator<Item = (u16, u64)>,
+    ) -> Result<Self, LatencyFileError> {
+        let counts: Vec<(u16, u64)> = counts.into_iter().filter(|(_, it)| *it > 0).collect();
+        let total = counts.iter().map(|(_, count)| *count as f64).sum::<f64>();
+        let weight = |count: u64| {
+            let thousandths = count as f64 / total * f64::from(MAX_WEIGHT);
+            (thousandths.round() as u32).max(1)
+        };
+        Self::weighted(counts.iter().map(|&(steps, count)| (steps, weight(count))))
+            .map_err(|problem| LatencyFileError { problem })
+    }
+
+    /// Reads a file of measured latencies: JSON with the number of answers by their delay in
+    /// control steps, `{"delay_steps": {"3": 812, "4": 188}}`. Other fields are for people.
+    ///
+    /// # Errors
+    /// If it is no such file, or nothing can be drawn from it.
+    pub fn from_json(text: &str) -> Result<Self, LatencyFileError> {
+        #[derive(Deserialize)]
+        struct File {
+            delay_steps: std::collections::BTreeMap<u16, u64>,
+        }
+        let file: File = serde_json::from_str(text).map_err(|error| LatencyFileError {
+            problem: crate::wording::JsonError::from(error).to_string(),
+        })?;
+        Self::measured(file.delay_steps)
+    }
+
+    /// Returns the shortest of them.
+    pub fn shortest(&self) -> u16 {
+        self.weighted[0].0
+    }
+
+    /// Returns the longest of them.
+    pub fn longest(&self) -> u16 {
+        self.weighted[self.weighted.len() - 1].0
+    }
+
+    /// Returns the delay of the answer to a query. The same for every rollout of a task from
+    /// one initial state, whatever is perturbed: matched pairs differ in nothing else.
+    pub fn of_query(&self, task: TaskRef, init_id: u16, query: u32) -> u16 {
+        if let [(only, _)] = self.weighted[..] {
+            return only;
+        }
+        let stream = MatchedStream::named(&format!("{STREAM_VERSION}/{task}/i{init_id}"));
+        self.pick(&mut stream.at(query, 0))
+    }
+
+    fn pick(&self, rng: &mut MatchedRng) -> u16 {
+        let total: u32 = self.weighted.iter().map(|(_, weight)| weight).sum();
+        let mut place = rng.random() * f64::from(total);
+        for &(steps, weight) in &self.weighted {
+            place -= f64::from(weight);
+            if place < 0.0 {
+                return steps;
+            }
+        }
+        self.longest()
+    }
+}
+
+impl fmt::Display for Delays {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let [(only, _)] = self.weighted[..] {
+            return write!(f, "{only}");
+        }
+        let terms = self.weighted.iter();
+        let terms: Vec<String> = terms
+            .map(|(steps, weight)| format!("{steps}*{weight}"))
+            .collect();
+        f.write_str(&terms.join("+"))
+    }
+}
+
+impl fmt::Display for Execution {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Wait => f.write_str("wait"),
+            Self::Hold(delays) => write!(f, "hold:{delays}"),
+            Self::Overlap { delays, rtc: false } => write!(f, "overlap:{delays}"),
+            Self::Overlap { delays, rtc: true } => write!(f, "overlap:{delays},rtc"),
+        }
+    }
+}
+
+impl FromStr for Delays {
+    type Err = ExecutionError;
+
+    fn from_str(text: &str) -> Result<Self, ExecutionError> {
+        delays(text).map_err(|problem| ExecutionError {
+            given: text.to_owned(),
+            problem,
+        })
+    }
+}
+
+impl FromStr for Execution {
+    type Err = ExecutionError;
+
+    fn from_str(text: &str) -> Result<Self, ExecutionError> {
+        let error = |problem: String| ExecutionError {
+            given: text.to_owned(),
+            problem,
+        };
+        if text == "wait" {
+            return Ok(Self::Wait);
+        }
+        let Some((model, rest)) = text.split_once(':') else {
+            return Err(error("it names no delay".to_owned()));
+        };
+        match model {
+            "hold" => Ok(Self::Hold(delays(rest).map_err(error)?)),
+            "overlap" => {
+                let told = rest.strip_suffix(",rtc");
+                Ok(Self::Overlap {
+                    delays: delays(told.unwrap_or(rest)).map_err(error)?,
+                    rtc: told.is_some(),
+                })
+            }
+            other => Err(error(format!("there is no model `{other}`"))),
+        }
+    }
+}
+
+fn delays(text: &str) -> Result<Delays, String> {
+    let number = |text: &str| -> Result<u32, String> {
+        // Without signs and spaces: one text for one model.
+        let digits = Some(text).filter(|it| it.bytes().all(|byte| byte.is_ascii_digit()));
+        let read = digits.and_then(|it| it.parse().ok());
+        read.ok_or_else(|| format!("`{text}` is no number"))
+    };
+    let steps =
+        |text: &str| -> Result<u16, String> { Ok(number(text)?.try_into().unwrap_or(u16::MAX)) };
+    if !text.contains('*') {
+        return Delays::weighted([(steps(text)?, 1)]);
+    }
+    let mut weighted = Vec::new();
+    for term in text.split('+') {
+        let Some((delay, weight)) = term.split_once('*') else {
+            return Err(format!("`{term}` has no weight"));
+        };
+        weighted.push((steps(delay)?, number(weight)?));
+    }
+    Delays::weighted(weighted)
+}
+
+serde_as_text!(Execution);

@@ -1,0 +1,101 @@
+//! Texts of execution models, delays that are drawn, and files of measured latencies.
+
+use libero_ctrl::{Delays, Execution, TaskRef};
+
+fn execution(text: &str) -> Execution {
+    text.parse().expect("an execution model")
+}
+
+#[test]
+fn models_read_back_from_their_text() {
+    for text in [
+        "wait",
+        "hold:0",
+        "hold:200",
+        "overlap:4",
+        "overlap:4,rtc",
+        "hold:3*812+4*188",
+        "overlap:0*1+200*1000,rtc",
+    ] {
+        assert_eq!(execution(text).to_string(), text);
+    }
+    assert_eq!(execution("hold:4*1+3*2+4*1").to_string(), "hold:3*2+4*2");
+    assert_eq!(execution("hold:4*7").to_string(), "hold:4");
+}
+
+#[test]
+fn other_texts_are_refused_with_what_is_wrong_and_what_is_right() {
+    let long: Vec<String> = (0..33).map(|it| format!("{it}*1")).collect();
+    let long = format!("hold:{}", long.join("+"));
+    for (text, problem) in [
+        ("", "names no delay"),
+        ("hold", "names no delay"),
+        ("dawdle:3", "no model `dawdle`"),
+        ("hold:", "`` is no number"),
+        ("hold:+3", "`+3` is no number"),
+        ("hold:201", "a delay of 201"),
+        ("hold:99999999999", "no number"),
+        ("hold:3,rtc", "`3,rtc` is no number"),
+        ("overlap:3*0", "weight 0"),
+        ("overlap:3*1001", "weight 1001"),
+        ("overlap:3*1+4", "`4` has no weight"),
+        (long.as_str(), "33 different delays"),
+    ] {
+        let error = text.parse::<Execution>().expect_err(text).to_string();
+        assert!(error.contains(problem), "{text}: {error}");
+        assert!(error.contains("write wait, hold:N"), "{error}");
+    }
+}
+
+#[test]
+fn every_answer_has_a_delay_of_the_distribution_as_often_as_it_says() {
+    let delays: Delays = "2*700+3*200+9*100".parse().expect("delays");
+    let task = TaskRef::all().next().expect("a task");
+    let mut counts = std::collections::BTreeMap::<u16, u32>::new();
+    for query in 0..20_000 {
+        *counts.entry(delays.of_query(task, 3, query)).or_default() += 1;
+    }
+    assert_eq!(counts.keys().copied().collect::<Vec<_>>(), [2, 3, 9]);
+    for (steps, expected) in [(2, 14_000.0), (3, 4_000.0), (9, 2_000.0)] {
+        let off = f64::from(counts[&steps]) - expected;
+        assert!(off.abs() < 300.0, "{steps}: {counts:?}");
+    }
+    let first: Vec<u16> = (0..9).map(|it| delays.of_query(task, 3, it)).collect();
+    let other: Vec<u16> = (0..9).map(|it| delays.of_query(task, 4, it)).collect();
+    assert_ne!(first, other, "each initial state has its own");
+    // Pins the stream: another one needs a new version of its key.
+    assert_eq!(first, [2, 9, 2, 2, 2, 2, 2, 2, 2]);
+}
+
+#[test]
+fn measured_latencies_become_weights_of_thousandths() {
+    let read = |text: &str| Delays::from_json(text).map(|it| it.to_string());
+    let text = r#"{"server": "pi05", "delay_steps": {"3": 8120, "4": 1879, "30": 1, "5": 0}}"#;
+    assert_eq!(read(text).expect("delays"), "3*812+4*188+30*1");
+    assert_eq!(read(r#"{"delay_steps": {"2": 5}}"#).expect("one"), "2");
+    for (text, problem) in [
+        ("{", "line 1"),
+        (r#"{"delay_steps": {}}"#, "no delay"),
+        (r#"{"delay_steps": {"3": 0}}"#, "no delay"),
+        (r#"{"delay_steps": {"300": 1}}"#, "300 control steps"),
+    ] {
+        let error = read(text).expect_err(text).to_string();
+        assert!(error.contains(problem), "{text}: {error}");
+    }
+}
+
+#[test]
+fn a_delay_of_a_whole_answer_is_refused_with_the_remedy() {
+    for (text, horizon) in [
+        ("wait", 1),
+        ("hold:9", 1),
+        ("overlap:7", 8),
+        ("overlap:1*1+9*1", 8),
+    ] {
+        assert_eq!(execution(text).check(horizon), Ok(()), "{text}");
+    }
+    for text in ["overlap:8", "overlap:9,rtc", "overlap:8*1+9*1"] {
+        let error = execution(text).check(8).expect_err(text).to_string();
+        assert!(error.contains("Choose a delay below 8, `hold:"), "{error}");
+    }
+}

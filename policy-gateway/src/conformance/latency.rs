@@ -1,0 +1,161 @@
+//! Latency of a policy server under load, in control steps: what a campaign's execution model
+//! draws delays from.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use libero_ctrl::{CONTROL_HZ, Delays, LatencyFileError};
+use serde::Serialize;
+
+use super::probe::Probe;
+use super::target::ConformanceError;
+use super::{CONCURRENCY, Target};
+
+/// Rounds of episodes side by side.
+const ROUNDS: u32 = 20;
+
+/// Latencies of a server while several rollouts ask it at once; also the content of a file that
+/// `coordinator campaign create --execution overlap:@FILE` reads.
+#[derive(Clone, Debug, Serialize)]
+pub struct Latency {
+    /// Address of the server.
+    pub server: String,
+    /// Name that the policy gives itself.
+    pub policy: String,
+    /// Its checkpoint.
+    pub checkpoint: String,
+    /// Rollouts that ask at once.
+    pub at_once: u32,
+    /// Answers that were measured.
+    pub answers: usize,
+    /// Half of them came within this time, milliseconds.
+    pub median_ms: f64,
+    /// Of 100 answers 95 did.
+    pub p95_ms: f64,
+    /// All of them did.
+    pub slowest_ms: f64,
+    /// Control steps per second that delays are counted in.
+    pub control_hz: u32,
+    /// Answers by their delay in control steps, rounded up: an answer takes effect with the
+    /// step after it.
+    pub delay_steps: BTreeMap<u16, u64>,
+    /// True if the server goes on from what is executed meanwhile.
+    pub real_time_chunking: bool,
+}
+
+/// Measures the latency of a policy server.
+///
+/// # Errors
+/// If the server cannot be reached, or fails to answer.
+pub async fn measure(target: &Target) -> Result<Latency, ConformanceError> {
+    let probe = Probe::connect(target).await?;
+    let mut latencies = Vec::new();
+    for _ in 0..ROUNDS {
+        let round = probe.side_by_side(CONCURRENCY).await;
+        let (_, round) = round.map_err(|status| ConformanceError::Episode {
+            url: target.url.clone(),
+            status: status.into(),
+        })?;
+        latencies.extend(round);
+    }
+    let described = probe.described();
+    Ok(Latency {
+        server: target.url.clone(),
+        policy: described.name.clone(),
+        checkpoint: described.checkpoint.clone(),
+        real_time_chunking: described.real_time_chunking,
+        ..Latency::of(latencies)
+    })
+}
+
+impl Latency {
+    /// The figures of some latencies, at least one, of a server without a name.
+    fn of(mut latencies: Vec<Duration>) -> Self {
+        latencies.sort();
+        let within = |hundredths: usize| {
+            let place = (latencies.len() * hundredths).div_ceil(100).max(1) - 1;
+            let latency = latencies.get(place).copied().unwrap_or_default();
+            latency.as_secs_f64() * 1000.0
+        };
+        let mut delay_steps = BTreeMap::new();
+        for &latency in &latencies {
+            *delay_steps.entry(steps(latency)).or_default() += 1;
+        }
+        Self {
+            server: String::new(),
+            policy: String::new(),
+            checkpoint: String::new(),
+            at_once: CONCURRENCY,
+            answers: latencies.len(),
+            median_ms: within(50),
+            p95_ms: within(95),
+            slowest_ms: within(100),
+            control_hz: CONTROL_HZ,
+            delay_steps,
+            real_time_chunking: false,
+        }
+    }
+
+    /// Returns the delays that a campaign draws from these.
+    ///
+    /// # Errors
+    /// If one is longer than a campaign takes, or too many are different.
+    pub fn delays(&self) -> Result<Delays, LatencyFileError> {
+        Delays::measured(self.delay_steps.clone())
+    }
+
+    /// Says the latency in a sentence, and whether the server heeds real-time chunking.
+    pub fn in_words(&self) -> String {
+        let step = |milliseconds: f64| steps(Duration::from_secs_f64(milliseconds / 1000.0));
+        let steps =
+            |milliseconds: f64| terminal::counted(step(milliseconds).into(), "control step");
+        let rtc = match self.real_time_chunking {
+            true => "heeds",
+            false => "does not heed",
+        };
+        format!(
+            "latency with {} rollouts at once: median {:.0} ms, {} at {} Hz; 95 % within {:.0} ms, \
+             {}; slowest {:.0} ms, {}; it {rtc} real-time chunking",
+            self.at_once,
+            self.median_ms,
+            steps(self.median_ms),
+            self.control_hz,
+            self.p95_ms,
+            steps(self.p95_ms),
+            self.slowest_ms,
+            steps(self.slowest_ms),
+        )
+    }
+}
+
+/// Control steps until an answer takes effect.
+fn steps(latency: Duration) -> u16 {
+    let steps = (latency.as_secs_f64() * f64::from(CONTROL_HZ)).ceil();
+    // A cast stops at the end of its range, almost an hour away.
+    steps as u16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn latencies_are_counted_in_control_steps_rounded_up() {
+        let milliseconds = [1, 50, 51, 120, 149, 150, 151, 160, 170, 420];
+        let latencies = milliseconds.map(Duration::from_millis).to_vec();
+        let latency = Latency::of(latencies);
+        let counts: Vec<(u16, u64)> = latency.delay_steps.clone().into_iter().collect();
+        assert_eq!(counts, [(1, 2), (2, 1), (3, 3), (4, 3), (9, 1)]);
+        assert_eq!(latency.median_ms.round(), 149.0);
+        assert_eq!(latency.slowest_ms.round(), 420.0);
+        let words = latency.in_words();
+        assert!(
+            words.contains("median 149 ms, 3 control steps at 20 Hz"),
+            "{words}"
+        );
+        let text = serde_json::to_string(&latency).expect("JSON");
+        let read = Delays::from_json(&text).expect("a campaign reads it");
+        assert_eq!(read.to_string(), "1*200+2*100+3*300+4*300+9*100");
+        assert_eq!(latency.delays().expect("the same"), read);
+    }
+}

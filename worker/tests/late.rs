@@ -1,0 +1,232 @@
+//! Rollouts whose policy is late: the same bits however long it takes by the clock.
+
+use std::ops::ControlFlow;
+use std::thread::sleep;
+use std::time::Duration;
+
+use libero_ctrl::{Execution, ManifestRow, Query, row_of};
+use proto::policy as wire;
+use rollout_types::{EXECUTION, Motion};
+use scene::{AssetPack, Sources};
+use sim::{Episode, Renderer, Simulator, SimulatorConfig};
+use worker::actor::{Action, Actor, Description, PolicyError, PolicySession};
+use worker::ids::random_id;
+use worker::measure::open_loop::assignment;
+use worker::message::{FailureKind, Finished};
+use worker::rollout::{Simulated, Step, Watcher, run};
+use worker::stage::Stage;
+
+const HORIZON: usize = 10;
+const EXECUTE: usize = 6;
+/// Control steps of a rollout.
+const STEPS: u32 = 40;
+
+/// Answers with what follows from the hand's position to the last bit, so that one step that
+/// differs makes all later ones differ.
+struct Nervous {
+    /// Takes a random time for each answer.
+    dawdles: bool,
+    /// Steps so far, as the watcher counts them.
+    told: Vec<Query>,
+}
+
+impl Actor for Nervous {
+    fn describe(&mut self, _: PolicySession<'_>) -> Result<Description, PolicyError> {
+        Ok(Description {
+            about: wire::DescribeResponse::default(),
+            state: vec![wire::StateField::EefPos],
+            horizon: HORIZON,
+            execute: EXECUTE,
+        })
+    }
+
+    fn infer(
+        &mut self,
+        _: PolicySession<'_>,
+        _query_index: u32,
+        observation: wire::Observation,
+        horizon: usize,
+        under_way: Option<&Query>,
+    ) -> Result<Vec<Action>, PolicyError> {
+        if self.dawdles {
+            let random = random_id().to_string();
+            let random = u64::from_str_radix(&random[..4], 16).expect("digits");
+            sleep(Duration::from_micros(random / 4));
+        }
+        self.told.extend(under_way.cloned());
+        let position = &observation.state[0].values;
+        let action = |place: usize| {
+            let mut action = [0.0; 7];
+            for (axis, number) in action.iter_mut().enumerate() {
+                let mixed = position[axis % 3] * 1e4 * (1.0 + axis as f64 + place as f64);
+                // As answers travel: 32-bit numbers.
+                *number = f64::from((mixed.fract() * 0.9) as f32);
+            }
+            action
+        };
+        Ok((0..horizon).map(action).collect())
+    }
+}
+
+/// Keeps the answers as they were executed.
+#[derive(Default)]
+struct Sent(Vec<Action>);
+
+impl Watcher for Sent {
+    fn progress(&mut self, _control_steps: u32) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+
+    fn moved(&mut self, step: Option<&Step>, _episode: &mut Episode<'_>) {
+        self.0.extend(step.map(|step| step.sent));
+    }
+}
+
+struct Ran {
+    simulated: Simulated,
+    sent: Vec<Action>,
+    told: Vec<Query>,
+}
+
+impl Ran {
+    /// All of the result that is no time.
+    fn bits(&self) -> (bool, u32, u32, u32, &Motion, &[Action]) {
+        let Finished { result, motion, .. } = &self.simulated.finished;
+        let counts = (result.steps, result.policy_queries, result.clipped_actions);
+        let actions = &self.simulated.actions;
+        (
+            result.success,
+            counts.0,
+            counts.1,
+            counts.2,
+            motion,
+            actions,
+        )
+    }
+}
+
+fn parsed(model: &str) -> Execution {
+    model.parse().expect("a model")
+}
+
+/// A simulator of the built-in assets; none where `cargo xtask setup` was not run.
+fn simulator(test: &str) -> Option<Simulator> {
+    let sources = match Sources::open(&Sources::default_dir()) {
+        Ok(sources) => sources,
+        Err(error) => {
+            println!("skipped {test}: failed to {error}");
+            return None;
+        }
+    };
+    Some(Simulator::new(SimulatorConfig {
+        pack: AssetPack::open("primitives", &sources).expect("built in"),
+        sources,
+        renderer: Renderer::default(),
+        cached_scenes: 1,
+    }))
+}
+
+fn row() -> ManifestRow {
+    let id = "spatial/t0/combination/L2/c00".parse().expect("an id");
+    let mut row = row_of(id).expect("a row");
+    row.max_steps = STEPS;
+    row
+}
+
+fn run_under(simulator: &mut Simulator, model: &str, dawdles: bool) -> Ran {
+    let mut actor = Nervous {
+        dawdles,
+        told: Vec::new(),
+    };
+    let mut assignment = assignment(row());
+    assignment.execution = parsed(model);
+    assignment.keep_actions = true;
+    let mut sent = Sent::default();
+    let mut stage = Stage::of_the_protocol(simulator).with_a_renderer_only_if_needed();
+    let simulated = run(&mut stage, &mut actor, &assignment, &mut sent).expect("a result");
+    Ran {
+        simulated,
+        sent: sent.0,
+        told: actor.told,
+    }
+}
+
+#[test]
+fn outcomes_have_the_same_bits_however_long_the_policy_takes_by_the_clock() {
+    let test = "outcomes_have_the_same_bits_however_long_the_policy_takes_by_the_clock";
+    let Some(mut simulator) = simulator(test) else {
+        return;
+    };
+    let waits = run_under(&mut simulator, "wait", false);
+    for model in [
+        "wait",
+        "hold:0",
+        "overlap:0",
+        "overlap:0,rtc",
+        "hold:3",
+        "overlap:3",
+        "overlap:3,rtc",
+        "hold:1*1+4*2",
+        "overlap:1*1+4*2",
+    ] {
+        let at_once = run_under(&mut simulator, model, false);
+        let dawdling = run_under(&mut simulator, model, true);
+        assert_eq!(at_once.bits(), dawdling.bits(), "{model}");
+        assert_eq!(at_once.sent, dawdling.sent, "{model}");
+        let is_late = !model.ends_with("wait") && !model.contains(":0");
+        assert_eq!(at_once.bits() == waits.bits(), !is_late, "{model}");
+        let settings = &at_once.simulated.finished.evidence.policy_settings;
+        let named = settings.get(EXECUTION).map_or("wait", String::as_str);
+        assert_eq!(named, model);
+        let ignored = settings.get("real-time chunking").map(String::as_str);
+        let expected = model.ends_with("rtc").then_some("ignored by the server");
+        assert_eq!(ignored, expected, "{model}");
+    }
+}
+
+#[test]
+fn a_policy_is_told_what_is_executed_while_it_thinks_and_only_then() {
+    let test = "a_policy_is_told_what_is_executed_while_it_thinks_and_only_then";
+    let Some(mut simulator) = simulator(test) else {
+        return;
+    };
+    let ran = run_under(&mut simulator, "overlap:3,rtc", false);
+    // Ten actions of which six are executed, three steps late: every six steps.
+    let asked = (0..STEPS as usize).step_by(EXECUTE);
+    assert_eq!(ran.told.len(), asked.clone().count());
+    for (query, step) in ran.told.iter().zip(asked) {
+        assert_eq!(query.delay, 3);
+        let until = ran.sent.len().min(step + 3);
+        assert_eq!(query.under_way[..until - step], ran.sent[step..until]);
+    }
+    assert_eq!(ran.sent[..3], [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0]; 3]);
+    let untold = run_under(&mut simulator, "overlap:3", false);
+    assert!(untold.told.is_empty());
+    assert_eq!(untold.sent, ran.sent, "this policy heeds nothing");
+}
+
+#[test]
+fn a_policy_whose_every_action_would_be_dropped_is_not_run() {
+    let test = "a_policy_whose_every_action_would_be_dropped_is_not_run";
+    let Some(mut simulator) = simulator(test) else {
+        return;
+    };
+    let mut assignment = assignment(row());
+    assignment.policy = "nervous".to_owned();
+    assignment.execution = parsed("overlap:10");
+    let mut actor = Nervous {
+        dawdles: false,
+        told: Vec::new(),
+    };
+    let mut stage = Stage::of_the_protocol(&mut simulator).with_a_renderer_only_if_needed();
+    let refused = run(&mut stage, &mut actor, &assignment, &mut Sent::default());
+    let failure = refused.expect_err("too late").failure().expect("a fault");
+    assert_eq!(failure.kind, FailureKind::PolicyUnavailable);
+    for words in [
+        "policy `nervous`",
+        "`overlap:10` drops at least 10",
+        "`hold:10`",
+    ] {
+        assert!(failure.error.contains(words), "{}", failure.error);
+    }
+}
