@@ -92,7 +92,7 @@ class Sample:
             both = (variance, df)
         if self.tasks < FEWEST_TASKS:
             new = both = None
-        ends = around_log if is_share == "product" else wilson if is_share else around
+        ends = around_product if is_share == "product" else wilson if is_share else around
         has_spread = new is not None and new[0] > 1e-24
         return {
             "value": value,
@@ -118,11 +118,13 @@ def around(value, variance, _):
     return [max(value - half, -1.0), min(value + half, 1.0)]
 
 
-def around_log(value, variance, _):
-    if variance is None or variance[0] <= 1e-24 or value <= 0:
+def around_product(value, variance, _):
+    """On the scale log(-log), in which a product of shares is the log of a sum."""
+    if variance is None or variance[0] <= 1e-24 or not 0 < value < 1:
         return None
-    log = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5 / value
-    return [np.exp(np.log(value) - log), min(np.exp(np.log(value) + log), 1.0)]
+    centre = np.log(-np.log(value))
+    half = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5 / (-value * np.log(value))
+    return [float(np.exp(-np.exp(centre + sign * half))) for sign in (1, -1)]
 
 
 def wilson(p, variance, units):

@@ -42,7 +42,7 @@ pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"]
 const NOMINALS: [&str; 3] = ["eval", "all", "none"];
 const RENDERERS: [&str; 2] = ["software", "gl"];
 const DIRECTIONS: [&str; 2] = ["shared", "own"];
-const STRATA: [&str; 2] = ["suites", "tasks"];
+const STRATA: [&str; 3] = ["suites", "tasks", "whole_tasks"];
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
@@ -196,7 +196,7 @@ struct StopFlags {
     /// all configurations of this campaign and no others: `I excludes 0` will have shown that
     /// emergent failures and compensated successes are not equally many among them, which a
     /// run to the end shows for certain unless they are, and says nothing of other tasks or
-    /// directions.
+    /// directions. `M excludes X for new tasks` is about tasks that nobody has run.
     #[arg(long, value_name = "RULE", hide_short_help = true)]
     stop: Option<StopRule>,
     /// From what the order of the configurations is drawn, in which such a campaign
@@ -204,10 +204,11 @@ struct StopFlags {
     #[arg(long, value_name = "SEED", requires = "stop", default_value_t = 0, hide_short_help = true,
         value_parser = number_from(0_u64, ""))]
     stop_seed: u64,
-    /// What each round of that order has one configuration of: `suites` or `tasks`.
+    /// What each round of that order has one configuration of: `suites` or `tasks`; of rules
+    /// for new tasks it is `whole_tasks`, one whole task of every suite.
     #[arg(long, requires = "stop", value_parser = one_of::<Strata>(STRATA),
-        hide_short_help = true, default_value = "suites")]
-    stop_strata: Strata,
+        hide_short_help = true)]
+    stop_strata: Option<Strata>,
 }
 
 /// The flags for the design, which a manifest replaces.
@@ -334,7 +335,7 @@ fn tell_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
 
 fn tell_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), CommandError> {
     if let Some(Stop { rule, seed, strata }) = &spec.stop {
-        let strata = strata.name();
+        let strata = strata.name().replace('_', " ");
         print_line(&format!(
             "it ends early once {rule} at every level; order of seed {seed}, rounds of {strata}"
         ))?;
@@ -372,9 +373,12 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             renderer: arguments.flags.renderer,
         },
         stop: arguments.stop.stop.clone().map(|rule| Stop {
+            strata: arguments
+                .stop
+                .stop_strata
+                .unwrap_or_else(|| Strata::usual(&rule)),
             rule,
             seed: arguments.stop.stop_seed,
-            strata: arguments.stop.stop_strata,
         }),
         execution: execution(&arguments.flags.execution).map_err(usage)?,
     };

@@ -18,6 +18,17 @@ pub(super) fn in_words(rule: &StopRule, configurations: usize) -> Vec<String> {
             )
         })
         .collect();
+    if rule.is_about_new_tasks() {
+        lines.push(
+            "with 95 % for each level, at all looks together, for new tasks of these suites, each \
+             of which weighs the same, under these directions; tasks are run whole, one of every \
+             suite in turn, and looked at after each such round. Of 40 tasks only a difference of \
+             about 15 points or more ends a campaign early, and it is likely to be larger at that look \
+             than it is"
+                .to_owned(),
+        );
+        return lines;
+    }
     if rule.clauses().iter().any(is_certain_at_the_end) {
         lines.push(
             "a run to the end shows as much for certain, unless emergent failures and \
@@ -44,6 +55,12 @@ fn shown(clause: Clause, these: &str) -> String {
         Clause::Excludes(Measure::I, 0.0) => format!(
             "emergent failures and compensated successes are not equally many among all {these}"
         ),
+        Clause::ExcludesForNewTasks(Measure::I, 0.0) => "emergent failures and compensated \
+             successes are not equally frequent in new tasks"
+            .to_owned(),
+        Clause::ExcludesForNewTasks(measure, value) => {
+            format!("{} in new tasks is not {}", called(measure), points(value))
+        }
         Clause::Excludes(measure, value) => format!(
             "{} over all {these} is not {}",
             called(measure),
@@ -93,6 +110,12 @@ mod tests {
         );
         assert!(lines[3].starts_with("a run to the end shows as much for certain"));
         assert!(lines[4].contains("these 400 configurations only"));
+        let rule = "I excludes 0 for new tasks and R_d excludes 0.05 for new tasks";
+        let lines = in_words(&rule.parse().expect("a rule"), 400);
+        assert_eq!(lines.len(), 3);
+        assert!(lines[0].ends_with("are not equally frequent in new tasks"));
+        assert!(lines[1].ends_with("share of changed outcomes in new tasks is not 5 points"));
+        assert!(lines[2].contains("for new tasks of these suites"));
         let lines = in_words(&"width(I) < 0.08".parse().expect("a rule"), 1);
         assert!(lines.len() == 2 && lines[0].contains("over all 1 configuration "));
     }

@@ -201,6 +201,54 @@ def test_a_file_of_initial_states_cannot_run_code(tmp_path: Path) -> None:
         load_init_states(file)
 
 
+class Asks:
+    """Pickles as a call of NumPy's, with a state for what it makes."""
+
+    def __init__(self, *asked: Any) -> None:
+        self.asked = asked
+
+    def __reduce__(self) -> Any:
+        return self.asked
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        # Its bytes would be read as pointers to objects.
+        Asks(np.ndarray, ((1,), "O", b"AAAAAAAA")),
+        Asks(np.ndarray, ((1 << 36,),)),
+        Asks(np.dtype, ("V8", False, True), (3, "<", None, None, None, 1 << 30, 1, 0)),
+        np.zeros((2, 3), "i4"),
+        np.zeros((1, 2, 3)),
+        np.array([[None]]),
+        [1, 2],
+    ],
+)
+def test_a_file_of_initial_states_makes_nothing_but_a_table_of_numbers(
+    tmp_path: Path, asked: Any
+) -> None:
+    with pytest.raises(ValueError, match="holds no initial states"):
+        read_states(tmp_path, pickle.dumps(asked, protocol=2))
+    table = np.arange(6.0).reshape(2, 3)
+    for states in (table, np.asfortranarray(table), table[0]):
+        found = read_states(tmp_path, pickle.dumps(states, protocol=2))
+        assert found.dtype == np.float64 and found.flags.writeable
+        assert np.array_equal(found, states)
+
+
+def test_a_file_of_initial_states_unpacks_no_more_than_memory_has_room_for(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="larger than 64 MiB"):
+        read_states(tmp_path, bytes((64 << 20) + 1))
+
+
+def read_states(folder: Path, content: bytes) -> Any:
+    """Reads a file whose pickle has this content."""
+    file = folder / "task.pruned_init"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("archive/data.pkl", content)
+    return load_init_states(file)
+
+
 # BDDL.
 
 

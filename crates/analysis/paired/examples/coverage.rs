@@ -1,6 +1,6 @@
 //! Coverage of intervals for 5, 10, 20 and 40 tasks of ten configurations.
 //!
-//! `cargo run --release -p paired --example coverage [CAMPAIGNS]`
+//! `cargo run --release -p paired --example coverage [CAMPAIGNS [SEED]]`
 //!
 //! Every campaign draws new tasks and new directions from a population that is known, and
 //! new outcomes. Each interval is held against the truth of its own target: the drawn tasks
@@ -22,9 +22,6 @@ use simulated::{CONFIGURATIONS, Chance, Population, estimates};
 const CAMPAIGNS: u64 = 1000;
 /// Tasks, and suites that they are drawn from.
 const SIZES: [(usize, usize); 4] = [(5, 1), (10, 1), (20, 2), (40, 4)];
-/// Tasks, or directions, over which a truth is averaged.
-const ALL_TASKS: usize = 2000;
-const ALL_DIRECTIONS: u16 = 2000;
 const TARGETS: [&str; 3] = ["these", "new tasks", "new both"];
 
 /// Counts of the intervals made and of those that hold the truth.
@@ -45,12 +42,10 @@ impl Coverage {
 
 type Key = (&'static str, usize);
 
-fn simulate(tasks: usize, suites: usize, campaigns: u64) -> BTreeMap<Key, Coverage> {
+fn simulate(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> BTreeMap<Key, Coverage> {
     let population = Population::usual();
-    let mut chance = Chance::new(tasks as u64);
-    let all_tasks = population.tasks(ALL_TASKS, &mut chance);
-    let all_directions = population.directions(ALL_DIRECTIONS, &mut chance);
-    let everywhere = population.truth(&all_tasks, suites, &all_directions);
+    let mut chance = Chance::new(seed + tasks as u64);
+    let everywhere = population.truth_of_all_tasks(suites, None);
     let mut coverage: BTreeMap<Key, Coverage> = BTreeMap::new();
     for _ in 0..campaigns {
         let drawn = population.tasks(tasks, &mut chance);
@@ -61,7 +56,7 @@ fn simulate(tasks: usize, suites: usize, campaigns: u64) -> BTreeMap<Key, Covera
         let cell = report.cells.iter().find(is_l2).expect("L2");
         let truths = [
             population.truth(&drawn, suites, &directions),
-            population.truth(&all_tasks, suites, &directions),
+            population.truth_of_all_tasks(suites, Some(&directions)),
         ];
         for (name, estimate) in estimates(cell) {
             let Estimate {
@@ -92,16 +87,18 @@ fn simulate(tasks: usize, suites: usize, campaigns: u64) -> BTreeMap<Key, Covera
 }
 
 fn main() {
-    let campaigns = match std::env::args().nth(1).map(|given| given.parse()) {
-        None => CAMPAIGNS,
-        Some(Ok(campaigns)) if campaigns > 0 => campaigns,
-        Some(_) => {
-            eprintln!("read the number of campaigns: it is a whole number above 0");
+    let given: Result<Vec<u64>, _> = std::env::args().skip(1).map(|it| it.parse()).collect();
+    let (campaigns, seed) = match given.as_deref() {
+        Ok([]) => (CAMPAIGNS, 0),
+        Ok([campaigns]) if *campaigns > 0 => (*campaigns, 0),
+        Ok([campaigns, seed]) if *campaigns > 0 => (*campaigns, *seed),
+        _ => {
+            eprintln!("read the number of campaigns and a seed: whole numbers, the first above 0");
             std::process::exit(2);
         }
     };
-    let sizes = SIZES.map(|(tasks, suites)| simulate(tasks, suites, campaigns));
-    println!("coverage of 95 % intervals, %, {campaigns} campaigns of each size");
+    let sizes = SIZES.map(|(tasks, suites)| simulate(tasks, suites, campaigns, seed));
+    println!("coverage of 95 % intervals, %, {campaigns} campaigns of each size, seed {seed}");
     print!("\n{:<24}{:<11}", "", "tasks");
     SIZES.iter().for_each(|(tasks, _)| print!("{tasks:>8}"));
     println!();

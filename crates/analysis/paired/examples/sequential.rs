@@ -55,7 +55,9 @@ fn fixed_n(population: &Population, rule: &StopRule) -> usize {
     let mean = |measure| population.total(measure) as f64 / units as f64;
     let holds = |clause: &Clause, n| match *clause {
         Clause::Width(measure, width) => 2.0 * half_width(n, measure) < width,
-        Clause::Excludes(measure, value) => half_width(n, measure) < (mean(measure) - value).abs(),
+        Clause::Excludes(measure, value) | Clause::ExcludesForNewTasks(measure, value) => {
+            half_width(n, measure) < (mean(measure) - value).abs()
+        }
     };
     let enough = |n: &usize| rule.clauses().iter().all(|clause| holds(clause, *n));
     (1..=units).find(enough).unwrap_or(units)

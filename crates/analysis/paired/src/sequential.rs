@@ -41,6 +41,9 @@
 //! tasks of a suite differ very much, and keep the sample balanced over suites.
 //! `cargo run --release -p paired --example sequential` compares them.
 //!
+//! # New tasks
+//! A rule may be about new tasks instead: the file `new_tasks`.
+//!
 //! # Sources
 //! I. Waudby-Smith and A. Ramdas, Confidence sequences for sampling without
 //! replacement, NeurIPS 2020 (conditional expectations, running intersection);
@@ -54,8 +57,10 @@ mod campaign;
 mod compared;
 mod difference;
 mod e_process;
+mod estimates;
 mod look;
 mod measures;
+mod new_tasks;
 mod order;
 mod prefix;
 mod sequence;

@@ -2,11 +2,17 @@
 
 use std::collections::BTreeSet;
 
-use libero_ctrl::{Axis, AxisSet, Condition, Level, RolloutId, Stop, Strata};
+use libero_ctrl::{Axis, AxisSet, Condition, Level, Measure, RolloutId, Stop, Strata};
 use paired::{
     CampaignLook, Outcome, Record, Records, SEQUENTIAL_ALPHA, SequentialMeasures, Unit, drawn_order,
 };
 use serde::Deserialize;
+
+// The coverage command uses the rest.
+#[allow(dead_code)]
+mod simulated;
+
+use simulated::{Chance, NetEffect};
 
 const OUTCOMES: &str = include_str!("../../../../examples/openvla_oft/rollouts.jsonl");
 
@@ -165,4 +171,120 @@ fn a_configuration_counts_once_its_nominal_rollout_and_its_subsets_have_ended_to
             assert!(used.contains(&unit), "{}", record.id);
         }
     }
+}
+
+/// Suites of 100 and 30 configurations, of which 80 and 16 succeed: 73.8 %.
+fn unequal_suites() -> Vec<Record> {
+    let mut records = Vec::new();
+    for at in 0..13 {
+        let task = match at {
+            0..10 => simulated::task(2 * at, 2),
+            _ => simulated::task(2 * (at - 10) + 1, 2),
+        };
+        for config in 0..10 {
+            let success = match at {
+                0..10 => config < 8,
+                _ => (at - 10) * 10 + usize::from(config) < 16,
+            };
+            for condition in simulated::conditions() {
+                let success = success || condition != Condition::Combination;
+                records.push(simulated::record(
+                    task,
+                    condition,
+                    Level::L2,
+                    config,
+                    success,
+                ));
+            }
+        }
+    }
+    records
+}
+
+#[test]
+fn estimates_weigh_suites_as_the_campaign_has_them_however_early_it_ends() {
+    let all = unequal_suites();
+    let records = Records::new(&all).expect("no rollout twice");
+    let (mut weighed, mut drawn, mut ends) = (0.0, 0.0, 0.0);
+    for seed in 0..100 {
+        let stop = Stop {
+            seed,
+            ..stop("width(S_sim) < 0.35", Strata::Suites)
+        };
+        let look = CampaignLook::when_met(&records, &stop).expect("it is met");
+        weighed += look.estimates(&records, &stop)[&Level::L2][&Measure::SSim];
+        let used: BTreeSet<Unit> = look.used.iter().copied().collect();
+        let of_used = records.configurations().iter();
+        let of_used = of_used.filter(|it| used.contains(&(it.task, it.config)));
+        let successes = of_used.filter(|it| it.simultaneous == Outcome::Success);
+        drawn += successes.count() as f64 / used.len() as f64;
+        ends += 1.0;
+    }
+    let [weighed, drawn] = [weighed, drawn].map(|sum| 100.0 * sum / ends);
+    assert!((weighed - 73.8).abs() < 1.0, "{weighed}");
+    assert!(
+        weighed - drawn > 3.0,
+        "{drawn}: what was drawn is in proportion, nothing is tested"
+    );
+}
+
+fn new_tasks(seed: u64) -> Stop {
+    Stop {
+        seed,
+        ..stop("I excludes 0 for new tasks", Strata::WholeTasks)
+    }
+}
+
+#[test]
+fn a_rule_about_new_tasks_ends_nothing_without_an_effect_and_most_with_a_large_one() {
+    let ends = |mean: f64| {
+        let effect = NetEffect {
+            mean,
+            share: 0.5,
+            spread: 0.1,
+        };
+        let mut chance = Chance::new(9);
+        let mut met = 0;
+        for seed in 0..100 {
+            let records = effect.campaign(&mut chance);
+            if let Some(look) = when_met(&records, &new_tasks(seed)) {
+                // Whole tasks, and as many of every suite.
+                assert!(look.used.len().is_multiple_of(40), "{}", look.used.len());
+                let interval = look.levels[&Level::L2].intervals[&Measure::I];
+                assert!(interval.high() < 0.0);
+                met += 1;
+            }
+        }
+        met
+    };
+    // With an error rate of 5 %, more than 13 have a probability of 0.0005.
+    assert!(ends(0.0) <= 13);
+    assert!(ends(-0.25) >= 90);
+}
+
+#[test]
+fn a_rule_about_new_tasks_is_met_by_outcomes_up_to_the_end_of_a_round_only() {
+    let effect = NetEffect {
+        mean: -0.3,
+        share: 0.0,
+        spread: 0.0,
+    };
+    let mut records = effect.campaign(&mut Chance::new(4));
+    let stop = new_tasks(1);
+    let look = when_met(&records, &stop).expect("it is met");
+    let used: BTreeSet<Unit> = look.used.iter().copied().collect();
+    for record in &mut records {
+        let unit = (record.id.task(), record.id.config().expect("perturbed"));
+        if !used.contains(&unit) {
+            record.outcome = Outcome::Missing;
+        }
+    }
+    assert_eq!(when_met(&records, &stop), Some(look.clone()));
+    let last = *look.used.last().expect("some");
+    for record in &mut records {
+        if (record.id.task(), record.id.config()) == (last.0, Some(last.1)) {
+            record.outcome = Outcome::Missing;
+        }
+    }
+    assert_eq!(when_met(&records, &stop), None);
 }

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use libero_ctrl::{Level, Measure, StopRule, Strata};
+use libero_ctrl::{Clause, Level, Measure, StopRule, Strata};
 use paired::{CampaignLook, DuplicateRecord, Finding, FindingKind, Outcome, Records, push_wrapped};
 use serde::Serialize;
 
@@ -36,6 +36,9 @@ pub struct Sequential {
     pub saved: usize,
     /// Both ends by level and measure, fractions.
     pub levels: BTreeMap<Level, BTreeMap<Measure, [f64; 2]>>,
+    /// Estimates, which weigh strata as the campaign has them and lie within the ends; of
+    /// levels with a known outcome in every stratum.
+    pub estimates: BTreeMap<Level, BTreeMap<Measure, f64>>,
 }
 
 /// That a campaign stopped early, after how many of its configurations, why, and how
@@ -67,6 +70,7 @@ impl Sequential {
         let missing = subject.records.iter();
         let missing = missing.filter(|record| record.outcome == Outcome::Missing);
         Ok(look.map(|look| Self {
+            estimates: look.estimates(&records, stop),
             rule: stop.rule.clone(),
             seed: stop.seed,
             strata: stop.strata,
@@ -93,6 +97,9 @@ impl Sequential {
     /// Findings that are valid at any look, in place of those of a fixed sample: intervals
     /// of simultaneous success and its net effect over the campaign's configurations.
     pub(crate) fn findings(&self) -> Vec<Finding> {
+        if self.rule.is_about_new_tasks() {
+            return self.findings_of_new_tasks();
+        }
         let levels = self.levels.iter().filter_map(|(&level, measures)| {
             let [success, net] = [Measure::SSim, Measure::I].map(|it| measures.get(&it));
             let one = |value: f64| format!("{:.1}", 100.0 * value);
@@ -114,6 +121,28 @@ impl Sequential {
         levels.collect()
     }
 
+    /// What was shown of new tasks, at each level.
+    fn findings_of_new_tasks(&self) -> Vec<Finding> {
+        let of_level = |(&level, measures): (&Level, &BTreeMap<Measure, [f64; 2]>)| {
+            let intervals = measures
+                .iter()
+                .map(|(&it, &ends)| format!("{it} in {}", percent_text(it, ends)));
+            let intervals: Vec<String> = intervals.collect();
+            Finding {
+                kind: FindingKind::Simultaneity,
+                level: Some(level),
+                claims: false,
+                holm_p: None,
+                sentence: format!(
+                    "At {level}, of new tasks of these suites under these directions, {}: these \
+                     confidence sequences hold at any look.",
+                    intervals.join(", ")
+                ),
+            }
+        };
+        self.levels.iter().map(of_level).collect()
+    }
+
     /// Returns the warning that figures rest on fewer configurations; none where every one
     /// counts.
     pub(crate) fn warning(&self) -> Option<String> {
@@ -123,8 +152,8 @@ impl Sequential {
             return Some(format!(
                 "{}; figures are of these {} configurations, and their bootstrap intervals and \
                  p-values are not valid, because they hold for one look that was settled \
-                 beforehand: use the confidence sequences. A measure at which the rule `excludes` a \
-                 value is overstated by such an end, and rates weight suites by what was drawn",
+                 beforehand: use the confidence sequences, whose estimates weigh suites as the \
+                 campaign has them. Other rates weigh them by what was drawn",
                 stopped_in_words(configurations, &self.rule.to_string(), rollouts),
                 self.used
             ));
@@ -139,16 +168,55 @@ impl Sequential {
         })
     }
 
+    /// Whether the campaign ended because a measure lies far from a value.
+    fn is_overstated(&self, measure: Measure) -> bool {
+        let mut clauses = self.rule.clauses().iter();
+        self.has_stopped
+            && clauses.any(|it| it.measure() == measure && !matches!(it, Clause::Width(..)))
+    }
+
+    /// An estimate, percent or points, with a star if the end overstates it.
+    pub(crate) fn estimate_text(&self, level: Level, measure: Measure) -> String {
+        let estimate = self.estimates.get(&level).and_then(|of| of.get(&measure));
+        let Some(estimate) = estimate.map(|it| 100.0 * it) else {
+            return "–".to_owned();
+        };
+        let star = if self.is_overstated(measure) { "*" } else { "" };
+        match measure {
+            Measure::I | Measure::Difference => format!("{estimate:+.1}{star}"),
+            _ => format!("{estimate:.1}{star}"),
+        }
+    }
+
+    /// The warning beside starred estimates; empty without any.
+    fn star_in_words(&self) -> &'static str {
+        let measures = self.levels.values().flat_map(BTreeMap::keys);
+        match measures.copied().any(|it| self.is_overstated(it)) {
+            true => {
+                ". * is overstated: the campaign ended because it was large at that look; the end \
+                 of the interval that is nearest to the excluded value bounds it"
+            }
+            false => "",
+        }
+    }
+
     /// Defines the intervals and their population in words.
     pub(crate) fn explanation(&self) -> String {
+        let about = match self.rule.is_about_new_tasks() {
+            true => {
+                "new tasks of these suites, which weigh the same, under these directions".to_owned()
+            }
+            false => format!("all {} configurations", self.configurations),
+        };
         format!(
-            "confidence sequences: at each level, the five hold together at all looks with a \
-             probability of 95 %, whichever rule ends the campaign; about all {} configurations, \
-             from the first {} in the order of seed {} (rounds of {})",
-            self.configurations,
+            "confidence sequences: at each level, they hold together at all looks with a \
+             probability of 95 %, whichever rule ends the campaign; about {about}, from the first \
+             {} in the order of seed {} (rounds of {}); beside them estimates that weigh suites or \
+             tasks as that population does{}",
             self.used,
             self.seed,
-            self.strata.name()
+            self.strata.name().replace('_', " "),
+            self.star_in_words()
         )
     }
 
@@ -157,19 +225,28 @@ impl Sequential {
         let names = self.levels.keys().map(ToString::to_string);
         let widest = names.map(|name| name.len()).max().unwrap_or_default();
         let mut text = " ".repeat(widest);
-        for measure in Measure::OF_ONE_POLICY {
+        let measures = self.levels.values().next();
+        for &measure in measures.into_iter().flat_map(BTreeMap::keys) {
             let name = measure.name();
             let _ = write!(text, "{name:>width$}", width = columns(measure));
         }
         text.push('\n');
         for (level, intervals) in &self.levels {
-            let level = level.to_string();
-            let _ = write!(text, "{level:<widest$}");
+            let name = level.to_string();
+            let _ = write!(text, "{name:<widest$}");
             for (&measure, &interval) in intervals {
                 let interval = percent_text(measure, interval);
                 let _ = write!(text, "{interval:>width$}", width = columns(measure));
             }
             text.push('\n');
+            if self.estimates.contains_key(level) {
+                text.push_str(&" ".repeat(widest));
+                for &measure in intervals.keys() {
+                    let estimate = self.estimate_text(*level, measure);
+                    let _ = write!(text, "{estimate:>width$}", width = columns(measure));
+                }
+                text.push('\n');
+            }
         }
         push_wrapped(&mut text, "", &self.explanation());
         text

@@ -11,7 +11,7 @@ use crate::level::Level;
 use crate::names::UnknownName;
 use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
-use crate::stop_rule::{Measure, StopRule};
+use crate::stop_rule::{Clause, Measure, StopRule};
 use crate::suite::TaskRef;
 
 /// Early stop of a campaign. Its configurations run in an order that is drawn
@@ -39,14 +39,26 @@ pub enum Strata {
     Suites,
     /// Every task.
     Tasks,
+    /// Every suite, and of it all configurations of one task together: for rules about new
+    /// tasks, of which a task in part says nothing.
+    WholeTasks,
 }
 
 impl Strata {
+    /// Those that go with a rule unless others are named.
+    pub fn usual(rule: &StopRule) -> Self {
+        match rule.is_about_new_tasks() {
+            true => Self::WholeTasks,
+            false => Self::default(),
+        }
+    }
+
     /// Name in specifications.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Suites => "suites",
             Self::Tasks => "tasks",
+            Self::WholeTasks => "whole_tasks",
         }
     }
 }
@@ -63,6 +75,22 @@ pub enum StopError {
          or take `stop` out"
     )]
     NotSimultaneous,
+    /// A rule with clauses of both kinds.
+    #[error(
+        "`stop` with clauses for new tasks and others: those need whole tasks one after another, \
+         these every task from the start; write clauses of one kind"
+    )]
+    BothKinds,
+    /// Strata that do not go with the rule.
+    #[error("`stop` with `strata` {given}: `{rule}` needs {needed}; write that")]
+    Strata {
+        /// The strata given.
+        given: &'static str,
+        /// The rule.
+        rule: String,
+        /// Those that go with it.
+        needed: &'static str,
+    },
     /// Several replicates.
     #[error(
         "`stop` with {given} `replicates`: its intervals are about one rollout of each; write 1, \
@@ -94,6 +122,21 @@ impl Stop {
     pub(crate) fn check(&self, replicates: u32) -> Result<(), StopError> {
         let known = self.rule.check(&Measure::OF_ONE_POLICY);
         known.map_err(StopError::Measure)?;
+        let mut clauses = self.rule.clauses().iter();
+        let is_about_new_tasks = self.rule.is_about_new_tasks();
+        if is_about_new_tasks && !clauses.all(Clause::is_about_new_tasks) {
+            return Err(StopError::BothKinds);
+        }
+        if is_about_new_tasks != (self.strata == Strata::WholeTasks) {
+            return Err(StopError::Strata {
+                given: self.strata.name(),
+                rule: self.rule.to_string(),
+                needed: match is_about_new_tasks {
+                    true => Strata::WholeTasks.name(),
+                    false => "suites or tasks",
+                },
+            });
+        }
         match replicates {
             1 => Ok(()),
             given => Err(StopError::Replicates { given }),

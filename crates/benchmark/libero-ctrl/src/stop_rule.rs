@@ -10,8 +10,11 @@ use crate::names::UnknownName;
 /// Separator of two clauses.
 const AND: &str = " and ";
 
+/// End of a clause that is about tasks that nobody has run yet.
+const FOR_NEW_TASKS: &str = " for new tasks";
+
 const VALID: &str = "width(M) < X with X above 0 and up to 2, M excludes X with X from -1 to 1, \
-                     or several of them with ` and ` between";
+                     M excludes X for new tasks, or several of them with ` and ` between";
 
 /// Quantity that an interval estimates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -106,8 +109,11 @@ pub struct StopRule {
 pub enum Clause {
     /// `width(M) < X`: the interval of M is narrower than X, a fraction.
     Width(Measure, f64),
-    /// `M excludes X`: X is outside the interval of M.
+    /// `M excludes X`: X is outside the interval of M over the campaign's configurations.
     Excludes(Measure, f64),
+    /// `M excludes X for new tasks`: X is outside the interval of M over all tasks that the
+    /// campaign's could have been.
+    ExcludesForNewTasks(Measure, f64),
 }
 
 impl StopRule {
@@ -128,6 +134,11 @@ impl StopRule {
         }
     }
 
+    /// Whether some clause is about new tasks.
+    pub fn is_about_new_tasks(&self) -> bool {
+        self.clauses.iter().any(Clause::is_about_new_tasks)
+    }
+
     /// The clauses, as written.
     pub fn clauses(&self) -> &[Clause] {
         &self.clauses
@@ -138,8 +149,15 @@ impl Clause {
     /// Returns the quantity that the clause constrains.
     pub const fn measure(&self) -> Measure {
         match *self {
-            Self::Width(measure, _) | Self::Excludes(measure, _) => measure,
+            Self::Width(measure, _)
+            | Self::Excludes(measure, _)
+            | Self::ExcludesForNewTasks(measure, _) => measure,
         }
+    }
+
+    /// Whether it is about new tasks, and not about the campaign's configurations.
+    pub const fn is_about_new_tasks(&self) -> bool {
+        matches!(self, Self::ExcludesForNewTasks(..))
     }
 }
 
@@ -148,6 +166,9 @@ impl fmt::Display for Clause {
         match self {
             Self::Width(measure, width) => write!(f, "width({measure}) < {width}"),
             Self::Excludes(measure, value) => write!(f, "{measure} excludes {value}"),
+            Self::ExcludesForNewTasks(measure, value) => {
+                write!(f, "{measure} excludes {value}{FOR_NEW_TASKS}")
+            }
         }
     }
 }
@@ -168,11 +189,17 @@ impl FromStr for Clause {
             ));
         }
         let (measure, value) = text.split_once(" excludes ").ok_or_else(unknown)?;
-        let value = number(value).filter(|value| (-1.0..=1.0).contains(value));
-        Ok(Self::Excludes(
-            measure.trim().parse()?,
-            value.ok_or_else(unknown)?,
-        ))
+        let measure: Measure = measure.trim().parse()?;
+        let new_tasks = value.trim_end().strip_suffix(FOR_NEW_TASKS);
+        let value = number(new_tasks.unwrap_or(value));
+        let value = value.filter(|value| (-1.0..=1.0).contains(value));
+        let value = value.ok_or_else(unknown)?;
+        match new_tasks {
+            None => Ok(Self::Excludes(measure, value)),
+            // Two policies are compared over the rollouts that both have.
+            Some(_) if measure == Measure::Difference => Err(unknown()),
+            Some(_) => Ok(Self::ExcludesForNewTasks(measure, value)),
+        }
     }
 }
 
@@ -240,9 +267,12 @@ mod tests {
 
     fn clause() -> impl Strategy<Value = Clause> {
         let measure = prop::sample::select(Measure::ALL.to_vec());
-        (measure, 1e-6..=1.0_f64, any::<bool>()).prop_map(|(measure, value, width)| match width {
-            true => Clause::Width(measure, 2.0 * value),
-            false => Clause::Excludes(measure, 2.0 * value - 1.0),
+        (measure, 1e-6..=1.0_f64, 0..3).prop_map(|(measure, value, kind)| match kind {
+            0 => Clause::Width(measure, 2.0 * value),
+            1 if measure != Measure::Difference => {
+                Clause::ExcludesForNewTasks(measure, 2.0 * value - 1.0)
+            }
+            _ => Clause::Excludes(measure, 2.0 * value - 1.0),
         })
     }
 
@@ -276,6 +306,9 @@ mod tests {
             );
         }
         assert_eq!(rule("I excludes -0").to_string(), "I excludes 0");
+        let new_tasks = rule(" I  excludes 0.0 for new tasks ");
+        assert_eq!(new_tasks.to_string(), "I excludes 0 for new tasks");
+        assert!(new_tasks.is_about_new_tasks() && !rule("I excludes 0").is_about_new_tasks());
     }
 
     #[test]
@@ -295,6 +328,10 @@ mod tests {
             "I excludes",
             "I excludes inf",
             "I excludes 1.5",
+            "I excludes 1.5 for new tasks",
+            "I excludes 0 for new directions",
+            "width(I) < 0.1 for new tasks",
+            "difference excludes 0 for new tasks",
         ] {
             assert!(refusal(text).contains("valid are width(M) < X"), "{text}");
         }

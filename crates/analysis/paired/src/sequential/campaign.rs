@@ -2,11 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use libero_ctrl::{Level, RolloutId, Stop, Strata, TaskRef};
+use libero_ctrl::{Level, Measure, RolloutId, Stop, Strata, TaskRef};
 
 use crate::outcomes::{Matched, Record, Records, Transition};
 use crate::sequential::look::Look;
 use crate::sequential::measures::SequentialMeasures;
+use crate::sequential::new_tasks::NewTasks;
 use crate::sequential::order::Order;
 
 /// The intervals of a level, or of a comparison, ever miss with a probability of at
@@ -37,6 +38,54 @@ pub fn drawn_order(stop: &Stop, units: impl IntoIterator<Item = Unit>) -> Order<
     match stop.strata {
         Strata::Suites => Order::new(stop.seed, units, |(task, _)| task.suite()),
         Strata::Tasks => Order::new(stop.seed, units, |(task, _)| *task),
+        Strata::WholeTasks => {
+            let mut of_tasks: BTreeMap<TaskRef, BTreeSet<u16>> = BTreeMap::new();
+            for (task, config) in units {
+                of_tasks.entry(task).or_default().insert(config);
+            }
+            let tasks = of_tasks.keys().copied();
+            Order::new(stop.seed, tasks, |task| task.suite()).of_parts(|task| {
+                let configs = of_tasks[task].iter();
+                configs.map(|config| (*task, *config)).collect()
+            })
+        }
+    }
+}
+
+/// The confidence sequences of one level, about what the rule is about.
+enum Sequences {
+    /// The campaign's configurations.
+    These(SequentialMeasures<Unit>),
+    /// New tasks.
+    NewTasks(NewTasks),
+}
+
+impl Sequences {
+    fn new(order: &Order<Unit>, stop: &Stop) -> Self {
+        if !stop.rule.is_about_new_tasks() {
+            return Self::These(SequentialMeasures::new(order, SEQUENTIAL_ALPHA));
+        }
+        let measures = stop.rule.clauses().iter().map(|clause| clause.measure());
+        let measures: BTreeSet<Measure> = measures.collect();
+        Self::NewTasks(NewTasks::new(order, measures, SEQUENTIAL_ALPHA))
+    }
+
+    /// Takes the next configuration of the order.
+    fn complete(&mut self, unit: &Unit, possible: &[Transition]) {
+        match self {
+            Self::These(sequence) => {
+                let taken = sequence.complete(unit, possible);
+                taken.expect("a configuration of the order");
+            }
+            Self::NewTasks(sequence) => sequence.complete(unit, possible),
+        }
+    }
+
+    fn look(&self) -> Look {
+        match self {
+            Self::These(sequence) => sequence.look(),
+            Self::NewTasks(sequence) => sequence.look(),
+        }
     }
 }
 
@@ -97,7 +146,7 @@ struct Walk<'a> {
     configurations: BTreeMap<(Level, Unit), &'a Matched>,
     /// Configurations of which some rollout has not ended.
     open: BTreeSet<Unit>,
-    sequences: BTreeMap<Level, SequentialMeasures<Unit>>,
+    sequences: BTreeMap<Level, Sequences>,
     look: CampaignLook,
 }
 
@@ -122,7 +171,7 @@ impl<'a> Walk<'a> {
         let order = drawn_order(stop, units);
         let open = configurations.iter().filter(|(_, it)| records.is_open(it));
         let open = open.map(|((_, unit), _)| *unit).collect();
-        let sequence = |level| (level, SequentialMeasures::new(&order, SEQUENTIAL_ALPHA));
+        let sequence = |level| (level, Sequences::new(&order, stop));
         let sequences: BTreeMap<_, _> = levels.into_iter().map(sequence).collect();
         Some(Self {
             look: CampaignLook {
@@ -154,8 +203,7 @@ impl<'a> Walk<'a> {
             return false;
         };
         for (sequence, possible) in self.sequences.values_mut().zip(possible) {
-            let taken = sequence.complete(&unit, &possible);
-            taken.expect("a configuration of the order");
+            sequence.complete(&unit, &possible);
         }
         self.look.used.push(unit);
         self.look.levels = looks(&self.sequences);
@@ -163,7 +211,7 @@ impl<'a> Walk<'a> {
     }
 }
 
-fn looks(sequences: &BTreeMap<Level, SequentialMeasures<Unit>>) -> BTreeMap<Level, Look> {
+fn looks(sequences: &BTreeMap<Level, Sequences>) -> BTreeMap<Level, Look> {
     let looks = sequences.iter();
     looks.map(|(&level, it)| (level, it.look())).collect()
 }

@@ -6,7 +6,8 @@ use libero_ctrl::{Clause, Measure, StopRule};
 use serde::{Deserialize, Serialize};
 
 /// An interval of a rate or a difference of rates over a finite population. Its
-/// ends are whole numbers of units, so that none is rounded.
+/// ends are whole numbers of units, so that none is rounded; of new tasks, they are
+/// rounded outwards to a two-thousandth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RateInterval {
     /// Least total over the population that is not ruled out.
@@ -65,7 +66,10 @@ impl Look {
         let interval = self.intervals.get(&clause.measure());
         interval.is_some_and(|interval| match *clause {
             Clause::Width(_, width) => interval.width() < width,
-            Clause::Excludes(_, value) => interval.excludes(value),
+            // A look is about one of them: see `Stop`.
+            Clause::Excludes(_, value) | Clause::ExcludesForNewTasks(_, value) => {
+                interval.excludes(value)
+            }
         })
     }
 }

@@ -28,7 +28,7 @@ impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
     /// # Panics
     /// If `alpha` is not between 0 and 1, or the order has no unit.
     pub fn new(order: &Order<U>, alpha: f64) -> Self {
-        let measures = VALUES.map(|(measure, value)| (measure, range(value, &Transition::ALL)));
+        let measures = Measure::OF_ONE_POLICY.map(|it| (it, values(it, &Transition::ALL)));
         Self(Together::new(order, measures, alpha))
     }
 
@@ -46,7 +46,7 @@ impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
     ///
     /// [`Matched::possible_transitions`]: crate::Matched::possible_transitions
     pub fn complete(&mut self, unit: &U, possible: &[Transition]) -> Result<(), NotInOrder> {
-        let ranges = VALUES.map(|(_, value)| range(value, possible));
+        let ranges = Measure::OF_ONE_POLICY.map(|it| values(it, possible));
         self.0.complete(unit, ranges)
     }
 
@@ -56,32 +56,23 @@ impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
     }
 }
 
-/// A measure and its value of one configuration; the measure itself is the mean.
-type Value = (Measure, fn(Transition) -> i64);
-
-const VALUES: [Value; 5] = [
-    (Measure::SSim, |it| still_succeeds(it) + compensated(it)),
-    (Measure::RE, emergent),
-    (Measure::RC, compensated),
-    (Measure::RD, |it| emergent(it) + compensated(it)),
-    (Measure::I, |it| compensated(it) - emergent(it)),
-];
-
-fn still_succeeds(transition: Transition) -> i64 {
-    i64::from(transition == Transition::StillSucceeds)
+/// The value of a measure of one configuration; the measure itself is the mean.
+pub(crate) fn value(measure: Measure, transition: Transition) -> i64 {
+    let is = |of: Transition| i64::from(transition == of);
+    let [emergent, compensated] = [Transition::Emergent, Transition::Compensated].map(is);
+    match measure {
+        Measure::SSim => is(Transition::StillSucceeds) + compensated,
+        Measure::RE => emergent,
+        Measure::RC => compensated,
+        Measure::RD => emergent + compensated,
+        Measure::I => compensated - emergent,
+        Measure::Difference => unreachable!("a measure of one policy"),
+    }
 }
 
-fn emergent(transition: Transition) -> i64 {
-    i64::from(transition == Transition::Emergent)
-}
-
-fn compensated(transition: Transition) -> i64 {
-    i64::from(transition == Transition::Compensated)
-}
-
-/// Least and greatest value over some transitions.
-fn range(value: fn(Transition) -> i64, over: &[Transition]) -> [i64; 2] {
-    let values = || over.iter().map(|&transition| value(transition));
+/// Least and greatest value of a measure over some transitions.
+pub(crate) fn values(measure: Measure, over: &[Transition]) -> [i64; 2] {
+    let values = || over.iter().map(|&transition| value(measure, transition));
     let ends = values().min().zip(values().max());
     let (least, greatest) = ends.expect("some transition is possible");
     [least, greatest]

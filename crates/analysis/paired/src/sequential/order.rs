@@ -62,6 +62,22 @@ impl<U: Ord> Order<U> {
         Self { rounds, sizes }
     }
 
+    /// The order in which each unit is replaced by its parts, which follow one another.
+    pub(crate) fn of_parts<P>(self, mut parts: impl FnMut(&U) -> Vec<P>) -> Order<P> {
+        let mut sizes = vec![0; self.sizes.len()];
+        let mut of_round = |round: Vec<Drawn<U>>| {
+            let mut drawn = Vec::new();
+            for Drawn { stratum, unit } in round {
+                let parts = parts(&unit);
+                sizes[stratum] += parts.len();
+                drawn.extend(parts.into_iter().map(|unit| Drawn { stratum, unit }));
+            }
+            drawn
+        };
+        let rounds = self.rounds.into_iter().map(&mut of_round).collect();
+        Order { rounds, sizes }
+    }
+
     /// The rounds, from the first that is run.
     pub fn rounds(&self) -> &[Vec<Drawn<U>>] {
         &self.rounds

@@ -20,11 +20,15 @@ pub(super) fn of_campaigns(document: &Document) -> Markup {
         of.levels.iter().map(move |(level, intervals)| {
             let used = format!("{} of {}", of.used, of.configurations);
             let mut row = vec![plain(label), plain(level), plain(used)];
-            row.extend(
-                intervals
-                    .iter()
-                    .map(|(&measure, &ends)| interval(measure, ends)),
-            );
+            let of = |measure| {
+                let [ends, estimate] = [
+                    percent_text(measure, *intervals.get(&measure)?),
+                    of.estimate_text(*level, measure),
+                ];
+                Some(plain(format!("{estimate} {ends}").replace('-', "−")))
+            };
+            let cells = Measure::OF_ONE_POLICY.map(|it| of(it).unwrap_or_else(|| plain("–")));
+            row.extend(cells);
             row
         })
     });

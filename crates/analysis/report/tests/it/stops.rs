@@ -74,6 +74,46 @@ fn figures_of_a_stopped_campaign_are_of_what_its_intervals_rest_on() {
 }
 
 #[test]
+fn an_estimate_that_ended_a_campaign_has_a_star_and_the_warning_and_others_have_none() {
+    let stopped = document(early("I excludes 0 and width(S_sim) < 0.5", true));
+    let text = stopped.text();
+    let found = json(&stopped);
+    let sequential = &found["reports"][0]["sequential"];
+    assert_eq!(sequential["has_stopped"], true);
+    for level in ["L1", "L3"] {
+        let number = |of: &Value| of.as_f64().expect("a number");
+        let estimate = number(&sequential["estimates"][level]["I"]);
+        let ends = &sequential["levels"][level]["I"];
+        assert!(number(&ends[0]) <= estimate && estimate <= number(&ends[1]));
+        assert!(
+            text.contains(&format!("{:+.1}*", 100.0 * estimate)),
+            "{text}"
+        );
+    }
+    assert!(text.contains("* is overstated"), "{text}");
+    let width = document(early("width(I) < 0.2", true)).text();
+    assert!(
+        !width.contains("overstated") && !width.contains("* "),
+        "{width}"
+    );
+}
+
+#[test]
+fn a_rule_about_new_tasks_has_intervals_of_its_measures_only_and_says_whose_they_are() {
+    let mut subject = early("I excludes 0 for new tasks", false);
+    let stop = &mut subject.early_stop.as_mut().expect("a rule").stop;
+    stop.strata = Strata::WholeTasks;
+    let found = document(subject);
+    let text = found.text();
+    let level = &json(&found)["reports"][0]["sequential"]["levels"]["L2"];
+    let measures: Vec<&String> = level.as_object().expect("measures").keys().collect();
+    assert_eq!(measures, ["I"]);
+    assert_ne!(level["I"][0], level["I"][1], "new tasks are not known");
+    assert!(text.contains("new tasks of these suites"), "{text}");
+    assert!(report::page(&found).contains("new tasks of these suites"));
+}
+
+#[test]
 fn a_campaign_that_came_to_its_end_has_points_and_all_its_figures() {
     let plain = json(&document(example()));
     let mut ended = json(&document(early("I excludes 1", false)));

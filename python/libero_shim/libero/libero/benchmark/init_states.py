@@ -1,7 +1,9 @@
 """Reading a task's initial states without PyTorch.
 
 The files are what `torch.save` makes of a NumPy array: a zip archive with a pickle.
-Only what such a pickle needs is let in, so that a file cannot run code.
+A pickle can call whatever it may name, and NumPy's own classes take shapes and types on
+trust: an array of objects over bytes of the file reads those as pointers. So nothing but
+notes of what a file asks for is made here; the array is built from them and checked.
 """
 
 from __future__ import annotations
@@ -10,21 +12,71 @@ import io
 import os
 import pickle
 import zipfile
+import zlib
 from typing import Any
 
 import numpy as np
 
-_LETS_IN = {
-    ("_codecs", "encode"),
-    ("numpy", "dtype"),
-    ("numpy", "ndarray"),
-    ("numpy._core.multiarray", "_reconstruct"),
-    ("numpy.core.multiarray", "_reconstruct"),
-}
+# LIBERO's largest has some 50 kB.
+_MOST_BYTES = 64 << 20
 
 
 class _Tensors(Exception):
     """The file holds tensors, not an array."""
+
+
+class _Dtype:
+    """A type of numbers that a pickle asks for."""
+
+    def __init__(self, *asked: Any) -> None:
+        self.name = asked[0] if asked else None
+        self.order: Any = "|"
+
+    def __setstate__(self, state: Any) -> None:
+        self.order = state[1]
+
+
+class _Array:
+    """An array that a pickle asks for."""
+
+    def __init__(self, *_asked: Any) -> None:
+        self.state: Any = None
+
+    def __setstate__(self, state: Any) -> None:
+        self.state = state
+
+    def build(self) -> Any:
+        """The array. Raises ValueError if it is no float64 array [states, numbers] or [numbers]."""
+        _, shape, dtype, is_fortran, content = self.state
+        if not isinstance(dtype, _Dtype) or (dtype.name, dtype.order) != ("f8", "<"):
+            raise ValueError("its numbers are not float64")
+        if not isinstance(content, bytes) or not isinstance(shape, tuple):
+            raise ValueError("it is no table of numbers")
+        # LIBERO-plus has files with one state, without the dimension of states.
+        if len(shape) not in (1, 2):
+            raise ValueError(f"it has {len(shape)} dimensions")
+        order = "F" if is_fortran else "C"
+        return np.frombuffer(content, "<f8").reshape(shape, order=order).copy(order=order)
+
+
+class _Subclass:
+    """The class that an array names, and nothing else."""
+
+
+def _encode(text: str, encoding: str) -> bytes:
+    """Bytes, as pickles of the second protocol write them."""
+    if encoding != "latin1":
+        raise pickle.UnpicklingError(f"it asks for the encoding {encoding}")
+    return text.encode(encoding)
+
+
+_LETS_IN = {
+    ("_codecs", "encode"): _encode,
+    ("numpy", "dtype"): _Dtype,
+    ("numpy", "ndarray"): _Subclass,
+    ("numpy._core.multiarray", "_reconstruct"): _Array,
+    ("numpy.core.multiarray", "_reconstruct"): _Array,
+}
 
 
 class _Unpickler(pickle.Unpickler):
@@ -33,14 +85,12 @@ class _Unpickler(pickle.Unpickler):
             raise _Tensors
         if (module, name) not in _LETS_IN:
             raise pickle.UnpicklingError(f"it asks for {module}.{name}")
-        if name == "_reconstruct":
-            # NumPy 2 has it elsewhere, and warns about the old place.
-            return np.zeros(0).__reduce__()[0]
-        return super().find_class(module, name)
+        return _LETS_IN[module, name]
 
 
 def load_init_states(path: str | os.PathLike[str]) -> Any:
-    """The states of a `.pruned_init` or `.init` file: a float64 array [states, numbers].
+    """The states of a `.pruned_init` or `.init` file: a float64 array [states, numbers],
+    or the numbers of one state.
 
     A file with tensors in it, which LIBERO's own do not have, is read by PyTorch and
     gives tensors.
@@ -51,20 +101,38 @@ def load_init_states(path: str | os.PathLike[str]) -> Any:
     try:
         with zipfile.ZipFile(path) as archive:
             member = next(name for name in archive.namelist() if name.endswith("/data.pkl"))
-            states = _Unpickler(io.BytesIO(archive.read(member))).load()
+            with archive.open(member) as packed:
+                content = packed.read(_MOST_BYTES + 1)
+        if len(content) > _MOST_BYTES:
+            raise ValueError(f"its pickle is larger than {_MOST_BYTES >> 20} MiB")
+        found = _Unpickler(io.BytesIO(content)).load()
+        if not isinstance(found, _Array):
+            raise ValueError("its pickle is no array")
+        return found.build()
     except _Tensors:
         return _load_tensors(path)
+    except FileNotFoundError:
+        raise
+    # Pickles and archives with errors in them raise nearly anything.
     except (
         zipfile.BadZipFile,
+        zlib.error,
         StopIteration,
         pickle.UnpicklingError,
+        ArithmeticError,
+        AttributeError,
         EOFError,
+        LookupError,
+        MemoryError,
+        NotImplementedError,
+        RuntimeError,
+        TypeError,
+        ValueError,
     ) as error:
         raise ValueError(
             f"{os.fspath(path)} holds no initial states ({error or 'no pickle in it'}): "
             "fetch the file again"
         ) from error
-    return states
 
 
 def _load_tensors(path: str | os.PathLike[str]) -> Any:

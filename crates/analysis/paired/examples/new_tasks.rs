@@ -1,0 +1,117 @@
+//! Error rates and savings of rules about new tasks, over simulated campaigns of 40 tasks
+//! with ten configurations each.
+//!
+//! `cargo run --release -p paired --example new_tasks [CAMPAIGNS [SEED]]`
+//!
+//! Tasks are drawn anew for every campaign. An end is wrong where the mean over all tasks is 0,
+//! or of the other sign. `I excludes 0` is a rule about the campaign's own configurations: how
+//! often it ends is no saving on this target, and only shows that it must not be read so. The
+//! last column is the same target with one look, at the end: the t interval for new tasks.
+
+use libero_ctrl::{Level, Measure, Stop, Strata};
+use paired::{Bootstrap, CampaignLook, Cell, Options, Records, report};
+
+// Tests use the rest.
+#[allow(dead_code)]
+#[path = "../tests/simulated/mod.rs"]
+mod simulated;
+
+use simulated::{Chance, NetEffect};
+
+/// Campaigns of each kind, unless another number is given.
+const CAMPAIGNS: u64 = 1000;
+const KINDS: [(&str, NetEffect); 6] = [
+    ("none, tasks alike", effect(0.0, 0.0, 0.0)),
+    ("none, half differ by 20", effect(0.0, 0.5, 0.2)),
+    ("none, one in 20 by 90", effect(0.0, 0.05, 0.9)),
+    ("-10", effect(-0.1, 0.5, 0.1)),
+    ("-15", effect(-0.15, 0.5, 0.1)),
+    ("-20", effect(-0.2, 0.5, 0.1)),
+];
+
+const fn effect(mean: f64, share: f64, spread: f64) -> NetEffect {
+    NetEffect {
+        mean,
+        share,
+        spread,
+    }
+}
+
+fn main() {
+    let given: Result<Vec<u64>, _> = std::env::args().skip(1).map(|it| it.parse()).collect();
+    let (campaigns, seed) = match given.as_deref() {
+        Ok([]) => (CAMPAIGNS, 0),
+        Ok([campaigns]) if *campaigns > 0 => (*campaigns, 0),
+        Ok([campaigns, seed]) if *campaigns > 0 => (*campaigns, *seed),
+        _ => {
+            eprintln!("read the number of campaigns and a seed: whole numbers, the first above 0");
+            std::process::exit(2);
+        }
+    };
+    let rules = [
+        ("I excludes 0 for new tasks", Strata::WholeTasks),
+        ("I excludes 0", Strata::Suites),
+    ];
+    // The paper's percentiles are not looked at.
+    let options = Options {
+        bootstrap: Bootstrap {
+            replicates: 2,
+            ..Bootstrap::default()
+        },
+        ..Options::default()
+    };
+    println!("{campaigns} campaigns of each kind, seed {seed}; percent");
+    println!(
+        "\n                               for new tasks        I excludes 0     t, at the end"
+    );
+    println!("I of new tasks, points       ends  wrong  saved     ends  wrong       ends  wrong");
+    for (name, kind) in KINDS {
+        let mut chance = Chance::new(seed);
+        let mut ended = [0.0; 3];
+        let mut wrong = [0.0; 3];
+        let mut saved = 0.0;
+        for at in 0..campaigns {
+            let all = kind.campaign(&mut chance);
+            let records = Records::new(&all).expect("each rollout once");
+            let mut note = |which: usize, positive: bool| {
+                ended[which] += 1.0;
+                let right = kind.mean != 0.0 && positive == (kind.mean > 0.0);
+                wrong[which] += f64::from(u8::from(!right));
+            };
+            for (which, (rule, strata)) in rules.into_iter().enumerate() {
+                let stop = Stop {
+                    rule: rule.parse().expect("a rule"),
+                    seed: at,
+                    strata,
+                };
+                if let Some(look) = CampaignLook::when_met(&records, &stop) {
+                    let interval = look.levels[&Level::L2].intervals[&Measure::I];
+                    note(which, interval.low() > 0.0);
+                    if which == 0 {
+                        saved += 1.0 - look.used.len() as f64 / look.units as f64;
+                    }
+                }
+            }
+            let report = report(&all, &options).expect("each rollout once");
+            let is_l2 = |cell: &&Cell| cell.level == Level::L2;
+            let cell = report.cells.iter().find(is_l2).expect("L2");
+            let inference = cell.inference.as_ref().expect("complete");
+            if let Some([low, high]) = inference.paired.i.new_tasks
+                && (low > 0.0 || high < 0.0)
+            {
+                note(2, low > 0.0);
+            }
+        }
+        let percent = |count: f64| 100.0 * count / campaigns as f64;
+        println!(
+            "{name:<26}{:>7.1}{:>7.1}{:>7.1}{:>9.1}{:>7.1}{:>11.1}{:>7.1}",
+            percent(ended[0]),
+            percent(wrong[0]),
+            percent(saved),
+            percent(ended[1]),
+            percent(wrong[1]),
+            percent(ended[2]),
+            percent(wrong[2]),
+        );
+    }
+}

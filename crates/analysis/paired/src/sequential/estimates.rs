@@ -1,0 +1,70 @@
+//! Estimates at a look, which weigh strata as the population has them.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::{Level, Measure, Stop, Strata, Suite, TaskRef};
+
+use crate::outcomes::Records;
+use crate::sequential::campaign::{CampaignLook, Unit};
+use crate::sequential::measures::value;
+
+/// Units of a stratum, and the sums of each measure over those that were drawn and are known.
+#[derive(Clone, Default)]
+struct Stratum {
+    units: f64,
+    known: f64,
+    sums: BTreeMap<Measure, f64>,
+}
+
+impl CampaignLook {
+    /// The estimate of each measure of each level: the mean of every stratum, weighed as the
+    /// stratum is in the population that the interval is about, and never beyond the interval.
+    /// Strata are drawn in turn, so that a small one is drawn out of proportion: of suites of
+    /// 100 and 30 configurations, the mean over what was drawn counts both alike.
+    ///
+    /// Levels of which some stratum has no known outcome yet have none.
+    pub fn estimates(
+        &self,
+        records: &Records,
+        stop: &Stop,
+    ) -> BTreeMap<Level, BTreeMap<Measure, f64>> {
+        let used: BTreeSet<Unit> = self.used.iter().copied().collect();
+        let mut levels: BTreeMap<Level, BTreeMap<(Suite, Option<TaskRef>), Stratum>> =
+            BTreeMap::new();
+        for matched in records.configurations() {
+            let Some(look) = self.levels.get(&matched.level) else {
+                continue;
+            };
+            if matched.replicate != 0 {
+                continue;
+            }
+            let task = matched.task;
+            let of_task = (stop.strata == Strata::Tasks).then_some(task);
+            let strata = levels.entry(matched.level).or_default();
+            let stratum = strata.entry((task.suite(), of_task)).or_default();
+            stratum.units += 1.0;
+            let known = matched.transition();
+            if let Some(transition) = known.filter(|_| used.contains(&(task, matched.config))) {
+                stratum.known += 1.0;
+                for &measure in look.intervals.keys() {
+                    *stratum.sums.entry(measure).or_default() += value(measure, transition) as f64;
+                }
+            }
+        }
+        let is_known = |strata: &BTreeMap<_, Stratum>| strata.values().all(|it| it.known > 0.0);
+        levels.retain(|_, strata| is_known(strata));
+        let weighs_alike = stop.rule.is_about_new_tasks();
+        let of_level = |(level, strata): (Level, BTreeMap<_, Stratum>)| {
+            let weight = |it: &Stratum| if weighs_alike { 1.0 } else { it.units };
+            let all: f64 = strata.values().map(weight).sum();
+            let intervals = self.levels[&level].intervals.iter();
+            let estimates = intervals.map(|(&measure, interval)| {
+                let of_stratum = |it: &Stratum| weight(it) * it.sums[&measure] / it.known;
+                let mean = strata.values().map(of_stratum).sum::<f64>() / all;
+                (measure, mean.clamp(interval.low(), interval.high()))
+            });
+            (level, estimates.collect())
+        };
+        levels.into_iter().map(of_level).collect()
+    }
+}

@@ -1,0 +1,318 @@
+//! Confidence sequences about new tasks: about all that the campaign's could have been,
+//! under the directions that it has.
+//!
+//! # What is estimated
+//! The tasks of suite h are independent draws from one population, with the mean μ_h of a
+//! task's own mean. An interval is about the average of μ_h over the suites.
+//!
+//! # Why it holds at all looks
+//! Each round has one task of every suite. For numbers s (a bet) and c (a centre) that
+//! depend on earlier rounds alone, and a task's mean x,
+//! (1 + s·(x − c)) / (1 + s·(μ_h − c)) has the expectation 1, so that the product over all
+//! tasks is a nonnegative martingale. −log of the denominators is convex in μ_h, so that by
+//! Jensen's inequality the product is at least that with every μ_h replaced by their
+//! average m, as s and c are the same for all tasks of a round. By Ville's inequality the
+//! average of the latter over two bets ever reaches 1/α at the true m with a probability
+//! of at most α. Nothing else is assumed of the tasks. Rounds that lack a suite count for
+//! nothing.
+//!
+//! # How much it needs
+//! A task's mean is anywhere from least to greatest, and one that fails in all of its
+//! configurations is possible however many did not. So 40 tasks exclude I = 0 only if |I| is
+//! about 0.15. The command
+//! `cargo run --release -p paired --example new_tasks` prints error rates and savings.
+//!
+//! # Sources
+//! I. Waudby-Smith and A. Ramdas, Estimating means of bounded random variables by betting,
+//! JRSS B 86 (2024), 1–27; D. Snyder et al., Is your imitation learning policy better than
+//! mine? (STEP), arXiv 2503.10966.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use libero_ctrl::{Measure, TaskRef};
+
+use crate::outcomes::Transition;
+use crate::sequential::campaign::Unit;
+use crate::sequential::look::{Look, RateInterval};
+use crate::sequential::measures::values;
+use crate::sequential::order::{Drawn, Order};
+
+/// Size of the two bets, for and against, as a share of the largest that cannot lose
+/// everything. The best bet on a difference that few tasks can show is larger than any that
+/// the range of the values allows.
+const SIZE: f64 = 0.9;
+
+/// Tasks in the middle of the range, as which the centre counts what it knows before the
+/// first round.
+const PRIOR_TASKS: f64 = 1.0;
+
+/// Candidates for a mean, in a range of 1.
+const CANDIDATES: i64 = 2000;
+
+/// Confidence sequences of some measures about new tasks. They hold together, at all looks,
+/// with a probability of at least 1 − α.
+#[derive(Clone, Debug)]
+pub(crate) struct NewTasks {
+    /// Suites: the tasks of a round that counts.
+    suites: usize,
+    /// Configurations of each task.
+    sizes: BTreeMap<TaskRef, usize>,
+    units: usize,
+    /// Configurations of the rounds that have every suite: the first ones.
+    counted: usize,
+    used: usize,
+    /// Configurations of the present task that are complete.
+    of_task: usize,
+    /// Tasks of the present round that are complete.
+    of_round: usize,
+    means: BTreeMap<Measure, Mean>,
+}
+
+/// The confidence sequence of one mean.
+#[derive(Clone, Debug)]
+struct Mean {
+    alpha: f64,
+    /// Least and greatest value of a configuration.
+    range: [i64; 2],
+    /// Least and greatest sum over the present task.
+    task: [i64; 2],
+    /// Least and greatest mean of each task of the present round.
+    round: Vec<[f64; 2]>,
+    /// Middles of the ranges of all earlier means, and how many they are.
+    seen: [f64; 2],
+    bets: [Bet; 2],
+    /// Candidates that are not ruled out.
+    kept: [i64; 2],
+}
+
+#[derive(Clone, Debug)]
+struct Bet {
+    /// Negative against.
+    size: f64,
+    /// Log of the product of the numerators.
+    gains: f64,
+    /// Minus the log of the product of the denominators, by candidate.
+    costs: Vec<f64>,
+}
+
+impl NewTasks {
+    /// Before the first configuration of an order of whole tasks.
+    pub(crate) fn new(order: &Order<Unit>, measures: BTreeSet<Measure>, alpha: f64) -> Self {
+        let mut sizes: BTreeMap<TaskRef, usize> = BTreeMap::new();
+        for (task, _) in order.units() {
+            *sizes.entry(*task).or_default() += 1;
+        }
+        let alpha = alpha / measures.len() as f64;
+        let of_each = measures.into_iter();
+        let suites = order.sizes().len();
+        let has_all = |round: &&Vec<Drawn<Unit>>| {
+            let strata: BTreeSet<usize> = round.iter().map(|drawn| drawn.stratum).collect();
+            strata.len() == suites
+        };
+        let whole = order.rounds().iter().take_while(has_all);
+        Self {
+            counted: whole.map(Vec::len).sum(),
+            suites,
+            units: order.units().count(),
+            sizes,
+            used: 0,
+            of_task: 0,
+            of_round: 0,
+            means: of_each.map(|it| (it, Mean::new(it, alpha))).collect(),
+        }
+    }
+
+    /// Takes the next configuration of the order: every transition that it can have.
+    pub(crate) fn complete(&mut self, (task, _): &Unit, possible: &[Transition]) {
+        self.used += 1;
+        if self.used > self.counted {
+            return;
+        }
+        self.of_task += 1;
+        let size = self.sizes[task];
+        let ends_task = self.of_task == size;
+        if ends_task {
+            self.of_task = 0;
+            self.of_round += 1;
+        }
+        let ends_round = self.of_round == self.suites;
+        if ends_round {
+            self.of_round = 0;
+        }
+        for (&measure, mean) in &mut self.means {
+            let value = values(measure, possible);
+            for end in [0, 1] {
+                mean.task[end] += value[end];
+            }
+            if ends_task {
+                mean.end_task(size);
+            }
+            if ends_round && ends_task {
+                mean.end_round();
+            }
+        }
+    }
+
+    pub(crate) fn look(&self) -> Look {
+        let intervals = self.means.iter();
+        Look {
+            used: self.used,
+            waiting: 0,
+            units: self.units,
+            intervals: intervals.map(|(it, of)| (*it, of.interval())).collect(),
+        }
+    }
+}
+
+impl Mean {
+    fn new(measure: Measure, alpha: f64) -> Self {
+        let range = values(measure, &Transition::ALL);
+        let kept = range.map(|end| end * CANDIDATES);
+        let candidates = (kept[1] - kept[0] + 1) as usize;
+        let bet = |size| Bet {
+            size,
+            gains: 0.0,
+            costs: vec![0.0; candidates],
+        };
+        Self {
+            alpha,
+            range,
+            task: [0; 2],
+            round: Vec::new(),
+            seen: [0.0; 2],
+            bets: [bet(SIZE), bet(-SIZE)],
+            kept,
+        }
+    }
+
+    fn end_task(&mut self, size: usize) {
+        let sums = std::mem::take(&mut self.task);
+        self.round.push(sums.map(|sum| sum as f64 / size as f64));
+    }
+
+    fn end_round(&mut self) {
+        let [least, greatest] = self.range.map(|end| end as f64);
+        let [sum, tasks] = self.seen;
+        let middle = (least + greatest) / 2.0;
+        let centre = (sum + PRIOR_TASKS * middle) / (tasks + PRIOR_TASKS);
+        let round = std::mem::take(&mut self.round);
+        let first = self.range[0] * CANDIDATES;
+        for bet in &mut self.bets {
+            let stake = match bet.size > 0.0 {
+                true => bet.size / (centre - least).max(f64::MIN_POSITIVE),
+                false => bet.size / (greatest - centre).max(f64::MIN_POSITIVE),
+            };
+            // A mean that is known as a range counts as what makes the bet worth least.
+            let worst = usize::from(stake < 0.0);
+            let gains = round
+                .iter()
+                .map(|mean| (stake * (mean[worst] - centre)).ln_1p());
+            bet.gains += gains.sum::<f64>();
+            for (at, cost) in (first..).zip(&mut bet.costs) {
+                let candidate = at as f64 / CANDIDATES as f64;
+                *cost -= round.len() as f64 * (stake * (candidate - centre)).ln_1p();
+            }
+        }
+        for mean in &round {
+            self.seen[0] += (mean[0] + mean[1]) / 2.0;
+            self.seen[1] += 1.0;
+        }
+        let e_value = |at: i64| {
+            let of_bet = |bet: &Bet| (bet.gains + bet.costs[(at - first) as usize]).exp();
+            self.bets.iter().map(of_bet).sum::<f64>() / self.bets.len() as f64
+        };
+        let is_kept = |at: &i64| e_value(*at) * self.alpha < 1.0;
+        let [low, high] = self.kept;
+        // E-values are convex in the candidate, so that what is kept has no gaps. If nothing
+        // is kept, the mean was missed before, and the interval stays.
+        if let Some(least) = (low..=high).find(is_kept) {
+            let greatest = (least..=high).rev().find(is_kept).unwrap_or(least);
+            self.kept = [least, greatest];
+        }
+    }
+
+    /// The candidates that are kept, and what lies between them and the next.
+    fn interval(&self) -> RateInterval {
+        let [least, greatest] = self.range.map(|end| end * CANDIDATES);
+        RateInterval {
+            least: (self.kept[0] - 1).max(least),
+            greatest: (self.kept[1] + 1).min(greatest),
+            units: CANDIDATES as u64,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ROUNDS: usize = 4;
+
+    /// Tasks of one configuration each, in rounds of two suites.
+    fn order() -> Order<Unit> {
+        let suites = [0, 10].map(|first| TaskRef::all().skip(first).take(ROUNDS));
+        Order::new(1, suites.into_iter().flatten(), |task: &TaskRef| {
+            task.suite()
+        })
+        .of_parts(|task| vec![(*task, 0)])
+    }
+
+    /// Exactly, over all outcomes of tasks that succeed with a probability of their suite's:
+    /// how likely it is that the mean is ever missed.
+    fn missed(of_suites: [f64; 2], alpha: f64) -> f64 {
+        let order = order();
+        let drawn: Vec<_> = order.rounds().iter().flatten().collect();
+        let mean = (of_suites[0] + of_suites[1]) / 2.0;
+        let mut missed = 0.0;
+        for outcomes in 0..1_u32 << drawn.len() {
+            let mut sequence = NewTasks::new(&order, [Measure::SSim].into(), alpha);
+            let (mut probability, mut is_missed) = (1.0, false);
+            for (at, it) in drawn.iter().enumerate() {
+                let p = of_suites[it.stratum];
+                let success = outcomes >> at & 1 == 1;
+                probability *= if success { p } else { 1.0 - p };
+                let possible = match success {
+                    true => Transition::StillSucceeds,
+                    false => Transition::Emergent,
+                };
+                sequence.complete(&it.unit, &[possible]);
+                is_missed |= sequence.look().intervals[&Measure::SSim].excludes(mean);
+            }
+            missed += if is_missed { probability } else { 0.0 };
+        }
+        missed
+    }
+
+    #[test]
+    fn the_mean_of_suites_that_differ_is_covered_over_all_outcomes() {
+        let mut greatest: f64 = 0.0;
+        for of_suites in [[0.2, 0.6], [0.5, 0.5], [0.1, 0.9], [0.9, 0.7]] {
+            for alpha in [0.1, 0.3, 0.6] {
+                let missed = missed(of_suites, alpha);
+                assert!(missed <= alpha, "{of_suites:?}: {missed} at {alpha}");
+                greatest = greatest.max(missed);
+            }
+        }
+        assert!(greatest > 0.0, "nothing is ever missed, nothing is tested");
+    }
+
+    #[test]
+    fn a_round_that_lacks_a_suite_counts_for_nothing() {
+        let suites = [(0, 1), (10, 3)].map(|(first, tasks)| TaskRef::all().skip(first).take(tasks));
+        let order = Order::new(1, suites.into_iter().flatten(), |task: &TaskRef| {
+            task.suite()
+        })
+        .of_parts(|task| vec![(*task, 0), (*task, 1)]);
+        let mut sequence = NewTasks::new(&order, [Measure::SSim].into(), 0.9);
+        let looks: Vec<_> = order
+            .units()
+            .map(|unit| {
+                sequence.complete(unit, &[Transition::StillSucceeds]);
+                sequence.look().intervals[&Measure::SSim]
+            })
+            .collect();
+        assert_eq!(looks[0], looks[2], "a task in part, or a suite");
+        assert_ne!(looks[2], looks[3], "two whole tasks");
+        assert_eq!(looks[3], looks[7]);
+    }
+}
