@@ -137,6 +137,14 @@ fn simulator(messages: &mut Messages) {
         "aloud".parse::<Prompt>().expect_err("none"),
     );
     messages.add(
+        "UnknownBenchmark",
+        "own".parse::<Benchmark>().expect_err("none"),
+    );
+    messages.add(
+        "UnknownProSuite",
+        "own".parse::<ProSuite>().expect_err("none"),
+    );
+    messages.add(
         "UnknownProtocol",
         "own".parse::<Protocol>().expect_err("none"),
     );
