@@ -1,8 +1,8 @@
 //! Errors of scenes, pictures and simulations, and of the worker.
 
 use assets::AssetsError;
-use libero_ctrl::{Delays, Execution, NoSuchRow, TooLate};
 use libero_ctrl::numpy::LegacyRng;
+use libero_ctrl::{Delays, Execution, NoSuchRow, TooLate};
 use libero_family::corruption::{Corruption, Picture, UnsuitedPicture};
 use libero_family::plus::{ProblemClass, Prompt, UnknownVariant};
 use libero_family::pro::ProSuite;
