@@ -133,7 +133,7 @@ fn play(
             let query = step / STEPS_PER_QUERY;
             let observation = proto::policy::Observation::default();
             let asked = Instant::now();
-            let actions = policy.infer(session, query, observation, description.horizon)?;
+            let actions = policy.infer(session, query, observation, description.horizon, None)?;
             parts.policy_secs += asked.elapsed().as_secs_f64();
             for number in actions.iter().flatten() {
                 fate.update(number.to_le_bytes());
