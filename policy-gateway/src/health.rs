@@ -184,6 +184,19 @@ impl Health {
         }
     }
 
+    /// Notes that whoever made this call went away before it told anything of the server. If
+    /// it was through to try it, the next one may at once.
+    pub fn abandoned(&mut self, call: Call<'_>) {
+        let session = match call {
+            Call::Describe => None,
+            Call::Of(session) => Some(session),
+        };
+        if let Self::Out(outage) = self {
+            let probe = outage.probe.take();
+            outage.probe = probe.filter(|probe| probe.session.as_deref() != session);
+        }
+    }
+
     /// Notes an answer. True if the server had been out and is back.
     pub fn answered(&mut self, answered: Answered) -> bool {
         match (&*self, answered) {
@@ -288,6 +301,7 @@ mod tests {
         Admit(Option<usize>),
         Answered(Answered),
         Failed(Cause),
+        Abandoned(Option<usize>),
         Erred(&'static str, usize),
         Pass(u64),
     }
@@ -306,6 +320,7 @@ mod tests {
             prop::option::of(0..SESSIONS.len()).prop_map(Event::Admit),
             prop_oneof![Just(Answered::Something), Just(Answered::Query)].prop_map(Event::Answered),
             cause.prop_map(Event::Failed),
+            prop::option::of(0..SESSIONS.len()).prop_map(Event::Abandoned),
             (
                 prop_oneof![
                     Just("ValueError: 1"),
@@ -328,6 +343,7 @@ mod tests {
             Event::Admit(session) => drop(health.admit(call(*session), *now)),
             Event::Answered(answered) => drop(health.answered(*answered)),
             Event::Failed(cause) => drop(health.failed(cause.clone(), *now)),
+            Event::Abandoned(session) => health.abandoned(call(*session)),
             Event::Erred(error, task) => drop(health.erred(error, &task.to_string(), *now)),
             Event::Pass(millis) => *now += Duration::from_millis(*millis),
         }
@@ -410,6 +426,21 @@ mod tests {
             assert_eq!(health.admit(Call::Describe, now), Ok(()));
         }
         assert_eq!(waits, [100, 200, 400, 800, 1600, 3200, 5000, 5000]);
+    }
+
+    #[test]
+    fn a_probe_that_goes_away_makes_way_for_the_next_and_another_does_not() {
+        let mut health = Health::default();
+        let mut now = Instant::now();
+        health.failed(Cause::Silent, now);
+        let (_, wait) = health.admit(Call::Of("a"), now).expect_err("a wait");
+        now += wait;
+        assert_eq!(health.admit(Call::Of("a"), now), Ok(()));
+        health.abandoned(Call::Of("b"));
+        health.abandoned(Call::Describe);
+        assert!(health.admit(Call::Of("b"), now).is_err());
+        health.abandoned(Call::Of("a"));
+        assert_eq!(health.admit(Call::Of("b"), now), Ok(()));
     }
 
     #[test]

@@ -4,7 +4,8 @@
 
 The file has a list of {"name", "levels", "report"}: `levels` has, per level, a row per
 configuration, [suite, task, config, nominal or null, [each axis alone], simultaneous], and
-`report` is the report's JSON. Prints how many figures agree; fails naming each that does
+`report` is the report's JSON; or of {"name", "compared"}: per row of a comparison of two
+policies, its "name", its "pairs" [suite, task, number, A, B], and its "difference". Prints how many figures agree; fails naming each that does
 not. Shares no code with the crate; the formulas are those of docs/REPORT.md.
 """
 
@@ -20,6 +21,9 @@ MARGIN = 0.05
 FINDING_ALPHA = 0.01
 FEWEST_TASKS = 5
 PERMUTATIONS = 1999
+SIGNS = 4000
+# Of a 95th percentile of 4,000 draws, twice.
+SIGNS_TOLERANCE = 0.06
 TOLERANCE = 1e-9
 
 
@@ -34,7 +38,8 @@ def grouped(labels):
 class Sample:
     """Rows of numbers, with the groups that a jackknife leaves out."""
 
-    def __init__(self, keys, values):
+    def __init__(self, keys, values, own_directions=False):
+        self.own_directions = own_directions
         self.x = np.array(values, dtype=float)
         suites = [suite for suite, _, _ in keys]
         tasks = [(suite, task) for suite, task, _ in keys]
@@ -90,6 +95,8 @@ class Sample:
             parts = sum(v**2 / df for v, df in (new, directions, rows))
             df = variance**2 / parts if variance > 1e-24 else min(new[1], directions[1])
             both = (variance, df)
+        if self.own_directions:
+            both = new
         if self.tasks < FEWEST_TASKS:
             new = both = None
         ends = around_product if is_share == "product" else wilson if is_share else around
@@ -306,6 +313,80 @@ def inference(rows, placebo):
     return result, keys, sim
 
 
+def difference(pairs):
+    """One row of a comparison, without what depends on the others; and A - B by task."""
+    keys = [tuple(pair[:3]) for pair in pairs]
+    a, b = np.array([pair[3:] for pair in pairs]).T
+    ones = np.ones(len(pairs))
+    estimate = Sample(keys, np.column_stack([ones, a - b])).estimate(lambda s: s[1] / s[0], False)
+    by_task = {}
+    for (suite, task, _), change in zip(keys, a - b):
+        by_task.setdefault((suite, task), []).append(change)
+    by_task = {task: np.mean(changes) for task, changes in by_task.items()}
+    better = np.array([(1 + np.sign(change)) / 2 for change in by_task.values()])
+    profile = Sample(
+        [(suite, task, 0) for suite, task in by_task],
+        np.column_stack([np.ones(len(better)), better]),
+        own_directions=True,
+    )
+    return {
+        "n": len(pairs),
+        "tasks": len(by_task),
+        "s_a": a.mean(),
+        "s_b": b.mean(),
+        "difference": (a - b).mean(),
+        "both": int((a & b).sum()),
+        "a_only": int((a & ~b & 1).sum()),
+        "b_only": int((b & ~a & 1).sum()),
+        "neither": int((1 - (a | b)).sum()),
+        "estimate": estimate,
+        "sign_flip_p": sign_flip(net_by_task(keys, a - b)),
+        "equivalence_p": equivalence(estimate),
+        "profile": {
+            "a_better": int((better == 1).sum()),
+            "b_better": int((better == 0).sum()),
+            "improvement": profile.estimate(lambda s: s[1] / s[0], True),
+        },
+    }, by_task
+
+
+def max_t(by_tasks):
+    """How many standard errors wide intervals of all rows together are, by random signs."""
+    tasks = sorted(set().union(*by_tasks))
+    columns = []
+    for of in by_tasks:
+        means = {suite: np.mean([v for (s, _), v in of.items() if s == suite]) for suite, _ in of}
+        columns.append([of[task] - means[task[0]] if task in of else 0.0 for task in tasks])
+    u = np.array(columns)
+    u = u[(np.abs(u) > 1e-12).any(axis=1)]
+    g = len(tasks)
+    if g < 2 or not len(u):
+        return None
+    signs = np.random.default_rng(2).choice([-1.0, 1.0], (SIGNS, g))
+    sums = signs @ u.T
+    variance = ((u**2).sum(axis=1) - sums**2 / g) * g / (g - 1)
+    with np.errstate(all="ignore"):
+        t = np.where(variance > 0, np.abs(sums) / np.sqrt(variance), np.inf)
+    critical = np.quantile(t.max(axis=1), 0.95)
+    return critical if np.isfinite(critical) else None
+
+
+def compare_policies(campaign, comparison):
+    rows = campaign["compared"]
+    ours = [difference(row["pairs"]) for row in rows]
+    adjusted = holm([one["sign_flip_p"] for one, _ in ours])
+    critical = max_t([by_task for _, by_task in ours])
+    for row, (one, _), p in zip(rows, ours, adjusted):
+        where, theirs = f"{campaign['name']} {row['name']}", row["difference"]
+        comparison.check(where, one | {"holm_p": p}, theirs)
+        error, interval = one["estimate"]["standard_error"], theirs["simultaneous_ci95"]
+        if critical is None or error is None or interval is None:
+            comparison.count(f"{where} max-t", critical and error, interval, interval is None)
+        elif -1 < interval[0] and interval[1] < 1:
+            half = (interval[1] - interval[0]) / 2
+            comparison.check(f"{where} max-t", 1.0, half / error / critical, SIGNS_TOLERANCE)
+
+
 class Comparison:
     def __init__(self):
         self.agreed, self.wrong = 0, []
@@ -377,7 +458,8 @@ def main():
     with open(sys.argv[1]) as file:
         campaigns = json.load(file)
     for campaign in campaigns:
-        compare(campaign, comparison)
+        of = compare_policies if "compared" in campaign else compare
+        of(campaign, comparison)
     for line in comparison.wrong[:20]:
         print(line, file=sys.stderr)
     print(f"{comparison.agreed} figures of {len(campaigns)} campaigns agree")

@@ -68,6 +68,28 @@ impl Drop for UnderWay<'_> {
     }
 }
 
+/// A call under way that its caller may drop. Dropped without an end, it makes way for
+/// whoever tries the server next, who would otherwise wait out its patience.
+struct Trying<'a> {
+    replica: &'a Replica,
+    call: Call<'a>,
+    has_ended: bool,
+}
+
+impl Trying<'_> {
+    fn end(mut self) {
+        self.has_ended = true;
+    }
+}
+
+impl Drop for Trying<'_> {
+    fn drop(&mut self) {
+        if !self.has_ended {
+            self.replica.health().abandoned(self.call);
+        }
+    }
+}
+
 impl Replica {
     /// A replica that has not been asked anything yet.
     ///
@@ -210,6 +232,7 @@ impl Replica {
         if self.would_admit(Call::Of(session)) {
             let _ = tokio::time::timeout(self.answer_within, self.backend.end(session)).await;
         }
+        self.health().abandoned(Call::Of(session));
     }
 
     /// Answers one observation of `task` with actions of which there are at
@@ -228,12 +251,15 @@ impl Replica {
         let _under_way = UnderWay(&self.load);
         let session = request.session.clone();
         let call = Call::Of(&session);
-        self.admit(call)?;
+        let trying = self.admit(call)?;
         let answer = match self.batch_size.load(Ordering::Relaxed) {
             1 => self.infer_alone(call, request).await,
             size => self.batcher.infer(request, size, self.patience()).await,
         };
         let answer = self.noted(answer);
+        if !matches!(&answer, Err(error) if says_nothing(error)) {
+            trying.end();
+        }
         let checked =
             answer.and_then(
                 |response| match policy_protocol::actions(&response, horizon) {
@@ -286,7 +312,7 @@ impl Replica {
             });
         };
         // The server may have gone out meanwhile.
-        self.admit(call)?;
+        self.admit(call)?.end();
         let answer = self.backend.infer(request);
         let answer = self.watch.queries(self.answer_within, answer, |answer| {
             u32::from(!matches!(answer, Err(error) if error.is_outage()))
@@ -301,14 +327,21 @@ impl Replica {
         call: Call<'_>,
         answer: impl Future<Output = Result<T, BackendError>>,
     ) -> Result<T, BackendError> {
-        self.admit(call)?;
+        let trying = self.admit(call)?;
         let answer = self.watch.answer(self.answer_within, answer).await;
-        self.noted(self.unless_silent(answer))
+        let answer = self.noted(self.unless_silent(answer));
+        trying.end();
+        answer
     }
 
-    fn admit(&self, call: Call<'_>) -> Result<(), BackendError> {
+    fn admit<'a>(&'a self, call: Call<'a>) -> Result<Trying<'a>, BackendError> {
         let admitted = self.health().admit(call, Instant::now());
-        admitted.map_err(|(cause, retry_in)| BackendError::Out {
+        let trying = admitted.map(|()| Trying {
+            replica: self,
+            call,
+            has_ended: false,
+        });
+        trying.map_err(|(cause, retry_in)| BackendError::Out {
             backend: self.to_string(),
             cause,
             retry_in,
@@ -331,13 +364,7 @@ impl Replica {
     fn noted<T>(&self, answer: Result<T, BackendError>) -> Result<T, BackendError> {
         match &answer {
             Err(BackendError::TimedOut { .. }) => self.lost(Cause::Silent),
-            // These say nothing of the server.
-            Err(
-                BackendError::QueueFull { .. }
-                | BackendError::Crowded { .. }
-                | BackendError::BatchLost
-                | BackendError::Out { .. },
-            ) => {}
+            Err(error) if says_nothing(error) => {}
             Err(BackendError::Unreachable { trouble, .. }) => {
                 let why = trouble.to_string();
                 self.lost(match trouble.found.is_final() {
@@ -380,6 +407,17 @@ impl fmt::Display for Replica {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.backend.fmt(f)
     }
+}
+
+/// Whether an error says nothing of the server.
+fn says_nothing(error: &BackendError) -> bool {
+    matches!(
+        error,
+        BackendError::QueueFull { .. }
+            | BackendError::Crowded { .. }
+            | BackendError::BatchLost
+            | BackendError::Out { .. }
+    )
 }
 
 /// Returns how many sessions get their answers in time from a server that takes

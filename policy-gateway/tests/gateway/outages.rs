@@ -86,6 +86,36 @@ async fn a_policy_that_restarts_is_found_again() {
 }
 
 #[tokio::test]
+async fn a_caller_that_goes_away_while_it_tries_a_policy_keeps_nobody_from_trying_it_next() {
+    let inner = gateway(&["noop=builtin:noop"]).await;
+    let address = inner.address;
+    let outer = gateway(&[&format!("noop=grpc://{address}")]).await;
+    let mut client = outer.client().await;
+    client.reset(reset("", "s")).await.expect("an episode");
+    inner.stop().await;
+    client
+        .infer(infer("", "s", 0))
+        .await
+        .expect_err("it stopped");
+
+    // Something that takes connections and never says a word.
+    let mute = tokio::net::TcpListener::bind(address).await.expect("free");
+    tokio::time::sleep(WAITS.longest / 10).await;
+    let probe = client.reset(reset("", "gone"));
+    let patience = Duration::from_millis(300);
+    let went = tokio::time::timeout(patience, probe).await;
+    went.expect_err("nothing answers, and the caller goes");
+
+    drop(mute);
+    let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
+    let came_back = Instant::now();
+    until_it_answers(&mut client)
+        .await
+        .expect("the policy is tried again");
+    assert!(came_back.elapsed() < WAITS.longest);
+}
+
+#[tokio::test]
 async fn a_gateway_that_restarts_passes_on_sessions_that_its_back_end_still_holds() {
     let inner = gateway(&["noop=builtin:noop"]).await;
     let route = format!("noop=grpc://{}", inner.address);

@@ -120,6 +120,12 @@ fn protocol(messages: &mut Messages) {
             StopError::Measure("purple".parse::<Level>().expect_err("no level"))
         },
         StopError::NotSimultaneous => StopError::NotSimultaneous,
+        StopError::BothKinds => StopError::BothKinds,
+        StopError::Strata { .. } => StopError::Strata {
+            given: "suites",
+            rule: "I excludes 0 for new tasks".to_owned(),
+            needed: "whole_tasks",
+        },
         StopError::Replicates { .. } => StopError::Replicates { given: 2 },
         StopError::Follows { .. } => StopError::Follows { field: "explains" },
         StopError::Missing { .. } => StopError::Missing { rollout: id() },

@@ -6,7 +6,9 @@ use std::path::Path;
 use std::process::Command;
 
 use libero_ctrl::{Level, RolloutId};
-use paired::{Bootstrap, Matched, Options, Outcome, Record, Records, report_of};
+use paired::{
+    Bootstrap, ComparedCell, Comparison, Matched, Options, Outcome, Record, Records, report_of,
+};
 use serde_json::{Value, json};
 
 // The coverage command uses the rest.
@@ -17,6 +19,7 @@ use simulated::{CONFIGURATIONS, Chance, Population};
 
 const EXAMPLES: [&str; 3] = ["openvla_oft", "student", "student_randomised"];
 const CAMPAIGNS: u64 = 200;
+const COMPARISONS: u64 = 20;
 
 fn example(name: &str) -> Vec<Record> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../examples");
@@ -72,6 +75,43 @@ fn campaign(name: &str, records: &[Record]) -> Value {
     json!({"name": name, "levels": levels, "report": report_of(&records, &options)})
 }
 
+/// Pairs of outcomes and the comparison in the form that the script reads.
+fn comparison(name: &str, a: &[Record], b: &[Record]) -> Value {
+    let found = Comparison::of(a, b, &Bootstrap::default(), |_| None);
+    let of_b: BTreeMap<RolloutId, &Record> = b.iter().map(|it| (it.id, it)).collect();
+    let cell = |cell: &ComparedCell| {
+        let of_cell =
+            |it: &&Record| (it.id.level(), it.id.condition()) == (cell.level, cell.condition);
+        let pairs = a.iter().filter(of_cell).filter_map(|a| {
+            let b = of_b.get(&a.id)?;
+            Some(json!([
+                a.id.task().suite() as u8,
+                a.id.task().index(),
+                a.id.config().unwrap_or(a.init_id),
+                u8::from(a.outcome.success()?),
+                u8::from(b.outcome.success()?),
+            ]))
+        });
+        json!({
+            "name": cell.name(),
+            "pairs": pairs.collect::<Vec<_>>(),
+            "difference": cell.difference,
+        })
+    };
+    json!({"name": name, "compared": found.cells.iter().map(cell).collect::<Vec<_>>()})
+}
+
+/// Two policies of one population over the same tasks and directions.
+fn simulated_comparison(seed: u64) -> Value {
+    let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (20, 4)][seed as usize % 4];
+    let population = Population::usual();
+    let mut chance = Chance::new(1000 + seed);
+    let effects = population.tasks(tasks, &mut chance);
+    let directions = population.directions(CONFIGURATIONS, &mut chance);
+    let [a, b] = [0, 1].map(|_| population.campaign(&effects, suites, &directions, &mut chance));
+    comparison(&format!("simulated comparison {seed}"), &a, &b)
+}
+
 /// Two, five, ten, … tasks, with a placebo in every second campaign.
 fn simulated_campaign(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (10, 1), (20, 4)][seed as usize % 5];
@@ -100,6 +140,10 @@ fn three_examples_and_two_hundred_campaigns_are_recomputed_by_numpy_and_scipy() 
     let campaigns = examples
         .into_iter()
         .chain((0..CAMPAIGNS).map(simulated_campaign));
+    let [_, student, randomised] = EXAMPLES.map(example);
+    let students = comparison("students", &student, &randomised);
+    let comparisons = (0..COMPARISONS).map(simulated_comparison);
+    let campaigns = campaigns.chain([students]).chain(comparisons);
     let campaigns: Vec<Value> = campaigns.collect();
     let folder = std::env::temp_dir().join(format!("recomputed-{}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("a folder");

@@ -26,6 +26,12 @@ fn json(document: &Document) -> Value {
     serde_json::from_str(&document.json().expect("JSON")).expect("JSON")
 }
 
+/// The text, however its lines are broken.
+fn words(document: &Document) -> String {
+    let text = document.text();
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
 fn document(subject: Subject) -> Document {
     Document::new(vec![subject]).expect("no rollout twice")
 }
@@ -76,7 +82,7 @@ fn figures_of_a_stopped_campaign_are_of_what_its_intervals_rest_on() {
 #[test]
 fn an_estimate_that_ended_a_campaign_has_a_star_and_the_warning_and_others_have_none() {
     let stopped = document(early("I excludes 0 and width(S_sim) < 0.5", true));
-    let text = stopped.text();
+    let text = words(&stopped);
     let found = json(&stopped);
     let sequential = &found["reports"][0]["sequential"];
     assert_eq!(sequential["has_stopped"], true);
@@ -104,7 +110,7 @@ fn a_rule_about_new_tasks_has_intervals_of_its_measures_only_and_says_whose_they
     let stop = &mut subject.early_stop.as_mut().expect("a rule").stop;
     stop.strata = Strata::WholeTasks;
     let found = document(subject);
-    let text = found.text();
+    let text = words(&found);
     let level = &json(&found)["reports"][0]["sequential"]["levels"]["L2"];
     let measures: Vec<&String> = level.as_object().expect("measures").keys().collect();
     assert_eq!(measures, ["I"]);
