@@ -151,7 +151,7 @@ fn states_of_pro_after_resets_and_waits_are_the_originals() {
     };
     // The object suites need models that are not LIBERO's.
     let whole = std::env::var("ROLLOUT_PRO_ASSETS").ok();
-    let whole = whole.map(|dir| AssetPack::open(&dir, &sources).unwrap());
+    let whole = whole.map(|dir| AssetPack::open_whole(dir.as_ref()).unwrap());
     let mut largest = 0.0_f64;
     for line in include_str!("family/pro.txt").lines() {
         let mut fields = line.split(' ');

@@ -11,6 +11,8 @@ use std::time::Duration;
 
 use anyhow::Context;
 use libero_ctrl::{Execution, ManifestRow, Realisation, TaskRef};
+use libero_family::protocol::Benchmark;
+use scene::pack::LIBERO;
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Renderer, SceneFolder, Simulator, SimulatorConfig};
 use terminal::counted;
@@ -288,7 +290,12 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
 fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let VariantsArguments { choice, manner, .. } = &arguments;
     let protocol = manner.protocol_of(choice.benchmark())?;
-    let simulator = open(&arguments.simulator)?;
+    let mut simulator = open(&arguments.simulator)?;
+    let is_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
+    if choice.benchmark() == Benchmark::Pro && is_folder {
+        // LIBERO's own files, and others beside them that count.
+        simulator.pack = AssetPack::open_whole(simulator.pack.dir())?;
+    }
     let audit = variants::Audit::new(choice.cases()?, &simulator.pack, &simulator.sources)?;
     let print = |text: &str| terminal::print(text).context("print to standard output");
     let (Some(endpoint), Some(output)) = (&arguments.endpoint, &arguments.output) else {

@@ -114,6 +114,17 @@ impl AssetPack {
         Ok(Self::custom(pack.dir, digest, differences.collect()))
     }
 
+    /// Opens a folder that has more than LIBERO's files, as LIBERO-PRO's models need. It is
+    /// `custom`, and its digest covers all of them.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn open_whole(dir: &Path) -> Result<Self, SceneError> {
+        let dir = existing_folder(dir)?;
+        let digest = digest_of_folder(&dir)?;
+        Ok(Self::custom(dir, digest, Vec::new()))
+    }
+
     /// Returns the name: `primitives`, `libero` or `custom`.
     pub fn name(&self) -> &str {
         self.name
