@@ -1,26 +1,24 @@
-//! A policy's description as a gateway uses it: batches by what it declares, and
-//! replicas by whether they describe themselves alike. Pure. The crate
-//! `policy-protocol` checks descriptions and answers.
+//! Uses of a policy's description in the gateway: its batch size, and whether replicas describe
+//! themselves alike. Pure functions. The crate `policy-protocol` checks descriptions and answers.
 
 use proto::policy::DescribeResponse;
 
-/// Queries in one `InferBatch`.
+/// Most queries in one `InferBatch`.
 pub const MAX_BATCH_QUERIES: usize = 64;
 
-/// Returns how many queries of this policy go to its server at once, by what it
-/// declares and what a message holds.
+/// Returns the batch size for a policy, limited by its description and by the largest message.
 pub fn batch_size(described: &DescribeResponse) -> usize {
     let cameras = described.cameras.iter();
     let pixels = cameras.map(|it| u64::from(it.width) * u64::from(it.height));
-    // Readings are small; half of the message leaves them more than enough.
+    // Half of a message is left for readings, which are small.
     let query_bytes = 3 * pixels.sum::<u64>().max(1);
     let fitting = proto::MAX_MESSAGE_BYTES as u64 / 2 / query_bytes;
     let declared = u64::from(described.max_batch).min(MAX_BATCH_QUERIES as u64);
     declared.min(fitting).max(1) as usize
 }
 
-/// Returns the first difference between two descriptions in words. Replicas may
-/// take batches of different sizes.
+/// Describes the first difference between two descriptions. The batch size is ignored, because it
+/// may differ between replicas.
 pub fn difference(one: &DescribeResponse, other: &DescribeResponse) -> Option<String> {
     let said = |it: &DescribeResponse| {
         [

@@ -1,10 +1,9 @@
-//! Conformance of a policy server to the policy protocol: the command
-//! `policy-gateway check URL`. Responsible for the order of the points and for
-//! nothing else: [`probe`] asks, [`verdict`] judges, [`scene`] makes up
-//! observations, [`front`] translates for servers of another protocol.
+//! `policy-gateway check URL`: checks that a policy server conforms to the policy protocol. This
+//! module orders the checks: [`probe`] queries the server, [`verdict`] judges the answers,
+//! [`scene`] generates observations, [`front`] translates for servers of other protocols.
 //!
-//! It judges the protocol, not the policy: the scenes are made up, and no
-//! answer to them is a good or a bad one.
+//! The check covers the protocol, not the policy's quality: the scenes are synthetic, so no answer
+//! to them is good or bad.
 
 use std::fmt;
 
@@ -21,14 +20,14 @@ pub mod scene;
 mod target;
 pub mod verdict;
 
-/// Seed of the episode that others are compared with.
+/// Seed of the reference episode.
 pub const SEED: u64 = 1;
-/// Seed of episodes that may differ from it.
+/// Seed of episodes whose answers may differ from the reference's.
 pub const OTHER_SEED: u64 = 2;
-/// Episodes at once while throughput is measured.
+/// Concurrent episodes in the measurement of throughput.
 pub const CONCURRENCY: u32 = 8;
 
-/// One point of the protocol.
+/// Requirement of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(missing_docs, reason = "the sentences below say it")]
 pub enum Point {
@@ -49,7 +48,7 @@ pub enum Point {
 }
 
 impl Point {
-    /// Every point, in the order in which they are checked.
+    /// All points, in the order of the checks.
     pub const ALL: [Self; 14] = [
         Self::Description,
         Self::Version,
@@ -69,7 +68,7 @@ impl Point {
 }
 
 impl fmt::Display for Point {
-    /// The point as a sentence that should be true.
+    /// Writes the requirement as a sentence that is true of a conforming server.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Description => "the description can be true",
@@ -111,12 +110,12 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Checks a policy server point by point, telling `report` each as it is
-/// known. True if none failed.
+/// Checks a policy server point by point, and reports each finding at once. Returns true if no
+/// point failed.
 ///
 /// # Errors
-/// If the server cannot be reached, cannot describe itself or answers no query:
-/// then there is nothing to check.
+/// If the server cannot be reached, does not describe itself or answers no query, so that nothing
+/// can be checked.
 pub async fn check(
     target: &Target,
     report: &mut dyn FnMut(&Finding),
@@ -137,10 +136,10 @@ pub async fn check(
     Ok(conforms)
 }
 
-/// Examines one point, by comparison with an episode of [`SEED`].
+/// Checks one point, by comparison with the reference episode.
 ///
 /// # Errors
-/// If the server answers with a status where the point asks for actions.
+/// If the server answers with an error where actions are required.
 async fn examine(
     point: Point,
     probe: &Probe,

@@ -1,10 +1,9 @@
-//! When a policy server is asked, and when not: fail fast while it is out, and
-//! let one session at a time through to try it. Pure: the time is passed in.
-//! Not responsible for telling what went wrong; the replica does that.
+//! Circuit breaker of a policy server: fails fast while the server is out, and lets one session at
+//! a time probe it. Pure: callers pass in the time. The replica classifies the failures.
 //!
-//! A server that could not be reached is back with any answer. One that was
-//! silent or sick is back only with an answered query: its Describe and its
-//! Reset often go on working when its accelerator does not.
+//! A server that could not be reached counts as recovered after any answer. One that was silent or
+//! sick needs an answered query: its Describe and Reset often keep working when its accelerator
+//! does not.
 
 use std::{
     fmt,
@@ -13,25 +12,23 @@ use std::{
 
 use rollout_types::Waits;
 
-/// Waits for a server that could not be reached: one that comes back is in use
-/// again within the longest.
+/// Waits for a server that could not be reached: one that recovers is in use again within the
+/// longest wait.
 pub const WAITS: Waits = Waits {
     first: Duration::from_millis(100),
     longest: Duration::from_secs(5),
 };
 /// Waits for a server that was sick or silent.
 pub const SICK_WAITS: Waits = Waits::USUAL;
-/// Longest time that a probing session may take to come to an answer before
-/// another session may try.
+/// Longest time for a probing session to produce an answer before another session may probe.
 pub const PROBE_PATIENCE: Duration = Duration::from_secs(60);
-/// Different tasks that must get the same error, with no answer in between,
-/// for the server to count as sick. One task alone may be the cause of its
-/// own error; its retries count once.
+/// Number of tasks that must get the same error, with no answer in between, before the server
+/// counts as sick. A single task may cause its own error, so its retries count once.
 pub const SAME_ERROR_TASKS: usize = 3;
-/// Characters of an error that are compared.
+/// Number of characters in which errors are compared.
 const COMPARED_CHARS: usize = 160;
-/// Words of errors of an accelerator from which only a new process recovers:
-/// those of CUDA, cuBLAS, cuDNN, HIP and PyTorch.
+/// Phrases in accelerator errors that only a restart cures: from CUDA, cuBLAS, cuDNN, HIP and
+/// PyTorch.
 const BROKEN_WORDS: [&str; 8] = [
     "cuda error",
     "cuda runtime error",
@@ -43,40 +40,40 @@ const BROKEN_WORDS: [&str; 8] = [
     "out of memory",
 ];
 
-/// Call that is about to go to a server.
+/// Call that is about to be sent to a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Call<'a> {
-    /// A description, which belongs to no episode.
+    /// A call for the description, which belongs to no session.
     Describe,
-    /// Something of this session.
+    /// A call in this session.
     Of(&'a str),
 }
 
-/// Kind of call that a server answered.
+/// Kind of an answered call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answered {
-    /// Anything but a query of an episode.
+    /// Any answer but actions.
     Something,
-    /// A query, with actions.
+    /// An answer to a query, with actions.
     Query,
 }
 
-/// Reason for which a server is out.
+/// Reason why a server is out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// No connection.
+    /// The connection failed.
     Unreachable(String),
-    /// A connection that the settings make vain: to another server, say.
+    /// The settings are wrong, for example the address of another server.
     Misplaced(String),
-    /// It does not let this gateway in.
+    /// The server rejected the gateway's credentials.
     Distrust(String),
-    /// It describes itself otherwise than it did, or than its fellow replicas.
+    /// The description differs from the earlier one, or from that of the other replicas.
     Disagrees(String),
-    /// Connected, but without an answer in time.
+    /// The server did not answer in time.
     Silent,
-    /// The same error to different tasks.
+    /// Different tasks got the same error.
     Repeats(String),
-    /// An error from which its process does not recover.
+    /// The server's process cannot recover from an error.
     Broken(String),
 }
 
@@ -88,14 +85,14 @@ impl Cause {
         }
     }
 
-    /// Returns true if only an answered query shows that the cause is gone.
+    /// Returns true if only an answered query shows that the server has recovered.
     fn needs_query(&self) -> bool {
         matches!(self, Self::Silent | Self::Repeats(_) | Self::Broken(_))
     }
 }
 
 impl fmt::Display for Cause {
-    /// Reads after the server's name.
+    /// Writes the reason; reads after the server's name.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Unreachable(why) | Self::Misplaced(why) => write!(f, "cannot be reached: {why}"),
@@ -111,39 +108,38 @@ impl fmt::Display for Cause {
     }
 }
 
-/// State of a server, as far as known.
+/// Last known state of a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Health {
-    /// It is asked.
+    /// Calls are sent to the server.
     Up(Errors),
-    /// It is not, but for a probe.
+    /// Only probes are sent to the server.
     Out(Outage),
 }
 
-/// One error that a server gave lately, and the tasks that got it.
+/// Most recent error of a server, and the tasks that got it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Errors {
     alike: String,
     tasks: Vec<String>,
 }
 
-/// A server that is out.
+/// Outage of a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outage {
-    /// Reason for which it is out.
+    /// Reason why the server is out.
     pub cause: Cause,
-    /// Failures in a row that are waited for in the same way: the one that began
-    /// it, and those of probes.
+    /// Failures in a row with the same kind of wait: the first one, and those of probes.
     failures: u32,
-    /// Time from which a probe may go.
+    /// Earliest time of the next probe.
     probe_at: Instant,
-    /// The session that is through to try it.
+    /// Session that is probing the server.
     probe: Option<Probe>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Probe {
-    /// Session of the probe; none for a description, which is one call.
+    /// Session of the probe; `None` for a description, which is a single call.
     session: Option<String>,
     until: Instant,
 }
@@ -155,10 +151,10 @@ impl Default for Health {
 }
 
 impl Health {
-    /// Decides if a call may go out at `now`.
+    /// Decides whether a call may be sent at `now`.
     ///
     /// # Errors
-    /// If the server is out: the reason, and the time left to wait.
+    /// If the server is out. Returns the reason and the time left to wait.
     pub fn admit(&mut self, call: Call<'_>, now: Instant) -> Result<(), (Cause, Duration)> {
         let Self::Out(outage) = self else {
             return Ok(());
@@ -170,7 +166,7 @@ impl Health {
             (None, _) if now < outage.probe_at => {
                 Err((outage.cause.clone(), outage.probe_at - now))
             }
-            // It says nothing about queries, so the probe is still to come.
+            // A description says nothing about queries, so it is not the probe.
             (None, Call::Describe) if outage.cause.needs_query() => Ok(()),
             (None, call) => {
                 let session = match call {
@@ -197,7 +193,7 @@ impl Health {
         }
     }
 
-    /// Notes an answer. True if the server had been out and is back.
+    /// Records an answer. Returns true if the server has recovered from an outage by it.
     pub fn answered(&mut self, answered: Answered) -> bool {
         match (&*self, answered) {
             (Self::Up(_), Answered::Something) => false,
@@ -210,21 +206,20 @@ impl Health {
         }
     }
 
-    /// Notes at `now` that the server gave no answer, or none that any episode can
-    /// use. True if it had been up.
+    /// Records at `now` that the server gave no usable answer. Returns true if it was up before.
     ///
-    /// Queries that were on their way when it failed fail too, all at once;
-    /// only a probe's failure lengthens the wait.
+    /// Queries in flight at the time of a failure fail together, so only a probe's failure
+    /// lengthens the wait.
     pub fn failed(&mut self, cause: Cause, now: Instant) -> bool {
         let (failures, was_up) = match self {
             Self::Up(_) => (1, true),
             Self::Out(Outage { probe: None, .. }) => return false,
-            // Another kind of trouble begins anew.
+            // A failure with another kind of wait starts counting anew.
             Self::Out(outage) if outage.cause.waits() != cause.waits() => (1, false),
             Self::Out(outage) => (outage.failures.saturating_add(1), false),
         };
         *self = Self::Out(Outage {
-            // Without jitter: sessions arrive at random anyway.
+            // Jitter is unnecessary, because sessions arrive at random.
             probe_at: now + cause.waits().after(failures, 0),
             cause,
             failures,
@@ -233,9 +228,8 @@ impl Health {
         was_up
     }
 
-    /// Notes at `now` an error that the server answered to a query of `task`.
-    /// Returns why the server is out if it is, which excuses the query: then
-    /// the error is the server's, not the task's.
+    /// Records at `now` the server's error to a query of `task`. Returns the reason if the server
+    /// is out because of it, in which case the error is the server's fault and not the task's.
     pub fn erred(&mut self, error: &str, task: &str, now: Instant) -> Option<Cause> {
         if is_broken(error) {
             let cause = Cause::Broken(error.to_owned());
@@ -263,7 +257,7 @@ impl Health {
                 cause: Cause::Repeats(known),
                 ..
             }) if comparable(known) != alike => {
-                // It is well enough to find something else wrong.
+                // A different error shows that the server works again.
                 let tasks = vec![task.to_owned()];
                 *self = Self::Up(Errors { alike, tasks });
                 None
@@ -282,7 +276,7 @@ fn is_broken(error: &str) -> bool {
     BROKEN_WORDS.iter().any(|words| error.contains(words))
 }
 
-/// An error without its numbers, which are often those of a session or query.
+/// Replaces the digits of an error, which often belong to a session or query, and truncates it.
 fn comparable(error: &str) -> String {
     let digits = |c: char| if c.is_ascii_digit() { '#' } else { c };
     error.chars().map(digits).take(COMPARED_CHARS).collect()
@@ -418,7 +412,7 @@ mod tests {
         let mut waits = Vec::new();
         for _ in 0..8 {
             health.failed(unreachable(), now);
-            // A query that was on its way when the connection broke.
+            // A query in flight when the connection broke.
             health.failed(unreachable(), now);
             let (_, wait) = health.admit(Call::Describe, now).expect_err("a wait");
             waits.push(wait.as_millis());

@@ -1,5 +1,4 @@
-//! The gateway's command line: reads it, binds the port, and leaves the rest to
-//! the library.
+//! Command line of the gateway: parses it, binds the port, and calls the library.
 
 #![forbid(unsafe_code)]
 
@@ -29,7 +28,7 @@ use tokio::{
 };
 use transport::{Access, ClientArguments, Role, Security, SecurityError, ServerArguments};
 
-/// The suites that a policy can be checked with.
+/// Suites that the conformance check has a task for.
 const SUITES: [&str; 4] = {
     let [a, b, c, d] = scene::TASKS;
     [a.0, b.0, c.0, d.0]
@@ -254,7 +253,7 @@ fn manual(folder: &Path) -> anyhow::Result<ExitCode> {
 }
 
 impl Listen {
-    /// Serves until asked to stop.
+    /// Serves until a signal to stop.
     fn serve(&self, config: &Config, file: Option<PathBuf>) -> anyhow::Result<ExitCode> {
         let security = match self.security.security(self.listen) {
             Err(error @ SecurityError::Unguarded { .. }) => usage_error(&error),
@@ -279,7 +278,7 @@ fn record(route: RouteSpec, into: RecordInto, listen: &Listen) -> anyhow::Result
     serve_routes(vec![RouteSpec { record, ..route }], listen)
 }
 
-/// Ends the program: what was typed cannot be meant.
+/// Ends the program with a usage error.
 fn usage_error(error: &dyn std::error::Error) -> ! {
     let text = format!("failed to {error}");
     Arguments::command()
@@ -287,7 +286,7 @@ fn usage_error(error: &dyn std::error::Error) -> ! {
         .exit()
 }
 
-/// Prints a verdict per point; fails if one of them did.
+/// Prints a verdict per point. The exit code is 1 if one failed.
 #[tokio::main]
 async fn check(
     target: impl FnOnce(Access) -> Target,
@@ -295,7 +294,7 @@ async fn check(
     latency: Option<&Path>,
 ) -> anyhow::Result<ExitCode> {
     let mut target = target(access.access(&[Role::Operator, Role::Worker])?);
-    // Kept until the end.
+    // Keeps the gateway running until the check ends.
     let mut front = None;
     if target.url.starts_with("ws") || target.url.starts_with("vla-eval") {
         let ClientArguments { ca, token_file } = access;
@@ -330,7 +329,7 @@ async fn check(
     })
 }
 
-/// Ends with 0 if the servers under judgement do well, with 1 if not.
+/// Runs a comparison or diagnosis. The exit code is 0 if nothing was found, else 1.
 #[tokio::main]
 async fn judge(
     judgement: impl Future<Output = Result<bool, CommandError>>,
@@ -341,8 +340,8 @@ async fn judge(
     })
 }
 
-/// Prints a line. The reader may have gone (`| head`): the exit code still says
-/// how it ended.
+/// Prints a line. Ignores a closed pipe (`| head`), because the exit code still reports the
+/// outcome.
 fn say(line: &dyn Display) {
     drop(writeln!(stdout(), "{line}"));
 }
@@ -355,7 +354,7 @@ async fn serve(
     security: &Security,
 ) -> anyhow::Result<()> {
     let gateway = Gateway::new(config)?;
-    // Ends with this function.
+    // Dropping the set ends the task with this function.
     let mut reloading = JoinSet::new();
     if let Some(file) = file {
         let hangups = signal(SignalKind::hangup()).context("listen for SIGHUP")?;
@@ -376,7 +375,7 @@ async fn serve(
         ""
     };
     match terminal::print_line(&format!("listening on {address}{over}")) {
-        // Whoever started this may have gone.
+        // The reader of the pipe may have gone.
         Err(error) if !reader_is_gone(&error) => {
             return Err(error).context("print the address listened on");
         }
@@ -393,8 +392,7 @@ async fn serve(
     Ok(policy_gateway::run(gateway, security, listener, shutdown).await?)
 }
 
-/// Reads the configuration again at every hang-up. One that cannot be used
-/// changes nothing.
+/// Reloads the configuration at every SIGHUP. An invalid one is logged and ignored.
 async fn reload(gateway: Gateway, file: PathBuf, mut hangups: Signal) {
     let read_again = |file: &Path| -> anyhow::Result<usize> {
         let config = config::file::read(file)?;

@@ -1,6 +1,5 @@
-//! Chromium without a screen, driven over its DevTools protocol through a pair
-//! of pipes: no port, no other program. For tests of the live page as people
-//! see it.
+//! Headless Chromium, driven over its DevTools protocol through a pair of pipes, without
+//! a port or another program. For end-to-end tests of the live page.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -15,9 +14,9 @@ use serde_json::{Value, json};
 
 /// Debian's name of the program.
 pub const CHROMIUM: &str = "chromium";
-/// Longest that anything here waits for: the machine may be busy.
+/// Timeout of all waits, generous because the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Interval of two looks at a page.
+/// Polling interval of the page.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// A browser with one page.
@@ -42,8 +41,7 @@ pub struct Screen {
     pub is_dark: bool,
 }
 
-/// Returns true if the browser is installed; if not, says which test is
-/// skipped.
+/// Returns true if the browser is installed; otherwise prints that the test is skipped.
 pub fn is_installed(test: &str) -> bool {
     let found = Command::new(CHROMIUM).arg("--version").output().is_ok();
     if !found {
@@ -53,12 +51,12 @@ pub fn is_installed(test: &str) -> bool {
 }
 
 impl Browser {
-    /// Starts it, with its profile in a folder.
+    /// Starts the browser with its profile in a folder.
     ///
     /// # Panics
-    /// If it does not start.
+    /// If the browser does not start.
     pub fn start(profile: &Path) -> Self {
-        // The shell puts the pipes where the browser looks for them.
+        // The browser expects its pipes at file descriptors 3 and 4.
         let mut child = Command::new("sh")
             .args([
                 "-c",
@@ -66,7 +64,7 @@ impl Browser {
             ])
             .arg(CHROMIUM)
             .args(["--headless", "--remote-debugging-pipe"])
-            // As root, in a container: without its sandbox and /dev/shm.
+            // The sandbox and /dev/shm are unavailable to root in a container.
             .args(["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"])
             .args(["--no-first-run", "--disable-sync", "--disable-extensions"])
             .args([
@@ -104,26 +102,26 @@ impl Browser {
         browser
     }
 
-    /// Goes to an address and waits until it is loaded.
+    /// Navigates to a URL and waits until the page is loaded.
     ///
     /// # Panics
-    /// If it cannot be loaded.
+    /// If the page cannot be loaded.
     pub fn go(&mut self, url: &str) {
         let answer = self.order("Page.navigate", &json!({ "url": url }));
         assert_eq!(answer["errorText"], Value::Null, "{url}");
         self.wait_for("document.readyState === 'complete'");
     }
 
-    /// The value of a JavaScript expression on the page.
+    /// Evaluates a JavaScript expression on the page.
     ///
     /// # Panics
-    /// If it throws.
+    /// If the expression throws.
     pub fn value(&mut self, expression: &str) -> Value {
         let value = self.try_value(expression);
         value.unwrap_or_else(|error| panic!("{expression}: {error}"))
     }
 
-    /// The same, or what became of the page meanwhile.
+    /// Evaluates an expression; fails if it throws or the page navigates meanwhile.
     fn try_value(&mut self, expression: &str) -> Result<Value, Value> {
         let parameters = json!({
             "expression": expression, "awaitPromise": true, "returnByValue": true,
@@ -137,10 +135,10 @@ impl Browser {
     /// Waits until an expression is true.
     ///
     /// # Panics
-    /// If that takes longer than anybody should wait.
+    /// If the wait times out.
     pub fn wait_for(&mut self, expression: &str) {
         let start = Instant::now();
-        // While the browser goes to another page there is nobody to answer.
+        // Evaluation fails while the browser navigates to another page.
         while self.try_value(&format!("Boolean({expression})")) != Ok(true.into()) {
             if start.elapsed() > PATIENCE {
                 let page = self.value("document.body.innerText");
@@ -158,7 +156,7 @@ impl Browser {
         }
     }
 
-    /// Clicks where an element is, as a mouse does.
+    /// Clicks at the position of an element with a simulated mouse.
     ///
     /// # Panics
     /// If there is no such element.
@@ -176,7 +174,7 @@ impl Browser {
         }
     }
 
-    /// Looks at the page on another screen.
+    /// Changes the screen that the page is shown on.
     pub fn set_screen(&mut self, screen: Screen) {
         let size = json!({
             "width": screen.width, "height": screen.height, "deviceScaleFactor": 1,
@@ -194,21 +192,21 @@ impl Browser {
     /// Takes a screenshot, PNG.
     ///
     /// # Panics
-    /// If the browser cannot draw it.
+    /// If the browser returns no picture.
     pub fn screenshot(&mut self) -> Vec<u8> {
         let answer = self.order("Page.captureScreenshot", &json!({ "format": "png" }));
         let data = answer["data"].as_str().expect("a picture");
         BASE64_STANDARD.decode(data).expect("base64")
     }
 
-    /// Errors that the page told its console since this was last asked.
+    /// Returns the errors logged to the console since the last call.
     pub fn complaints(&mut self) -> Vec<String> {
-        // An answer comes after everything that was told before it.
+        // Messages are ordered, so that a response comes after all earlier events.
         self.value("0");
         std::mem::take(&mut self.complaints)
     }
 
-    /// Every address that the page has asked for.
+    /// Returns every URL that the page has requested.
     pub fn requests(&mut self) -> &[String] {
         self.value("0");
         &self.requests
@@ -224,8 +222,7 @@ impl Browser {
         }
     }
 
-    /// Gives an order and waits for its answer; what the page tells meanwhile
-    /// is noted.
+    /// Sends a command and waits for its response; records events that arrive meanwhile.
     fn order(&mut self, method: &str, parameters: &Value) -> Value {
         let answer = self.try_order(method, parameters);
         answer.unwrap_or_else(|error| panic!("{method}: {error}"))

@@ -1,7 +1,7 @@
-//! Breaking a running system on purpose: real coordinators, gateways, policies
-//! and workers as processes, with wires between them that can be cut, and
-//! schedules of faults that follow from a seed. Responsible for the breaking and
-//! for putting back; what must hold afterwards is the test's.
+//! Chaos testing: real coordinators, gateways, policies and workers as processes,
+//! connections between them that can be cut, and schedules of faults derived from a
+//! seed. This module injects and repairs faults; the tests assert what must hold
+//! afterwards.
 
 mod fleet;
 mod schedule;

@@ -1,9 +1,9 @@
-//! Finds files of a crate that import in a circle: each of them uses, directly or
-//! by way of others, what is in every other one.
+//! Finds import cycles among the files of a crate: sets of files that all use each
+//! other, directly or transitively.
 //!
 //! An import is a path to another file of the crate, in a `use` or anywhere else:
-//! `use crate::a::B`, `super::c()`, `child::D`. Left out are what a file publishes
-//! of its own children (`pub use child::X`) and what is compiled for tests only.
+//! `use crate::a::B`, `super::c()`, `child::D`. Re-exports of a file's own children
+//! (`pub use child::X`) and code compiled only for tests are ignored.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -15,16 +15,16 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 
 /// A module by its path from the crate's root, which is empty.
 type Module = Vec<String>;
-/// The items that each module imports, by the module that has them.
+/// Items imported by each module, grouped by the module that defines them.
 type Imports = BTreeMap<Module, BTreeMap<Module, BTreeSet<String>>>;
 
-/// Files that import in a circle.
+/// An import cycle.
 pub struct Circle {
-    /// Importing file, imported file, and the items, by what connects the circle.
+    /// Imports within the cycle: importing file, imported file, and items.
     imports: Vec<(String, String, BTreeSet<String>)>,
 }
 
-/// One line for each import: `a.rs uses B and c of b.rs`.
+/// Writes a line per import: `a.rs uses B, c of b.rs`.
 impl fmt::Display for Circle {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (from, to, items) in &self.imports {
@@ -35,10 +35,10 @@ impl fmt::Display for Circle {
     }
 }
 
-/// The circles among the files of a crate's source folder.
+/// Finds the import cycles in a crate's source folder.
 ///
 /// # Errors
-/// If a file cannot be read, or is no Rust.
+/// If a file cannot be read or is not valid Rust.
 pub fn circles(src: &Path) -> Result<Vec<Circle>> {
     let files = modules(src)?;
     let mut imports = Imports::new();
@@ -80,8 +80,8 @@ pub fn circles(src: &Path) -> Result<Vec<Circle>> {
         .collect())
 }
 
-/// The files of a crate by module. Programs under `bin` are crates of their own,
-/// and so is `main.rs` beside `lib.rs`.
+/// Returns the files of a crate by module. Programs under `bin` are separate crates, as is
+/// `main.rs` beside `lib.rs`.
 fn modules(src: &Path) -> Result<BTreeMap<Module, PathBuf>> {
     let mut files = BTreeMap::new();
     let mut folders = vec![(src.to_owned(), Module::new())];
@@ -109,17 +109,18 @@ fn modules(src: &Path) -> Result<BTreeMap<Module, PathBuf>> {
     Ok(files)
 }
 
-/// A path as it is written.
+/// A path as written in the source.
 struct PathUse {
     segments: Vec<String>,
-    /// Whether it is published from where it is written.
+    /// True for a re-export (`pub use`).
     published: bool,
-    /// The depth of inline modules around it.
+    /// Number of enclosing inline modules.
     depth: usize,
 }
 
 impl PathUse {
-    /// The other file that it leads to from a module, and what of that is used.
+    /// Resolves the path from a module to another file and the item used; `None` if it does
+    /// not lead to another file.
     fn resolve(
         &self,
         module: &Module,
@@ -151,7 +152,7 @@ impl PathUse {
     }
 }
 
-/// Finds the paths among the tokens of a file, `depth` modules within it.
+/// Collects the paths in the tokens of a file, inside `depth` inline modules.
 fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
     let tokens: Vec<TokenTree> = tokens.into_iter().collect();
     let ident = |at: usize| match tokens.get(at) {
@@ -169,7 +170,7 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
             TokenTree::Group(group) => {
                 let inner = at >= 3 && ident(at - 3).is_some_and(|word| word == "mod");
                 collect(group.stream(), depth + usize::from(inner), found);
-                // The group may be that of `pub(crate)`.
+                // Parentheses may belong to `pub(crate)`.
                 published &= group.delimiter() == Delimiter::Parenthesis;
             }
             TokenTree::Ident(word) if word == "pub" => published = true,
@@ -214,13 +215,13 @@ fn is_path_separator(tokens: &[TokenTree]) -> bool {
     matches!(tokens, [one, two, ..] if is(one, ':') && is(two, ':'))
 }
 
-/// Whether this is `#[cfg(test)]`.
+/// Returns true if the tokens start with `#[cfg(test)]`.
 fn is_test_only(tokens: &[TokenTree]) -> bool {
     matches!(tokens, [hash, TokenTree::Group(group), ..]
         if is(hash, '#') && group.stream().to_string().replace(' ', "") == "cfg(test)")
 }
 
-/// Tokens up to the end of an item: its semicolon or its braces.
+/// Returns the number of tokens up to the end of an item: its semicolon or braces.
 fn item_length(tokens: &[TokenTree]) -> usize {
     let ends = |token: &TokenTree| {
         let braces =
@@ -233,7 +234,7 @@ fn item_length(tokens: &[TokenTree]) -> usize {
         .map_or(tokens.len(), |last| last + 1)
 }
 
-/// The paths of what is between `use` and its semicolon.
+/// Expands the tokens between `use` and its semicolon to paths.
 fn use_tree(tokens: &[TokenTree]) -> Vec<Vec<String>> {
     let branches = tokens.split(|token| is(token, ','));
     branches
@@ -263,7 +264,7 @@ fn use_tree(tokens: &[TokenTree]) -> Vec<Vec<String>> {
         .collect()
 }
 
-/// Sets of several modules that all reach one another.
+/// Returns the strongly connected components with more than one module.
 fn components(imports: &Imports) -> Vec<BTreeSet<Module>> {
     let reach = |from: &Module| {
         let mut seen = BTreeSet::new();
@@ -296,7 +297,7 @@ fn components(imports: &Imports) -> Vec<BTreeSet<Module>> {
 mod tests {
     use super::*;
 
-    /// The circles of a made-up crate.
+    /// Finds the import cycles of a crate with the given files.
     fn found(files: &[(&str, &str)]) -> Vec<String> {
         let folder = tempfile::tempdir().expect("a folder");
         for (name, text) in files {

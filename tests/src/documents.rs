@@ -1,13 +1,13 @@
-//! The commands of the documentation, run as a newcomer pastes them.
+//! Runs the commands of the documentation as a reader would paste them.
 //!
 //! A page is a session of one shell in a folder that looks like the checkout. Its
-//! blocks marked `sh` run in their order; servers stay until the page ends. An HTML
-//! comment before a block changes that:
+//! blocks marked `sh` run in order; servers run until the page ends. An HTML
+//! comment before a block changes this:
 //!
-//! - `<!-- not run: REASON -->`: the block is only named,
-//! - `<!-- needs: THING -->`: it is skipped where the machine lacks the thing
+//! - `<!-- not run: REASON -->`: the block is only listed,
+//! - `<!-- needs: THING -->`: the block is skipped if the machine lacks the thing
 //!   ([`folder::Thing`]); paths to `../shared` need no comment,
-//! - `<!-- file: NAME -->`: a block of another language is written into a file.
+//! - `<!-- file: NAME -->`: a block of another language is written to a file.
 
 pub mod folder;
 pub mod page;

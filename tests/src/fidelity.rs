@@ -1,5 +1,5 @@
-//! The simulator against the original: everything that the reference data of a
-//! task shows, compared in numbers.
+//! Numerical comparison of the simulator with the original LIBERO, by the reference data of a
+//! task.
 
 mod findings;
 mod frames;
@@ -87,7 +87,7 @@ fn differing_array(model: &Model, task: &ReferenceTask) -> Result<Worst> {
     let ours = model.arrays();
     let mut worst = Worst::default();
     for (name, expected) in &reference {
-        // Offsets of file names in the model's text depend on the folders.
+        // Offsets of file names in the model's string table depend on folder names.
         if name.ends_with("_pathadr") {
             continue;
         }

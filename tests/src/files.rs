@@ -1,5 +1,5 @@
-//! Locates the files that tests read: the sources that the set-up unpacked, and the
-//! reference data that only some machines have.
+//! Locates files for tests: the unpacked sources, asset packs, and the reference data, which
+//! only some machines have.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -8,26 +8,26 @@ use libero_ctrl::TaskRef;
 use scene::pack::LIBERO;
 use scene::{AssetPack, SceneError, Sources, TaskFiles};
 
-/// The unpacked sources.
+/// Opens the unpacked sources, which every test of the simulator needs.
 ///
 /// # Panics
-/// If they are missing: no test of the simulator means anything without them.
+/// If the sources are missing.
 pub fn sources() -> Sources {
     Sources::open(&Sources::default_dir()).expect("the sources; run `cargo xtask setup`")
 }
 
-/// The built-in asset pack.
+/// Opens the built-in asset pack.
 ///
 /// # Panics
-/// If it cannot be unpacked.
+/// If the pack cannot be unpacked.
 pub fn primitives(sources: &Sources) -> AssetPack {
     AssetPack::open("primitives", sources).expect("the built-in pack")
 }
 
-/// Opens a pack as a program's `--assets` names it, with what tasks need.
+/// Opens the pack given by a program's `--assets`, with the files that tasks need.
 ///
 /// # Errors
-/// If it is none, or cannot be fetched.
+/// If there is no such pack or its files cannot be fetched.
 pub fn open_pack(
     name_or_path: &str,
     sources: &Sources,
@@ -40,12 +40,11 @@ pub fn open_pack(
     Ok(pack)
 }
 
-/// LIBERO's assets, or none, after saying which test is skipped for that: they are
-/// fetched once for all tests, as far as the 40 tasks need them, and there may be no
-/// network.
+/// Opens LIBERO's assets. The files for the 40 tasks are fetched once for all tests; if that
+/// fails, for example without a network, prints that `test` is skipped and returns `None`.
 ///
 /// # Panics
-/// If a file is there and altered, and cannot be replaced.
+/// If a file was altered and cannot be replaced.
 pub fn libero(sources: &Sources, test: &str) -> Option<AssetPack> {
     static FETCHED: OnceLock<Result<AssetPack, String>> = OnceLock::new();
     let fetched = FETCHED.get_or_init(|| {
@@ -61,8 +60,8 @@ pub fn libero(sources: &Sources, test: &str) -> Option<AssetPack> {
     }
 }
 
-/// A folder of the reference data beside this checkout, or none, after saying
-/// which test is skipped for that.
+/// Returns a folder of the reference data beside this checkout. If it does not exist, prints
+/// that `test` is skipped and returns `None`.
 pub fn shared(folder: &str, test: &str) -> Option<PathBuf> {
     let dir = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../shared")

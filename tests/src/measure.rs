@@ -1,16 +1,16 @@
-//! Timing for the benchmarks: clocks, and figures with their spread.
+//! Timing for benchmarks: clocks, and summaries of measurements.
 
 use std::fmt;
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// Clock by which work is timed.
+/// Clock for timing work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Clock {
-    /// Processor time of the calling thread: what others do on the machine
-    /// hardly shows in it. Only for work that is all done on that thread.
+    /// CPU time of the calling thread, hardly affected by other programs. Only for work that
+    /// runs entirely on that thread.
     ThreadCpu,
-    /// Time as it passes.
+    /// Wall time.
     Wall,
 }
 
@@ -36,7 +36,7 @@ impl Clock {
         }
     }
 
-    /// Milliseconds since some instant of its own.
+    /// Returns the milliseconds since an arbitrary origin.
     pub fn now_millis(self) -> f64 {
         let clock = match self {
             Self::ThreadCpu => ClockId::ThreadCPUTime,
@@ -46,7 +46,7 @@ impl Clock {
         time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6
     }
 
-    /// Milliseconds that the work took, and its result.
+    /// Runs work and returns its duration, milliseconds, and its result.
     pub fn time<T>(self, work: impl FnOnce() -> T) -> (f64, T) {
         let start = self.now_millis();
         let result = work();
@@ -54,19 +54,19 @@ impl Clock {
     }
 }
 
-/// Several measurements of one thing.
+/// Median and range of several measurements.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spread {
-    /// The middle one; of an even number the mean of the two in the middle.
+    /// Median; for an even number, the mean of the two in the middle.
     pub median: f64,
-    /// The smallest.
+    /// Minimum.
     pub least: f64,
-    /// The largest.
+    /// Maximum.
     pub most: f64,
 }
 
 impl Spread {
-    /// Of measurements in any order; none of none.
+    /// Summarises measurements in any order; `None` without a measurement.
     pub fn of(values: &[f64]) -> Option<Self> {
         let mut values = values.to_vec();
         values.sort_by(f64::total_cmp);

@@ -1,5 +1,5 @@
-//! Phrases that no message of this project may hold: those of libraries that
-//! say nothing to readers, and slips of assembled sentences.
+//! Phrases that no message of this project may contain: raw library errors, which do not help
+//! readers, and artefacts of sentences assembled from parts.
 
 /// Phrases of libraries, in lower case.
 const OF_LIBRARIES: [&str; 33] = [
@@ -38,10 +38,10 @@ const OF_LIBRARIES: [&str; 33] = [
     "invalid socket address syntax",
 ];
 
-/// Slips of sentences that are put together, in lower case.
+/// Artefacts of sentences assembled from parts, in lower case.
 const SLIPS: [&str; 5] = ["failed to failed", "failed to cannot", "``", ": :", "; ;"];
 
-/// Returns the fault of a message, if it has one: a raw phrase, a word twice,
+/// Returns the fault of a message, if it has one: a raw phrase, a repeated word,
 /// or nothing after "failed to".
 pub fn raw_phrase(message: &str) -> Option<String> {
     let lower = message.to_lowercase();
@@ -58,7 +58,7 @@ pub fn raw_phrase(message: &str) -> Option<String> {
     doubled_word(&lower)
 }
 
-/// "os error 2" without the words that the system has for it.
+/// Finds an error number such as "os error 2" without the system's description.
 fn bare_system_error(lower: &str) -> Option<String> {
     let at = lower.find("os error")?;
     let before = lower[..at].trim_end_matches(['(', ' ']);
@@ -66,7 +66,7 @@ fn bare_system_error(lower: &str) -> Option<String> {
     (!has_words).then(|| lower[at..].to_owned())
 }
 
-/// "10 is not in 0..10", which is Rust.
+/// Finds a range in Rust syntax, such as in "10 is not in 0..10".
 fn bare_range(lower: &str) -> Option<String> {
     let at = lower.find("is not in ")?;
     let range = lower[at..].split_whitespace().nth(3)?;

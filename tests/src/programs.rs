@@ -1,21 +1,21 @@
-//! The real programs as processes, for tests that run whole campaigns.
+//! Runs the real programs as processes, for tests of whole campaigns.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
-/// Longest that anything here waits for.
+/// Timeout of all waits.
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// The program called `name`, as built with this package.
+/// Returns the path of the program `name`, built with this package.
 ///
 /// # Panics
-/// If it has not been built.
+/// If the program has not been built.
 pub fn program(name: &str) -> PathBuf {
     let own = std::env::current_exe().expect("this program's path");
     let given = std::env::var_os("ROLLOUT_PROGRAMS").map(PathBuf::from);
-    // Beside this program, or beside a test's own folder `deps`.
+    // Programs are beside this one or, for a test in `deps`, in the parent folder.
     let folders = match &given {
         Some(given) => vec![given.as_path()],
         None => own.ancestors().skip(1).take(2).collect(),
@@ -30,10 +30,10 @@ pub fn program(name: &str) -> PathBuf {
     })
 }
 
-/// A program that runs beside the test; killed when it goes out of scope.
+/// A program that runs alongside the test; killed when dropped.
 pub struct Process {
     child: Child,
-    /// `http://…` of the address that it says it listens on; empty for workers.
+    /// URL of the address that the program listens on, `http://…`; empty for workers.
     pub url: String,
 }
 
@@ -41,7 +41,7 @@ impl Process {
     /// Starts a server and waits for its "listening on" line.
     ///
     /// # Panics
-    /// If it ends or says something else.
+    /// If the server exits or prints a different line.
     pub fn serve(command: &mut Command) -> Self {
         let mut child = command
             .stdout(Stdio::piped())
@@ -71,7 +71,7 @@ impl Process {
         Self::start(command.args(["--slots", &slots.to_string()]))
     }
 
-    /// Starts a program that says nothing.
+    /// Starts a program and discards its output.
     ///
     /// # Panics
     /// If it cannot be started.
@@ -91,16 +91,16 @@ impl Process {
         self.child.id()
     }
 
-    /// Waits for its end.
+    /// Waits until the process exits.
     ///
     /// # Panics
-    /// If it does not end well.
+    /// If its exit status is not success.
     pub fn wait(&mut self) {
         let status = self.end();
         assert!(status.success(), "it ended with {status}");
     }
 
-    /// Waits for its end, well or not.
+    /// Waits until the process exits and returns its status.
     pub fn end(&mut self) -> ExitStatus {
         self.child.wait().expect("it can be waited for")
     }
@@ -108,7 +108,7 @@ impl Process {
     /// Sends a signal, for example `-KILL`.
     ///
     /// # Panics
-    /// If the process is gone.
+    /// If the process has exited.
     pub fn signal(&self, name: &str) {
         let status = Command::new("kill")
             .args([name, &self.child.id().to_string()])
@@ -124,11 +124,11 @@ impl Drop for Process {
     }
 }
 
-/// A coordinator and a gateway, and what an operator asks of them.
+/// A coordinator and a gateway, with an operator's commands.
 pub struct Campaigns {
     /// The coordinator.
     pub coordinator: Process,
-    /// The gateway, with routes `expert`, `noop` and `student`, which was taught on the
+    /// The gateway, with routes `expert`, `noop` and `student`, which was trained on the
     /// built-in boxes.
     pub gateway: Process,
 }
@@ -148,14 +148,14 @@ impl Campaigns {
         }
     }
 
-    /// Kills the coordinator, as a power cut would.
+    /// Kills the coordinator abruptly, like a power failure.
     pub fn kill_coordinator(&mut self) {
         self.coordinator.signal("-KILL");
-        // A child that was not waited for keeps its number.
+        // Reaps the child, which would otherwise keep its process id as a zombie.
         let _ = self.coordinator.child.wait();
     }
 
-    /// Starts a coordinator that was killed again, on its data and address.
+    /// Restarts a killed coordinator on its data and address.
     pub fn restart_coordinator(&mut self, data: &Path) {
         let address = self
             .coordinator
@@ -165,8 +165,7 @@ impl Campaigns {
         self.coordinator = serve(data, &address);
     }
 
-    /// Starts a worker whose slots simulate nothing, with more of an
-    /// environment.
+    /// Starts a worker with simulated slots and additional environment variables.
     pub fn simulated_worker(&self, slots: u32, environment: &[(&str, &str)]) -> Process {
         let mut command = Command::new(program("worker"));
         command.args(["--connect", &self.coordinator.url, "--assets", "primitives"]);
@@ -184,10 +183,10 @@ impl Campaigns {
             .expect("the coordinator's command runs")
     }
 
-    /// As [`call`](Self::call), for commands that must succeed.
+    /// Calls the coordinator like [`call`](Self::call) and returns its output.
     ///
     /// # Panics
-    /// If it does not.
+    /// If the command fails.
     pub fn succeed(&self, arguments: &[&str]) -> String {
         let output = self.call(arguments);
         let complaint = String::from_utf8_lossy(&output.stderr);
@@ -207,10 +206,10 @@ impl Campaigns {
         ]);
     }
 
-    /// Waits until a campaign has so many committed rollouts, or all.
+    /// Waits until a campaign has `count` committed rollouts; `None` waits for all.
     ///
     /// # Panics
-    /// If that takes longer than anybody should wait.
+    /// If the wait times out.
     pub fn wait_for_commits(&self, name: &str, count: Option<usize>) {
         let start = Instant::now();
         loop {
@@ -228,10 +227,10 @@ impl Campaigns {
         }
     }
 
-    /// A campaign's results as reference rows without the wall times, sorted.
+    /// Returns a campaign's results as sorted reference rows without wall times.
     ///
     /// # Panics
-    /// If they are no JSON.
+    /// If the results are not valid JSON.
     pub fn outcomes(&self, name: &str) -> Vec<String> {
         let export = self.succeed(&["export", name, "--format", "jsonl"]);
         let mut rows: Vec<String> = export

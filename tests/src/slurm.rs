@@ -1,5 +1,5 @@
 //! A Slurm cluster of two nodes on this machine: munge, a controller and two node
-//! daemons as processes of the test, in a folder and on ports of their own.
+//! daemons as processes of the test, in a temporary folder and on free ports.
 
 use std::net::{TcpListener, ToSocketAddrs};
 use std::os::unix::fs::PermissionsExt;
@@ -8,11 +8,11 @@ use std::process::{Child, Command, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// The cluster's nodes. The first one has a GPU, which is none.
+/// The cluster's nodes. The first one has a fake GPU.
 pub const NODES: [&str; 2] = ["n1", "n2"];
-/// Partitions: jobs of the second preempt jobs of the first.
+/// Partitions; jobs in the second preempt jobs in the first.
 pub const PARTITIONS: [&str; 2] = ["low", "high"];
-/// Slurm's programs that are used here, and munge's.
+/// Required programs of Slurm and munge.
 const PROGRAMS: [&str; 8] = [
     "munged",
     "slurmctld",
@@ -23,38 +23,38 @@ const PROGRAMS: [&str; 8] = [
     "sinfo",
     "squeue",
 ];
-/// Debian's folder of daemons, which is not on everybody's path.
+/// Debian's folder of daemons, which may be missing from `PATH`.
 const DAEMONS: &str = "/usr/sbin";
-/// Longest that the cluster takes to do what it is told.
+/// Timeout of the cluster's operations.
 const PATIENCE: Duration = Duration::from_secs(300);
-/// Longest that its jobs take to end.
+/// Timeout of the end of the cluster's jobs.
 const END: Duration = Duration::from_secs(40);
 
-/// A running cluster; its jobs and daemons end when it goes out of scope.
+/// A running cluster; its jobs and daemons are ended when it is dropped.
 pub struct Cluster {
     folder: tempfile::TempDir,
     daemons: Vec<Child>,
 }
 
-/// A job, or a task of an array, as Slurm shows it.
+/// State of a job or of a task of an array, as reported by Slurm.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Job {
     /// `RUNNING`, `PENDING`, …
     pub state: String,
-    /// The node that it runs on.
+    /// Node that the job runs on.
     pub node: String,
-    /// Number of times that it was queued again.
+    /// Number of times that the job was requeued.
     pub restarts: u32,
 }
 
 impl Cluster {
-    /// Starts one.
+    /// Starts a cluster.
     ///
     /// # Errors
-    /// Says what this machine lacks.
+    /// If a required program is not installed.
     ///
     /// # Panics
-    /// If what is installed does not work.
+    /// If the installed programs do not work.
     pub fn start() -> Result<Self, String> {
         for program in PROGRAMS {
             if find(program).is_none() {
@@ -86,7 +86,7 @@ impl Cluster {
     }
 
     fn configure(&self, host: &str) {
-        // munged wants everybody to reach its socket, and nobody else its key.
+        // munged requires a socket reachable by all users and a key readable only by its own.
         set_mode(self.folder.path(), 0o755);
         let key: Vec<u8> = (0..=255).cycle().take(1024).collect();
         self.write("munge.key", &key);
@@ -130,7 +130,7 @@ impl Cluster {
         );
         for (node, port) in NODES.iter().zip(ports) {
             std::fs::create_dir(self.path(&format!("spool-{node}"))).expect("a folder");
-            // Room for a gateway and a worker, and for a worker.
+            // The first node has room for a gateway and a worker, the second for a worker.
             let has = match *node == NODES[0] {
                 true => "CPUs=2 Gres=gpu:1",
                 false => "CPUs=1",
@@ -177,7 +177,7 @@ impl Cluster {
         self.daemons.push(daemon);
     }
 
-    /// A file of the cluster's.
+    /// Returns the path of a file of the cluster.
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
@@ -186,7 +186,7 @@ impl Cluster {
         std::fs::write(self.path(name), bytes).expect("a file");
     }
 
-    /// One of Slurm's commands, or of our programs, on this cluster.
+    /// Returns a command of Slurm or one of our programs, configured for this cluster.
     pub fn command(&self, program: &str) -> Command {
         let path = match PROGRAMS.contains(&program) {
             true => find(program).unwrap_or_else(|| program.into()),
@@ -197,10 +197,10 @@ impl Cluster {
         command
     }
 
-    /// Runs a command that must succeed and returns its output.
+    /// Runs a command and returns its output.
     ///
     /// # Panics
-    /// If it does not.
+    /// If the command fails.
     pub fn ask(&self, program: &str, arguments: &[&str]) -> String {
         succeeded(
             self.command(program)
@@ -210,10 +210,10 @@ impl Cluster {
         )
     }
 
-    /// Submits a command of the shell's with some of sbatch's options; returns its job.
+    /// Submits a shell command with options of sbatch and returns the job's id.
     ///
     /// # Panics
-    /// If it is refused.
+    /// If sbatch rejects the job.
     pub fn submit(&self, options: &[&str], command: &str) -> String {
         let log = format!("--output={}", self.path("jobs.log").display());
         let wrapped = format!("--wrap={command}");
@@ -223,7 +223,7 @@ impl Cluster {
             .to_owned()
     }
 
-    /// State of a job, `12` or `12_1`.
+    /// Returns the state of a job, given by its id: `12` or `12_1`.
     pub fn job(&self, id: &str) -> Job {
         let output = self
             .command("scontrol")
@@ -244,10 +244,10 @@ impl Cluster {
         }
     }
 
-    /// Waits until something is so.
+    /// Waits until a condition holds.
     ///
     /// # Panics
-    /// If that takes longer than anybody should wait.
+    /// If the wait times out.
     pub fn wait_for(&self, what: &str, is_so: impl Fn(&Self) -> bool) {
         let start = Instant::now();
         while !is_so(self) {
@@ -304,30 +304,30 @@ impl Drop for Cluster {
     }
 }
 
-/// Returns the output of a program that must have succeeded.
+/// Returns the standard output of a program.
 ///
 /// # Panics
-/// If it did not.
+/// If the program failed.
 pub fn succeeded(output: Output) -> String {
     let complaint = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{complaint}");
     String::from_utf8(output.stdout).expect("UTF-8")
 }
 
-/// This machine's name, as the scripts find it.
+/// Returns this machine's short host name, as determined by the scripts.
 ///
 /// # Panics
-/// If it has none.
+/// If the command `hostname` fails.
 pub fn host_name() -> String {
     let output = Command::new("hostname").arg("-s").output();
     let name = succeeded(output.expect("hostname runs"));
     name.trim().to_owned()
 }
 
-/// Ports that nobody listens on.
+/// Returns free TCP ports.
 ///
 /// # Panics
-/// If there are none.
+/// If there are not enough.
 pub fn free_ports<const N: usize>() -> [u16; N] {
     let listeners = [(); N].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
     listeners.map(|it| it.local_addr().expect("its address").port())

@@ -1,6 +1,5 @@
-//! Actors of rollouts, with their queries and answers. Responsible for nothing
-//! but the interface: policies behind a connection are `policy`'s, recordings
-//! `single`'s.
+//! Interface of a rollout's actors (a policy behind a connection, or a recording) and the types of
+//! their queries and answers. The implementations are in `policy` and `single`.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -13,20 +12,20 @@ use transport::{AccessError, EndpointError};
 /// One control step's action, each number in [-1, 1].
 pub type Action = [f64; ACTION_WIDTH];
 
-/// Why a policy gave no usable answer, in a whole sentence. Campaigns show it beside the
-/// rollout that it is of, so that it names neither rollout nor session.
+/// Reason why a policy gave no usable answer. The message is a whole sentence; campaigns show it
+/// beside its rollout, so it names neither rollout nor session.
 #[derive(Debug, thiserror::Error)]
 pub enum PolicyError {
-    /// The endpoint is not one.
+    /// The endpoint is not a valid URL.
     #[error("a policy cannot be called: failed to {0}")]
     Endpoint(#[source] EndpointError),
     /// The endpoint cannot be called over TLS.
     #[error("a policy cannot be called: failed to {0}")]
     Access(#[source] AccessError),
-    /// No runtime to call from.
+    /// The asynchronous runtime of the client cannot be started.
     #[error("a policy cannot be called: failed to start the client ({0})")]
     Runtime(#[source] std::io::Error),
-    /// No answer, or an answer that says "not now".
+    /// The policy did not answer, or answered that it is unavailable for now.
     #[error("{}", sentence(policy, endpoint, "did not answer", call, problem))]
     Unavailable {
         /// The call: "Describe", "Reset", "query 3".
@@ -35,13 +34,13 @@ pub enum PolicyError {
         policy: String,
         /// The campaign's endpoint.
         endpoint: String,
-        /// A sentence of what happened and what to do.
+        /// Sentence that says what happened and what to do.
         problem: String,
-        /// Queries that it had answered in this session, if it was there at the first
-        /// one and is gone now; none if it never was there, or is overloaded.
+        /// Number of queries that the policy answered in this session before it disappeared;
+        /// `None` if it never answered one, or is overloaded.
         answered: Option<u32>,
     },
-    /// It describes itself as something that no rollout can work with.
+    /// The policy's description of itself fits no rollout.
     #[error("{} at {endpoint} cannot be used: {fault}", named(policy))]
     Description {
         /// The policy's name at the endpoint.
@@ -59,7 +58,7 @@ pub enum PolicyError {
         /// Its answers and their delay. Part of the message, for campaigns show one sentence.
         problem: TooLate,
     },
-    /// It answered, and the answer cannot be executed.
+    /// The policy's answer is not an executable chunk of actions.
     #[error(
         "{} at {endpoint} answered {call} with what is no chunk of actions: {fault}; \
          `policy-gateway doctor` looks for the cause",
@@ -75,7 +74,7 @@ pub enum PolicyError {
         /// The fault of the answer.
         fault: ActionFault,
     },
-    /// It answered with an error.
+    /// The policy answered with an error.
     #[error("{}", sentence(policy, endpoint, "failed at", call, problem))]
     Failed {
         /// The call: "Reset", "query 3".
@@ -84,20 +83,20 @@ pub enum PolicyError {
         policy: String,
         /// The campaign's endpoint.
         endpoint: String,
-        /// The answer.
+        /// The policy's error message.
         problem: String,
     },
-    /// A recording has no more actions.
+    /// The recording has no more actions.
     #[error("the recording {} ends after {actions} actions, and the rollout goes on", path.display())]
     Ended {
-        /// The file.
+        /// Path of the recording.
         path: PathBuf,
-        /// Actions in it.
+        /// Number of actions in the recording.
         actions: usize,
     },
 }
 
-/// The name of a policy in a sentence; the only one of its server has none.
+/// Returns a policy's name for use in a sentence; a server's only policy has no name.
 fn named(policy: &str) -> String {
     match policy {
         "" => "the policy".to_owned(),
@@ -105,8 +104,8 @@ fn named(policy: &str) -> String {
     }
 }
 
-/// A sentence of a call that failed. A gateway names the policy in its answer, as its
-/// route; then the sentence does not name it again.
+/// Composes the sentence of a failed call. A gateway's answer names the policy already, as its
+/// route; the sentence then does not name the policy again.
 fn sentence(policy: &str, endpoint: &str, verb: &str, call: &str, problem: &str) -> String {
     let is_named = |end| problem.contains(&format!("route {policy}{end}"));
     if !policy.is_empty() && (is_named(" ") || is_named(":")) {
@@ -129,14 +128,14 @@ pub struct Description {
     pub execute: usize,
 }
 
-/// Whom to ask, in which session, for how long.
+/// Names and deadline of the session in which a policy is called.
 #[derive(Clone, Copy, Debug)]
 pub struct PolicySession<'a> {
     /// The policy's name at the endpoint.
     pub policy: &'a str,
     /// The session's name.
     pub session: &'a str,
-    /// The rollout's suite, of which a policy may have a checkpoint of its own.
+    /// The rollout's suite; a policy may have a separate checkpoint for each suite.
     pub suite: &'a str,
     /// Longest wait for one answer.
     pub deadline: Duration,
@@ -147,15 +146,14 @@ pub trait Actor {
     /// Describes the actor and its inputs.
     ///
     /// # Errors
-    /// If it does not answer, speaks another version, or describes something
-    /// that no rollout can work with.
+    /// If the actor does not answer, speaks another protocol version, or its description fits no
+    /// rollout.
     fn describe(&mut self, session: PolicySession<'_>) -> Result<Description, PolicyError>;
 
-    /// Starts an episode. Nothing happens in those that keep nothing from one
-    /// episode to the next.
+    /// Starts an episode. Actors that keep no state between episodes do nothing.
     ///
     /// # Errors
-    /// If it does not answer or refuses.
+    /// If the actor does not answer or refuses.
     fn reset(
         &mut self,
         _session: PolicySession<'_>,
@@ -166,16 +164,16 @@ pub trait Actor {
         Ok(())
     }
 
-    /// Notes that the episode is over. What goes wrong is nobody's loss: a policy
-    /// bounds what it keeps in any case.
+    /// Tells the actor that the episode is over. Errors are ignored: a policy bounds its stored
+    /// sessions in any case.
     fn end(&mut self, _session: PolicySession<'_>) {}
 
-    /// Its answers to one observation: between one and `horizon` actions,
-    /// finite, not yet clipped. It is told what is executed meanwhile, if anything is said of
+    /// Returns the actions for one observation: between one and `horizon`, finite, not yet
+    /// clipped. It is told what is executed meanwhile, if anything is said of
     /// it.
     ///
     /// # Errors
-    /// If it does not answer, or answers something else.
+    /// If the actor does not answer, or its answer is not a valid chunk of actions.
     fn infer(
         &mut self,
         session: PolicySession<'_>,
@@ -190,8 +188,8 @@ pub trait Actor {
 mod tests {
     use super::*;
 
-    /// Defect: errors read as orders and named policy and session twice ("use the answer
-    /// of policy `bad` to query 0 of session … session …").
+    /// Defect: errors read as imperatives and named policy and session twice ("use the answer of
+    /// policy `bad` to query 0 of session … session …").
     #[test]
     fn errors_are_sentences_that_name_the_policy_once() {
         let failed = |policy: &str, problem: &str| PolicyError::Failed {

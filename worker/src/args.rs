@@ -166,12 +166,12 @@ pub struct ServeArguments {
     pub slot_program: Option<PathBuf>,
 }
 
-/// How many slots a worker has.
+/// Number of slots of a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SlotCount {
-    /// So many.
+    /// A fixed number.
     Given(NonZeroUsize),
-    /// As many as a measurement recommends.
+    /// The number that a measurement recommends.
     Auto,
 }
 

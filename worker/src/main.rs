@@ -35,15 +35,14 @@ use worker::slot::warn_of_scene_files;
 use worker::supervise::{self, Config, Identity};
 use worker::{assets, film, measure, preview, rescue, single, slot, variants};
 
-/// Compiled scenes that a slot keeps. Jobs of one task come together, so two
-/// are enough; each takes some hundred MB with the real assets where it is not kept in
-/// a file.
+/// Compiled scenes that a slot caches. The coordinator leases jobs of one task together, so two
+/// are enough; with LIBERO's assets each takes some hundred MB unless it is mapped from a file.
 const CACHED_SCENES: usize = 2;
-/// Requests to end that wait for the supervisor: the third changes nothing.
+/// Capacity of the queue of shutdown requests: a third request has no effect.
 const SHUTDOWN_QUEUE: usize = 2;
-/// Longest wait for a fetch under way once the worker has ended.
+/// Longest wait for a running fetch after the worker has ended.
 const FAREWELL: Duration = Duration::from_secs(1);
-/// Release and commit.
+/// Release and commit, as printed by `--version`.
 const VERSION: &str = version::version!();
 
 fn main() -> ExitCode {
@@ -135,7 +134,8 @@ fn run_bench_slot(arguments: &BenchSlotArguments) -> anyhow::Result<()> {
 }
 
 fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
-    // Opened here too, so that what is missing is said once and at once.
+    // The parent opens the simulator too, so that missing files are reported once, before any slot
+    // starts.
     let simulator = open(&arguments.simulator)?;
     let LoadArguments {
         task,
@@ -191,7 +191,7 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     let at_a_time = match (arguments.at_a_time, arguments.simulator.renderer) {
         (Some(number), _) => number,
         (None, Renderer::Software) => measure::limits::films()?,
-        // One graphics device draws for all of them.
+        // All rollouts share one graphics device.
         (None, _) => NonZeroUsize::MIN,
     };
     tracing::info!(
@@ -207,7 +207,7 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     };
     let pack = simulator.pack.name().to_owned();
     let files = Mutex::new((simulator.pack.clone(), simulator.sources.clone()));
-    // One thread at a time fetches what a task needs.
+    // The lock serialises fetches of the tasks' files.
     let provide = |task: TaskRef| {
         let files = files.lock().unwrap_or_else(PoisonError::into_inner);
         let (assets, sources) = &*files;
@@ -332,7 +332,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     print(&format!("{protocol}\n{tally}"))
 }
 
-/// A rollout that no coordinator asks for, of which nothing is kept.
+/// Builds an assignment outside any campaign, without video or stored actions.
 fn of_no_campaign(row: ManifestRow, replicate: u32, realisation: Realisation) -> Assignment {
     let attempt = random_id();
     Assignment {
@@ -409,12 +409,13 @@ fn run_worker(
     client: &ClientArguments,
     simulator_arguments: &SimulatorArguments,
 ) -> anyhow::Result<()> {
-    // Opened here too, so that what is missing is said once and at once.
+    // The parent opens the simulator too, so that missing files are reported once, before any slot
+    // starts.
     let access = client.access(&[Role::Worker])?;
     let simulator = open(simulator_arguments)?;
     let mut simulator_arguments = simulator_arguments.clone();
     if let Some(Err(error)) = SceneFolder::of_process().map(SceneFolder::check) {
-        // Said here for all slots.
+        // Warns here once, instead of in every slot.
         let why = transport::chain(&error);
         tracing::warn!("scenes are kept in the memory of each slot: failed to {why}");
         simulator_arguments.scenes = Some("off".into());
@@ -427,14 +428,14 @@ fn run_worker(
     };
     let slots = match arguments.slots {
         SlotCount::Given(slots) => {
-            // Nothing is known of what another program in a slot's place takes.
+            // The memory needs of a custom slot program are unknown.
             if !has_own_slots && let Some(warning) = measure::limits::check(slots.get())? {
                 tracing::warn!("{warning}");
             }
             slots
         }
         SlotCount::Auto => {
-            // Its load is that of `worker bench` without further options.
+            // The same load as `worker bench` without options.
             let task = LoadArguments::default_task();
             assets::provide(&simulator.pack, &simulator.sources, [task])?;
             let program = program.clone();
@@ -493,12 +494,12 @@ fn run_worker(
             never = forward(terminate, interrupt, requests) => match never {},
         }
     });
-    // A fetch that was told to end may still wait for a server.
+    // A cancelled fetch may still wait for its server.
     runtime.shutdown_timeout(FAREWELL);
     ended
 }
 
-/// One request to end per signal.
+/// Sends one shutdown request per signal.
 async fn forward(
     mut terminate: Signal,
     mut interrupt: Signal,
@@ -509,7 +510,7 @@ async fn forward(
             _ = terminate.recv() => {}
             _ = interrupt.recv() => {}
         }
-        // A third request changes nothing and may be dropped when the queue is full.
+        // A third request has no effect, so it may be dropped if the queue is full.
         let _ = requests.try_send(());
     }
 }
@@ -526,7 +527,7 @@ fn slot_program(
     simulator: &SimulatorConfig,
 ) -> SlotProgram {
     let mut slot = program_of("slot", program, arguments, simulator);
-    // Files only: a token in an argument could be read in every process list.
+    // Credentials are passed as files only: a token in an argument would show in process lists.
     for (flag, file) in [("--token-file", &access.token_file), ("--ca", &access.ca)] {
         if let Some(file) = file {
             slot.arguments.extend([flag.into(), file.into()]);

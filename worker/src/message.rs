@@ -1,9 +1,9 @@
-//! Messages between the parent process and a slot's process: one JSON value per
-//! line, commands one way and events the other, over the socket that is the
-//! slot's standard input. Videos go by file, so that lines stay short.
+//! Messages between the parent process and a slot's process: one JSON value per line, commands to
+//! the slot and events from it, over the socket that is the slot's standard input. Videos are
+//! passed as files, so that lines stay short.
 //!
-//! Everything that is said about a rollout names its attempt: an event that
-//! crossed a command on its way is about an attempt that is no longer in hand.
+//! Every message about a rollout names its attempt: an event that crosses a command in transit may
+//! concern an attempt that is no longer in hand.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,12 +17,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::actor::{PolicyError, PolicySession};
 
-/// Longest line that either side reads, bytes. A manifest row takes about one
-/// thousand, the longest motion some 700 thousand.
+/// Longest line that either side reads, bytes. A manifest row takes about 1,000 bytes, the longest
+/// motion about 700,000.
 pub const MAX_LINE_BYTES: u64 = 1 << 20;
 
-/// Names an episode to the policy. The attempt alone tells it from every other
-/// episode that the policy ever sees; rollout and replicate are for people.
+/// Identifies an episode to the policy. The attempt alone makes it unique; rollout and replicate
+/// are there for readers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Session(String);
@@ -33,7 +33,7 @@ impl Session {
         Self(format!("{id}#r{replicate}#{attempt}"))
     }
 
-    /// Returns the text that goes over the wire.
+    /// Returns the session's name as sent to the policy.
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -45,21 +45,20 @@ impl fmt::Display for Session {
     }
 }
 
-/// From the parent to a slot.
+/// Command of the parent to a slot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SlotCommand {
-    /// Do this rollout.
+    /// Runs a rollout.
     Run(Box<Assignment>),
-    /// Stop working on this attempt: its result, or its video, is no longer
-    /// wanted.
+    /// Stops work on an attempt whose result or video is no longer wanted.
     Abandon(AttemptId),
 }
 
-/// One rollout to do.
+/// Rollout for a slot to run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Assignment {
-    /// Names this attempt at it.
+    /// Identifier of this attempt.
     pub attempt: AttemptId,
     /// Row to simulate.
     pub row: ManifestRow,
@@ -72,19 +71,19 @@ pub struct Assignment {
     pub policy: String,
     /// URL of the policy or of a gateway.
     pub policy_endpoint: String,
-    /// The policy's seed: that of the replicate.
+    /// Seed of the policy, from the replicate.
     pub policy_seed: u64,
     /// Longest time that the policy may take for one answer.
     pub policy_deadline: Duration,
-    /// The episode's name to the policy.
+    /// Name of the episode at the policy.
     pub session: Session,
-    /// The video, if one is wanted.
+    /// Requested video, if any.
     pub video: Option<VideoRequest>,
-    /// True if the actions are wanted with the result.
+    /// True if the result includes the actions.
     pub keep_actions: bool,
 }
 
-/// A video that is wanted.
+/// Request for a video.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VideoRequest {
     /// Path of the file to write.
@@ -93,18 +92,18 @@ pub struct VideoRequest {
     pub of: VideoOf,
 }
 
-/// The rollouts of which a video is wanted.
+/// Rollouts that are filmed, by outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VideoOf {
-    /// All.
+    /// All rollouts.
     Everything,
-    /// Failures.
+    /// Failed rollouts.
     Failures,
 }
 
 impl Assignment {
-    /// Whom to ask, in which session, for how long.
+    /// Returns the names and the deadline of the session with the policy.
     pub fn policy_session(&self) -> PolicySession<'_> {
         PolicySession {
             policy: &self.policy,
@@ -114,7 +113,7 @@ impl Assignment {
         }
     }
 
-    /// The video that is wanted of a rollout with this outcome.
+    /// Returns the requested video of a rollout with this outcome, if one is wanted.
     pub fn video_of(&self, success: bool) -> Option<&VideoRequest> {
         self.video.as_ref().filter(|video| match video.of {
             VideoOf::Everything => true,
@@ -123,18 +122,18 @@ impl Assignment {
     }
 }
 
-/// From a slot to the parent.
+/// Event that a slot sends to the parent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SlotEvent {
-    /// The process is up, can simulate and draw, and takes commands.
+    /// The process has started, can simulate and render, and accepts commands.
     Ready {
         /// The renderer's own name.
         renderer: String,
         /// See [`sim::fingerprint`].
         fingerprint: String,
     },
-    /// Something about the rollout in hand.
+    /// Event of the current rollout.
     Rollout {
         /// Identifier of the attempt.
         attempt: AttemptId,
@@ -147,23 +146,23 @@ pub enum SlotEvent {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutEvent {
-    /// Control steps done, settling included.
+    /// Control steps so far, including settling.
     Progress(u32),
-    /// It has a result. Said before anything is filmed.
+    /// The rollout has a result. Sent before filming starts.
     Finished(Box<Finished>),
-    /// It ended without a result.
+    /// The rollout ended without a result.
     Failed(Failure),
-    /// It was abandoned, as commanded.
+    /// The rollout was abandoned, as commanded.
     Abandoned,
-    /// Pictures that the video has so far, which was announced with the result.
+    /// Number of frames so far of the video that was announced with the result.
     Filming(u32),
     /// The video that was announced with the result is in its file.
     Filmed,
-    /// There is no video, for this reason; reads after "failed to".
+    /// The video could not be made; the reason reads after "failed to".
     NotFilmed(String),
 }
 
-/// A rollout's result and where it came from, as far as the slot knows.
+/// Result of a rollout, with its provenance as far as the slot knows it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finished {
     /// Result of the rollout.
@@ -172,7 +171,7 @@ pub struct Finished {
     pub evidence: Evidence,
     /// Path of the end-effector and actions of the robot.
     pub motion: Motion,
-    /// True if the slot films it next, and reports the outcome afterwards.
+    /// True if the slot films the rollout next, and reports `Filmed` or `NotFilmed` afterwards.
     pub is_filmed_next: bool,
 }
 
@@ -180,10 +179,10 @@ pub struct Finished {
 /// hex.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
-    /// The renderer's own name, in a campaign also where no frame was drawn;
-    /// empty where none was opened.
+    /// The renderer's own name, in campaigns also for rollouts without a frame; empty if no
+    /// renderer was opened.
     pub renderer: String,
-    /// See [`sim::fingerprint`]; empty where no renderer was opened.
+    /// See [`sim::fingerprint`]; empty if no renderer was opened.
     pub fingerprint: String,
     /// Digest of the composed MJCF.
     pub scene_digest: String,
@@ -191,63 +190,61 @@ pub struct Evidence {
     pub init_state_digest: String,
     /// The perturbation as it was realised.
     pub realised: Realised,
-    /// Digest of the first frames that the policy saw; empty where it looks at
-    /// none.
+    /// Digest of the first frames that the policy saw; empty if it sees none.
     pub first_frame_digest: String,
     /// The policy's own name.
     pub policy_name: String,
-    /// Checkpoint of the policy, as the publisher writes it.
+    /// Name of the policy's checkpoint, as the policy describes it.
     pub policy_checkpoint: String,
-    /// Digest of its weights, as the policy gives it.
+    /// Digest of the checkpoint's weights, as the policy gives it.
     pub policy_checkpoint_digest: String,
     /// True if the policy sees the simulator's own state.
     pub policy_privileged: bool,
     /// True if the policy gets the canonical instruction under every condition.
     pub policy_canonical_only: bool,
-    /// Settings that its server resolved, by name, with `horizon` and
-    /// `execute`.
+    /// Settings that the policy's server resolved, by name, with `horizon` and `execute`.
     pub policy_settings: BTreeMap<String, String>,
-    /// Batch mode of a gateway: "single" unless one says otherwise.
+    /// Batch mode of the gateway; "single" without a gateway.
     pub batch_mode: String,
 }
 
-/// Reason for which a rollout has no result.
+/// Reason why a rollout has no result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Failure {
     /// Party at fault.
     pub kind: FailureKind,
-    /// In words, with the names that are needed to look further.
+    /// Message with the names that are needed for further diagnosis.
     pub error: String,
 }
 
-/// Party at fault when a rollout has no result.
+/// Party at fault for a rollout without a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FailureKind {
-    /// The simulator's: the physics, or a scene.
+    /// The simulator: its physics or a scene.
     Simulator,
-    /// The machine's: a file, memory, graphics.
+    /// The machine: a file, memory or graphics.
     Machine,
     /// The slot's process died.
     SlotCrashed,
-    /// The slot's process stood still and was killed.
+    /// The slot's process made no progress and was killed.
     SlotStuck,
-    /// The policy answered something that no robot can execute.
+    /// The policy's answer cannot be executed.
     PolicyMisbehaved,
     /// The policy did not answer. Not charged to the rollout.
     PolicyUnavailable,
-    /// The policy was there when it was asked first, and does not answer any more. Not
-    /// charged to the rollout, unless it happens again and again to this one.
+    /// The policy answered at first and then no longer. Not charged to the rollout, unless the
+    /// same rollout causes it repeatedly.
     PolicyLost {
-        /// Queries that it had answered.
+        /// Number of queries that the policy had answered.
         answered: u32,
     },
-    /// The worker is going down. Not charged to the rollout.
+    /// The worker is shutting down. Not charged to the rollout.
     Draining,
 }
 
 impl FailureKind {
-    /// Returns its reason on the wire.
+    /// Returns the reason as sent to the coordinator.
     pub fn reason(self) -> Reason {
         match self {
             Self::Simulator => Reason::SimulatorError,
@@ -280,7 +277,7 @@ impl From<&PolicyError> for FailureKind {
 }
 
 impl FailureKind {
-    /// The queries that a policy had answered which was lost.
+    /// Returns the number of queries that a lost policy had answered.
     pub(crate) fn answered_queries(self) -> Option<u32> {
         match self {
             Self::PolicyLost { answered } => Some(answered),

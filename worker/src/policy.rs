@@ -1,7 +1,6 @@
-//! A worker's side of the policy protocol: describes, resets and asks a policy,
-//! and checks what it answers before an action reaches a robot. Blocking: a
-//! slot has nothing else to do while its policy thinks. Retrying is the
-//! coordinator's business, which pauses the jobs of a policy that is down.
+//! Client of the policy protocol: describes, resets and queries a policy, and checks its answers
+//! before an action reaches a robot. Calls block, because a slot waits for its policy anyway.
+//! Retries are up to the coordinator, which pauses the jobs of a policy that is down.
 
 use std::time::Duration;
 
@@ -23,37 +22,33 @@ use transport::{
 use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use crate::grpc::within;
 
-/// Longest wait for one answer of a policy. A policy that needs longer once, to
-/// compile itself, does so before it serves.
+/// Longest wait for one answer. A policy that compiles itself must do so before it serves.
 pub const POLICY_CALL_DEADLINE: Duration = Duration::from_secs(60);
-/// Longest wait for word that the end of an episode was noted.
+/// Longest wait for the acknowledgement of an episode's end.
 const END_DEADLINE: Duration = Duration::from_secs(2);
 /// Longest wait for a connection.
 const CONNECT_DEADLINE: Duration = Duration::from_secs(10);
-/// HTTP/2 window, bytes: holds an observation, so that no call waits for
-/// window updates half-way.
+/// HTTP/2 window, bytes: larger than an observation, so that no call waits for a window update.
 const WINDOW_BYTES: u32 = 4 << 20;
 
-/// A connection to one endpoint.
+/// Client of one endpoint.
 #[derive(Debug)]
 pub struct PolicyClient {
     endpoint: String,
-    // One thread in the background, so that the connection is looked after
-    // while the simulator has this one.
+    // The background thread keeps the connection alive while the simulator uses this one.
     runtime: Runtime,
     grpc: GrpcClient<Connection>,
     peer: Peer,
 }
 
-/// Names, in messages, of the settings with which a campaign's user addresses a
-/// policy.
+/// Names, in messages, of the settings with which a campaign's user addresses a policy.
 pub const OF_A_CAMPAIGN: Settings = Settings {
     address: "the campaign's endpoint",
     authority: "the worker's --ca",
     clear: "http://",
     encrypted: "https://",
 };
-/// Names, in messages, of the settings with which the user of one rollout does.
+/// Names, in messages, of the settings with which the user of `worker rollout` addresses a policy.
 pub const OF_ONE_ROLLOUT: Settings = Settings {
     address: "--endpoint",
     authority: "--ca",
@@ -61,12 +56,12 @@ pub const OF_ONE_ROLLOUT: Settings = Settings {
 };
 
 impl PolicyClient {
-    /// A client of the endpoint, `grpc://HOST:PORT` or `http://HOST:PORT`, with
-    /// TLS `grpcs://` or `https://`, which was set in `settings`. The connection is
-    /// made at the first call.
+    /// Creates a client of `grpc://HOST:PORT` or `http://HOST:PORT`, or with TLS `grpcs://` or
+    /// `https://`. `settings` names, in messages, where the endpoint was set. The first call opens
+    /// the connection.
     ///
     /// # Errors
-    /// If the endpoint is no such URL.
+    /// If the endpoint is not such a URL.
     pub fn new(endpoint: &str, access: &Access, settings: Settings) -> Result<Self, PolicyError> {
         let address = parse_endpoint(endpoint).map_err(PolicyError::Endpoint)?;
         let address = with_settings(address);
@@ -91,7 +86,7 @@ impl PolicyClient {
         })
     }
 
-    /// The endpoint, as given.
+    /// Returns the endpoint as given.
     pub fn endpoint(&self) -> &str {
         &self.endpoint
     }
@@ -137,7 +132,7 @@ impl PolicyClient {
         }
     }
 
-    /// Returns what the policy answered, or what is there in its place.
+    /// Describes a failed call: the policy's error, or a diagnosis of the peer.
     fn explain(&self, status: &Status) -> String {
         let trouble = self.runtime.block_on(self.peer.trouble(status));
         trouble.map_or_else(|| answer(status), |trouble| trouble.to_string())
@@ -253,7 +248,7 @@ fn with_settings(endpoint: Endpoint) -> Endpoint {
         .initial_connection_window_size(WINDOW_BYTES)
 }
 
-/// Reads a checked description.
+/// Checks and parses a policy's description.
 fn read_description(about: DescribeResponse) -> Result<Description, DescriptionFault> {
     policy_protocol::description(&about)?;
     let fields = about.state.iter();

@@ -1,8 +1,7 @@
-//! One rollout: the scene settles, the policy is reset, looks and acts until
-//! the goal holds or the budget is spent. Responsible for the order of these
-//! steps (section 3 of the protocol) and for asking for a frame only when the
-//! policy will look at it. Knows no coordinator: the caller says what a rollout
-//! is for, what acts in it and what becomes of its result.
+//! Runs one rollout: the scene settles, the policy is reset, and queries and steps alternate until
+//! the goal holds or the step budget is spent. Keeps the order of section 3 of the protocol, and
+//! renders frames only for the policy's queries. The caller provides assignment and policy and
+//! handles the result; the coordinator is unknown here.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -24,33 +23,32 @@ use crate::observation;
 use crate::stage::Stage;
 use crate::stopwatch::{by_clock, processor};
 
-/// One control step of the policy.
+/// Control step of the policy.
 pub struct Step {
-    /// Action as the policy answered it.
+    /// Action as the policy sent it.
     pub sent: Action,
-    /// The robot's command, before the actuation axis distorts it: see
+    /// Command to the robot before the actuation axis distorts it; see
     /// [`sim::Conditions::command`].
     pub executed: Action,
 }
 
-/// Watches a rollout, and may end it.
+/// Observes a rollout, and may abandon it.
 pub trait Watcher {
-    /// Called after the scene is made and after every control step, settling
-    /// included. `Break` abandons the rollout.
+    /// Called after the scene is composed and after every control step, including settling.
+    /// `Break` abandons the rollout.
     fn progress(&mut self, control_steps: u32) -> ControlFlow<()>;
 
-    /// Called with what the policy is about to look at.
+    /// Called with each observation before the policy is queried.
     fn observed(&mut self, _query_index: u32, _observation: &Observation) {}
 
-    /// Called with the scene after it has come to rest, without a step, and after
-    /// every control step of the policy.
+    /// Called with the scene at rest, with no step, and after every control step of the policy.
     fn moved(&mut self, _step: Option<&Step>, _episode: &mut Episode<'_>) {}
 
-    /// Shown the scene after the last control step.
+    /// Called with the scene after the last control step.
     fn ended(&mut self, _episode: &mut Episode<'_>) {}
 }
 
-/// Reason for which a rollout has no result.
+/// Reason why a rollout has no result.
 #[derive(Debug, thiserror::Error)]
 pub enum RolloutError {
     /// The simulator failed.
@@ -65,14 +63,13 @@ pub enum RolloutError {
     /// The policy failed.
     #[error("finish the rollout: {0}")]
     Policy(#[from] PolicyError),
-    /// The watcher ended it.
+    /// The watcher abandoned the rollout.
     #[error("finish the rollout: it was abandoned")]
     Abandoned,
 }
 
 impl RolloutError {
-    /// Returns whose fault it is, and a sentence with all causes in one line. None if
-    /// the rollout was abandoned, which is no fault.
+    /// Returns the party at fault and all causes in one line; `None` if the rollout was abandoned.
     pub fn failure(&self) -> Option<Failure> {
         let kind = match self {
             Self::Simulator { source, .. } if source.is_of_the_machine() => FailureKind::Machine,
@@ -90,16 +87,15 @@ impl RolloutError {
 
 /// Name of the setting that says what became of real-time chunking.
 const REAL_TIME_CHUNKING: &str = "real-time chunking";
-/// Batch mode without a gateway that says more: each query goes alone, not in a
-/// batch of several rollouts.
+/// Batch mode if no gateway reports one: each query is answered alone.
 const UNBATCHED: &str = "single";
 
-/// A rollout that is over.
+/// Completed rollout.
 #[derive(Clone, Debug)]
 pub struct Simulated {
     /// Result of the rollout.
     pub finished: Finished,
-    /// The robot's commands: with them it can be simulated again.
+    /// Commands to the robot, from which the rollout can be simulated again.
     pub actions: Vec<Action>,
 }
 
@@ -116,26 +112,26 @@ pub fn run(
     run_after(None, stage, actor, assignment, watcher)
 }
 
-/// A rollout that goes on from a step of an earlier one, with a change there.
+/// Start of a rollout in the middle of an earlier one, with a change at that step.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Resumed<'a> {
-    /// The robot's commands that lead there.
+    /// Commands to the robot up to that step.
     pub(crate) after: &'a [Action],
     /// The change.
     pub(crate) change: Change,
 }
 
-/// A change at the step from which a rollout goes on.
+/// Change at the step where a rollout resumes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Change {
-    /// The perturbations are lifted; the instruction is canonical from there on.
+    /// Lifts the perturbations; the instruction is canonical from then on.
     Lift,
-    /// The placebo: nothing is lifted, the robot is nudged ([`Episode::nudge`]).
+    /// Placebo: lifts nothing, and nudges the robot ([`Episode::nudge`]).
     Nudge,
 }
 
-/// The same from the state that the robot's commands so far have led to, changed there.
-/// The policy is reset there. Of the budget it has what the commands have left.
+/// Runs a rollout, with `resumed` from the state that earlier commands lead to, changed there. The
+/// policy is reset there, and the commands count against the step budget.
 ///
 /// # Errors
 /// As [`run`].
@@ -146,8 +142,8 @@ pub(crate) fn run_after(
     assignment: &Assignment,
     watcher: &mut dyn Watcher,
 ) -> Result<Simulated, RolloutError> {
-    // Asked every time: a policy that was replaced since the last rollout must
-    // not go into the results under its predecessor's digest.
+    // Describes the policy before every rollout: the results of a policy that was replaced
+    // meanwhile must not carry its predecessor's digest.
     let description = actor.describe(assignment.policy_session())?;
     let execution = &assignment.execution;
     let horizon = description.horizon;
@@ -172,7 +168,7 @@ pub(crate) fn run_after(
         goal: GoalProgress::default(),
         first_frame_digest: String::new(),
     };
-    // First, so that a renderer that cannot draw costs no rollout.
+    // Opens the renderer first, so that a failure to render costs no simulation.
     let draws = !description.about.cameras.is_empty() || assignment.video.is_some();
     let (renderer, fingerprint) = stage
         .drawing(draws)
@@ -208,30 +204,30 @@ pub(crate) fn run_after(
     })
 }
 
-/// A rollout under way.
+/// State of a running rollout.
 struct Run<'a> {
     assignment: &'a Assignment,
-    /// The step from which it goes on, if it does.
+    /// Step of an earlier rollout from which this one resumes, if it does.
     resumed: Option<Resumed<'a>>,
     /// Name of the rollout in messages.
     title: String,
     description: &'a Description,
     actor: &'a mut dyn Actor,
     watcher: &'a mut dyn Watcher,
-    /// Actions that the robot was told: the rollout can be simulated again.
+    /// Commands to the robot, from which the rollout can be simulated again.
     executed: Vec<Action>,
     /// End-effector positions, tenths of a millimetre.
     path: Vec<[i16; 3]>,
     clipped_actions: u32,
     queries: u32,
-    /// Time spent so far, by part.
+    /// Time spent so far on physics, rendering and the policy.
     parts: Parts,
     goal: GoalProgress,
     first_frame_digest: String,
 }
 
 impl Run<'_> {
-    /// From the composed scene to the goal or the end of the budget.
+    /// Simulates from the composed scene to the goal or the end of the step budget.
     fn simulate(
         &mut self,
         stage: &mut Stage<'_>,
@@ -294,7 +290,7 @@ impl Run<'_> {
         ))
     }
 
-    /// From the first query to the goal or the end of the budget.
+    /// Alternates queries and steps until the goal holds or the step budget is spent.
     fn act(&mut self, episode: &mut Episode<'_>) -> Result<bool, RolloutError> {
         let row = &self.assignment.row;
         let (execution, execute) = (self.assignment.execution.clone(), self.description.execute);
@@ -317,7 +313,7 @@ impl Run<'_> {
         Ok(false)
     }
 
-    /// One control step. True if the goal holds after it.
+    /// Executes one control step; returns true if the goal holds after it.
     fn step(&mut self, episode: &mut Episode<'_>, sent: Action) -> Result<bool, RolloutError> {
         let executed = episode.command(&sent);
         let stepped = processor(&mut self.parts.physics_secs, || episode.step(&executed));
@@ -331,7 +327,7 @@ impl Run<'_> {
         Ok(success)
     }
 
-    /// Shows the policy the scene and gets its next actions.
+    /// Renders the scene for the policy and returns its next actions.
     fn query(
         &mut self,
         episode: &mut Episode<'_>,
@@ -356,7 +352,7 @@ impl Run<'_> {
         Ok(actions)
     }
 
-    /// Returns the robot's path and, if they are wanted, its actions.
+    /// Returns the robot's path and, if requested, its actions; empty for an overlong rollout.
     fn motion(&self) -> Motion {
         if self.executed.len() > proto::MAX_MOTION_STEPS {
             return Motion::default();
@@ -365,7 +361,7 @@ impl Run<'_> {
             true => &self.executed,
             false => &[],
         };
-        // Policies answer 32-bit numbers: nothing is lost.
+        // Policies answer with 32-bit floats, so the conversion is exact.
         let actions: Vec<_> = kept
             .iter()
             .map(|action| action.map(|it| it as f32))
@@ -373,9 +369,9 @@ impl Run<'_> {
         Motion::pack(&self.path, &actions)
     }
 
-    /// Control steps of the policy so far.
+    /// Returns the number of the policy's control steps so far.
     fn steps(&self) -> u32 {
-        // Bounded by the budget, which is a u32.
+        // Bounded by the step budget, a u32.
         self.executed.len() as u32
     }
 
@@ -423,7 +419,7 @@ fn settings(description: &Description, execution: &Execution) -> BTreeMap<String
 fn whereabouts(episode: &mut Episode<'_>) -> [i16; 3] {
     const TENTHS_OF_MM_PER_M: f64 = 10_000.0;
     let position = episode.environment().robot_state().eef_pos;
-    // A cast stops at the ends of its range, three metres away.
+    // A cast from float to integer saturates, at about three metres.
     position.map(|metres| (metres * TENTHS_OF_MM_PER_M).round() as i16)
 }
 
@@ -439,8 +435,7 @@ fn observation_request(description: &Description) -> ObservationRequest {
     }
 }
 
-/// SHA-256 over the pixels of all frames, in the order that the policy sees
-/// them in; hex.
+/// Returns the SHA-256 over the pixels of all frames, in the policy's order, hex.
 fn frames_digest(observation: &Observation) -> String {
     let mut hash = Sha256::new();
     for frame in &observation.frames {

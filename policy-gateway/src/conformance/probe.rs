@@ -1,5 +1,5 @@
-//! The questions: a client that plays episodes of made-up observations and
-//! brings home what was answered. Judges nothing but yes-or-no questions.
+//! Client of the conformance check: plays episodes of synthetic observations and collects the
+//! answers. Judges only points with a yes-or-no answer.
 
 use std::time::{Duration, Instant};
 
@@ -26,8 +26,7 @@ use crate::{
     http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
 };
 
-/// Names, in messages, of the settings with which the user of a check addresses
-/// a server.
+/// Names, in messages, of the settings with which the user of a check addresses a server.
 const SETTINGS: Settings = Settings {
     address: "the URL",
     authority: "--ca",
@@ -35,7 +34,7 @@ const SETTINGS: Settings = Settings {
     encrypted: "https://",
 };
 
-/// In which order an episode's queries are asked.
+/// Order of an episode's queries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum QueryOrder {
     /// 0, 1, 2, …
@@ -44,7 +43,7 @@ pub enum QueryOrder {
     Backward,
 }
 
-/// Answers of one episode.
+/// Answers and latencies of one episode.
 #[derive(Clone, Debug)]
 pub struct EpisodeAnswers {
     /// Answers by query index.
@@ -60,15 +59,15 @@ pub struct Probe {
     client: PolicyClient<Connection>,
     target: Target,
     described: DescribeResponse,
-    /// Tells this check's sessions from those of an earlier one.
+    /// Number of this run, which distinguishes its sessions from those of earlier runs.
     run: u32,
 }
 
 impl Probe {
-    /// Connects and asks what the policy is.
+    /// Connects and reads the policy's description.
     ///
     /// # Errors
-    /// If the address is invalid, nothing listens there, or it does not answer.
+    /// If the URL is invalid, the server cannot be reached, or it does not describe itself.
     pub async fn connect(target: &Target) -> Result<Self, ConformanceError> {
         let endpoint = parse_endpoint(&target.url)
             .map_err(|_| ConformanceError::Url {
@@ -117,12 +116,12 @@ impl Probe {
         })
     }
 
-    /// Returns the policy's description of itself.
+    /// Returns the policy's description.
     pub fn described(&self) -> &DescribeResponse {
         &self.described
     }
 
-    /// Checks that a caller of a newer version is refused.
+    /// Checks that a client of a newer protocol version is refused.
     pub async fn other_version(&self) -> Verdict {
         let newer = proto::PROTOCOL_VERSION + 1;
         match self
@@ -160,7 +159,7 @@ impl Probe {
     /// Plays one episode.
     ///
     /// # Errors
-    /// If the server answers with a status instead of actions.
+    /// If the server answers with an error instead of actions.
     pub async fn episode(
         &self,
         name: &str,
@@ -187,10 +186,10 @@ impl Probe {
         Ok(episode)
     }
 
-    /// Plays one episode, asking everything twice: first and second answers.
+    /// Plays one episode with every query sent twice; returns the first and the second answers.
     ///
     /// # Errors
-    /// If the server answers with a status instead of actions.
+    /// If the server answers with an error instead of actions.
     pub async fn retries(
         &self,
         seed: u64,
@@ -204,10 +203,10 @@ impl Probe {
         Ok((answers, retries))
     }
 
-    /// Plays two episodes in turns: the first one's answers.
+    /// Plays two episodes in alternation; returns the first one's answers.
     ///
     /// # Errors
-    /// If the server answers with a status instead of actions.
+    /// If the server answers with an error instead of actions.
     pub async fn interleaved(&self, seed: u64, other: u64) -> Result<Vec<InferResponse>, Status> {
         self.reset("mine", seed).await?;
         self.reset("other's", other).await?;
@@ -219,11 +218,11 @@ impl Probe {
         Ok(answers)
     }
 
-    /// Plays half an episode of another seed, then a whole one under the same
-    /// session.
+    /// Plays half an episode with the seed `other`, then restarts the session with `seed`; returns
+    /// the answers after the restart.
     ///
     /// # Errors
-    /// If the server answers with a status instead of actions.
+    /// If the server answers with an error instead of actions.
     pub async fn restarted(&self, seed: u64, other: u64) -> Result<Vec<InferResponse>, Status> {
         self.reset("restarted", other).await?;
         for query_index in 0..QUERIES / 2 {
@@ -235,11 +234,11 @@ impl Probe {
             .answers)
     }
 
-    /// Plays as many episodes side by side in batches as the policy takes, of
-    /// which the first has `seed`: that one's answers.
+    /// Plays concurrent episodes in batches of the policy's largest size; returns the answers of
+    /// the first one, whose seed is `seed`.
     ///
     /// # Errors
-    /// If the server answers with a status instead of actions.
+    /// If the server answers with an error instead of actions.
     pub async fn batched(&self, seed: u64) -> Result<Vec<InferResponse>, Status> {
         let size = self.described.max_batch.min(MAX_BATCH_QUERIES as u32);
         let names: Vec<_> = (0..size).map(|at| format!("in a batch {at}")).collect();
@@ -280,10 +279,10 @@ impl Probe {
         }
     }
 
-    /// Plays so many episodes at once: the time they took, and each query's.
+    /// Plays `concurrency` episodes at once; returns the total time and every query's latency.
     ///
     /// # Errors
-    /// If the server answers with a status instead of actions.
+    /// If the server answers with an error instead of actions.
     pub async fn side_by_side(
         &self,
         concurrency: u32,

@@ -1,5 +1,5 @@
-//! A server that is asked: any back-end of a route, directly, so that what it
-//! answers is seen as it is.
+//! Client of a server under comparison or diagnosis: calls a route's back-end directly, so that
+//! its answers are seen unchanged.
 
 use std::{
     sync::{
@@ -20,23 +20,22 @@ use crate::{
     recording::RecordingError,
 };
 
-/// Longest wait for an answer: models that are compiled at their first query take
-/// minutes.
+/// Longest wait for an answer: models that compile at their first query take minutes.
 pub const PATIENCE: Duration = Duration::from_secs(600);
 
 /// One action: translation (3), rotation (3), gripper.
 pub type Action = [f64; 7];
 
-/// A server that says what it is.
+/// Connected server with its description.
 pub struct Server {
     /// URL as given.
     pub url: String,
-    /// Description of the policy, in the server's words.
+    /// Description given by the server.
     pub described: DescribeResponse,
     backend: Arc<dyn Backend>,
-    /// Sessions opened so far.
+    /// Number of sessions opened so far.
     sessions: AtomicU32,
-    /// Tells this run's sessions from those of another.
+    /// Process id, which distinguishes this run's sessions from those of other runs.
     run: u32,
 }
 
@@ -47,16 +46,16 @@ pub struct Episode<'a> {
     next_query: u32,
 }
 
-/// An answer as it came, and how long it took.
+/// Answer with its latency.
 pub struct Timed {
-    /// Unchecked.
+    /// Answer of the server, unchecked.
     pub response: InferResponse,
-    /// From question to answer.
+    /// Time from query to answer.
     pub took: Duration,
 }
 
 impl Server {
-    /// Asks the server of a route what it is.
+    /// Connects to the server of a route and reads its description.
     ///
     /// # Errors
     /// If the server cannot be reached, or its description is invalid.
@@ -83,7 +82,7 @@ impl Server {
     /// Starts an episode.
     ///
     /// # Errors
-    /// If the server refuses it.
+    /// If the server refuses the episode or does not answer.
     pub async fn episode(
         &self,
         suite: &str,
@@ -107,10 +106,10 @@ impl Server {
         })
     }
 
-    /// Checks that an answer is a chunk of actions, and returns them.
+    /// Returns the actions of an answer after checking it.
     ///
     /// # Errors
-    /// If the answer is no chunk of actions.
+    /// If the answer is not a valid chunk of actions.
     pub fn actions(&self, response: &InferResponse) -> Result<Vec<Action>, ActionFault> {
         let actions = policy_protocol::actions(response, self.described.horizon)?;
         Ok(actions.iter().map(|it| it.map(f64::from)).collect())
@@ -118,10 +117,10 @@ impl Server {
 }
 
 impl Episode<'_> {
-    /// Asks the next query.
+    /// Sends the next query.
     ///
     /// # Errors
-    /// If the server refuses it, or does not answer within [`PATIENCE`].
+    /// If the server refuses the query, or does not answer within [`PATIENCE`].
     pub async fn ask(&mut self, observation: Observation) -> Result<Timed, RefereeError> {
         let request = InferRequest {
             policy: String::new(),
@@ -139,10 +138,10 @@ impl Episode<'_> {
         })
     }
 
-    /// The same, and the answer must be a chunk of actions.
+    /// Sends the next query, and returns the checked actions of its answer.
     ///
     /// # Errors
-    /// As [`Episode::ask`], or if the answer is no chunk of actions.
+    /// As [`Episode::ask`], or if the answer is not a valid chunk of actions.
     pub async fn actions(&mut self, observation: Observation) -> Result<Vec<Action>, RefereeError> {
         let answer = self.ask(observation).await?;
         let actions = self.server.actions(&answer.response);
@@ -152,10 +151,10 @@ impl Episode<'_> {
         })
     }
 
-    /// Says that the episode is over.
+    /// Ends the episode. Errors are ignored.
     pub async fn end(self) {
         let end = self.server.backend.end(&self.session);
-        // A server that does not answer to that loses nothing.
+        // A server may ignore the end of an episode.
         let _ = tokio::time::timeout(Duration::from_secs(5), end).await;
     }
 }
@@ -174,22 +173,22 @@ async fn in_time<T>(
     })
 }
 
-/// Reason for which servers cannot be judged. Reads after "failed to …".
+/// Reason why servers cannot be compared or diagnosed. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum RefereeError {
-    /// An address, access or recordings that are no use.
+    /// The address, the credentials or the recordings of a route cannot be used.
     #[error(transparent)]
     Backend(#[from] UnusableBackend),
-    /// Recordings that are no use.
+    /// The recordings cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// It does not answer.
+    /// The server does not answer in time.
     #[error("get an answer of {url} within {} s", PATIENCE.as_secs())]
     Silent {
         /// URL as given.
         url: String,
     },
-    /// It cannot be reached, or answers with an error.
+    /// The server cannot be reached, or answers with an error.
     #[error("get an answer of {url}: {problem}")]
     Answer {
         /// URL as given.
@@ -197,7 +196,7 @@ pub enum RefereeError {
         /// Error of the server or of the connection.
         problem: String,
     },
-    /// It describes itself as nothing that can be run.
+    /// The server's description cannot be used.
     #[error("use what {url} says of itself: {fault}; `policy-gateway check {url}` says more")]
     Description {
         /// URL as given.
@@ -205,7 +204,7 @@ pub enum RefereeError {
         /// Fault of the description.
         fault: DescriptionFault,
     },
-    /// It answers no actions.
+    /// The server's answer is not a valid chunk of actions.
     #[error("compare what {url} answers: {fault}; `policy-gateway doctor {url}` says more")]
     Nonsense {
         /// URL as given.
@@ -213,7 +212,7 @@ pub enum RefereeError {
         /// Fault of the answer.
         fault: ActionFault,
     },
-    /// The recordings lack something.
+    /// The recordings lack an input that the server needs.
     #[error(
         "show {url} what was recorded: it wants {missing}, which the recordings lack; record a \
          policy that wants them too, or leave --recorded out"

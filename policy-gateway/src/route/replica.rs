@@ -1,10 +1,8 @@
-//! One replica: a back-end, how busy it is and how it does. Responsible for
-//! deadlines, for health and for the checks at the boundary, so that whatever
-//! comes out of here may go on towards a robot.
+//! Replica of a checkpoint: a back-end with its load and health. Enforces deadlines and checks all
+//! answers, so that everything returned from here is safe to forward to a robot.
 //!
-//! A query is first *queued*, then *sent*. In the queue only its caller's patience
-//! counts, and a caller that goes gives up its place; once sent, the server's silence
-//! does.
+//! A query is first *queued*, then *sent*. In the queue only the caller's patience limits the
+//! wait, and a caller that gives up frees its place; once sent, the server's silence limits it.
 
 use std::{
     fmt,
@@ -28,17 +26,17 @@ use crate::{
     pace::{Silent, Watch},
 };
 
-/// Single queries at one server at once: it is asked one by one, and what waits
-/// behind these costs this side no second copy of its observation.
+/// Concurrent single queries per server. The server computes them one by one; queries waiting
+/// behind them need no second copy of their observation.
 pub const MAX_CALLS: usize = 64;
-/// Sessions that a replica may have whatever its pace: a server that answers several
-/// at once shows it only with several.
+/// Sessions that a replica may have regardless of its pace: a server that answers several at once
+/// only shows it with several.
 const MIN_SESSIONS: usize = 4;
-/// Longest time that a rollout may spend on each control step: most of the 10 s that
-/// a coordinator allows it (`--step-ceiling-secs`).
+/// Longest time per control step of a rollout: most of the 10 s that a coordinator allows
+/// (`--step-ceiling-secs`).
 const STEP_PATIENCE: Duration = Duration::from_secs(8);
 
-/// One of those that answer for a checkpoint.
+/// Back-end of a checkpoint, with its load and health.
 pub struct Replica {
     spec: BackendSpec,
     access: AccessFiles,
@@ -48,18 +46,18 @@ pub struct Replica {
     batcher: Batcher,
     calls: Semaphore,
     watch: Arc<Watch>,
-    /// Queries in one batch, as last described.
+    /// Batch size from the last description.
     batch_size: AtomicUsize,
-    /// Actions executed per query, as last described.
+    /// Actions executed per query, from the last description.
     execute: AtomicU32,
     health: Mutex<Health>,
-    /// Queries under way.
+    /// Number of queries in flight.
     load: AtomicUsize,
-    /// Number of the last session given to it, counted in sessions given.
+    /// Number of the last session assigned to it, in the pool's order.
     last_given: AtomicU64,
 }
 
-/// A query under way; one less when dropped, however it ends.
+/// Guard of a query in flight; dropping it ends the query's count.
 struct UnderWay<'a>(&'a AtomicUsize);
 
 impl Drop for UnderWay<'_> {
@@ -91,7 +89,7 @@ impl Drop for Trying<'_> {
 }
 
 impl Replica {
-    /// A replica that has not been asked anything yet.
+    /// Creates a replica without calling its back-end.
     ///
     /// # Errors
     /// See [`UnusableBackend`].
@@ -128,68 +126,68 @@ impl Replica {
         })
     }
 
-    /// Returns true if a replica made to this order would be the same as this
-    /// one. The content of its access files may have changed.
+    /// Returns true if a new replica with these settings would be the same. Never true with access
+    /// files, whose content may have changed.
     pub fn is(&self, spec: &BackendSpec, route: &RouteSpec) -> bool {
         let made = (spec, &self.access, route.answer_within, route.batching);
         self.access == AccessFiles::default()
             && made == (&self.spec, &route.access, self.answer_within, self.batching)
     }
 
-    /// Queries under way.
+    /// Returns the number of queries in flight.
     pub fn load(&self) -> usize {
         self.load.load(Ordering::Relaxed)
     }
 
-    /// Number of the last session given to it.
+    /// Returns the number of the last session assigned to it.
     pub fn last_given(&self) -> u64 {
         self.last_given.load(Ordering::Relaxed)
     }
 
-    /// Notes that it is given a session as the `number`th.
+    /// Records the assignment of the `number`th session.
     pub fn give(&self, number: u64) {
         self.last_given.store(number, Ordering::Relaxed);
     }
 
-    /// Longest silence of its server.
+    /// Returns the longest silence allowed to its server.
     pub fn answer_within(&self) -> Duration {
         self.answer_within
     }
 
-    /// Longest time that a query waits for its turn: at 50 s for an answer 55 s, which
-    /// is less than the 60 s that a worker waits.
+    /// Returns the longest time of a query in the queue: 55 s if answers may take 50 s, which is
+    /// below a worker's 60 s.
     fn patience(&self) -> Duration {
         self.answer_within * 11 / 10
     }
 
-    /// Returns how long the server takes for each query while it is busy, once known.
+    /// Returns the server's average time per query while it is busy; `None` until known.
     pub fn per_query(&self) -> Option<Duration> {
         self.watch.per_query()
     }
 
-    /// Returns how many sessions its server can answer in time, once its pace is known.
+    /// Returns the number of sessions that its server can answer in time; `None` until its pace is
+    /// known.
     pub fn capacity(&self) -> Option<usize> {
         let execute = self.execute.load(Ordering::Relaxed);
         Some(capacity(self.patience(), execute, self.per_query()?))
     }
 
-    /// Returns true if only a probe of the server goes through.
+    /// Returns true if only probes are sent to the server.
     pub fn is_out(&self) -> bool {
         matches!(*self.health(), Health::Out(_))
     }
 
-    /// Returns true if a call would go out now.
+    /// Returns true if a call would be sent now.
     pub fn would_admit(&self, call: Call<'_>) -> bool {
         let mut health = self.health().clone();
         health.admit(call, Instant::now()).is_ok()
     }
 
-    /// Asks what its policy is, for `suite` if that is not empty. `agrees` says
-    /// what is wrong with an answer that can be true but is not what was
-    /// expected.
+    /// Reads the policy's description, for `suite` unless that is empty. `agrees` reports how a
+    /// valid description differs from the expected one.
     ///
     /// # Errors
-    /// If the replica does not answer, or its answer cannot be used.
+    /// If the replica does not answer, or its description is invalid or unexpected.
     pub async fn describe(
         &self,
         call: Call<'_>,
@@ -218,7 +216,7 @@ impl Replica {
     /// Starts an episode.
     ///
     /// # Errors
-    /// If the replica does not answer, or refuses.
+    /// If the replica does not answer or refuses.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
         let session = request.session.clone();
         self.in_time(Call::Of(&session), self.backend.reset(request))
@@ -227,7 +225,7 @@ impl Replica {
         Ok(())
     }
 
-    /// Notes that an episode is over, if the replica is there to be told.
+    /// Ends an episode at the server, unless the server is out.
     pub async fn end(&self, session: &str) {
         if self.would_admit(Call::Of(session)) {
             let _ = tokio::time::timeout(self.answer_within, self.backend.end(session)).await;
@@ -235,12 +233,11 @@ impl Replica {
         self.health().abandoned(Call::Of(session));
     }
 
-    /// Answers one observation of `task` with actions of which there are at
-    /// most `horizon`.
+    /// Answers one observation of `task` with at most `horizon` actions.
     ///
     /// # Errors
-    /// If the replica does not answer, or its answer is no chunk of actions
-    /// (see [`policy_protocol::actions`]).
+    /// If the replica does not answer, or its answer is not a valid chunk of actions (see
+    /// [`policy_protocol::actions`]).
     pub async fn infer(
         &self,
         request: InferRequest,
@@ -277,8 +274,7 @@ impl Replica {
         }
     }
 
-    /// An error that was answered to a query: the query's, or the server's if
-    /// that is out.
+    /// Attributes an error in answer to a query: to the query, or to the server if that is out.
     fn judge(&self, error: BackendError, task: &str) -> BackendError {
         let was_up = matches!(*self.health(), Health::Up(_));
         let cause = self
@@ -298,7 +294,7 @@ impl Replica {
         }
     }
 
-    /// Asks one query by itself, when its turn comes.
+    /// Sends a single query when its turn comes.
     async fn infer_alone(
         &self,
         call: Call<'_>,
@@ -311,7 +307,7 @@ impl Replica {
                 waited: patience,
             });
         };
-        // The server may have gone out meanwhile.
+        // The server may have failed while the query waited.
         self.admit(call)?.end();
         let answer = self.backend.infer(request);
         let answer = self.watch.queries(self.answer_within, answer, |answer| {
@@ -320,8 +316,8 @@ impl Replica {
         self.unless_silent(answer.await)
     }
 
-    /// Makes one call without queries, if the replica's health admits it, and notes
-    /// if it brought no answer in time.
+    /// Makes one call without queries if the server's health admits it, and records a failure or
+    /// timeout.
     async fn in_time<T>(
         &self,
         call: Call<'_>,
@@ -360,7 +356,7 @@ impl Replica {
         })
     }
 
-    /// Notes what an answer says of the server's health, and returns it.
+    /// Records what an answer shows about the server's health, and returns the answer.
     fn noted<T>(&self, answer: Result<T, BackendError>) -> Result<T, BackendError> {
         match &answer {
             Err(BackendError::TimedOut { .. }) => self.lost(Cause::Silent),
@@ -375,7 +371,7 @@ impl Replica {
             Err(error @ BackendError::Barred { .. }) => {
                 self.lost(Cause::Distrust(error.to_string()));
             }
-            // "Not now" is an answer, too.
+            // An answer of "not now" also shows that the server is up.
             Err(error) if error.is_outage() => self.answered(Answered::Something),
             _ => {}
         }
@@ -420,12 +416,12 @@ fn says_nothing(error: &BackendError) -> bool {
     )
 }
 
-/// Returns how many sessions get their answers in time from a server that takes
-/// `per_query` for each: all of them may ask at once.
+/// Returns the number of sessions that get their answers in time from a server with `per_query`
+/// per query, if all of them query at once.
 fn capacity(patience: Duration, execute: u32, per_query: Duration) -> usize {
     let longest = patience.min(STEP_PATIENCE * execute.max(1));
     let sessions = longest.as_secs_f64() / per_query.as_secs_f64().max(1e-9);
-    // The conversion saturates.
+    // A cast from float to integer saturates.
     (sessions as usize).max(MIN_SESSIONS)
 }
 
@@ -441,7 +437,7 @@ mod tests {
         };
         assert_eq!(at(10, 400), 137);
         assert_eq!(at(10, 20), 2750);
-        // A rollout that asks at every step must not take 55 s for each.
+        // A rollout that queries at every step must not take 55 s for each.
         assert_eq!(at(1, 400), 20);
         assert_eq!(at(1, 60_000), MIN_SESSIONS);
         assert!(at(1, 0) > 1_000_000);

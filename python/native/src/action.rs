@@ -1,19 +1,19 @@
-//! Actions as Python hands them over.
+//! Conversion of actions from Python.
 
 use numpy::{AllowTypeChange, PyArrayLikeDyn, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// Numbers of an action: translation, rotation, gripper.
+/// Number of components of an action: translation (3), rotation (3), gripper.
 pub(crate) const WIDTH: usize = 7;
 
-/// Numbers of any type, in any container.
+/// Array-like of numbers of any type.
 pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 
-/// Actions of this shape, whose last length is [`WIDTH`].
+/// Converts actions of the given shape, whose last length is [`WIDTH`].
 ///
 /// # Errors
-/// If the shape is another one, or a number is not finite.
+/// If the shape differs or a number is not finite.
 pub(crate) fn actions(given: &Numbers<'_>, shape: &[usize]) -> PyResult<Vec<[f64; WIDTH]>> {
     if given.shape() != shape {
         return Err(PyValueError::new_err(format!(

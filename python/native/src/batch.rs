@@ -1,4 +1,4 @@
-//! Several environments that move on together, on threads.
+//! Batches of environments that step in parallel on threads.
 
 use std::sync::Mutex;
 
@@ -14,9 +14,9 @@ use crate::simulation::{Simulation, action_frame};
 use crate::start::Start;
 use crate::state::{Snapshot, State, picture_size, shaped};
 
-/// Numbers of a reading: see [`READINGS`].
+/// Total width of all [`READINGS`].
 const READING_WIDTH: usize = 28;
-/// The readings, in their order, and how many numbers each has.
+/// Names and widths of the readings, in order.
 const READINGS: [(&str, usize); 7] = [
     ("eef_pos", 3),
     ("eef_quat", 4),
@@ -27,7 +27,7 @@ const READINGS: [(&str, usize); 7] = [
     ("gripper_vel", 2),
 ];
 
-/// Control steps of a chunk that are drawn.
+/// Selection of the control steps of a chunk to render.
 #[derive(Clone, Copy, PartialEq)]
 enum Render {
     None,
@@ -35,20 +35,20 @@ enum Render {
     All,
 }
 
-/// Environments that begin or move on together.
+/// Environments that start and step together.
 #[pyclass(frozen, module = "rollout_libero._native")]
 pub(crate) struct Batch {
     states: Vec<Guarded<State>>,
     threads: usize,
 }
 
-/// A camera and its picture's size.
+/// A camera and the size of its pictures.
 struct Camera {
     name: String,
     size: [u32; 2],
 }
 
-/// The pictures of each drawn step. Rows run from top to bottom.
+/// Settings for pictures of rendered steps. Rows run from top to bottom.
 #[derive(Clone, Copy)]
 struct View<'a> {
     cameras: &'a [Camera],
@@ -57,35 +57,36 @@ struct View<'a> {
     mirrored: bool,
 }
 
-/// Work of one environment: it begins, or takes at most `limit` of its actions.
+/// Work of one environment: starts a rollout, or executes at most `limit` actions.
 struct Task<'a> {
     state: &'a Guarded<State>,
     start: Option<Start>,
     actions: &'a [[f64; WIDTH]],
     limit: usize,
-    /// Per step: true if the expert drives and the action is added to its own; `None` if
-    /// the expert is not asked.
+    /// Per step: true if the expert drives and the action is added to the expert's; `None`
+    /// if the expert is not queried.
     expert: Option<&'a [bool]>,
     done: Done<'a>,
 }
 
-/// Output buffers of the work: the rows of one environment.
+/// Output buffers for one environment's work.
 struct Done<'a> {
     steps: &'a mut u32,
     success: &'a mut bool,
     /// Per step: true if the goal holds after it. Empty if steps end with the first success.
     successes: &'a mut [bool],
-    /// Per step: action of the expert, where it is asked.
+    /// Per step: action of the expert, if it is queried.
     expert_actions: &'a mut [[f64; WIDTH]],
-    /// Readings, one row per drawn step.
+    /// Readings, one row per rendered step.
     readings: &'a mut [[f64; READING_WIDTH]],
-    /// Per camera: pictures of each drawn step.
+    /// Per camera: pictures of each rendered step.
     frames: Vec<&'a mut [u8]>,
 }
 
 #[pymethods]
 impl Batch {
-    /// Environments, which stay usable one by one, and how many threads they share.
+    /// Creates a batch of environments, which remain usable individually, with a number of
+    /// threads.
     #[new]
     fn new(simulations: Vec<Py<Simulation>>, threads: usize) -> PyResult<Self> {
         if simulations.is_empty() || threads == 0 {
@@ -93,7 +94,7 @@ impl Batch {
                 "make a batch: it takes one environment at least, and one thread",
             ));
         }
-        // OpenGL belongs to a thread.
+        // An OpenGL context belongs to one thread.
         let threads = match simulations.iter().any(|it| it.get().draws_through_opengl()) {
             true => 1,
             false => threads.min(simulations.len()),
@@ -105,7 +106,7 @@ impl Batch {
         })
     }
 
-    /// Has each environment go back to a snapshot. If one of them cannot, none does.
+    /// Restores each environment from a snapshot. If one of them fails, none is changed.
     fn restore(&self, py: Python<'_>, snapshots: Vec<Py<Snapshot>>) -> PyResult<()> {
         if snapshots.len() != self.states.len() {
             return Err(PyValueError::new_err(format!(
@@ -132,20 +133,20 @@ impl Batch {
         })
     }
 
-    /// Has each environment begin a rollout where `starts` has a manifest's row for it,
-    /// JSON, and otherwise take its actions: at most `limits` of them, and none after the
-    /// one that succeeds. `actions` is [environments, steps, 7]; `render` says which
-    /// steps are drawn and read: `last`, `all` or `none`. Returns `steps` taken and
-    /// `success` of each environment, the readings by name, and the frames by camera,
-    /// with row 0 at the top, and column 0 at the right if they are `mirrored`. `expert`,
-    /// [environments, steps], has the scripted expert asked at every step, whose actions
-    /// are returned as `expert_action`; where it is true the expert drives, and the action
-    /// is added to its own. With `past_success` steps go on after a success, and `successes`,
-    /// [environments, steps], says after which of them the goal held.
+    /// Starts a rollout in each environment for which `starts` has a manifest row, JSON;
+    /// all others execute their actions: at most `limits`, and none after a success.
+    /// `actions` is [environments, steps, 7]; `render` selects the steps that are rendered
+    /// and read: `last`, `all` or `none`. Returns `steps` executed and `success` of each
+    /// environment, the readings by name, and the frames by camera, with row 0 at the top,
+    /// and column 0 at the right if `mirrored`. With `expert`, [environments, steps], the
+    /// scripted expert is queried at every step and its actions are returned as
+    /// `expert_action`; at steps where `expert` is true, the expert drives and the action is
+    /// added to its own. With `past_success`, steps continue after a success, and
+    /// `successes`, [environments, steps], tells whether the goal holds after each step.
     ///
-    /// Arguments that do not fit raise, and nothing has moved then. An environment that
-    /// fails does not hold up the others: `errors` has an exception in its place, and
-    /// `steps` counts the steps that it had taken.
+    /// Invalid arguments raise before any environment moves. A failing environment does not
+    /// stop the others: `errors` has its exception, and `steps` counts the steps that it
+    /// completed.
     #[expect(clippy::too_many_arguments, reason = "they are Python's keywords")]
     #[pyo3(signature = (
         actions, limits, starts, cameras, *,
@@ -358,7 +359,7 @@ impl Task<'_> {
 }
 
 impl Done<'_> {
-    /// Reads and draws the present instant.
+    /// Writes the readings and frames of the current state.
     fn show(&mut self, state: &mut State, step: usize, view: View<'_>) -> PyResult<()> {
         self.readings[step] = reading(&state.environment.robot_state());
         for (camera, rows) in view.cameras.iter().zip(&mut self.frames) {
@@ -379,7 +380,7 @@ impl Done<'_> {
     }
 }
 
-/// Copies a row of pixels from right to left.
+/// Copies a row of pixels in reverse order.
 fn mirror(from: &[u8], to: &mut [u8]) {
     const PIXEL_BYTES: usize = 3;
     let (pixels, _) = from.as_chunks::<PIXEL_BYTES>();
@@ -403,7 +404,7 @@ fn reading(robot: &RobotState) -> [f64; READING_WIDTH] {
     std::array::from_fn(|_| *numbers.next().expect("as many as there are"))
 }
 
-/// The expert's action with something added to its arm's, in range.
+/// Adds `added` to the arm components of the expert's action, clamped to the valid range.
 fn followed(own: [f64; WIDTH], added: [f64; WIDTH]) -> [f64; WIDTH] {
     const GRIPPER: usize = WIDTH - 1;
     std::array::from_fn(|at| match at {
@@ -452,8 +453,8 @@ fn actions_per_chunk(actions: &Numbers<'_>, environments: usize) -> PyResult<usi
     }
 }
 
-/// Runs tasks on so many threads, this one among them; each takes the next that is left.
-/// Returns the error of each task, in the tasks' order, once all have ended.
+/// Runs tasks on `threads` threads, including the calling one; each takes the next pending
+/// task. Returns the error of each task, in the order of tasks, when all have ended.
 fn run<'a>(
     tasks: Vec<Task<'a>>,
     threads: usize,

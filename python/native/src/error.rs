@@ -1,4 +1,4 @@
-//! Errors as Python exceptions.
+//! Conversion of errors to Python exceptions.
 
 use std::error::Error;
 
@@ -34,7 +34,7 @@ create_exception!(
     "A file of a scene is missing or wrong, or cannot be fetched."
 );
 
-/// An error with all its causes.
+/// Formats an error with all its causes.
 fn words(error: &dyn Error) -> String {
     let mut words = error.to_string();
     let mut cause = error.source();
@@ -46,7 +46,7 @@ fn words(error: &dyn Error) -> String {
     words
 }
 
-/// The exception for an error of the simulator.
+/// Converts an error of the simulator.
 pub(crate) fn simulation(error: SimError) -> PyErr {
     let words = words(&error);
     match error {
@@ -61,17 +61,17 @@ pub(crate) fn simulation(error: SimError) -> PyErr {
     }
 }
 
-/// The exception for an error in a scene's files.
+/// Converts an error in a scene's files.
 pub(crate) fn scene(error: SceneError) -> PyErr {
     FilesError::new_err(words(&error))
 }
 
-/// The exception for assets that cannot be fetched.
+/// Converts an error in fetching assets.
 pub(crate) fn assets(error: AssetsError) -> PyErr {
     FilesError::new_err(words(&error))
 }
 
-/// The exception for a value that the protocol does not know.
+/// Converts an error about a value that the protocol does not know.
 pub(crate) fn value(error: impl Error) -> PyErr {
     PyValueError::new_err(words(&error))
 }

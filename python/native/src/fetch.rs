@@ -1,4 +1,4 @@
-//! Fetching LIBERO's assets.
+//! Download of LIBERO's assets.
 
 use std::ops::ControlFlow;
 use std::panic::resume_unwind;
@@ -15,19 +15,18 @@ use scene::{AssetPack, Sources, TaskFiles};
 use crate::error;
 use crate::pack::opened;
 
-/// Longest time between two looks at Python's signals.
+/// Interval at which Python's signals are checked.
 const LOOK: Duration = Duration::from_millis(100);
-/// Longest wait for an interrupted fetch to end. It may hang on a server that sends
-/// nothing; then it ends by itself, a while after.
+/// Longest wait for an interrupted fetch to end. If its server does not respond, the fetch
+/// ends later in the background.
 const FAREWELL: Duration = Duration::from_secs(2);
 
-/// Fetches LIBERO's assets that the scenes of BDDL files are made from, or all of them,
-/// unless they are there; shows the progress on standard error. Ctrl-C ends it. Files
-/// that arrived whole are kept. Returns the pack's folder, the number of files that were
-/// fetched and of those that were there.
+/// Fetches the missing LIBERO assets for the scenes of BDDL files, or all assets, and shows
+/// progress on standard error. Ctrl-C interrupts the fetch; completely received files are
+/// kept. Returns the pack's folder, and the numbers of files fetched and already present.
 ///
 /// # Errors
-/// `FilesError` if files cannot be had or written.
+/// `FilesError` if files cannot be downloaded or written.
 #[pyfunction]
 #[pyo3(signature = (
     sources, bddl_files, *, everything = false, into = None, index = None, wheels = None,
@@ -69,7 +68,7 @@ pub(crate) fn fetch_assets(
     let origin = origin.map_err(error::assets)?;
     let folder = pack.dir().to_owned();
     let (sender, mut receiver) = channel();
-    // Python sees signals on its own thread only, and must not wait for a server.
+    // Python handles signals on its main thread only, which therefore must not block.
     let fetch = thread::spawn(move || fetch(&pack, &files, &origin, &sender));
     let mut bar = Bar::default();
     while !py.detach(|| show(&mut receiver, &mut bar)) {
@@ -87,7 +86,7 @@ pub(crate) fn fetch_assets(
     Ok((folder, fetched.fetched, fetched.present))
 }
 
-/// Fetches for as long as somebody listens.
+/// Fetches the files; stops when the receiver of reports is dropped.
 fn fetch(
     pack: &AssetPack,
     files: &[&FileFacts],
@@ -100,7 +99,7 @@ fn fetch(
     })
 }
 
-/// Shows the latest report; true once the fetch has ended.
+/// Shows the latest report. Returns true if the fetch has ended.
 fn show(reports: &mut Receiver<Report>, bar: &mut Bar) -> bool {
     match reports.recv_timeout(LOOK) {
         Ok(first) => bar.show(reports.try_iter().last().unwrap_or(first)),

@@ -1,4 +1,4 @@
-//! NumPy's legacy generator, as `numpy.random.get_state()` hands it over.
+//! State of NumPy's legacy generator, in the form of `numpy.random.get_state()`.
 
 use libero_ctrl::numpy::{LegacyRng, LegacyState};
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
@@ -8,10 +8,10 @@ use pyo3::prelude::*;
 /// `("MT19937", key, position, has_gauss, cached_gaussian)`.
 pub(crate) type Generator<'py> = (String, Bound<'py, PyArray1<u32>>, usize, i32, f64);
 
-/// Its state.
+/// Converts a state to a generator.
 ///
 /// # Errors
-/// If it is of another generator, or not of its size.
+/// If the state is of another generator or has the wrong size.
 pub(crate) fn read((name, key, position, has_gauss, gauss): &Generator<'_>) -> PyResult<LegacyRng> {
     let wrong = |problem: String| {
         PyValueError::new_err(format!(
@@ -35,7 +35,7 @@ pub(crate) fn read((name, key, position, has_gauss, gauss): &Generator<'_>) -> P
     LegacyRng::from_state(state).ok_or_else(|| wrong(format!("its position is {position}")))
 }
 
-/// The state as NumPy takes it.
+/// Converts a generator to NumPy's form of its state.
 pub(crate) fn write<'py>(py: Python<'py>, rng: &LegacyRng) -> Generator<'py> {
     let state = rng.state();
     (

@@ -1,4 +1,4 @@
-//! Value that at most one thread uses at a time.
+//! Closable value with exclusive access that fails instead of blocking.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
@@ -7,13 +7,14 @@ use pyo3::prelude::*;
 
 use crate::error::{BusyError, ClosedError};
 
-/// A value that is in use by one thread at a time, until it is closed.
+/// A value used by at most one thread at a time until it is closed.
 pub(crate) struct Guarded<T>(Arc<Inner<T>>);
 
 struct Inner<T> {
     value: Mutex<Option<T>>,
-    /// Threads that only look at it. Whoever computes waits for them: they change nothing,
-    /// and nobody can know when a picture is drawn.
+    /// Number of threads that only read the value, for example to render a deferred
+    /// picture. Callers of [`Guarded::hold`] wait for these instead of failing, because
+    /// users cannot know when such a picture is rendered.
     looking: AtomicUsize,
 }
 
@@ -31,7 +32,7 @@ impl<T> Guarded<T> {
         }))
     }
 
-    /// Looks at it, unless it is in use or closed.
+    /// Reads the value; `None` if it is in use or closed.
     pub(crate) fn look<R>(&self, look: impl FnOnce(&mut T) -> Option<R>) -> Option<R> {
         self.0.looking.fetch_add(1, Ordering::SeqCst);
         let seen = match self.0.value.try_lock() {
@@ -42,10 +43,10 @@ impl<T> Guarded<T> {
         seen
     }
 
-    /// Takes hold of it, and waits for nobody but those who look at it.
+    /// Locks the value. Waits only for threads in [`Self::look`].
     ///
     /// # Errors
-    /// `BusyError` while another thread holds it.
+    /// `BusyError` if another thread holds the value; `ClosedError` after a panic.
     pub(crate) fn hold(&self) -> PyResult<MutexGuard<'_, Option<T>>> {
         match self.0.value.try_lock() {
             Ok(guard) => Ok(guard),
@@ -57,15 +58,16 @@ impl<T> Guarded<T> {
                 "use this environment: another thread is computing with it; give each thread an \
                  environment of its own, or use VectorEnvironment",
             )),
-            // A panic left it half way.
+            // A panic left the value in an inconsistent state.
             Err(TryLockError::Poisoned(_)) => Err(closed("it failed in an earlier call")),
         }
     }
 
-    /// Computes with it, the interpreter let go of.
+    /// Computes with the value while the interpreter is detached.
     ///
     /// # Errors
-    /// Those of `compute`; `BusyError`; `ClosedError`.
+    /// `BusyError` if another thread holds the value, `ClosedError` if it is closed, and
+    /// the errors of `compute`.
     pub(crate) fn with<R: Send>(
         &self,
         py: Python<'_>,
@@ -83,10 +85,10 @@ impl<T> Guarded<T> {
         })
     }
 
-    /// Frees the value; further uses are errors.
+    /// Frees the value; later uses raise `ClosedError`.
     ///
     /// # Errors
-    /// `BusyError`.
+    /// `BusyError` if another thread holds the value.
     pub(crate) fn close(&self) -> PyResult<()> {
         drop(self.hold()?.take());
         Ok(())

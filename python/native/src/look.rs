@@ -1,4 +1,4 @@
-//! What an observation shows, kept until somebody looks at it.
+//! Deferred rendering of an observation.
 
 use std::sync::Arc;
 
@@ -10,19 +10,19 @@ use crate::error::simulation;
 use crate::guarded::Guarded;
 use crate::state::{State, pairs, picture_size, shaped, with_drawer};
 
-/// What cameras see at an instant of observation.
+/// Camera views at the time of an observation, rendered on demand.
 #[pyclass(frozen, module = "rollout_libero._native")]
 pub(crate) struct Look {
     pub(crate) look: sim::Look,
     pub(crate) compiled: Arc<CompiledScene>,
     pub(crate) renderer: Renderer,
-    /// State of the environment that was looked at, which draws it if it can.
+    /// State of the observed environment, which renders the views if it is available.
     pub(crate) state: Guarded<State>,
 }
 
 #[pymethods]
 impl Look {
-    /// A frame, [height, width, 3]; row 0 is the bottom.
+    /// Renders a frame, [height, width, 3]; row 0 is the bottom.
     fn frame<'py>(
         &self,
         py: Python<'py>,
@@ -37,7 +37,7 @@ impl Look {
         shaped(py, frame.rgb, &[height as usize, width as usize, 3])
     }
 
-    /// Depths as OpenGL keeps them, [height, width]; row 0 is the bottom.
+    /// Renders OpenGL depth values, [height, width]; row 0 is the bottom.
     fn depth<'py>(
         &self,
         py: Python<'py>,
@@ -52,9 +52,9 @@ impl Look {
         shaped(py, depths, &[height as usize, width as usize])
     }
 
-    /// Kind (mjtObj) and id of what each pixel shows, [height, width, 2]; -1 where
-    /// nothing is; row 0 is the bottom. Sites are transparent, as in frames; `MuJoCo`'s
-    /// segmentations would show them. A burner is as it was observed.
+    /// Renders the kind (mjtObj) and id of the object at each pixel, [height, width, 2]; -1
+    /// for the background; row 0 is the bottom. Sites are transparent, as in frames, unlike
+    /// in `MuJoCo`'s segmentation. A burner is shown as observed.
     fn segmentation<'py>(
         &self,
         py: Python<'py>,
@@ -74,8 +74,8 @@ impl Look {
 }
 
 impl Look {
-    /// Draws with the environment that was looked at; with another one where that is busy or
-    /// closed, as a picture that was drawn at once would be there too.
+    /// Renders with the observed environment or, if that is busy or closed, with a new one, so
+    /// that a deferred picture is always available, like one rendered at once.
     fn draw<T: Send>(
         &self,
         py: Python<'_>,

@@ -1,5 +1,5 @@
-//! Asset packs, each opened once in a process: a folder is read as a whole to find out
-//! whether it is LIBERO's.
+//! Cache of asset packs. Each is opened once per process, because checking whether a folder
+//! is LIBERO's reads all of its files.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -11,7 +11,7 @@ type Packs = HashMap<(String, PathBuf), AssetPack>;
 
 static PACKS: Mutex<Option<Packs>> = Mutex::new(None);
 
-/// Opens `libero`, `primitives` or a folder.
+/// Returns the asset pack `libero`, `primitives` or that of a folder.
 pub(crate) fn opened(assets: &str, sources: &Sources) -> Result<AssetPack, SceneError> {
     let mut packs = PACKS.lock().unwrap_or_else(PoisonError::into_inner);
     let packs = packs.get_or_insert_default();

@@ -17,7 +17,7 @@ use crate::pack::opened;
 #[pyclass(frozen, weakref, module = "rollout_libero._native")]
 pub(crate) struct Scene {
     pub(crate) compiled: Arc<CompiledScene>,
-    /// With the task's initial states; none if no file of them was given.
+    /// The scene with the task's initial states; `None` if no file of states was given.
     pub(crate) ready: Option<Arc<ReadyScene>>,
     problem: scene::Problem,
     #[pyo3(get)]
@@ -37,8 +37,7 @@ type Instances = Vec<(String, &'static str)>;
 #[pymethods]
 impl Scene {
     /// Compiles the scene of a BDDL file, or maps it if this machine has compiled it before.
-    /// With the file of its initial states, its
-    /// rollouts can begin there.
+    /// `init_file` provides the initial states of rollouts.
     #[new]
     #[pyo3(signature = (bddl_file, *, assets, sources, init_file = None))]
     fn new(
@@ -56,13 +55,13 @@ impl Scene {
         Ok(scene)
     }
 
-    /// The problem's class: `libero_tabletop_manipulation`.
+    /// Problem class, such as `libero_tabletop_manipulation`.
     #[getter]
     fn problem(&self) -> &str {
         &self.problem.name
     }
 
-    /// The BDDL file's own wording of the task.
+    /// Instruction given in the BDDL file.
     #[getter]
     fn language(&self) -> &str {
         &self.problem.language

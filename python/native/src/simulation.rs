@@ -1,4 +1,4 @@
-//! One environment.
+//! Python class of one environment.
 
 use std::sync::Arc;
 
@@ -59,16 +59,16 @@ impl Simulation {
         self.renderer.to_string()
     }
 
-    /// Frees everything; further calls raise `ClosedError`.
+    /// Frees the environment; later calls raise `ClosedError`.
     fn close(&self) -> PyResult<()> {
         self.state.close()
     }
 
-    /// Resets as robosuite does: places everything with LIBERO's samplers, which draw
-    /// from NumPy's legacy generator, and observes once. `joint_sampler_rounds` is how
-    /// often the original has loaded its model by then: once when it is constructed, and
-    /// once more with each hard reset. Returns the generator's state after it, and the
-    /// rounds that it came to: more than were given where it had to place things again.
+    /// Resets like robosuite: places all objects with LIBERO's samplers, which draw from
+    /// NumPy's legacy generator, and observes once. `joint_sampler_rounds` is the number of
+    /// times that the original has loaded its model so far: once in the constructor, and
+    /// once per hard reset. Returns the generator's state after the reset and the number of
+    /// rounds, which is larger than given if objects had to be placed again.
     #[pyo3(signature = (generator, joint_sampler_rounds, *, hard = true))]
     fn reset<'py>(
         &self,
@@ -93,7 +93,7 @@ impl Simulation {
         Ok((generator::write(py, &rng), rounds))
     }
 
-    /// Starts over at a state (time, qpos, qvel), as a campaign does.
+    /// Loads a state (time, qpos, qvel) as the start of an episode, like a campaign.
     fn load(&self, py: Python<'_>, state: Numbers<'_>) -> PyResult<()> {
         let numbers = numbers(&state);
         self.state.with(py, |state| {
@@ -104,7 +104,7 @@ impl Simulation {
         })
     }
 
-    /// Begins the rollout of a manifest's row, JSON, up to the policy's first action.
+    /// Starts the rollout of a manifest row, JSON, up to the policy's first action.
     fn begin(&self, py: Python<'_>, row: &str) -> PyResult<()> {
         let start = Start::read(row)?;
         self.state.with(py, |state| state.begin(&start))
@@ -116,7 +116,7 @@ impl Simulation {
         Ok(PyArray1::from_vec(py, state))
     }
 
-    /// Writes a state, and computes nothing.
+    /// Sets the state without computing derived quantities.
     fn set_state(&self, py: Python<'_>, state: Numbers<'_>) -> PyResult<()> {
         let numbers = numbers(&state);
         self.state.with(py, |state| {
@@ -126,7 +126,7 @@ impl Simulation {
         })
     }
 
-    /// Everything that the next step depends on.
+    /// Takes a snapshot of everything that the next step depends on.
     fn snapshot(&self, py: Python<'_>) -> PyResult<Snapshot> {
         self.state.with(py, |state| {
             Ok(Snapshot {
@@ -138,7 +138,7 @@ impl Simulation {
         })
     }
 
-    /// Goes back to a snapshot of an environment of the same scene.
+    /// Restores a snapshot of an environment of the same scene.
     fn restore(&self, py: Python<'_>, snapshot: &Snapshot) -> PyResult<()> {
         self.state.with(py, |state| {
             state.check_scene(snapshot)?;
@@ -147,7 +147,7 @@ impl Simulation {
         })
     }
 
-    /// Computes what follows from the state.
+    /// Computes the quantities derived from the state (`mj_forward`).
     fn forward(&self, py: Python<'_>) -> PyResult<()> {
         self.state.with(py, |state| {
             state.environment.forward();
@@ -155,7 +155,7 @@ impl Simulation {
         })
     }
 
-    /// Has a stove that is on glow.
+    /// Updates the glow of stoves.
     fn post_process(&self, py: Python<'_>) -> PyResult<()> {
         self.state.with(py, |state| {
             state.environment.post_process();
@@ -163,7 +163,7 @@ impl Simulation {
         })
     }
 
-    /// Updates what is observed to the present instant.
+    /// Updates the observation to the current state.
     fn observe_now(&self, py: Python<'_>) -> PyResult<()> {
         self.state.with(py, |state| {
             state.environment.observe_now();
@@ -171,7 +171,7 @@ impl Simulation {
         })
     }
 
-    /// One control step; true if the goal holds after it.
+    /// Executes one control step. Returns true if the goal holds after it.
     #[pyo3(signature = (action, *, absolute = false))]
     fn step(&self, py: Python<'_>, action: Numbers<'_>, absolute: bool) -> PyResult<bool> {
         let action = actions(&action, &[WIDTH])?[0];
@@ -179,13 +179,13 @@ impl Simulation {
         self.state.with(py, |state| state.step(&action, of))
     }
 
-    /// True if the goal holds.
+    /// Returns true if the goal holds.
     fn success(&self, py: Python<'_>) -> PyResult<bool> {
         self.state
             .with(py, |state| Ok(state.environment.succeeded()))
     }
 
-    /// The robot's readings, as they were last observed.
+    /// Returns the robot's readings at the last observation.
     fn readings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let robot = self
             .state
@@ -205,7 +205,7 @@ impl Simulation {
         Ok(readings)
     }
 
-    /// Position and quaternion (x y z w) of a body, as they were last observed.
+    /// Returns position and quaternion (x y z w) of a body at the last observation.
     fn body_pose<'py>(&self, py: Python<'py>, body: &str) -> PyResult<Pose<'py>> {
         let (pos, quat) = self.state.with(py, |state| {
             let environment = &mut state.environment;
@@ -218,7 +218,7 @@ impl Simulation {
         ))
     }
 
-    /// A frame, [height, width, 3]; row 0 is the bottom.
+    /// Renders a frame, [height, width, 3]; row 0 is the bottom.
     fn frame<'py>(
         &self,
         py: Python<'py>,
@@ -231,7 +231,7 @@ impl Simulation {
         shaped(py, frame.rgb, &[height as usize, width as usize, 3])
     }
 
-    /// Depths as OpenGL keeps them, [height, width]; row 0 is the bottom.
+    /// Renders OpenGL depth values, [height, width]; row 0 is the bottom.
     fn depth<'py>(
         &self,
         py: Python<'py>,
@@ -249,8 +249,8 @@ impl Simulation {
         shaped(py, depths, &[height as usize, width as usize])
     }
 
-    /// Kind (mjtObj) and id of what each pixel shows, [height, width, 2]; -1 where
-    /// nothing is; row 0 is the bottom.
+    /// Renders the kind (mjtObj) and id of the object at each pixel, [height, width, 2]; -1
+    /// for the background; row 0 is the bottom.
     fn segmentation<'py>(
         &self,
         py: Python<'py>,
@@ -268,7 +268,7 @@ impl Simulation {
         shaped(py, pairs(segments), &[height as usize, width as usize, 2])
     }
 
-    /// What cameras see now, for pictures that may be drawn later, or never.
+    /// Captures the current camera views for deferred rendering.
     fn look(&self, py: Python<'_>) -> PyResult<Look> {
         self.state.with(py, |state| {
             Ok(Look {
@@ -280,13 +280,14 @@ impl Simulation {
         })
     }
 
-    /// Extent, m, and the near and the far plane of cameras, in extents.
+    /// Returns the model's extent, m, and the near and far plane of cameras, in extents.
     fn planes(&self, py: Python<'_>) -> PyResult<[f64; 3]> {
         self.state
             .with(py, |state| Ok(state.environment.model().planes()))
     }
 
-    /// Position and matrix of the end-effector, as the controller last read them.
+    /// Returns position and rotation matrix of the end-effector at the controller's last
+    /// update.
     fn controller_pose<'py>(&self, py: Python<'py>) -> PyResult<Pose<'py>> {
         let pose = self
             .state
@@ -297,7 +298,7 @@ impl Simulation {
         ))
     }
 
-    /// An array of the model, by MuJoCo's name.
+    /// Returns an array of the model, by MuJoCo's name.
     fn model_array<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let array = self.state.with(py, |state| {
             state.environment.model().array(name).ok_or_else(|| {
@@ -315,7 +316,7 @@ impl Simulation {
         })
     }
 
-    /// Writes an array of the model, of this simulation alone.
+    /// Sets an array of the model, for this simulation only.
     fn set_model_array(&self, py: Python<'_>, name: &str, values: Numbers<'_>) -> PyResult<()> {
         let numbers = numbers(&values);
         self.state.with(py, |state| {
@@ -348,13 +349,13 @@ impl Simulation {
         })
     }
 
-    /// An array of the present instant, by MuJoCo's name.
+    /// Returns an array of the current `mjData`, by MuJoCo's name.
     fn data_array<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let (values, rows) = self.state.with(py, |state| data_array(state, name))?;
         Ok(by_rows(py, values, rows)?.into_any())
     }
 
-    /// Names of the things of a kind, in id order.
+    /// Returns the names of all objects of a kind, in order of ids.
     fn names(&self, py: Python<'_>, kind: &str) -> PyResult<Vec<Option<String>>> {
         let kind = object_kind(kind)?;
         self.state.with(py, |state| {
@@ -365,7 +366,7 @@ impl Simulation {
         })
     }
 
-    /// Pairs of geoms in contact, [contacts, 2].
+    /// Returns the pairs of geoms in contact, [contacts, 2].
     fn contacts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<i32>>> {
         let geoms: Vec<i32> = self.state.with(py, |state| {
             let contacts = state.environment.data().contacts();
@@ -388,7 +389,7 @@ fn numbers(given: &Numbers<'_>) -> Vec<f64> {
     given.as_array().iter().copied().collect()
 }
 
-/// The control that a flag means.
+/// Returns the action frame selected by a flag.
 pub(crate) fn action_frame(absolute: bool) -> ActionFrame {
     match absolute {
         true => ActionFrame::Absolute,
@@ -416,7 +417,7 @@ fn object_kind(name: &str) -> PyResult<ObjectKind> {
     })
 }
 
-/// An array of the state and its length along the first axis.
+/// Returns an array of `mjData` and its length along the first axis.
 fn data_array(state: &State, name: &str) -> PyResult<(Vec<f64>, usize)> {
     let (model, data) = (state.environment.model(), state.environment.data());
     let [bodies, geoms, sites, cameras] = [
@@ -456,7 +457,8 @@ fn data_array(state: &State, name: &str) -> PyResult<(Vec<f64>, usize)> {
     Ok((values.to_vec(), rows))
 }
 
-/// A copy with so many rows. Nobody can write to it, so that nobody does so in vain.
+/// Creates a read-only array with `rows` rows; writes to a copy would have no effect on the
+/// simulation.
 fn by_rows<'py, T: numpy::Element>(
     py: Python<'py>,
     values: Vec<T>,

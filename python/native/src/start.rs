@@ -12,26 +12,26 @@ use crate::error::simulation;
 
 /// Starting point of a rollout.
 pub(crate) enum Start {
-    /// Circumstances of a manifest's row.
+    /// Start of a manifest row.
     Row(Box<ManifestRow>),
     /// Placement by LIBERO's samplers.
     Sampled(Sampled),
-    /// A state of the original's environments, as its users set it.
+    /// Start of the original's environments by a seed and an optional state.
     Legacy(Legacy),
 }
 
-/// A reset of the original's `OffScreenRenderEnv` after `seed`, with `set_init_state` and steps
-/// until everything rests.
+/// Start like the original's `OffScreenRenderEnv`: `seed`, reset, optionally `set_init_state`,
+/// and settling steps.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Legacy {
-    /// Seed of NumPy's legacy generator, by which fixtures are placed.
+    /// Seed of NumPy's legacy generator, which places the fixtures.
     legacy_seed: u32,
-    /// How often the original has loaded its model by then.
+    /// Number of times that the original has loaded its model so far.
     rounds: u32,
     settle_steps: u32,
     settle_action: [f64; 7],
-    /// Time, qpos, qvel; none leaves things where they were placed.
+    /// Time, qpos, qvel; `None` keeps the placement of the reset.
     #[serde(default)]
     state: Option<Vec<f64>>,
 }
@@ -44,23 +44,23 @@ pub(crate) struct Sampled {
     sampled: u32,
     /// Control steps without action.
     settle_steps: u32,
-    /// Row whose perturbations act; its initial state does not, and fixtures stay where
-    /// campaigns have them.
+    /// Row whose perturbations are applied. Its initial state is ignored, and fixtures are
+    /// placed as in campaigns.
     #[serde(default)]
     perturbed: Option<Box<ManifestRow>>,
 }
 
-/// Rounds of joint samples that an environment draws when it is constructed, seeded and
-/// reset.
+/// Number of rounds of joint samples that an environment draws when it is constructed, seeded
+/// and reset.
 const JOINT_SAMPLER_ROUNDS: u32 = 2;
 
 impl Start {
-    /// Reads JSON: a row, or `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`, in
-    /// which `perturbed` is optional, or `{"legacy_seed": SEED, "rounds": N, "settle_steps": N,
-    /// "settle_action": [..], "state": [..]}`, in which `state` is.
+    /// Parses JSON: a row; or `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}` with
+    /// optional `perturbed`; or `{"legacy_seed": SEED, "rounds": N, "settle_steps": N,
+    /// "settle_action": [..], "state": [..]}` with optional `state`.
     ///
     /// # Errors
-    /// If it is neither.
+    /// If the JSON has none of these forms.
     pub(crate) fn read(json: &str) -> PyResult<Self> {
         let read = || {
             let value: serde_json::Value = serde_json::from_str(json)?;
@@ -75,12 +75,13 @@ impl Start {
         read().map_err(not_a_row)
     }
 
-    /// Begins it in an environment of its scene, and lets that come to rest. Perturbations
-    /// are realised as LIBERO-CTRL matches them. Returns what becomes of actions and
-    /// frames; none where nothing does.
+    /// Starts the rollout in an environment of its scene and runs the settling steps.
+    /// Perturbations use the matched realisation. Returns the conditions that change actions
+    /// and frames; `None` without any.
     ///
     /// # Errors
-    /// If the task has no such initial state, there is no room, or the physics diverges.
+    /// If the task has no such initial state, objects cannot be placed, or the physics
+    /// diverges.
     pub(crate) fn begin(
         &self,
         ready: Option<&ReadyScene>,
@@ -138,10 +139,10 @@ impl Legacy {
     }
 }
 
-/// Checks that a vector is a state of an environment's scene.
+/// Checks that a vector has the length of a state of an environment's scene.
 ///
 /// # Errors
-/// `ValueError`, if it has not as many numbers.
+/// `ValueError` if the length differs.
 pub(crate) fn check_width(environment: &Environment, numbers: &[f64]) -> PyResult<()> {
     let model = environment.model();
     let needed = 1 + model.nq() + model.nv();
@@ -157,10 +158,10 @@ pub(crate) fn check_width(environment: &Environment, numbers: &[f64]) -> PyResul
     )))
 }
 
-/// Names of the axes that a manifest's row, JSON, perturbs.
+/// Returns the names of the axes that a manifest row, JSON, perturbs.
 ///
 /// # Errors
-/// `ValueError`, if it is no row.
+/// `ValueError` if the JSON is not a row.
 #[pyfunction]
 pub(crate) fn perturbed_axes(row: &str) -> PyResult<Vec<String>> {
     let row: ManifestRow = serde_json::from_str(row).map_err(not_a_row)?;

@@ -5,8 +5,8 @@ use pyo3::prelude::*;
 
 use crate::error::value;
 
-/// Description of a task such as `libero_goal/3`: its suite's name, its number, its
-/// files' stem, its instruction, and the control steps that a policy has.
+/// Describes a task such as `libero_goal/3`: name of the suite, index, stem of the files,
+/// instruction, and step budget of the policy.
 #[pyfunction]
 pub(crate) fn task(name: &str) -> PyResult<(&'static str, u8, &'static str, String, u32)> {
     let task: TaskRef = name.parse().map_err(value)?;
@@ -20,14 +20,14 @@ pub(crate) fn task(name: &str) -> PyResult<(&'static str, u8, &'static str, Stri
     ))
 }
 
-/// The manifest row, JSON, of a rollout's id: `spatial/t0/combination/L2/c03`.
+/// Returns the manifest row, JSON, of a rollout id such as `spatial/t0/combination/L2/c03`.
 #[pyfunction]
 pub(crate) fn configuration_row(id: &str) -> PyResult<String> {
     let id: RolloutId = id.parse().map_err(value)?;
     row_of(id).map_err(value).map(|row| json(&row))
 }
 
-/// The manifest row, JSON, of a task's nominal rollout from an initial state.
+/// Returns the manifest row, JSON, of a task's nominal rollout from an initial state.
 #[pyfunction]
 pub(crate) fn nominal_row(task: &str, initial_state: u16) -> PyResult<String> {
     let task: TaskRef = task.parse().map_err(value)?;

@@ -1,6 +1,6 @@
-//! How fast our renderer draws, and how well it agrees with OpenGL's: both draw
-//! the same scenes in turn in one process, frame by frame. `cargo xtask bench
-//! draw` calls it; docs/PERFORMANCE.md says how to read it.
+//! Benchmark of the software renderer against OpenGL: speed and agreement of pixels.
+//! Both render the same scenes alternately in one process, frame by frame. Run by
+//! `cargo xtask bench draw`; docs/PERFORMANCE.md explains the results.
 
 #![forbid(unsafe_code)]
 
@@ -64,11 +64,11 @@ struct Arguments {
 }
 
 const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
-/// Mild and severe, of either axis that changes how a scene looks.
+/// Mild and severe perturbations of the two axes that change the appearance of a scene.
 const PERTURBED: &str = "camera/L1/c00,camera/L2/c03,camera/L3/c05,camera/L3/c07,\
                          lighting/L1/c00,lighting/L2/c03,lighting/L3/c05,lighting/L3/c07";
-/// How many threads llvmpipe rasterises on beside the one that calls it. Mesa
-/// reads it when it is loaded.
+/// Environment variable with the number of llvmpipe's rasteriser threads in addition to the
+/// calling one. Mesa reads it when it is loaded.
 const LLVMPIPE_THREADS: &str = "LP_NUM_THREADS";
 
 /// Measurements of one camera of one scene.
@@ -81,15 +81,15 @@ struct Findings {
     worst: Option<Worst>,
 }
 
-/// The frame that differs most, as both renderers drew it.
+/// The frame that differs most, from both renderers.
 struct Worst {
-    /// Pixels further off than [`CLOSE_LEVELS`], and pixels that differ at all.
+    /// Number of pixels that differ by more than [`CLOSE_LEVELS`], and of all that differ.
     off: (usize, usize),
     ours: Frame,
     theirs: Frame,
 }
 
-/// How equal two renderers' pixels are.
+/// Agreement of two renderers' pixels.
 #[derive(Default)]
 struct Agreement {
     pixels: u64,
@@ -101,11 +101,11 @@ struct Agreement {
 /// All scenes together.
 #[derive(Default)]
 struct Totals {
-    /// Ratio of both cameras' times, by scene.
+    /// Ratio of the renderers' times over both cameras, by scene.
     ratios: Vec<(f64, String)>,
     least_equal: Option<(f64, String)>,
     least_close: Option<(f64, String)>,
-    /// Memory that our first frames took, by scene, MiB.
+    /// Memory used by our first frames, by scene, MiB.
     memory: Vec<f64>,
 }
 
@@ -141,10 +141,9 @@ fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// Replaces this process by itself, with llvmpipe told to draw on the thread
-/// that calls it: otherwise the processor time of that thread would leave out
-/// what its helpers do. The variable is set for a new process because a process
-/// with threads must not change its own environment.
+/// Re-executes this program with llvmpipe restricted to the calling thread; otherwise the
+/// CPU time of that thread would exclude llvmpipe's helper threads. The variable is set for a
+/// new process because a process with threads must not change its own environment.
 fn again_on_one_thread() -> Result<()> {
     let program = std::env::current_exe().context("find this program's own file")?;
     let error = Command::new(&program)
@@ -179,7 +178,7 @@ fn row_of(task: TaskRef, condition: &str) -> Result<libero_ctrl::ManifestRow> {
     Ok(libero_ctrl::row_of(id)?)
 }
 
-/// A square frame of one camera, `side` pixels wide.
+/// Renders a square frame of one camera, `side` pixels wide.
 fn look(episode: &mut Episode<'_>, camera: &str, side: u32) -> Result<Frame, SimError> {
     let request = ObservationRequest {
         cameras: vec![CameraRequest {
@@ -195,7 +194,7 @@ fn look(episode: &mut Episode<'_>, camera: &str, side: u32) -> Result<Frame, Sim
 /// Both renderers, each with a simulator of its own.
 struct Bench {
     ours: Simulator,
-    /// None if OpenGL is left out.
+    /// The OpenGL renderer; `None` with `--alone`.
     theirs: Option<Simulator>,
     clock: Clock,
     totals: Totals,
@@ -224,7 +223,7 @@ impl Bench {
             let name = theirs.renderer_name()?;
             print!(" against {name}");
             if !name.contains("llvmpipe") {
-                // A card works while the thread that asked it sleeps.
+                // A GPU works while the calling thread sleeps.
                 clock = Clock::Wall;
             }
         }
@@ -260,7 +259,7 @@ impl Bench {
                 if frame == 0 {
                     memory += resident()? - before;
                 }
-                // The first one prepares meshes and textures.
+                // The first frame includes the preparation of meshes and textures.
                 if frame > 0 {
                     findings.ours.push(millis);
                 }
@@ -304,8 +303,8 @@ impl Bench {
 }
 
 impl Agreement {
-    /// Adds a frame; returns the pixels of it that are further off than
-    /// [`CLOSE_LEVELS`], and those that differ at all.
+    /// Adds a frame. Returns the number of its pixels that differ by more than
+    /// [`CLOSE_LEVELS`], and of all that differ.
     fn see(&mut self, ours: &Frame, theirs: &Frame) -> (usize, usize) {
         let (mut far, mut differ) = (0, 0);
         for (a, b) in ours.rgb.chunks_exact(3).zip(theirs.rgb.chunks_exact(3)) {
@@ -321,7 +320,7 @@ impl Agreement {
         (far, differ)
     }
 
-    /// A count in percent of all pixels, rounded down, so that 100 means all.
+    /// Converts a count to percent of all pixels, rounded down, so that 100 means all.
     fn percent(&self, count: u64) -> f64 {
         (count as f64 / self.pixels as f64 * 1e6).floor() / 1e4
     }
@@ -414,7 +413,7 @@ impl Totals {
     }
 }
 
-/// Memory of this process that is resident, MiB.
+/// Returns the resident memory of this process, MiB.
 fn resident() -> Result<f64> {
     let path = "/proc/self/status";
     let status = std::fs::read_to_string(path).with_context(|| format!("read {path}"))?;
@@ -426,7 +425,7 @@ fn resident() -> Result<f64> {
     Ok(kib / 1024.0)
 }
 
-/// Both frames and where they differ, brightened, side by side.
+/// Saves a picture of both frames and their brightened difference side by side.
 fn save(folder: &Path, name: &str, ours: &Frame, theirs: &Frame) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
     let (width, height) = (ours.width, ours.height);

@@ -1,5 +1,5 @@
-//! Environments of one compiled scene on threads, as `python/bench/speed.py threads`
-//! steps them, without Python: what the extension is compared with.
+//! Benchmark of environments of one compiled scene on threads, without Python: the baseline
+//! for `python/bench/speed.py threads`.
 
 use std::num::NonZero;
 use std::path::PathBuf;
@@ -19,7 +19,7 @@ use tests::files::open_pack;
 
 const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 const SIDE: u32 = 256;
-/// Steps that are not timed.
+/// Number of steps before the timing starts.
 const WARM_UP: usize = 3;
 
 /// What to step.
@@ -72,7 +72,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Smooth motion in the air, as in `speed.py`.
+/// Returns actions of a smooth motion in the air, as in `speed.py`.
 fn actions(count: usize) -> Vec<[f64; 7]> {
     let at = |step: usize, axis: usize| {
         let phase = 3.0 * step as f64 / (count - 1) as f64 + axis as f64;
@@ -83,8 +83,8 @@ fn actions(count: usize) -> Vec<[f64; 7]> {
         .collect()
 }
 
-/// One control step of each, read and drawn into stacked pictures; each thread takes the
-/// next environment that is left.
+/// Steps all environments once, reads the robot and renders into stacked pictures. Each thread
+/// takes the next pending environment.
 fn step_all(environments: &[Mutex<Environment>], threads: usize, action: &[f64; 7]) -> Result<()> {
     let bytes = (SIDE * SIDE * 3) as usize;
     let pictures = CAMERAS.map(|_| Mutex::new(vec![0_u8; environments.len() * bytes]));

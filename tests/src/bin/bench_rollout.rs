@@ -1,7 +1,7 @@
-//! Benchmark of a rollout's phases: a worker's own loop runs whole rollouts with
-//! actions that are known beforehand, and every phase is timed. Prints one JSON
-//! object. `cargo xtask bench rollout` calls it, and so does `bench compare`;
-//! docs/PERFORMANCE.md says what the phases are.
+//! Benchmark of a rollout's phases: the worker's own loop runs whole rollouts with
+//! predetermined actions, and every phase is timed. Prints one JSON object. Run by
+//! `cargo xtask bench rollout` and `bench compare`; docs/PERFORMANCE.md defines the
+//! phases.
 
 #![forbid(unsafe_code)]
 
@@ -78,17 +78,17 @@ struct Phases {
     reset: f64,
     /// The control steps before the policy starts.
     settle: f64,
-    /// The policy's control steps, physics included.
+    /// The policy's control steps, including physics.
     steps: f64,
-    /// Of these: what bare `mj_step`s on copies of the states took.
+    /// Part of `steps`: bare `mj_step`s, timed on copies of the states.
     physics: f64,
     /// Drawing both cameras, and reading the robot.
     frames: f64,
-    /// Turning an observation into the message that a policy is sent.
+    /// Encoding an observation into the message to a policy.
     encode: f64,
     /// Waiting for the policy.
     policy: f64,
-    /// Whatever lies between.
+    /// Everything else.
     other: f64,
 }
 
@@ -107,7 +107,7 @@ struct Timer {
     /// Time of the coming control step's physics on a copy, milliseconds.
     bare: f64,
     alone: Option<Data>,
-    /// Whether physics is timed on copies, which takes time itself.
+    /// True if physics is timed on copies, which takes time itself.
     copies: bool,
     calls_of_progress: u32,
     steps: u32,
@@ -131,7 +131,7 @@ impl Timer {
         }
     }
 
-    /// Milliseconds since the last event.
+    /// Returns the milliseconds since the last event and starts the next lap.
     fn lap(&mut self) -> f64 {
         let now = self.clock.now_millis();
         let millis = now - self.last;
@@ -139,8 +139,8 @@ impl Timer {
         millis
     }
 
-    /// Times the physics of the coming control step on a copy of the state. The
-    /// time that this takes is no part of the rollout.
+    /// Times the physics of the coming control step on a copy of the state. This time is not
+    /// part of the rollout.
     fn time_physics(&mut self, episode: &mut Episode<'_>) -> Result<(), sim::SimError> {
         if self.copies {
             let environment = episode.environment();
@@ -156,7 +156,7 @@ impl Timer {
     }
 }
 
-/// Milliseconds of a control step's `mj_step`s on a copy of the state.
+/// Times a control step's `mj_step`s on a copy of the state, milliseconds.
 fn bare_millis(clock: Clock, alone: &mut Data, episode: &mut Episode<'_>) -> f64 {
     let environment = episode.environment();
     alone.copy_from(environment.model(), environment.data());
@@ -167,7 +167,7 @@ fn bare_millis(clock: Clock, alone: &mut Data, episode: &mut Episode<'_>) -> f64
 
 type Shared = Rc<RefCell<Timer>>;
 
-/// Acts without looking. What it is shown is encoded as if it were sent.
+/// Open-loop policy that replays actions. Observations are encoded as if they were sent.
 struct OpenLoop<'a> {
     timer: Shared,
     description: Description,
@@ -199,7 +199,7 @@ impl Actor for OpenLoop<'_> {
     }
 }
 
-/// Takes the times of the worker's loop.
+/// Watcher that times the worker's loop.
 struct Lookout {
     timer: Shared,
     problem: Option<sim::SimError>,
@@ -242,7 +242,7 @@ impl Watcher for Lookout {
     }
 }
 
-/// A simulator and what runs in it.
+/// A simulator and the rollout to run in it.
 struct Bench {
     simulator: Simulator,
     assignment: Assignment,
@@ -279,11 +279,11 @@ fn run(arguments: &Arguments) -> Result<()> {
         actions,
         clock: match arguments.renderer {
             Renderer::Software if !arguments.wall => Clock::ThreadCpu,
-            // OpenGL draws on other threads, or on a card.
+            // OpenGL renders on other threads or on a GPU.
             _ => Clock::Wall,
         },
     };
-    // Compiles the scene, and prepares meshes and textures.
+    // The first rollout compiles the scene and prepares meshes and textures.
     let first = bench.rollout(false)?;
     let mut report = json!({
         "system": "rollout",
@@ -302,7 +302,7 @@ fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// The rollout's row and its actions.
+/// Returns the rollout's row and its actions.
 fn motion(arguments: &Arguments, sources: &Sources) -> Result<(ManifestRow, Vec<Action>)> {
     let task = arguments.task;
     let id = format!("{}/t{}/clean/i00", task.suite().short_name(), task.index());
@@ -319,7 +319,7 @@ fn motion(arguments: &Arguments, sources: &Sources) -> Result<(ManifestRow, Vec<
     Ok((row, actions))
 }
 
-/// Recorded actions, and which initial state they start from.
+/// Reads recorded actions and the index of the initial state that they start from.
 fn recorded(path: &Path, states: &InitialStates) -> Result<(u16, Vec<Action>)> {
     let arrays = read_npz(path)?;
     let array = |name: &str| {
@@ -341,7 +341,7 @@ fn recorded(path: &Path, states: &InitialStates) -> Result<(u16, Vec<Action>)> {
 }
 
 impl Bench {
-    /// One whole rollout.
+    /// Runs one whole rollout.
     fn rollout(&mut self, copies: bool) -> Result<Timer> {
         let timer = Rc::new(RefCell::new(Timer::new(self.clock, copies)));
         let mut actor = OpenLoop {
@@ -368,7 +368,7 @@ impl Bench {
         Ok(timer)
     }
 
-    /// Times the phases of several rollouts; medians.
+    /// Times the phases of several rollouts and returns medians.
     fn measure(&mut self, rollouts: u32, steps: u32) -> Result<Value> {
         let (mut timers, mut settling) = (Vec::new(), Vec::new());
         for _ in 0..rollouts {
@@ -386,7 +386,7 @@ impl Bench {
             Spread::of(&values).map_or(0.0, |spread| spread.median)
         };
         let settling_physics = Spread::of(&settling).map_or(0.0, |spread| spread.median);
-        // Of each rollout by itself, so that the share is one that occurred.
+        // Computed per rollout, so that the reported share occurred in one of them.
         let shares: Vec<f64> = timers
             .iter()
             .zip(&settling)
@@ -425,8 +425,8 @@ impl Bench {
         }))
     }
 
-    /// Times the bare physics of the settling steps, on copies of their states:
-    /// the worker's loop does not expose the scene before it has settled.
+    /// Times the bare physics of the settling steps on copies of their states, in a separate
+    /// episode because the worker's loop does not expose the scene before it has settled.
     fn settling_physics(&mut self) -> Result<f64> {
         let row = &self.assignment.row;
         let mut episode = self.simulator.begin(row, Realisation::Matched)?;

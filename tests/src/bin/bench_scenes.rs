@@ -1,5 +1,5 @@
-//! Memory and start of slots whose scenes lie in files: fills a folder of scene files, then
-//! measures slots that map them. `cargo xtask bench scenes` calls it.
+//! Benchmark of memory and start time of slots that map compiled scenes from files: fills a
+//! folder of scene files, then measures slots. Run by `cargo xtask bench scenes`.
 
 use std::io::{BufRead, BufReader, Write, stdin};
 use std::path::{Path, PathBuf};
@@ -16,9 +16,9 @@ use serde::{Deserialize, Serialize};
 use sim::{CameraRequest, ObservationRequest, Renderer, SceneFolder, Simulator, SimulatorConfig};
 use tests::files::open_pack;
 
-/// As many as a slot of a worker keeps.
+/// Number of scenes that a slot keeps, as in a worker.
 const CACHED_SCENES: usize = 2;
-/// Control steps after which a slot's memory is looked at.
+/// Number of control steps after which a slot's memory is measured.
 const STEPS: usize = 10;
 const SIDE: u32 = 256;
 const MIB: f64 = (1 << 20) as f64;
@@ -59,7 +59,7 @@ struct Arguments {
 /// Message of a slot about a scene.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 struct Begun {
-    /// Seconds until the rollout's first state was there.
+    /// Seconds until the rollout's first state was ready.
     secs: f64,
 }
 
@@ -71,8 +71,8 @@ fn main() -> Result<()> {
     }
 }
 
-/// Begins a rollout of each task that it is told, draws it, moves, and says how long the
-/// beginning took.
+/// Runs a slot: starts a rollout of each task read from standard input, reports how long the
+/// start took, then renders and steps it.
 fn be_a_slot(arguments: &Arguments) -> Result<()> {
     if let Some(scenes) = &arguments.scenes {
         SceneFolder::choose(scenes.as_os_str());
@@ -86,11 +86,11 @@ fn be_a_slot(arguments: &Arguments) -> Result<()> {
         renderer: Renderer::Software,
         cached_scenes: CACHED_SCENES,
     });
-    // As a worker's slot, before it is given rollouts.
+    // Like a worker's slot before its first rollout.
     simulator.fingerprint()?;
     for task in stdin().lock().lines() {
         let task: TaskRef = task?.parse()?;
-        // As a worker does before it gives a slot a task.
+        // Like a worker before it assigns a task to a slot.
         pack.provide_with_bar(&[TaskFiles::of_task(&sources, task)])?;
         let start = Instant::now();
         let row = ManifestRow::new(RolloutId::clean(task, 0), 0, 0, Default::default());
@@ -144,7 +144,7 @@ impl Slot {
         })
     }
 
-    /// Has it begin a task.
+    /// Tells the slot to start a task.
     fn tell(&mut self, task: TaskRef) -> Result<()> {
         let tell = self.tell.as_mut().context("it was told to end")?;
         writeln!(tell, "{task}").context("tell a slot its task")
@@ -154,7 +154,7 @@ impl Slot {
         Ok(serde_json::from_str(&self.line()?)?)
     }
 
-    /// Waits until it has moved.
+    /// Waits until the slot has completed its steps.
     fn moved(&mut self) -> Result<()> {
         ensure!(
             self.line()?.trim() == "moved",
@@ -200,9 +200,9 @@ impl Slot {
 /// Memory of a process, MiB.
 struct Memory {
     resident: f64,
-    /// Memory that no other process shares, with its page tables.
+    /// Private memory including page tables.
     alone: f64,
-    /// Proportional set size: shared memory is divided among its processes; with its page
+    /// Proportional set size, which divides shared memory among its processes, including page
     /// tables.
     proportional: f64,
 }
@@ -330,7 +330,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// Begins all tasks in one slot, one after the other, and returns how long each took, s.
+/// Starts all tasks in one slot in sequence and returns how long each start took, s.
 fn each(mut slot: Slot, tasks: &[TaskRef]) -> Result<Vec<f64>> {
     let mut times = Vec::new();
     for task in tasks {
@@ -347,7 +347,7 @@ fn files_in(folder: &Path) -> Result<u64> {
     sizes.sum()
 }
 
-/// Median and most of seconds.
+/// Formats median and maximum of durations in seconds as milliseconds.
 fn in_ms(secs: &[f64]) -> String {
     let mut sorted = secs.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -1,6 +1,5 @@
-//! How fast the simulator is on one task, beside MuJoCo alone on the same
-//! states in the same process. Prints one JSON object; `cargo xtask bench sim`
-//! calls it.
+//! Benchmark of the simulator on one task, compared with bare MuJoCo on the same
+//! states in the same process. Prints one JSON object. Run by `cargo xtask bench sim`.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -41,7 +40,7 @@ struct Arguments {
 const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
 const SETTLE_STEPS: usize = 10;
 const FRAME: u32 = 256;
-/// Frames timed per camera.
+/// Number of frames timed per camera.
 const FRAMES: usize = 20;
 
 fn main() -> Result<()> {
@@ -120,7 +119,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Milliseconds that the work took, and its result.
+/// Runs work and returns its duration, milliseconds, and its result.
 fn timed<T>(work: impl FnOnce() -> T) -> (f64, T) {
     let start = Instant::now();
     let result = work();

@@ -1,10 +1,9 @@
-//! Measures whether memory stays level over many rollouts in one process: short
-//! rollouts over several tasks, more tasks than scenes are kept, so that scenes
-//! and their pictures are made and dropped all the time. Exits with 1 if memory
-//! grows after the warm-up.
+//! Leak test: measures memory over many short rollouts in one process. There are more
+//! tasks than cached scenes, so that scenes and their textures are constantly created
+//! and dropped. Exits with 1 if memory grows after the warm-up.
 //!
-//! With a software renderer, textures and buffers lie in this process's memory
-//! and are counted with it; with a driver, compare what the driver reports.
+//! With a software renderer, textures and buffers are in this process's memory and
+//! are counted; with a GPU driver, check the memory that the driver reports.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -47,11 +46,11 @@ struct Arguments {
 const STEPS: usize = 20;
 /// Side of the one frame drawn, pixels.
 const FRAME: u32 = 64;
-/// Configurations of the protocol, which the rounds go through.
+/// Number of the protocol's configurations, through which the rounds cycle.
 const CONFIGS: usize = 10;
-/// One in so many rounds, the first ones, belongs to the warm-up.
+/// Divisor of the number of rounds that gives the length of the warm-up.
 const WARM_UP_PART: usize = 3;
-/// Growth from the warm-up to the end that is no leak yet.
+/// Relative growth from the warm-up to the end that does not count as a leak.
 const ALLOWED_GROWTH: f64 = 0.05;
 
 fn main() -> ExitCode {
@@ -83,7 +82,7 @@ fn run(arguments: &Arguments, tasks: &[TaskRef], rounds: usize) -> Result<()> {
     let mut simulator = simulator(arguments, tasks)?;
     println!("renderer: {}", simulator.renderer_name()?);
     let start = Instant::now();
-    // At the end of a round the same scenes are in the cache as ever.
+    // Memory is measured at the ends of rounds, when the cache always holds the same scenes.
     let mut memory = Vec::new();
     for round in 0..rounds {
         for task in tasks {
@@ -104,9 +103,9 @@ fn run(arguments: &Arguments, tasks: &[TaskRef], rounds: usize) -> Result<()> {
     judge(&memory, tasks.len())
 }
 
-/// Compares the last third of the rounds with the first, the warm-up. Medians, since allocators
-/// keep and return pages as they see fit: the most of many rounds exceeds that of few without
-/// any leak.
+/// Compares the median of the last third of the rounds with that of the first, the warm-up. A
+/// maximum would grow with the number of rounds even without a leak, because allocators return
+/// pages at arbitrary times.
 fn judge(memory: &[Memory], tasks: usize) -> Result<()> {
     let part = memory.len() / WARM_UP_PART;
     let (warm_up, last) = (&memory[..part], &memory[memory.len() - part..]);
@@ -152,7 +151,7 @@ fn simulator(arguments: &Arguments, tasks: &[TaskRef]) -> Result<Simulator> {
     }))
 }
 
-/// One short rollout with all metric axes perturbed, as a campaign has them.
+/// Runs one short rollout with all metric axes perturbed, as in a campaign.
 fn roll_out(simulator: &mut Simulator, task: TaskRef, config: usize) -> Result<()> {
     const LEVEL: Level = Level::L2;
     let init_id = task.eval_init_ids()[config];
@@ -180,7 +179,7 @@ fn roll_out(simulator: &mut Simulator, task: TaskRef, config: usize) -> Result<(
     Ok(())
 }
 
-/// Resources that this process uses.
+/// Resource usage of this process.
 struct Memory {
     resident_mib: f64,
     threads: usize,

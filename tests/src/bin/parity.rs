@@ -1,5 +1,5 @@
-//! Compares the simulator with reference data of the original, task by task.
-//! `cargo xtask parity` sets things up and calls it.
+//! Compares the simulator with reference data of the original LIBERO, task by task.
+//! Prepared and run by `cargo xtask parity`.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -157,7 +157,7 @@ fn row(task: &ReferenceTask, findings: &Findings, agrees: bool) -> String {
     )
 }
 
-/// Rounded down, so that 100 % means all.
+/// Formats a share in percent, rounded down, so that 100 % means all.
 fn percent(share: f64) -> String {
     let percent = (share * 1e5).floor() / 1e3;
     format!("{:<8}", format!("{percent:.3}%"))

@@ -1,8 +1,8 @@
-//! A week of a lab, in compressed time: every rollout of a policy and one replication on
-//! slots that come and go, with a policy outage, an upgrade of the coordinator, a full
-//! disk, clocks that jump and a restored backup on the way. Real processes, except that
-//! slots are simulated. The report and the results must be those of the same campaign
-//! undisturbed, byte for byte. Exits with 1 if they are not.
+//! Dress rehearsal of a week of operation in compressed time: every rollout of a policy and
+//! one replication on slots that come and go, with a policy outage, an upgrade of the
+//! coordinator, a full disk, clock jumps and a restored backup. All processes are real,
+//! except that slots are simulated. Report and results must equal those of the same campaign
+//! without faults, byte for byte. Exits with 1 if they do not.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -16,12 +16,12 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use tests::chaos::{Fault, Fleet, Plan, SlotKind, Way};
 use tests::programs::program;
 
-/// Between two looks at how far the campaign is.
+/// Interval at which the progress of the campaign is polled.
 const LOOK: Duration = Duration::from_millis(500);
-/// Between two faults of the churn, milliseconds.
+/// Range of the interval between two random faults, milliseconds.
 const CALM_MILLIS: (u64, u64) = (1_000, 4_000);
 
-/// Events that happen once, each after a share of the rollouts.
+/// One-time events, each with the share of committed rollouts after which it happens.
 const EVENTS: [(f64, Event); 7] = [
     (0.10, Event::PolicyOutage),
     (0.25, Event::Upgrade),
@@ -135,20 +135,20 @@ fn plan(arguments: &Arguments) -> Plan {
     }
 }
 
-/// A campaign that is disturbed.
+/// A campaign with faults.
 struct Rehearsal<'a> {
     fleet: &'a mut Fleet,
     /// Number of times that each event happened.
     happened: BTreeMap<String, u32>,
     rng: ChaCha8Rng,
-    /// How long policy and disk are out.
+    /// Duration of outages of policy and disk.
     outage: Duration,
-    /// Rollouts that were taken out of quarantine.
+    /// Number of rollouts retried from quarantine.
     retried: u64,
 }
 
 impl Rehearsal<'_> {
-    /// Until the campaign is finished.
+    /// Injects faults until the campaign is finished.
     fn run(&mut self) {
         let mut events = EVENTS.into_iter().peekable();
         let mut backup = None;
@@ -160,7 +160,7 @@ impl Rehearsal<'_> {
                 if of("quarantined") == 0 {
                     return;
                 }
-                // As an operator does who has read why.
+                // Like an operator who has read the errors.
                 self.retried += of("quarantined");
                 self.fleet.retry_quarantined();
             }
@@ -215,7 +215,7 @@ impl Rehearsal<'_> {
         *self.happened.entry(what.to_owned()).or_default() += 1;
     }
 
-    /// Workers come and go most of the time.
+    /// Draws a random fault, most often one of a worker.
     fn draw(&mut self) -> Fault {
         match self.rng.next_u64() % 10 {
             0..=2 => Fault::KillWorker,

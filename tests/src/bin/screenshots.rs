@@ -1,6 +1,6 @@
-//! Takes the pictures of the live page that the documentation shows: a real
-//! coordinator, a real browser; one campaign that repeats published outcomes
-//! through a simulated slot, and a small one that is simulated and filmed.
+//! Takes the documentation's screenshots of the live page with a real coordinator
+//! and a real browser: one campaign repeats published outcomes through a simulated
+//! slot, a small one is simulated and recorded on video.
 
 #![forbid(unsafe_code)]
 
@@ -11,13 +11,13 @@ use clap::Parser;
 use tests::browser::{Browser, Screen};
 use tests::programs::{Campaigns, Process};
 
-/// The campaign that repeats published outcomes, and how far it is when its
-/// picture is taken.
+/// Name of the campaign that repeats published outcomes.
 const REPEATED: &str = "openvla-oft-repeated";
+/// Number of its results when its screenshots are taken.
 const REPEATED_RESULTS: usize = 4_500;
-/// The campaign that is simulated and filmed.
+/// Name of the campaign that is simulated and recorded on video.
 const FILMED: &str = "first-look";
-/// Largest picture that is kept, bytes.
+/// Largest allowed screenshot, bytes.
 const MAX_PICTURE_BYTES: usize = 300 << 10;
 
 /// Takes the pictures of the live page.
@@ -31,12 +31,11 @@ struct Arguments {
     output: PathBuf,
 }
 
-/// A picture: its name, the page, where it begins and the screen.
+/// A screenshot to take.
 struct Picture {
     name: &'static str,
     path: String,
-    /// Selector of the element that is scrolled to the top; the page's top if
-    /// this is empty.
+    /// Selector of the element that is scrolled to the top; empty for the top of the page.
     from: &'static str,
     screen: Screen,
 }

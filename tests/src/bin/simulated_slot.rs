@@ -1,11 +1,11 @@
-//! A simulated slot: takes a slot's commands and sends its events, asks the real
-//! policy over the real protocol, and simulates nothing. Its outcomes follow
-//! from the rollout's id and the policy's actions alone, so that a campaign run
-//! through whatever faults must come out the same. For tests of faults and of
-//! the live page, where MuJoCo would only take time; its results mean nothing.
+//! A simulated slot: handles a slot's commands, sends its events and queries the real
+//! policy over the real protocol, but runs no physics. Its outcomes depend on the
+//! rollout's id and the policy's actions alone, so that a campaign must give the same
+//! results under any faults. For tests of faults and of the live page, which do not
+//! need MuJoCo; its results are meaningless.
 //!
-//! `SIMULATED_SLOT_OUTCOMES` names a file of result rows whose outcomes it
-//! repeats, and `SIMULATED_SLOT_STEP_MILLIS` says how long a step takes.
+//! The environment variable `SIMULATED_SLOT_OUTCOMES` names a file of result rows
+//! whose outcomes it repeats; `SIMULATED_SLOT_STEP_MILLIS` is the duration of a step.
 
 #![forbid(unsafe_code)]
 
@@ -25,16 +25,16 @@ use worker::message::{
 use worker::parent::Parent;
 use worker::policy::{OF_A_CAMPAIGN, PolicyClient};
 
-/// Control steps of a rollout, and how long one takes unless something else is
-/// asked for.
+/// Number of control steps of a rollout.
 const STEPS: u32 = 12;
+/// Default duration of a control step, milliseconds.
 const STEP_MILLIS: u64 = 12;
 /// Name of the simulated renderer, with a fingerprint of its own.
 const RENDERER: &str = "simulated";
-/// The policy is asked before every so many of them.
+/// Number of control steps per query of the policy.
 const STEPS_PER_QUERY: u32 = 4;
 
-/// The attempt that the parent abandoned last.
+/// The last attempt that the parent abandoned.
 type Abandoned = Mutex<Option<AttemptId>>;
 
 fn main() {
@@ -59,7 +59,7 @@ fn main() {
 
 /// Settings from the environment.
 struct Script {
-    /// By rollout id.
+    /// Outcomes to repeat, by rollout id.
     outcomes: HashMap<String, bool>,
     step: Duration,
 }
@@ -103,7 +103,7 @@ fn rollout(
     }
 }
 
-/// None if it was abandoned.
+/// Plays a rollout to its end; `None` if it was abandoned.
 fn play(
     assignment: &Assignment,
     script: &Script,
@@ -179,7 +179,7 @@ fn play(
     }))
 }
 
-/// An arc whose height and width follow from the rollout's fate: nobody moved.
+/// Returns a made-up path: an arc whose size follows from the rollout's hash.
 fn path(fate: &[u8]) -> Vec<[i16; 3]> {
     let (width, height) = (i16::from(fate[2]) * 8, i16::from(fate[3]) * 4);
     let point = |step: u32| {
@@ -193,7 +193,7 @@ fn path(fate: &[u8]) -> Vec<[i16; 3]> {
     (0..=STEPS).map(point).collect()
 }
 
-/// Of each perturbed axis its values: nothing became of them.
+/// Returns the parameters of each perturbed axis as realised values.
 fn realised(assignment: &Assignment) -> Realised {
     let perturbation = &assignment.row.perturbation;
     let mut realised = Realised::default();
@@ -210,12 +210,12 @@ fn digest(text: &str) -> String {
 
 fn send(parent: &Parent, event: &SlotEvent) {
     if parent.send(event).is_err() {
-        // The parent is gone, and with it everybody who wants to know.
+        // The parent has exited, so that no event can be delivered.
         process::exit(0);
     }
 }
 
-/// Reads commands on a thread of their own; their end is this program's.
+/// Reads commands on a separate thread; exits the program at their end.
 fn listen(parent: &Parent, abandoned: Arc<Abandoned>) -> Receiver<Assignment> {
     let commands = parent.listen().expect("a parent process");
     let (sender, assignments) = sync_channel(1);

@@ -1,6 +1,6 @@
 //! A whole system as processes: a policy behind a gateway, a coordinator, two
-//! workers with a slot each, and a wire wherever one dials another. Everything
-//! may be killed and comes back.
+//! workers with a slot each, and a breakable connection ([`Wire`]) for each link.
+//! Every process may be killed and is restarted.
 
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::PermissionsExt;
@@ -15,23 +15,23 @@ use crate::programs::{Process, program};
 
 /// Duration of a lease without a heartbeat.
 pub const LEASE: Duration = Duration::from_secs(3);
-/// Longest time that a campaign takes after the last fault. Outages and charged
-/// attempts wait some seconds, doubling.
+/// Timeout of a campaign after the last fault. Outages and charged attempts back off for
+/// some seconds, doubling.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Lines of the log that a failure shows.
+/// Number of lines of the log shown with a failure.
 const LAST_LINES: usize = 60;
 /// The campaign's name.
 const CAMPAIGN: &str = "chaos";
-/// Endpoint of the policy according to the campaign. Reports name it; the workers are
-/// told the address of the wire to the gateway.
+/// Endpoint of the policy in the campaign, constant because reports contain it. Workers are
+/// given the address of the wire to the gateway instead.
 const ENDPOINT: &str = "http://gateway.invalid:7412";
-/// A user who may write nothing of ours.
+/// Id of a user without write access to the test's files.
 const NOBODY: &str = "65534";
 
 /// Kind of the slots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SlotKind {
-    /// `simulated_slot`: takes milliseconds, its results mean nothing.
+    /// `simulated_slot`: fast, with meaningless results.
     Simulated,
     /// MuJoCo with the built-in assets.
     Real,
@@ -42,19 +42,19 @@ pub enum SlotKind {
 pub struct Plan {
     /// Kind of the slots.
     pub slots: SlotKind,
-    /// Workers, and the slots of each.
+    /// Number of workers.
     pub workers: usize,
-    /// Slots of each worker.
+    /// Number of slots of each worker.
     pub slots_each: u32,
     /// The campaign's design: flags of `campaign create`.
     pub design: Vec<String>,
-    /// Longest time that the campaign takes after the last fault.
+    /// Timeout of the campaign after the last fault.
     pub patience: Duration,
-    /// The coordinator's program, until it is upgraded.
+    /// The coordinator's program before the upgrade.
     pub coordinator: PathBuf,
 }
 
-/// A worker, and the machine that it takes itself to run on.
+/// A worker and the identity of its simulated machine.
 struct Worker {
     process: Process,
     machine: usize,
@@ -71,14 +71,14 @@ pub struct Fleet {
     gateway: Option<Process>,
     policy: Option<Process>,
     workers: Vec<Worker>,
-    /// The worker whose slots were killed all at once, last.
+    /// The last worker whose slots were all killed at once.
     wounded: Option<u32>,
-    /// Library that shows the coordinator another wall clock, and the clock's offset.
+    /// Library that fakes the coordinator's wall clock, and the clock's offset.
     clock: Option<(PathBuf, &'static str)>,
 }
 
 impl Plan {
-    /// Two workers with a slot each, and a small campaign.
+    /// Returns a plan of two workers with a slot each, and a small campaign.
     pub fn small(slots: SlotKind) -> Self {
         let (tasks, configs) = match slots {
             SlotKind::Simulated => ("libero_object/0,libero_spatial/0", "0-1"),
@@ -115,7 +115,7 @@ impl Fleet {
     /// If something does not start.
     pub fn start_with(plan: Plan) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        // Another user must be able to look, for the read-only database.
+        // Another user must be able to read the folder, for the read-only database.
         let mode = std::fs::Permissions::from_mode(0o755);
         std::fs::set_permissions(folder.path(), mode).expect("its own folder");
         let mut fleet = Self {
@@ -146,10 +146,10 @@ impl Fleet {
         fleet
     }
 
-    /// Lets everything of a schedule go wrong, and puts it right again.
+    /// Injects all faults of a schedule and recovers from each.
     ///
     /// # Panics
-    /// If something does not come back.
+    /// If a process does not come back.
     pub fn suffer(&mut self, schedule: &Schedule) {
         let start = Instant::now();
         for (at, fault) in &schedule.faults {
@@ -158,12 +158,11 @@ impl Fleet {
         }
     }
 
-    /// Waits until the campaign is finished, and returns everything that it
-    /// tells: the report, as table and as JSON, and the results without their
-    /// wall times.
+    /// Waits until the campaign is finished, and returns its complete output: the report, as
+    /// table and as JSON, and the results without their wall times.
     ///
     /// # Panics
-    /// If it does not finish, or its database is not in order.
+    /// If the campaign does not finish or its database violates an invariant.
     pub fn outcome(&mut self) -> String {
         let start = Instant::now();
         while !self.is_finished() {
@@ -182,28 +181,28 @@ impl Fleet {
         format!("{report}\n{json}\n{}", rows.join("\n"))
     }
 
-    /// Whether nothing more happens by itself.
+    /// Returns true if the campaign is finished: nothing happens without an operator.
     ///
     /// # Panics
-    /// If the coordinator does not say.
+    /// If the coordinator does not respond.
     pub fn is_finished(&self) -> bool {
         self.status()["is_finished"] == true
     }
 
-    /// The campaign as `campaign status --json` has it.
+    /// Returns the campaign's status from `campaign status --json`.
     ///
     /// # Panics
-    /// If the coordinator does not say.
+    /// If the coordinator does not respond.
     pub fn status(&self) -> serde_json::Value {
         let status = self.ask(&["campaign", "status", CAMPAIGN, "--json"]);
         let status: serde_json::Value = serde_json::from_str(&status).expect("JSON");
         status["campaigns"][0].clone()
     }
 
-    /// Waits until so many rollouts are committed.
+    /// Waits until at least `count` rollouts are committed.
     ///
     /// # Panics
-    /// If that takes too long.
+    /// If the wait times out.
     pub fn wait_for_commits(&self, count: usize) {
         let start = Instant::now();
         let results = ["export", CAMPAIGN, "--format", "jsonl"];
@@ -213,7 +212,7 @@ impl Fleet {
         }
     }
 
-    /// Stops the parents of all workers for a while; their slots go on.
+    /// Suspends the parents of all workers for a time; their slots continue.
     pub fn stop_all_workers(&self, time: Duration) {
         for worker in &self.workers {
             worker.process.signal("-STOP");
@@ -224,7 +223,7 @@ impl Fleet {
         }
     }
 
-    /// The end of what all programs said.
+    /// Returns the last lines of the log of all programs.
     pub fn last_words(&self) -> String {
         let log = std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default();
         let lines: Vec<&str> = log.lines().collect();
@@ -236,10 +235,10 @@ impl Fleet {
         self.folder.path().join("data")
     }
 
-    /// Asks a question of the coordinator, past the wires.
+    /// Runs a command against the coordinator, bypassing the wires, and returns its output.
     ///
     /// # Panics
-    /// If it is refused.
+    /// If the command fails.
     pub fn ask(&self, arguments: &[&str]) -> String {
         let coordinator = self.coordinator.as_ref().expect("a coordinator");
         let output = Command::new(program("coordinator"))
@@ -252,10 +251,10 @@ impl Fleet {
         String::from_utf8(output.stdout).expect("UTF-8")
     }
 
-    /// Lets one thing go wrong, and puts it right again.
+    /// Injects one fault and recovers from it.
     ///
     /// # Panics
-    /// If something does not come back.
+    /// If a process does not come back.
     pub fn suffer_one(&mut self, fault: Fault) {
         match fault {
             Fault::KillCoordinator(down) => {
@@ -284,7 +283,7 @@ impl Fleet {
                 victim.signal("-TERM");
                 self.start_worker(machine);
                 match self.wounded == Some(victim.id()) {
-                    // So many failures at once: it may have given up before.
+                    // With so many failures at once, the worker may already have given up.
                     true => drop(victim.end()),
                     false => victim.wait(),
                 }
@@ -345,35 +344,35 @@ impl Fleet {
         }
     }
 
-    /// Ends the coordinator in good order and starts the newest program on its data.
+    /// Shuts the coordinator down gracefully and starts the newest program on its data.
     ///
     /// # Panics
-    /// If it does not end well, or does not come back.
+    /// If the shutdown fails or the coordinator does not come back.
     pub fn upgrade(&mut self) {
         self.end_coordinator();
         self.plan.coordinator = program("coordinator");
         self.start_coordinator();
     }
 
-    /// Has every rollout in quarantine tried again.
+    /// Retries every quarantined rollout.
     ///
     /// # Panics
-    /// If it is refused.
+    /// If the command fails.
     pub fn retry_quarantined(&self) {
         self.ask(&["jobs", "retry", CAMPAIGN, "--all"]);
     }
 
-    /// Copies the database while the coordinator runs.
+    /// Backs up the database while the coordinator runs and returns the copy's path.
     ///
     /// # Panics
-    /// If it is refused.
+    /// If the command fails.
     pub fn back_up(&self) -> PathBuf {
         let copy = self.folder.path().join("backup.sqlite");
         self.ask(&["backup", "--output", &copy.to_string_lossy()]);
         copy
     }
 
-    /// Loses the data folder, and goes on from a copy of the database.
+    /// Deletes the data folder and restarts the coordinator from a copy of the database.
     ///
     /// # Panics
     /// If the coordinator does not come back.
@@ -385,8 +384,8 @@ impl Fleet {
         self.start_coordinator();
     }
 
-    /// Starts the coordinator anew at another wall clock, `by` as libfaketime reads it:
-    /// `+1d`. False where that library is not installed.
+    /// Restarts the coordinator with its wall clock shifted by `by` in libfaketime's format,
+    /// such as `+1d`. Returns false if that library is not installed.
     ///
     /// # Panics
     /// If the coordinator does not come back.
@@ -415,8 +414,8 @@ impl Fleet {
         self.coordinator = Some(coordinator);
     }
 
-    /// Through a shell that makes a write beyond the limit fail instead of
-    /// killing: a full disk does not kill either.
+    /// Returns a command that starts the coordinator through a shell that ignores SIGXFSZ, so
+    /// that writes beyond the file size limit fail, as on a full disk, instead of killing it.
     fn coordinator_command(&self) -> Command {
         let mut command = Command::new("sh");
         command.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""]);
@@ -436,7 +435,7 @@ impl Fleet {
 
     fn kill_coordinator(&mut self) {
         self.to_coordinator.lead_to(None);
-        // Dropping a process kills it, and waits for it.
+        // Dropping a process kills it and waits for its exit.
         self.coordinator = None;
     }
 
@@ -473,7 +472,7 @@ impl Fleet {
         self.workers.push(Worker { process, machine });
     }
 
-    /// Ends everything in good order.
+    /// Shuts everything down gracefully.
     fn stop(&mut self) {
         self.workers.clear();
         self.gateway = None;
@@ -489,7 +488,7 @@ impl Fleet {
         }
     }
 
-    /// Every invariant of the database.
+    /// Checks every invariant of the database.
     fn check(&self) {
         let output = Command::new(program("coordinator"))
             .arg("check")
@@ -501,8 +500,7 @@ impl Fleet {
         assert!(output.status.success(), "{told}{complaint}");
     }
 
-    /// A coordinator that may read the database and not write it says so and
-    /// ends.
+    /// Checks that a coordinator without write access to the database reports this and exits.
     fn refuses_to_start_read_only(&self) {
         let Some(mut command) = as_somebody_who_may_not_write(&self.data()) else {
             return;
@@ -534,21 +532,21 @@ impl Fleet {
     }
 }
 
-/// Debian's libfaketime, wherever its libraries are.
+/// Finds Debian's libfaketime in any architecture's library folder.
 fn faketime() -> Option<PathBuf> {
     let folders = std::fs::read_dir("/usr/lib").ok()?.flatten();
     let mut libraries = folders.map(|it| it.path().join("faketime/libfaketimeMT.so.1"));
     libraries.find(|library| library.is_file())
 }
 
-/// A command that runs another one without the right to write in a folder.
+/// Returns a command prefix that runs a program without write access to a folder.
 fn as_somebody_who_may_not_write(folder: &Path) -> Option<Command> {
     let id = Command::new("id").arg("-u").output().expect("id runs");
     if id.stdout.trim_ascii() != b"0" {
         set_modes(folder, 0o555, 0o444);
         return Some(Command::new("env"));
     }
-    // Root is not bound by modes, so the coordinator runs as another user.
+    // File modes do not restrict root, so the coordinator runs as another user.
     set_modes(folder, 0o755, 0o644);
     let mut command = Command::new("setpriv");
     command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]);
@@ -574,14 +572,14 @@ fn set_modes(folder: &Path, of_folder: u32, of_files: u32) {
     set(folder, of_folder);
 }
 
-/// Stops a process for a while.
+/// Suspends a process for a time.
 fn pause(process: &Process, time: Duration) {
     process.signal("-STOP");
     sleep(time);
     process.signal("-CONT");
 }
 
-/// Sets how large files may become, `soft:hard`.
+/// Sets a process's file size limit, `soft:hard`.
 fn limit_files(process: &Process, limit: &str) {
     let status = Command::new("prlimit")
         .args(["--pid", &process.id().to_string()])
@@ -590,7 +588,7 @@ fn limit_files(process: &Process, limit: &str) {
     assert!(status.expect("prlimit runs").success());
 }
 
-/// Kills processes; some may have ended between the look and the shot.
+/// Kills processes. Some may have exited since they were listed, so errors are ignored.
 fn kill_all(processes: &[u32]) {
     for process in processes {
         let _ = Command::new("kill")
@@ -599,7 +597,7 @@ fn kill_all(processes: &[u32]) {
     }
 }
 
-/// The processes that a process started.
+/// Returns the ids of a process's children.
 fn children(pid: u32) -> Vec<u32> {
     let Ok(threads) = std::fs::read_dir(format!("/proc/{pid}/task")) else {
         return Vec::new();

@@ -1,4 +1,4 @@
-//! Schedules of faults: drawn from a seed, so that a failure can be replayed.
+//! Schedules of faults, drawn from a seed so that a failure can be replayed.
 
 use std::fmt;
 use std::time::Duration;
@@ -6,44 +6,44 @@ use std::time::Duration;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Faults of one schedule.
+/// Number of faults in a schedule.
 const FAULTS: u64 = 3;
-/// Faults of one schedule that are charged to a rollout, because a slot ends under its
-/// worker. Three charged attempts would quarantine it, which is what should happen, but
-/// not what is tested. Faults of the network, the disk, the coordinator and of whole
-/// workers are never charged, and so not limited.
+/// Largest number of faults in a schedule that are charged to a rollout because a slot
+/// exits under its worker. A third charged attempt would correctly quarantine the rollout,
+/// which is tested elsewhere. Faults of the network, the disk, the coordinator and whole
+/// workers are never charged and therefore not limited.
 const MAX_CHARGED_FAULTS: usize = 2;
-/// When the last fault begins, at the latest: while the campaign still runs.
+/// Latest start of the last fault, milliseconds; the campaign is still running then.
 const LAST_BEGINNING_MS: u64 = 2_500;
 
 /// A wire that can be broken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
-    /// Way from the workers to the coordinator.
+    /// Wire from the workers to the coordinator.
     ToCoordinator,
-    /// Way from the slots to the gateway.
+    /// Wire from the slots to the gateway.
     ToGateway,
-    /// Way from the gateway to the policy.
+    /// Wire from the gateway to the policy.
     ToPolicy,
 }
 
-/// One thing that goes wrong.
+/// A single fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// `kill -9`, and started again after so long.
+    /// `kill -9` of the coordinator and a restart after the given time.
     KillCoordinator(Duration),
-    /// `kill -9` of a worker's parent process; another one is started on its machine.
+    /// `kill -9` of a worker's parent process; a new one is started on its machine.
     KillWorker,
-    /// `kill -9` of a worker with its slots; after so long another one is started on its
-    /// machine.
+    /// `kill -9` of a worker with its slots; a new one is started on its machine after the
+    /// given time.
     RestartMachine(Duration),
-    /// SIGTERM of a worker; another one is started. Not drawn: it breaks nothing.
+    /// SIGTERM of a worker; a new one is started. Never drawn, because it breaks nothing.
     DrainWorker,
     /// `kill -9` of a slot's process.
     KillSlot,
-    /// `kill -9`, and started again after so long.
+    /// `kill -9` of the gateway and a restart after the given time.
     KillGateway(Duration),
-    /// `kill -9`, and started again after so long.
+    /// `kill -9` of the policy and a restart after the given time.
     KillPolicy(Duration),
     /// SIGSTOP of a worker's parent for longer than its lease, then SIGCONT.
     StopWorker(Duration),
@@ -51,25 +51,24 @@ pub enum Fault {
     StopCoordinator(Duration),
     /// All connections of a wire are cut at once.
     Cut(Way),
-    /// No connection of a wire is let through for so long.
+    /// A wire refuses all connections for the given time.
     Block(Way, Duration),
-    /// Everything on a wire arrives late.
+    /// All data on a wire is delayed.
     Delay(Way, Duration),
-    /// Everything that workers tell the coordinator for so long arrives twice.
+    /// All requests of workers to the coordinator arrive twice for the given time.
     Duplicate(Duration),
-    /// Everything that the coordinator answers for so long is lost.
+    /// All responses of the coordinator are lost for the given time.
     LoseAnswers(Duration),
-    /// The coordinator can write nothing for so long.
+    /// All writes of the coordinator fail for the given time.
     FullDisk(Duration),
-    /// The coordinator is started on a database that it may not write; then it
-    /// may again.
+    /// The coordinator is started on a read-only database, which is then made writable.
     ReadOnlyDatabase,
 }
 
-/// Kinds of faults.
+/// Number of kinds of faults that are drawn.
 const KINDS: u64 = 15;
 
-/// Faults, each with the time at which it begins, from the campaign's start.
+/// Faults, each with its start, measured from the campaign's start.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     /// Seed of the schedule.
@@ -79,8 +78,8 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// The schedule of a seed. Consecutive seeds begin with different kinds of
-    /// faults, so that a dozen of them have every kind.
+    /// Draws the schedule of a seed. Consecutive seeds start with different kinds of
+    /// faults, so that [`KINDS`] of them cover every kind.
     pub fn new(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut faults = vec![draw(&mut rng, seed % KINDS)];
@@ -100,7 +99,7 @@ impl Schedule {
         Self { seed, faults }
     }
 
-    /// Number of its faults that are charged: each costs one attempt at most, as workers
+    /// Returns the number of charged faults. Each costs at most one attempt, because workers
     /// have one slot here.
     pub fn charged_faults(&self) -> usize {
         let faults = self.faults.iter();
@@ -109,7 +108,8 @@ impl Schedule {
 }
 
 impl Fault {
-    /// Whether it may cost a rollout one of its attempts: its worker tells of it.
+    /// Returns true if the fault may cost a rollout one of its attempts, because its worker
+    /// reports it.
     fn is_charged(self) -> bool {
         matches!(self, Fault::KillSlot)
     }

@@ -1,6 +1,6 @@
-//! A wire between two programs: forwards connections, and when asked to it cuts,
-//! blocks, delays or duplicates them, or loses the answers. What listens behind it may end
-//! and come back at another port; what dials it never notices but by the connection.
+//! Fault-injecting TCP proxy between two programs: forwards connections and, on request, cuts,
+//! blocks, delays or duplicates them, or drops the responses. The server behind it may restart
+//! at another port without a change of the address for clients.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -9,10 +9,10 @@ use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 use std::{slice, thread};
 
-/// Bytes that are forwarded at a time.
+/// Size of the forwarding buffer, bytes.
 const PIECE_BYTES: usize = 16 << 10;
 
-/// A wire; dropping it closes it.
+/// A proxy between two programs; closed when dropped.
 pub struct Wire {
     address: SocketAddr,
     state: Arc<State>,
@@ -20,23 +20,23 @@ pub struct Wire {
 
 #[derive(Default)]
 struct State {
-    /// Address of the server; none: connections are closed at once.
+    /// Address of the server; without one, connections are closed at once.
     target: Mutex<Option<SocketAddr>>,
-    /// Every connection that is open, both ends; those that ended go with the next.
+    /// Both ends of every open connection; closed ones are removed when the next opens.
     open: Mutex<Vec<Weak<TcpStream>>>,
-    /// Delay before each piece that is forwarded, milliseconds.
+    /// Delay before each forwarded piece, milliseconds.
     delay_ms: AtomicU64,
     /// True if the bytes of new connections are sent twice.
     duplicates: AtomicBool,
-    /// True if the server's answers are lost.
+    /// True if the server's responses are dropped.
     loses_answers: AtomicBool,
-    /// True if no connection is let through.
+    /// True if connections are refused.
     is_blocked: AtomicBool,
     is_closed: AtomicBool,
 }
 
 impl Wire {
-    /// A wire that leads nowhere yet.
+    /// Creates a wire without a server.
     ///
     /// # Panics
     /// If there is no free port.
@@ -59,12 +59,12 @@ impl Wire {
         wire
     }
 
-    /// `http://…` of this end.
+    /// Returns the URL for clients, `http://…`.
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }
 
-    /// Leads to another server from now on; to nobody, if there is none.
+    /// Sets the server for new connections; `None` closes them at once.
     pub fn lead_to(&self, url: Option<&str>) {
         let address = url.map(|url| {
             let bare = url.trim_start_matches("http://");
@@ -73,7 +73,7 @@ impl Wire {
         *self.state.target.lock().expect("no panic") = address;
     }
 
-    /// Cuts every connection that is open.
+    /// Cuts all open connections.
     pub fn cut(&self) {
         let mut open = self.state.open.lock().expect("no panic");
         for stream in open.drain(..).filter_map(|stream| stream.upgrade()) {
@@ -82,28 +82,28 @@ impl Wire {
         }
     }
 
-    /// Cuts every connection that is open, and lets none through until it is unblocked.
+    /// Cuts all open connections, and refuses new ones while blocked.
     pub fn block(&self, is_blocked: bool) {
         self.state.is_blocked.store(is_blocked, Ordering::SeqCst);
         self.cut();
     }
 
-    /// Holds every piece back for so long.
+    /// Delays every piece by the given time.
     pub fn delay(&self, by: Duration) {
         let millis = u64::try_from(by.as_millis()).expect("a short time");
         self.state.delay_ms.store(millis, Ordering::Relaxed);
     }
 
-    /// Says everything twice: what a client sends goes to the server over a
-    /// second connection too, whose answers nobody hears. Begins with new
-    /// connections, so that the second one is a whole conversation.
+    /// Duplicates requests: sends a client's bytes to the server over a second connection too,
+    /// whose responses are discarded. Applies to new connections, so that the duplicate is a
+    /// complete conversation.
     pub fn duplicate(&self, duplicates: bool) {
         self.state.duplicates.store(duplicates, Ordering::Relaxed);
         self.cut();
     }
 
-    /// Loses everything that the server answers, while what the client sends
-    /// still arrives. Connections that lost something are cut in the end.
+    /// Drops the server's responses, while requests still arrive. Affected connections are cut
+    /// at the end.
     pub fn lose_answers(&self, loses: bool) {
         self.state.loses_answers.store(loses, Ordering::Relaxed);
         if !loses {
@@ -122,7 +122,7 @@ impl Drop for Wire {
     fn drop(&mut self) {
         self.state.is_closed.store(true, Ordering::Relaxed);
         self.cut();
-        // The listener looks when somebody calls.
+        // Wakes the listener, which checks for closing on each connection.
         let _ = TcpStream::connect(self.address);
     }
 }
@@ -140,14 +140,14 @@ impl State {
         servers.extend(second.flatten().map(Arc::new));
         let caller = Arc::new(caller);
         self.keep([&caller].into_iter().chain(&servers));
-        // It may have been blocked since, before there was anything to cut.
+        // The wire may have been blocked before this connection could be cut.
         if self.is_blocked.load(Ordering::SeqCst) {
             return;
         }
         thread::scope(|threads| {
             let lost = &self.loses_answers;
             for (place, server) in servers.iter().enumerate() {
-                // Nobody hears the second one's answers.
+                // Responses on the duplicate connection are discarded.
                 let hears = if place == 0 {
                     slice::from_ref(&caller)
                 } else {
@@ -169,8 +169,8 @@ impl State {
         }
     }
 
-    /// Until either end closes; then both are closed. What is read while it is
-    /// `lost` goes nowhere.
+    /// Copies data until either end closes; then closes both. Data read while `lost` is set is
+    /// discarded.
     fn copy(&self, mut from: &TcpStream, to: &[Arc<TcpStream>], lost: &AtomicBool) {
         let mut piece = vec![0; PIECE_BYTES];
         while let Ok(count @ 1..) = from.read(&mut piece) {
@@ -182,7 +182,7 @@ impl State {
                 continue;
             }
             let sent = |(place, stream): (usize, &Arc<TcpStream>)| {
-                // The second conversation may end when it likes.
+                // The duplicate connection may close at any time.
                 (&**stream).write_all(&piece[..count]).is_ok() || place > 0
             };
             if !to.iter().enumerate().all(sent) {

@@ -1,5 +1,5 @@
-//! Folder for the commands of a page: like the checkout, whose own files they
-//! cannot change, with a network of its own.
+//! Sandbox for the commands of a page: a copy of the checkout that protects the
+//! original, with a separate network.
 
 use std::fs::{self, File};
 use std::os::unix::fs::symlink;
@@ -10,11 +10,11 @@ use tempfile::TempDir;
 
 use crate::programs::program;
 
-/// Folders of the checkout that commands write into; the others are links.
+/// Folders of the checkout that are copied because commands write to them; the others are
+/// symbolic links.
 const COPIED: [&str; 2] = ["assets", "policies"];
 
-/// Variables that other programs and the machine's owner have set, and a
-/// newcomer has not.
+/// Environment variables that a new reader does not have set.
 const UNSET: [&str; 6] = [
     "COORDINATOR_URL",
     "ROLLOUT_TOKENS",
@@ -24,14 +24,14 @@ const UNSET: [&str; 6] = [
     "VIRTUAL_ENV",
 ];
 
-/// Something that only some machines have.
+/// A requirement that only some machines meet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Thing {
     /// `reference data`: the folder `shared` beside the checkout.
     ReferenceData,
-    /// `Python packages`: what the pages' `pip install` would download.
+    /// `Python packages`: the downloads of the pages' `pip install`.
     PythonPackages,
-    /// `TypeScript build`: what npm makes of `policies/typescript`.
+    /// `TypeScript build`: npm's build of `policies/typescript`.
     TypeScriptBuild,
 }
 
@@ -46,7 +46,7 @@ impl Thing {
         }
     }
 
-    /// Reason why it is not there; none if it is.
+    /// Returns the reason why the requirement is not met; `None` if it is met.
     pub fn lacks(self) -> Option<String> {
         match self {
             Self::ReferenceData => {
@@ -62,30 +62,30 @@ impl Thing {
     }
 }
 
-/// Path of the file that npm builds.
+/// Path of the file built by npm.
 const BUILT: &str = "policies/typescript/dist/src/main.js";
 
-/// Wheels for the pages' `pip install`, which a test never downloads.
+/// Returns the folder of wheels for the pages' `pip install`; tests never download them.
 fn python_packages() -> Option<PathBuf> {
     std::env::var_os("ROLLOUT_PYTHON_PACKAGES").map(PathBuf::from)
 }
 
-/// Separation of pages that use the same ports.
+/// Network isolation of pages, which use the same ports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Network {
-    /// A network of its own, as root.
+    /// A network namespace created by root.
     OfRoot,
-    /// A network of its own, as a user who looks like root in it.
+    /// A network namespace in a user namespace, created by an unprivileged user.
     OfUser,
-    /// The machine's: one page at a time.
+    /// The machine's own network, used by one page at a time.
     Machine,
 }
 
-/// Brings the loopback device up, then becomes the program that follows.
+/// Shell command that brings the loopback device up and executes the following program.
 const UP: &str = "ip link set lo up && exec \"$@\"";
 
 impl Network {
-    /// The best that this machine offers.
+    /// Returns the best isolation that this machine supports.
     pub fn of_this_machine() -> Self {
         let works = |network: &Self| {
             let mut words = network.wrapper().iter();
@@ -101,7 +101,7 @@ impl Network {
         best.unwrap_or(Self::Machine)
     }
 
-    /// The words before a command that runs in it.
+    /// Returns the command prefix that runs a program in the network.
     pub fn wrapper(self) -> &'static [&'static str] {
         match self {
             Self::OfRoot => &["unshare", "--net", "sh", "-c", UP, "sh"],
@@ -124,12 +124,12 @@ impl Network {
 pub struct Folder {
     root: TempDir,
     network: Network,
-    /// Held while the machine's own network is used.
+    /// Lock held while the machine's own network is used.
     _turn: Option<File>,
 }
 
 impl Folder {
-    /// Makes it.
+    /// Creates the folder.
     ///
     /// # Panics
     /// If files cannot be written.
@@ -170,7 +170,7 @@ impl Folder {
         Ok(())
     }
 
-    /// The folder that stands for the checkout.
+    /// Returns the folder that stands for the checkout.
     pub fn checkout(&self) -> PathBuf {
         self.root.path().join("rollout")
     }
@@ -185,7 +185,7 @@ impl Folder {
         self.network
     }
 
-    /// Gives a shell its folder and a newcomer's environment.
+    /// Sets a shell's working folder and the environment of a new reader.
     pub fn furnish(&self, shell: &mut Command) {
         shell.current_dir(self.checkout());
         for name in UNSET {
@@ -214,7 +214,7 @@ fn programs() -> PathBuf {
     dir.canonicalize().expect("the folder of the programs")
 }
 
-/// Copies a folder, without what was installed or built in it.
+/// Copies a folder without installed packages and build output.
 fn copy(from: &Path, to: &Path) -> std::io::Result<()> {
     fs::create_dir(to)?;
     for entry in fs::read_dir(from)? {

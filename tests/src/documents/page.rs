@@ -1,11 +1,10 @@
-//! Steps that a page asks its reader to do, in its order.
+//! Parses a page into the steps that a reader performs, in order.
 
 use std::fmt;
 
 use pulldown_cmark::{CodeBlockKind, Event, Parser, Tag, TagEnd};
 
-/// Programs of which a line in a block without a language is a mistake: the block
-/// would not be run.
+/// Programs that reveal a block of commands without the language `sh`, which would not be run.
 const PROGRAMS: [&str; 11] = [
     "cargo",
     "coordinator",
@@ -20,23 +19,23 @@ const PROGRAMS: [&str; 11] = [
     "ssh",
 ];
 
-/// One thing to do.
+/// A step of a page.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Step {
-    /// The line of the page where it begins, from 1.
+    /// Line of the page where the step begins, from 1.
     pub line: usize,
     /// Action of the step.
     pub action: Action,
 }
 
-/// Action that a block asks for.
+/// Action of a block.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Action {
-    /// Commands, run one after the other, and what they need beside the programs.
+    /// Runs commands in sequence.
     Run {
         /// The commands.
         commands: Vec<Command>,
-        /// The word of a `needs` comment.
+        /// Requirement named in a `needs` comment.
         needs: Option<String>,
     },
     /// Writes a file into the folder of the session.
@@ -46,14 +45,14 @@ pub enum Action {
         /// Content of the file.
         text: String,
     },
-    /// Leaves a block of commands out.
+    /// Skips a block of commands.
     Leave {
-        /// Reason that the page's source gives.
+        /// Reason given in the page's source.
         reason: String,
     },
 }
 
-/// A command of a block: one line, or several that belong together.
+/// A command of a block: one line, or several continued lines.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Command {
     /// The line of the page where it begins, from 1.
@@ -62,7 +61,7 @@ pub struct Command {
     pub text: String,
 }
 
-/// Reason why a page cannot be read.
+/// Error in a page.
 #[derive(Debug, PartialEq, Eq)]
 pub struct PageError {
     line: usize,
@@ -77,11 +76,11 @@ impl fmt::Display for PageError {
 
 impl std::error::Error for PageError {}
 
-/// Reads a page of Markdown.
+/// Parses a page of Markdown.
 ///
 /// # Errors
-/// If a block shows commands without being marked `sh`, or if a comment before a
-/// block does not fit it.
+/// If a block contains commands but is not marked `sh`, or if a comment does not match the
+/// following block.
 pub fn steps(markdown: &str) -> Result<Vec<Step>, PageError> {
     let mut steps = Vec::new();
     let mut comment: Option<Comment> = None;
@@ -177,7 +176,8 @@ fn action(
     }
 }
 
-/// A drawing or a table may begin with a program's name, too, but is spaced out.
+/// Returns true if a line is a command of one of [`PROGRAMS`]. Drawings and tables may also
+/// begin with a program's name but contain runs of spaces.
 fn is_command(line: &str) -> bool {
     let command = line.split(" #").next().unwrap_or_default().trim_end();
     let mut words = command.split(' ');
@@ -185,8 +185,8 @@ fn is_command(line: &str) -> bool {
     PROGRAMS.contains(&first) && words.next().is_some() && !command.contains("  ")
 }
 
-/// The commands of a block. A line that ends with a backslash goes on in the next
-/// one, and a here-document to its end.
+/// Splits a block into commands. Lines that end with a backslash continue on the next, and
+/// here-documents continue to their end.
 fn commands(first: usize, text: &str) -> Vec<Command> {
     let mut commands: Vec<Command> = Vec::new();
     let mut open: Option<Command> = None;

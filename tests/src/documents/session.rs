@@ -1,4 +1,4 @@
-//! One shell that is given commands one by one, with servers in the background.
+//! A shell session that executes commands one by one, with servers in the background.
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader, Write};
@@ -10,13 +10,12 @@ use std::time::{Duration, Instant};
 
 use super::folder::Folder;
 
-/// Longest that a command, or the start of a server, may take.
+/// Timeout of a command and of the start of a server.
 const PATIENCE: Duration = Duration::from_secs(240);
 
-/// Reads a file for the output and a command, each behind a zero byte; runs the
-/// command and answers with its exit status and the newest background process. When
-/// nothing more comes, because the test is done or gone, it takes all its processes
-/// with it.
+/// Shell script that drives the session: reads the path of an output file and a command, each
+/// terminated by a zero byte, runs the command, and writes its exit status and the id of the
+/// newest background process. At the end of input it kills all its processes.
 const DRIVER: &str = r#"
 exec 3<&0 4>&1 </dev/null
 while IFS= read -r -d '' output <&3 && IFS= read -r -d '' command <&3; do
@@ -26,9 +25,9 @@ done
 kill -KILL 0
 "#;
 
-/// Messages of a server that is ready.
+/// Messages that indicate that a server is ready.
 const READY: [&str; 2] = ["listening on ", "registered with the coordinator"];
-/// Message of `coordinator up` once all of its programs are ready.
+/// Message of `coordinator up` when all of its programs are ready.
 const ALL_READY: [&str; 1] = ["Ctrl-C stops all three"];
 
 /// A shell in the folder of a page.
@@ -48,14 +47,14 @@ struct Server {
     output: PathBuf,
 }
 
-/// A command that failed, for people.
+/// Report of a failed command.
 #[derive(Debug)]
 pub struct Failure {
     /// Problem in one line.
     pub problem: String,
-    /// Output of the command, of long outputs the end.
+    /// Output of the command; only the end if it is long.
     pub output: String,
-    /// True if the shell can be given no more commands.
+    /// True if the shell cannot execute further commands.
     pub fatal: bool,
 }
 
@@ -70,7 +69,7 @@ impl Session {
         program.args(words).arg(DRIVER);
         folder.furnish(&mut program);
         program.stdin(Stdio::piped()).stdout(Stdio::piped());
-        // Whatever it starts is in its process group.
+        // All processes that the shell starts are in its process group.
         let mut shell = program.process_group(0).spawn().expect("a shell starts");
         let commands = shell.stdin.take().expect("a pipe");
         let stdout = BufReader::new(shell.stdout.take().expect("a pipe"));
@@ -90,10 +89,10 @@ impl Session {
         }
     }
 
-    /// Runs a command to its end, or until its server can be used.
+    /// Runs a command to its end or, for a server, until it is ready.
     ///
     /// # Errors
-    /// If it fails, ends although it is a server, or takes too long.
+    /// If the command fails or times out, or a server exits.
     pub fn run(&mut self, command: &str) -> Result<(), Failure> {
         if stays(command) {
             return self.start_server(command);
@@ -139,10 +138,10 @@ impl Session {
         Err(failure("it does not become ready".to_owned(), &output))
     }
 
-    /// Looks after the servers at the end of a page.
+    /// Checks the servers at the end of a page.
     ///
     /// # Errors
-    /// If one of them ended by itself with an error.
+    /// If a server exited by itself with an error.
     pub fn finish(mut self) -> Result<(), Failure> {
         for server in std::mem::take(&mut self.servers) {
             let process = &server.process;
@@ -152,7 +151,7 @@ impl Session {
             }
             let (status, _) = self.call(&format!("wait {process}"))?;
             let status = status.split(' ').next().unwrap_or_default();
-            // The page itself waited for it (127), or killed it (128 and the signal).
+            // 127: the page waited for the server; 137 and 143: the page killed it.
             if !matches!(status, "0" | "127" | "137" | "143") {
                 let problem = format!("`{}` ended with status {status}", server.command);
                 return Err(failure(problem, &server.output));
@@ -161,7 +160,7 @@ impl Session {
         Ok(())
     }
 
-    /// Gives the shell a command; returns its answer and the file of the output.
+    /// Sends a command to the shell; returns the response and the path of the output.
     fn call(&mut self, command: &str) -> Result<(String, PathBuf), Failure> {
         self.count += 1;
         let output = self.outputs.join(format!("{}.txt", self.count));
@@ -204,8 +203,8 @@ fn failure(problem: String, output: &Path) -> Failure {
     }
 }
 
-/// The command as a process beside the shell, whether the page says so itself or
-/// its reader has a terminal for it. `$!` names the program itself.
+/// Makes a command run in the background, even if the page does not, because a reader would
+/// use another terminal. `$!` is then the id of the program itself.
 fn in_background(command: &str) -> String {
     let bare = without_comment(command);
     format!("{} &", bare.trim_end().trim_end_matches('&'))
@@ -221,7 +220,7 @@ fn without_comment(command: &str) -> &str {
     }
 }
 
-/// Returns true if a command goes on until it is stopped.
+/// Returns true if a command runs until it is stopped.
 fn stays(command: &str) -> bool {
     let mut words = command
         .split_whitespace()
@@ -244,7 +243,7 @@ fn stays(command: &str) -> bool {
     }
 }
 
-/// Returns true if a command shows something until its reader has seen enough.
+/// Returns true if a command displays progress until it is interrupted.
 fn watches(command: &str) -> bool {
     command.split_whitespace().any(|word| word == "--watch")
 }

@@ -1,4 +1,4 @@
-//! Runs a page from its first command to its last.
+//! Runs all commands of a page.
 
 use std::fs;
 use std::time::Instant;
@@ -7,23 +7,21 @@ use super::folder::{Folder, Thing, checkout};
 use super::page::{Action, Command, Step, steps};
 use super::session::{Failure, Session};
 
-/// Part of a command that reads the reference data.
+/// Path that marks a command as reading the reference data.
 const SHARED: &str = "../shared";
 
-/// Runs the commands of a page of the checkout, and prints which of them do not run
-/// and why.
+/// Runs the commands of a page of the checkout, and prints the skipped ones with the reason.
 ///
 /// # Panics
-/// With line, command and output of every command that fails, or if the page cannot
-/// be read.
+/// If a command fails, with its line, text and output, or if the page cannot be read.
 pub fn visit(page: &str) {
     let text = fs::read_to_string(checkout().join(page)).expect("the page");
     let failures = failures(page, &text);
     assert!(failures.is_empty(), "\n{}", failures.join("\n"));
 }
 
-/// Runs the commands of a page; returns, for people, the failures with line, command
-/// and output. After one, the page goes on where its shell can.
+/// Runs the commands of a page and returns descriptions of the failures with line, command and
+/// output. Continues after a failure if the shell is still usable.
 ///
 /// # Panics
 /// If the page cannot be read.

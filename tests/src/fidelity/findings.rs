@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::frames::{FrameFindings, FrameLimits, Kinship};
 
-/// Largest differences of a task's simulation from the original's.
+/// Largest allowed differences of a task's simulation from the original's.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
     /// Model arrays, relative.
@@ -20,7 +20,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Everything but the frames is the same on every machine.
+    /// Returns the limits; only those of frames depend on the renderer and the machine.
     pub fn new(frames: Kinship) -> Self {
         Self {
             arrays: 1e-12,
@@ -35,9 +35,9 @@ impl Limits {
 /// Findings for one task.
 #[derive(Debug, Clone, Default)]
 pub struct Findings {
-    /// The first name that differs, if any: ours and the original's.
+    /// The first differing name, if any: ours and the original's.
     pub name: Option<String>,
-    /// Largest relative difference of a model array, and which.
+    /// Largest relative difference of a model array, with the array's name.
     pub arrays: Worst,
     /// Largest difference of joint positions after loading and settling.
     pub settled: Worst,
@@ -47,30 +47,30 @@ pub struct Findings {
     pub observed: Worst,
     /// Success flags that differ, over all steps.
     pub success_flags: usize,
-    /// Predicate truths: those that differ, and all.
+    /// Numbers of differing and of all predicate truth values.
     pub predicates: (usize, usize),
-    /// Contact-rich steps; none where there is no recording.
+    /// Contact-rich steps; `None` without a recording.
     pub contact: Option<ContactFindings>,
-    /// Frames; none where there are none to compare with.
+    /// Frames; `None` without reference frames.
     pub frames: Option<FrameFindings>,
 }
 
-/// Contact-rich steps against the original.
+/// Comparison of contact-rich steps with the original.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ContactFindings {
     /// Largest difference of joint positions.
     pub worst: f64,
-    /// The same while the original itself is insensitive; 0 where that was not
-    /// measured.
+    /// Largest difference while the original itself is insensitive; 0 if the sensitivity was
+    /// not measured.
     pub worst_while_calm: f64,
-    /// Largest difference in multiples of the original's sensitivity once it is
-    /// not calm any more; none where that was not measured.
+    /// Largest difference in multiples of the original's sensitivity after the insensitive
+    /// phase; `None` if the sensitivity was not measured.
     pub sensitivities: Option<f64>,
     /// Success flags that differ.
     pub success_flags: usize,
 }
 
-/// A largest difference and where it was.
+/// The largest difference and its location.
 #[derive(Debug, Clone, Default)]
 pub struct Worst {
     /// The difference.
@@ -152,7 +152,7 @@ impl Findings {
     }
 }
 
-/// A difference that is no number exceeds every limit.
+/// Returns true if a value exceeds a limit; NaN exceeds every limit.
 fn exceeds(value: f64, limit: f64) -> bool {
     value.is_nan() || value > limit
 }

@@ -1,4 +1,4 @@
-//! Frames against the original's: what is measured, and how equal they must be.
+//! Comparison of frames with the original's: measures of agreement and their limits.
 
 use std::fmt;
 
@@ -9,32 +9,31 @@ use super::reference::ReferenceTask;
 
 const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 const SIZE: u32 = 256;
-/// Grey levels by which a pixel may be off and still count as close.
+/// Largest difference at which a pixel counts as close, grey levels.
 pub const CLOSE_LEVELS: u8 = 2;
 
-/// Driver that drew the reference's frames, in its own words: its version, and the
-/// width of the processor's instructions that it used.
+/// Name of the OpenGL driver that rendered the reference's frames, including its version and
+/// the vector width.
 const REFERENCE_DRIVER: &str = "llvmpipe (LLVM 15.0.6, 256 bits)";
 
-/// How the reference's frames came about, seen from ours. The original draws
-/// through OpenGL, whose drivers may and do draw other bits on other processors.
+/// Relation of the reference's renderer to ours. The original renders through OpenGL, whose
+/// drivers give different bits on different processors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kinship {
-    /// Ours are drawn by the reference's own driver, on another machine.
+    /// OpenGL with the reference's driver on another machine.
     AnotherMachine,
-    /// Ours are drawn by OpenGL too, and by another driver, or for a processor
-    /// with other instructions.
+    /// OpenGL with another driver, or with other instructions of the processor.
     AnotherDriver,
-    /// Ours are drawn by OpenGL on the machine that the reference was recorded on.
+    /// OpenGL on the machine that recorded the reference.
     ThisMachine,
-    /// Ours are drawn by the software renderer.
+    /// The software renderer.
     AnotherRenderer,
 }
 
 /// Limits on the difference of frames from the reference's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameLimits {
-    /// Kind of comparison: decides the other limits, and messages name it.
+    /// Kind of comparison, which determines the limits and appears in messages.
     pub kinship: Kinship,
     /// Share of pixels that must be equal.
     pub equal: f64,
@@ -43,7 +42,7 @@ pub struct FrameLimits {
 }
 
 impl Kinship {
-    /// Returns the kind of comparison when this renderer draws.
+    /// Returns the kind of comparison for a renderer.
     pub fn of(drawer: &Drawer, frames_of_this_machine: bool) -> Self {
         match drawer {
             Drawer::Software => Self::AnotherRenderer,
@@ -53,13 +52,13 @@ impl Kinship {
         }
     }
 
-    /// Returns the limits for such frames.
+    /// Returns the limits for this kind of comparison.
     pub fn limits(self) -> FrameLimits {
         let (equal, close) = match self {
             Self::ThisMachine => (1.0, 1.0),
             Self::AnotherMachine => (0.94, 1.0),
-            // Of the 23 recorded tasks, drawn without AVX and fused
-            // multiply-adds, the worst frame has 0.9962.
+            // The worst frame of the 23 recorded tasks, rendered without AVX and fused
+            // multiply-adds, has 0.9962.
             Self::AnotherDriver => (0.94, 0.995),
             Self::AnotherRenderer => (0.94, 0.9999),
         };
@@ -109,7 +108,7 @@ pub struct FrameFindings {
     pub largest: u8,
 }
 
-/// A smallest share and where it was.
+/// The smallest share and its location.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Least {
     /// The share, 0..1.
@@ -155,8 +154,7 @@ impl FrameFindings {
         self.close.see(share(close), place);
     }
 
-    /// Returns the bounds that are broken, in words that also give the bounds'
-    /// reason.
+    /// Returns descriptions of the violated limits, including the reason for each limit.
     pub(super) fn violations(&self, limits: &FrameLimits) -> Vec<String> {
         let mut found = Vec::new();
         let mut check = |least: &Least, limit: f64, what: &str| {
@@ -180,7 +178,7 @@ impl FrameFindings {
     }
 }
 
-/// Compares frames as the motion passes their instants.
+/// Compares frames while the motion passes the recorded steps.
 pub(super) struct Comparison<'a> {
     task: &'a ReferenceTask,
     drawer: &'a Drawer,
@@ -198,7 +196,7 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    /// Compares both cameras after a step, where the reference has frames.
+    /// Compares both cameras after a step if the reference has frames of it.
     pub(super) fn see(
         &mut self,
         environment: &mut Environment,
@@ -228,7 +226,7 @@ impl<'a> Comparison<'a> {
         Ok(())
     }
 
-    /// Returns the findings; none if the reference has no frames.
+    /// Returns the findings; `None` if the reference has no frames.
     pub(super) fn result(self) -> Option<FrameFindings> {
         (self.seen > 0).then_some(self.findings)
     }
@@ -240,7 +238,8 @@ mod tests {
 
     const PIXELS: usize = 10_000;
 
-    /// A frame against a black one, off by `levels` in the first `count` pixels.
+    /// Compares a frame with a black one: for each `(count, levels)`, the next `count` pixels
+    /// differ by `levels`.
     fn findings(off: &[(usize, u8)]) -> FrameFindings {
         let mut ours = vec![0; PIXELS * 3];
         let mut next = 0;

@@ -1,5 +1,5 @@
-//! Motion against the original's: settling, smooth steps, contact-rich steps,
-//! and predicates on recorded states.
+//! Comparison of motion with the original's: settling, smooth steps, contact-rich
+//! steps, and predicates on recorded states.
 
 use std::collections::BTreeMap;
 
@@ -10,10 +10,10 @@ use super::findings::{ContactFindings, Findings, Worst};
 use super::frames::Comparison;
 use super::reference::{Array, ReferenceTask, read_npz};
 
-/// The action that does nothing and keeps the gripper open.
+/// No-op action with the gripper open.
 const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
 const SETTLING_STEPS: usize = 10;
-/// Below this the original counts as insensitive, m or rad.
+/// Sensitivity up to which the original counts as insensitive, m or rad.
 const CALM: f64 = 1e-11;
 
 type Arrays = BTreeMap<String, Array>;
@@ -162,16 +162,16 @@ pub(super) fn compare_contact(
     }))
 }
 
-/// Judges how far joint positions are from the original's, step by step, by the
-/// original's own sensitivity. Where that was not measured, the effect of rounding alone is
-/// unknown: the differences are reported and not judged.
+/// Compares the differences of joint positions from the original's with the original's own
+/// sensitivity, step by step. Without a measured sensitivity, the effect of rounding alone is
+/// unknown, so that differences are reported but not judged.
 fn judge_contact(differences: &[f64], sampled: Option<&[f64]>) -> ContactFindings {
     let mut findings = ContactFindings::default();
     let mut calm = sampled.is_some();
     for (step, &difference) in differences.iter().enumerate() {
         findings.worst = larger(findings.worst, difference);
         let Some(sensitivity) = sampled.and_then(|sampled| sensitivity_at(sampled, step)) else {
-            // The measurement ended before the recording did.
+            // The measurement of the sensitivity is shorter than the recording.
             calm = false;
             continue;
         };
@@ -186,8 +186,8 @@ fn judge_contact(differences: &[f64], sampled: Option<&[f64]>) -> ContactFinding
     findings
 }
 
-/// The original's sensitivity at a step, from its running maximum at every 20th:
-/// between two of those the later one holds.
+/// Returns the original's sensitivity at a step, from samples of its running maximum at every
+/// 20th step; between two samples, the later one applies.
 fn sensitivity_at(sampled: &[f64], step: usize) -> Option<f64> {
     const EVERY: usize = 20;
     sampled.get(step.div_ceil(EVERY).saturating_sub(1)).copied()
@@ -211,7 +211,7 @@ fn largest_difference(ours: &[f64], theirs: &[f64]) -> f64 {
     differences.fold(0.0, larger)
 }
 
-/// The larger of two; what is no number is larger than anything, and stays.
+/// Returns the larger of two numbers; NaN counts as the largest.
 fn larger(worst: f64, value: f64) -> f64 {
     if value <= worst || worst.is_nan() {
         worst
@@ -257,7 +257,7 @@ mod tests {
 
     #[test]
     fn with_one_the_differences_are_judged_by_it() {
-        // Calm in the first 20 steps, then not.
+        // Insensitive in the first 20 steps only.
         let sampled = [1e-13, 1e-5];
         let mut differences = vec![1e-12; 41];
         differences[30] = 9e-4;

@@ -1,5 +1,5 @@
-//! Reads the reference data of one task: its folder's layout is described in
-//! the README beside it.
+//! Reads the reference data of one task. The README of the data describes the layout of
+//! the folder.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -12,7 +12,7 @@ use npyz::{DType, NpyFile, TypeChar};
 use serde_json::Value;
 use zip::ZipArchive;
 
-/// One task's folder of reference data.
+/// Folder of reference data of one task.
 #[derive(Debug, Clone)]
 pub struct ReferenceTask {
     /// Suite's full name.
@@ -20,8 +20,7 @@ pub struct ReferenceTask {
     /// Index in the suite.
     pub index: usize,
     dir: PathBuf,
-    /// The folder that holds those of all tasks, and beside it what is recorded of
-    /// several tasks.
+    /// Folder of the recordings that cover several tasks.
     root: PathBuf,
     meta: Value,
 }
@@ -36,7 +35,7 @@ pub struct Array {
 }
 
 impl Array {
-    /// The i-th entry along the first axis.
+    /// Returns the entry at `index` along the first axis.
     pub fn row(&self, index: usize) -> &[f64] {
         let width: usize = self.shape[1..].iter().product();
         &self.values[index * width..(index + 1) * width]
@@ -47,7 +46,7 @@ impl Array {
     }
 }
 
-/// All tasks below a folder, in order of suite and index.
+/// Finds all tasks in a folder, ordered by suite and index.
 pub fn find_tasks(reference: &Path) -> Result<Vec<ReferenceTask>> {
     ensure!(
         reference.is_dir(),
@@ -115,7 +114,7 @@ fn folders(dir: &Path) -> Result<Vec<PathBuf>> {
 }
 
 impl ReferenceTask {
-    /// For example `libero_goal/3`.
+    /// Returns the task's id, such as `libero_goal/3`.
     pub fn id(&self) -> String {
         format!("{}/{}", self.suite, self.index)
     }
@@ -136,12 +135,12 @@ impl ReferenceTask {
             .collect())
     }
 
-    /// A file of the task's folder.
+    /// Returns the path of a file in the task's folder.
     pub(crate) fn path(&self, file: &str) -> PathBuf {
         self.dir.join(file)
     }
 
-    /// The recording of contact-rich steps, if there is one.
+    /// Returns the path of the recording of contact-rich steps, if it exists.
     pub(crate) fn contact_path(&self) -> Option<PathBuf> {
         let path = self
             .root
@@ -150,8 +149,8 @@ impl ReferenceTask {
         path.is_file().then_some(path)
     }
 
-    /// How far the original itself moves under torque noise of 1e-14 in the
-    /// contact-rich steps: the running maximum at every 20th step, if measured.
+    /// Returns the original's own sensitivity in the contact-rich steps, if measured: the
+    /// running maximum, at every 20th step, of its deviation under torque noise of 1e-14.
     pub(crate) fn contact_sensitivity(&self) -> Result<Option<Vec<f64>>> {
         let path = self.root.join("sensitivity.json");
         if !path.is_file() {
@@ -163,13 +162,13 @@ impl ReferenceTask {
         Ok(sampled.map(|values| values.iter().filter_map(Value::as_f64).collect()))
     }
 
-    /// All arrays of an `.npz` file of the folder.
+    /// Reads the arrays of an `.npz` file in the task's folder.
     pub(crate) fn arrays(&self, file: &str) -> Result<BTreeMap<String, Array>> {
         read_npz(&self.path(file))
     }
 }
 
-/// All arrays of an `.npz` file, those of text left out.
+/// Reads the numeric arrays of an `.npz` file.
 pub fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>> {
     let read = || format!("read {}", path.display());
     let file = File::open(path).with_context(read)?;

@@ -1,7 +1,6 @@
-//! The process of one measured slot: compiles its scene, says that it is ready,
-//! and for every number of seconds that it receives runs rollouts for so long
-//! and reports what it did. Ends when the parent closes the connection, which is
-//! what happens when the parent dies.
+//! The process of one measured slot: compiles its scene and reports that it is ready. For every
+//! number of seconds that the parent sends, it runs rollouts for that long and reports the counts.
+//! It ends when the parent closes the connection or dies.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -23,20 +22,20 @@ use crate::rollout::{self, RolloutError, Step, Watcher};
 use crate::slot::die_first;
 use crate::stage::Stage;
 
-/// Control steps of a rollout: about what a successful one takes. Then comes the
-/// next one, which loads its initial state and settles.
+/// Control steps of a measured rollout, about those of a successful one. The next rollout then
+/// loads its initial state and settles.
 const ROLLOUT_STEPS: u32 = 120;
 
 /// Message of a measured slot to its parent, one JSON value per line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Said {
-    /// The scene is compiled and was drawn once.
+    /// The scene is compiled and was rendered once.
     Ready {
         /// The renderer's own name.
         renderer: String,
     },
-    /// The time is over.
+    /// Counts of the requested period.
     Counted(Count),
 }
 
@@ -45,9 +44,9 @@ pub(super) enum Said {
 pub(super) struct Count {
     /// Duration, seconds.
     pub(super) secs: f64,
-    /// Control steps of the policy.
+    /// Control steps after settling.
     pub(super) steps: u32,
-    /// Frames drawn.
+    /// Rendered frames.
     pub(super) frames: u32,
     /// Memory use of the process at the end.
     pub(super) memory: SlotMemory,
@@ -56,24 +55,22 @@ pub(super) struct Count {
 /// Memory of a slot's process, bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct SlotMemory {
-    /// All that is resident.
+    /// Resident bytes (VmRSS).
     pub(super) resident: u64,
-    /// The same, with what several processes share divided among them.
+    /// Resident bytes, with shared pages divided among their processes (PSS).
     pub(super) proportional: u64,
-    /// Part of it that no other process can share: a further slot adds so much.
+    /// Resident bytes that no other process can share: the cost of a further slot.
     pub(super) own: u64,
-    /// Part of it in pages of files, which all slots share: programs, libraries,
-    /// scenes.
+    /// Resident pages of files, which all slots share: programs, libraries, scenes.
     pub(super) files: u64,
-    /// Share of `own` that the one compiled scene takes.
+    /// Part of `own` that the one compiled scene takes.
     pub(super) scene: u64,
-    /// Share of `files` that the scene takes.
+    /// Part of `files` that the scene takes.
     pub(super) scene_files: u64,
 }
 
-/// Counts control steps of `task` for the parent process, until it closes the
-/// connection. The policy looks every `execute` steps and answers `answer_after` so
-/// long.
+/// Counts control steps of `task` for the parent process until it closes the connection. The
+/// simulated policy is queried every `execute` steps and answers after `answer_after`.
 ///
 /// # Errors
 /// If the task cannot be simulated or drawn, or the parent stops listening.
@@ -117,7 +114,7 @@ pub fn count(
             slot.roll_out(ROLLOUT_STEPS, &mut counter)?;
         }
         parent.send(&Said::Counted(Count {
-            // The last step began in time and is counted, so all that it took is, too.
+            // The last step began in time and is counted, so its whole duration counts too.
             secs: started.elapsed().as_secs_f64(),
             steps: counter.steps,
             frames: counter.frames,
@@ -131,8 +128,8 @@ pub fn count(
     Ok(())
 }
 
-/// Reads how long to count, in seconds, on a thread of its own: when the parent
-/// is gone, there is no one left to report to, and the process ends at once.
+/// Reads the periods to count, in seconds, on a thread of its own. Ends the process when the
+/// parent closes the connection, because no one is left to report to.
 fn listen(said: FromParent<f64>) -> Receiver<f64> {
     let (tell, times) = sync_channel(1);
     thread::spawn(move || {
@@ -153,7 +150,7 @@ struct Counting {
 }
 
 impl Counting {
-    /// One rollout, or as much of it as there is time for.
+    /// Simulates one rollout, or the part of it that fits into the counter's time.
     fn roll_out(&mut self, max_steps: u32, counter: &mut Counter) -> Result<(), RolloutError> {
         self.assignment.row.max_steps = max_steps;
         let mut stage = Stage::of_the_protocol(&mut self.simulator);
@@ -164,10 +161,10 @@ impl Counting {
     }
 }
 
-/// Acts without looking.
+/// Policy with a fixed sequence of actions.
 struct OpenLoop {
     description: Description,
-    /// Stands for what a real policy computes, elsewhere.
+    /// Simulated duration of a real policy's inference on another machine.
     answer_after: Duration,
 }
 
@@ -190,7 +187,7 @@ impl Actor for OpenLoop {
     }
 }
 
-/// Counts until the time is over.
+/// Counts steps and frames until a deadline.
 struct Counter {
     until: Instant,
     steps: u32,
@@ -206,7 +203,7 @@ impl Counter {
         }
     }
 
-    /// Not before the first step: a rate of none could be compared with nothing.
+    /// Runs at least one step, so that the rate is never zero.
     fn is_over(&self) -> bool {
         self.steps > 0 && Instant::now() >= self.until
     }
@@ -221,7 +218,7 @@ impl Watcher for Counter {
     }
 
     fn observed(&mut self, _query_index: u32, observation: &sim::Observation) {
-        // A policy wants a few cameras.
+        // The number of cameras fits into 32 bits.
         self.frames += observation.frames.len() as u32;
     }
 
@@ -231,7 +228,7 @@ impl Watcher for Counter {
 }
 
 impl SlotMemory {
-    /// Reads the memory use of this process, without that of its scene.
+    /// Reads the memory use of this process; the scene's part is left at zero.
     fn now() -> Result<Self, MeasureError> {
         let read = |file: &'static str, fields: &[&'static str]| {
             let file = Path::new(file);

@@ -1,5 +1,5 @@
-//! A policy that takes no time: its actions are known beforehand, and it looks
-//! at what the published policies look at. For measurements.
+//! A policy for measurements: its actions are fixed, it takes no time, and it asks for the same
+//! cameras and readings as the published policies.
 
 use libero_ctrl::{Execution, ManifestRow, Realisation};
 use policy_protocol::CAMERAS;
@@ -20,8 +20,8 @@ const STATE: [StateField; 3] = [
     StateField::GripperPos,
 ];
 
-/// The reference data's smooth actions: a sine per component; the gripper
-/// closes after 30 control steps.
+/// Returns the reference data's smooth actions: a sine per component; the gripper closes after 30
+/// control steps.
 pub fn smooth_action(step: usize) -> Action {
     const AMPLITUDE: [f64; 6] = [0.6, 0.6, 0.6, 0.35, 0.35, 0.35];
     const PERIOD: [f64; 6] = [20.0, 30.0, 24.0, 40.0, 36.0, 28.0];
@@ -35,7 +35,7 @@ pub fn smooth_action(step: usize) -> Action {
     action
 }
 
-/// Looks at both cameras every `execute` control steps.
+/// Describes the policy, which sees both cameras every `execute` control steps.
 pub fn description(execute: u32) -> Description {
     let camera = |name: &str| CameraRequest {
         name: name.to_owned(),
@@ -57,7 +57,7 @@ pub fn description(execute: u32) -> Description {
     }
 }
 
-/// A rollout of which nothing is kept.
+/// Builds an assignment without video or stored actions.
 pub fn assignment(row: ManifestRow) -> Assignment {
     let attempt = random_id();
     Assignment {

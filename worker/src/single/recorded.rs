@@ -1,7 +1,6 @@
-//! Recorded actions in place of a policy: replayed one after another, whatever
-//! becomes of the scene. Responsible for reading them: an NPZ file with an array
-//! `actions` (such as a `trace.npz`), an NPY file, or JSON lines, each with n
-//! rows of seven numbers.
+//! Replays recorded actions in place of a policy, regardless of the scene. Reads an NPZ file with
+//! an array `actions` (such as a `trace.npz`), an NPY file, or JSON lines, each with n rows of
+//! seven numbers.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Read};
@@ -18,17 +17,16 @@ use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use crate::digest::hex;
 use libero_ctrl::{JsonError, Query};
 
-/// Most actions of a recording: far more than any budget of the protocol.
+/// Most actions of a recording, well above every step budget of the protocol.
 const MAX_RECORDED_ACTIONS: usize = 10_000;
-/// Bytes of an NPY file's header that are read before it is parsed; NumPy
-/// writes 118.
+/// Longest header of an NPY file, bytes; NumPy writes 118.
 const MAX_HEADER_BYTES: u64 = 64 << 10;
-/// Brackets within brackets in a header; NumPy writes two.
+/// Deepest nesting of brackets in a header; NumPy writes two levels.
 const MAX_HEADER_DEPTH: u32 = 4;
 /// Longest line of JSON lines, bytes.
 const MAX_LINE_BYTES: u64 = 4096;
 
-/// Actions from a file.
+/// Recorded actions, with the position of the replay.
 #[derive(Debug)]
 pub struct RecordedActions {
     path: PathBuf,
@@ -37,10 +35,10 @@ pub struct RecordedActions {
 }
 
 impl RecordedActions {
-    /// Reads a file; its ending says of which kind it is.
+    /// Reads a file, whose extension determines its format.
     ///
     /// # Errors
-    /// If it cannot be read, or holds no actions that a robot can execute.
+    /// If the file cannot be read, or holds no executable actions.
     pub fn read(path: &Path) -> Result<Self, SingleError> {
         let failed = |problem: String| SingleError::Recorded {
             path: path.to_owned(),
@@ -65,14 +63,13 @@ impl RecordedActions {
         })
     }
 
-    /// Returns the number of actions: a replay is over after so many control
-    /// steps.
+    /// Returns the number of actions, after which the replay ends.
     pub fn count(&self) -> u32 {
         // At most MAX_RECORDED_ACTIONS.
         self.actions.len() as u32
     }
 
-    /// SHA-256 over the numbers, hex.
+    /// Returns the SHA-256 over the actions, hex.
     fn digest(&self) -> String {
         let mut hash = Sha256::new();
         for number in self.actions.as_flattened() {
@@ -147,13 +144,13 @@ fn read_actions(path: &Path) -> Result<Vec<Action>, String> {
     }
 }
 
-/// Reads an array's header, unless it nests deeper than an array of numbers has
-/// reason to: the time that its parser takes doubles with every bracket.
+/// Reads an array's header. Rejects deeply nested brackets, because the parser's time doubles with
+/// each level.
 fn array_of(mut file: impl Read) -> Result<NpyFile<impl Read>, String> {
     let mut start = Vec::new();
     let read = file.by_ref().take(MAX_HEADER_BYTES).read_to_end(&mut start);
     read.map_err(|error| error.to_string())?;
-    // Magic, version, the header's length in two bytes or, later, four.
+    // Magic, version, and the header's length: two bytes in version 1, four in later ones.
     let (length, from) = match start.as_slice() {
         [_, _, _, _, _, _, 1, _, low, high, ..] => (u16::from_le_bytes([*low, *high]).into(), 10),
         [_, _, _, _, _, _, _, _, a, b, c, d, ..] => (u32::from_le_bytes([*a, *b, *c, *d]), 12),

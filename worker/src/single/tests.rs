@@ -1,5 +1,5 @@
-//! One rollout by id, of a user's own task, and from a recording; on the
-//! built-in assets where `cargo xtask setup` has been run.
+//! Tests of `worker rollout` by id, with a user's own task, and from a recording; on the built-in
+//! assets, and skipped without `cargo xtask setup`.
 
 use std::time::Duration;
 
@@ -38,8 +38,7 @@ fn an_id_alone_says_what_is_simulated() {
     assert!(error.to_string().contains("c1000"), "{error}");
 }
 
-/// Nothing of the protocol: the sources' libero_90 stands in for a
-/// user's own files.
+/// A task outside the protocol: the sources' libero_90 stands in for a user's own files.
 fn drawer_task(sources: &Sources) -> OwnTask {
     let stem = "KITCHEN_SCENE1_open_the_bottom_drawer_of_the_cabinet";
     OwnTask {
@@ -152,8 +151,8 @@ fn a_task_of_ones_own_is_replayed_and_its_trace_replays_again() {
     assert!(result.contains("KITCHEN_SCENE1_open_the_bottom_drawer"));
 }
 
-/// The released code distorts what the policy answered and clips afterwards: with
-/// a gain below 1, an answer of 2 is another command than one of 1.
+/// The released code distorts the policy's answers before clipping: with a gain below 1, an answer
+/// of 2 gives another command than one of 1.
 #[test]
 fn answers_beyond_the_range_reach_the_actuation_axis_as_the_released_code_has_it() {
     let test = "answers_beyond_the_range_reach_the_actuation_axis_as_the_released_code_has_it";
@@ -239,11 +238,11 @@ fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
     assert!(video.is_file());
 }
 
-/// Looks at both cameras before every action, and remembers what it saw.
+/// Policy that requests both cameras for every action and records its observations.
 pub(crate) struct Looking {
     pub(crate) side: u32,
     pub(crate) seen: Vec<wire::Observation>,
-    /// Instructions received, one a reset.
+    /// Instructions received, one per reset.
     pub(crate) instructions: Vec<String>,
 }
 
@@ -289,14 +288,14 @@ impl Actor for Looking {
     }
 }
 
-/// Pictures and film of one rollout.
+/// Frames and video of one rollout.
 struct Seen {
-    /// Frames of both cameras that the policy saw, at every query.
+    /// Frames of both cameras at every query of the policy.
     by_policy: Vec<[Vec<u8>; 2]>,
-    /// In the pictures that the film is made of.
+    /// Frames of both cameras from which the video is made.
     in_film: Vec<[Vec<u8>; 2]>,
     film: Vec<u8>,
-    /// First picture of each camera in `frames/`, in the simulator's order.
+    /// First frame of each camera in `frames/`, with the simulator's order of rows.
     first_pictures: [Vec<u8>; 2],
 }
 
@@ -368,7 +367,7 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
     for realisation in [Realisation::Matched, Realisation::Reference] {
         let corrupted = look(&mut simulator, &sensor, realisation, side);
         for seen in [&unperturbed, &corrupted] {
-            // The film goes on to the picture after the last action.
+            // The video also has the frame after the last action.
             assert_eq!((seen.by_policy.len(), seen.in_film.len()), (4, 5));
             assert!(seen.in_film[..4] == seen.by_policy, "{realisation}");
             assert!(seen.first_pictures == seen.by_policy[0], "{realisation}");
@@ -377,7 +376,7 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
             assert!(own[0] != nominal[0] && own[1] != nominal[1]);
         }
         assert!(corrupted.film != unperturbed.film);
-        // Pictures of another size than the policy's change nothing of what it sees.
+        // Rendering at another size than the policy's does not change the policy's frames.
         let small = look(&mut simulator, &sensor, realisation, 128);
         assert!(small.in_film == corrupted.in_film, "{realisation}");
         let again = look(&mut simulator, &sensor, realisation, 128);
@@ -400,7 +399,7 @@ fn recordings_that_no_robot_can_replay_are_named() {
     check("c.txt", "", ".jsonl");
     check("d.npz", "not a zip", "read recorded actions");
     check("e.npy", "not an array", "read recorded actions");
-    // A parser that tries every way to read this never comes back.
+    // A backtracking parser would not terminate on this header.
     let brackets = format!("\u{1}NUMPY\u{1}\0v\0{}", "{".repeat(75));
     check("f.npy", &brackets, "too many brackets");
 }

@@ -1,11 +1,11 @@
 //! Cost and findings of each strategy on planted rules:
 //! `cargo run --release -p lattice --example planted`.
 //!
-//! Per kind of rule: subsets that were run beyond those of a campaign, and their
-//! share of the 56 there are; rollouts and batches that took; how many of the rules
-//! were explained, and how many of these exactly. The last rows are of policies
-//! whose rollouts do the opposite of the rule so often; there the campaign's first
-//! rollouts hide some transitions.
+//! Columns per kind of rule: the number of subsets run beyond those of a campaign, and
+//! their share of the 56 others; the numbers of rollouts and batches; the share of rules
+//! explained, and the share of these explained exactly. The last rows are for noisy
+//! policies, which contradict the rule with a given probability, so that the campaign's
+//! first rollouts hide some transitions.
 
 #[path = "../tests/planted/mod.rs"]
 mod planted;

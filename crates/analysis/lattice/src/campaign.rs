@@ -12,16 +12,15 @@ use crate::known::{Known, KnownError};
 use crate::next::Strategy;
 use crate::plan::Sample;
 
-/// The configurations of a campaign and what is known of each, by the
-/// simultaneous rollout: `explained` are that campaign's records, `own` those of
-/// the campaign that explains it. Of a rollout that is recorded twice, nothing is
-/// known.
+/// Returns the known outcomes of each configuration of a campaign, by its simultaneous
+/// rollout. `explained` are the records of that campaign, `own` those of the campaign that
+/// explains it. A rollout that is recorded twice counts as unknown.
 ///
-/// One rollout decides, and is that of replicate 0, unless the policy samples:
-/// then all replicates count.
+/// Without repeats, the rollout of replicate 0 alone decides; with repeats, for policies
+/// that sample, all replicates count.
 ///
 /// # Errors
-/// If the campaign perturbs one axis only.
+/// If the campaign perturbs only one axis.
 pub fn configurations(
     explained: &[Record],
     own: &[Record],
@@ -31,7 +30,8 @@ pub fn configurations(
         None => Evidence::Once,
         Some(most) => Evidence::Repeated(Repeats::up_to(most)),
     };
-    // Nothing explains a change at the placebo level: nothing to speak of is perturbed.
+    // Changes at the placebo level have no explanation, because its perturbations are too
+    // small to matter.
     let counts = |record: &&Record| {
         !record.id.is_placebo() && (explanation.repeats.is_some() || record.replicate == 0)
     };
@@ -60,11 +60,11 @@ pub fn configurations(
     Ok(known)
 }
 
-/// The configurations of a campaign that runs subsets of the axes itself, and what is
-/// known of each in replicate 0.
+/// Returns the known outcomes in replicate 0 of each configuration of a campaign that runs
+/// subsets of the axes itself.
 ///
 /// # Errors
-/// If the campaign perturbs one axis only.
+/// If the campaign perturbs only one axis.
 pub fn own_configurations(records: &[Record]) -> Result<BTreeMap<RolloutId, Known>, KnownError> {
     let is_subset = |record: &&Record| matches!(record.id.condition(), Condition::Subset(_));
     let first = records.iter().filter(|record| record.replicate == 0);
@@ -81,7 +81,8 @@ pub fn own_configurations(records: &[Record]) -> Result<BTreeMap<RolloutId, Know
 }
 
 impl Sample {
-    /// Sample of a campaign that explains another one, whose records are `explained`.
+    /// Returns the sampling settings of a campaign that explains another one with the
+    /// records `explained`.
     pub fn of(explanation: &Explanation, explained: &[Record]) -> Self {
         let replicates = explained.iter().map(|record| record.replicate + 1).max();
         Self {

@@ -1,4 +1,4 @@
-//! Number of rollouts under one subset that decide its verdict.
+//! Verdict of a subset from its rollouts: a single outcome, or a sequential test.
 
 use paired::{Count, Outcome, mcnemar_exact};
 use serde::{Deserialize, Serialize};
@@ -11,19 +11,19 @@ pub struct Tally {
     pub successes: u32,
     /// Rollouts that failed.
     pub failures: u32,
-    /// Rollouts that were asked for and have no result yet.
+    /// Requested rollouts without a result.
     pub pending: u32,
-    /// Rollouts in quarantine: without a result, and not to be run again.
+    /// Quarantined rollouts: without a result, and never run again.
     pub quarantined: u32,
 }
 
 impl Tally {
-    /// All rollouts that were asked for.
+    /// Returns the number of requested rollouts.
     pub const fn asked(&self) -> u32 {
         self.successes + self.failures + self.pending + self.quarantined
     }
 
-    /// The rollouts with a result.
+    /// Returns the number of rollouts with a result and of successes among them.
     pub fn count(&self) -> Count {
         Count {
             successes: u64::from(self.successes),
@@ -31,7 +31,7 @@ impl Tally {
         }
     }
 
-    /// The outcome of most rollouts; none where there is no majority.
+    /// Returns the outcome of the majority of rollouts; `None` for a tie.
     pub const fn majority(&self) -> Option<bool> {
         match (self.successes, self.failures) {
             (successes, failures) if successes > failures => Some(true),
@@ -58,23 +58,23 @@ pub enum Verdict {
     Success,
     /// The rollout or the majority fails.
     Failure,
-    /// No rollout was asked for.
+    /// No rollout was requested.
     NotRun,
-    /// A rollout was asked for and has no result yet.
+    /// A requested rollout has no result.
     Pending,
-    /// Undecided so far, and to be decided by more rollouts.
+    /// Undecided; more rollouts are needed.
     Short {
         /// Number of further replicates.
         more: u32,
     },
-    /// Every rollout is in quarantine: unknown, and never run again.
+    /// Every rollout is quarantined: the outcome is unknown and no rollout runs again.
     Quarantined,
-    /// Undecided after as many rollouts as are allowed.
+    /// Undecided after the largest allowed number of rollouts.
     Undecided,
 }
 
 impl Verdict {
-    /// Returns true if the subset succeeds; none where that is not known.
+    /// Returns true if the subset succeeds; `None` without a decision.
     pub const fn success(self) -> Option<bool> {
         match self {
             Self::Success => Some(true),
@@ -98,29 +98,29 @@ pub enum Evidence {
 
 /// A sequential test of whether a subset succeeds more often than not.
 ///
-/// Rollouts are asked for in batches, and the test is made after each. A subset
+/// Rollouts are requested in batches, with a test after each batch. A subset
 /// succeeds if the hypothesis that its success probability is at most ½ is
-/// rejected, fails if the hypothesis that it is at least ½ is; this is the case
-/// exactly where the Clopper–Pearson interval of its success rate lies above or
-/// below ½. After m tests at most, each at level `error` / m (Bonferroni), a
-/// verdict is wrong with a probability of at most `error` in all, and at most
+/// rejected, and fails if the hypothesis that it is at least ½ is rejected. This is
+/// equivalent to the Clopper–Pearson interval of its success rate lying above or
+/// below ½. With at most m tests, each at level `error` / m (Bonferroni), a
+/// verdict is wrong with a total probability of at most `error`, and at most
 /// `error` / 2 unless the success probability is exactly ½.
 ///
-/// This holds for each subset by itself. It does not hold given that a
-/// configuration was picked because of its first outcomes: where that matters,
-/// leave the outcomes that picked it out of the tallies.
+/// The guarantee holds for each subset separately. It does not hold conditionally on
+/// a configuration having been selected by its first outcomes; to restore it, exclude
+/// those outcomes from the tallies.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Repeats {
     /// Rollouts per batch; at least 1.
     pub batch: u32,
-    /// Rollouts after which nothing more is asked; at least `batch`.
+    /// Largest number of rollouts of a subset; at least `batch`.
     pub most: u32,
     /// Largest probability of a wrong verdict.
     pub error: f64,
 }
 
 impl Default for Repeats {
-    /// Eight equal outcomes decide; of 16 and of 24, two and five may differ.
+    /// Eight equal outcomes decide; among 16 outcomes two may differ, among 24 five.
     fn default() -> Self {
         Self {
             batch: 8,
@@ -131,7 +131,7 @@ impl Default for Repeats {
 }
 
 impl Repeats {
-    /// The usual rule with at most so many rollouts.
+    /// Returns the default rule with at most `most` rollouts.
     pub fn up_to(most: u32) -> Self {
         let usual = Self::default();
         Self {
@@ -141,7 +141,7 @@ impl Repeats {
         }
     }
 
-    /// The level of a single test.
+    /// Returns the significance level of a single test.
     pub fn error_per_test(&self) -> f64 {
         self.error / f64::from(self.most.div_ceil(self.batch.max(1)).max(1))
     }
@@ -154,7 +154,7 @@ impl Repeats {
             };
         }
         let Count { successes, n } = tally.count();
-        // McNemar's exact test is the sign test of two counts.
+        // McNemar's exact test is equivalent to the sign test of the two counts.
         let p = mcnemar_exact(successes, n - successes);
         match tally.majority() {
             Some(true) if p <= self.error_per_test() => Verdict::Success,
@@ -169,7 +169,7 @@ impl Repeats {
 }
 
 impl Evidence {
-    /// The verdict over some rollouts.
+    /// Returns the verdict of a tally of rollouts.
     pub fn verdict(&self, tally: &Tally) -> Verdict {
         let Tally {
             successes,
@@ -191,7 +191,7 @@ impl Evidence {
         }
     }
 
-    /// Rollouts to begin with under a subset that was never run.
+    /// Returns the number of rollouts in the first batch of a subset.
     pub(crate) fn first(&self) -> u32 {
         match self {
             Self::Once => 1,
@@ -199,7 +199,7 @@ impl Evidence {
         }
     }
 
-    /// Most rollouts that may still be asked for under a subset.
+    /// Returns the largest number of rollouts that may still be requested for a subset.
     pub(crate) fn remaining(&self, tally: &Tally) -> u32 {
         let most = match self {
             Self::Once => 1,
@@ -260,8 +260,8 @@ mod tests {
         }
     }
 
-    /// Probability that the sequential test says *success*, by going through every
-    /// state that it can come to: the rollouts so far, and how many succeeded.
+    /// Returns the probability that the sequential test decides *success*, by enumerating
+    /// every reachable state: the numbers of rollouts and of successes so far.
     fn probability_of_success(repeats: Repeats, p: f64) -> f64 {
         let mut said = 0.0;
         let mut states = BTreeMap::from([((0, 0), 1.0)]);

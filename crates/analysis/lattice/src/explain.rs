@@ -2,25 +2,24 @@
 //!
 //! # Terms
 //! An *emergent failure* is a configuration in which every axis alone succeeds
-//! and all axes together fail. The question is which axes it takes to make it
+//! and all axes together fail. Its explanation is the axes needed to make it
 //! fail. The search *starts* from the nominal rollout, the empty set, and a subset
 //! *flips* the outcome if it fails.
 //!
 //! A *compensated success* is one in which some axis alone fails and all axes
-//! together succeed. For each axis that fails alone the question is which axes it
-//! takes beside it to make it succeed. The search starts from the failing axis,
-//! looks at the subsets that contain it, and a subset flips the outcome if it
+//! together succeed. Its explanation is, for each axis that fails alone, the
+//! further axes needed to make it succeed. The search starts from the failing axis
+//! and considers the subsets that contain it; a subset flips the outcome if it
 //! succeeds.
 //!
-//! A *minimal* subset flips the outcome, and none of its proper subsets that
-//! were run and that contain the start does. So, as far as was run, every one of its
-//! axes is needed. It is *established* once every such proper subset was run;
-//! until then [`MinimalSubset::open`] lists those that remain. No outcome is ever
-//! inferred.
+//! A *minimal* subset flips the outcome, while none of its proper subsets that
+//! were run and contain the start does. Every one of its axes is therefore needed,
+//! as far as the outcomes show. It is *established* if every such proper subset was
+//! run; until then [`MinimalSubset::open`] lists the remaining ones. Outcomes are
+//! never inferred.
 //!
-//! A larger subset need not do what a smaller one does: where camera and robot
-//! fail, camera, robot and sensor may succeed. Such a pair of subsets is reported as
-//! [`NonMonotone`].
+//! Outcomes need not be monotone: camera and robot may fail while camera, robot and
+//! sensor succeed. Such a pair of subsets is reported as [`NonMonotone`].
 
 use libero_ctrl::AxisSet;
 use paired::Transition;
@@ -34,7 +33,7 @@ use crate::order::{between, maximal, minimal};
 pub struct Explanation {
     /// Emergent or compensated.
     pub transition: Transition,
-    /// One for an emergent failure; for a compensated success one for each axis
+    /// One answer for an emergent failure; for a compensated success, one for each axis
     /// that fails alone.
     pub answers: Vec<Answer>,
 }
@@ -51,8 +50,8 @@ pub struct Answer {
     /// For each minimal subset, its smallest supersets that do not flip the
     /// outcome.
     pub non_monotone: Vec<NonMonotone>,
-    /// The largest subsets that do not flip the outcome: none of their proper
-    /// supersets that were run is unflipped too. Those with most axes come first.
+    /// The largest subsets that do not flip the outcome: all of their proper supersets that
+    /// were run flip it. Subsets with most axes come first.
     pub largest_unflipped: Vec<AxisSet>,
 }
 
@@ -60,18 +59,18 @@ pub struct Answer {
 /// run does.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MinimalSubset {
-    /// The axes, with those of the start.
+    /// The axes, including those of the start.
     pub set: AxisSet,
-    /// The subsets strictly between the start and this one without a verdict:
-    /// any of them might turn out to flip the outcome.
+    /// Subsets without a verdict strictly between the start and `set`; any of them might
+    /// flip the outcome.
     pub open: Vec<AxisSet>,
-    /// Its largest proper subsets that were run and do not flip the outcome; the
-    /// start where there is no other. Beside them one sees what each axis adds.
+    /// Largest proper subsets of `set` that were run and do not flip the outcome, or the
+    /// start if there are none. Comparison with them shows the contribution of each axis.
     pub below: Vec<AxisSet>,
 }
 
 impl MinimalSubset {
-    /// Returns true if it is certainly minimal, because all subsets between the
+    /// Returns true if the subset is certainly minimal, because all subsets between the
     /// start and it were run.
     pub const fn is_established(&self) -> bool {
         self.open.is_empty()
@@ -83,17 +82,17 @@ impl MinimalSubset {
 pub struct NonMonotone {
     /// The minimal subset that flips the outcome.
     pub minimal: AxisSet,
-    /// The superset that does not.
+    /// The superset that does not flip the outcome.
     pub superset: AxisSet,
 }
 
 /// Reason why there is nothing to explain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unexplained {
-    /// The transition is not known: outcomes are missing.
+    /// The transition is unknown because outcomes are missing.
     #[error("an axis alone or all together have no outcome")]
     Incomplete,
-    /// All axes together have the effect of the axes alone.
+    /// The simultaneous outcome equals the conjunction of the single-axis outcomes.
     #[error("simultaneous perturbation changes nothing: it {}", .0.name())]
     Unchanged(Transition),
     /// The nominal rollout fails, while each axis alone succeeds: there is no
@@ -102,10 +101,10 @@ pub enum Unexplained {
     NominalFails,
 }
 
-/// The minimal subsets that explain a configuration's transition.
+/// Finds the minimal subsets that explain a configuration's transition.
 ///
 /// # Errors
-/// If the configuration has none to be explained.
+/// If the configuration has no transition to explain.
 pub fn explain(known: &Known) -> Result<Explanation, Unexplained> {
     let transition = transition(known, |set| known.verdict(set).success())?;
     let searches = Search::of(known, transition);
@@ -116,9 +115,9 @@ pub fn explain(known: &Known) -> Result<Explanation, Unexplained> {
     })
 }
 
-/// The transition to be explained, where `success` says what each axis alone and
-/// all together do. The nominal rollout counts by its majority: no further
-/// replicate of it is ever run.
+/// Returns the transition to explain. `success` returns the outcome under each single axis and
+/// all axes. The nominal rollout counts by its majority, because no further replicate of it is
+/// ever run.
 pub(crate) fn transition(
     known: &Known,
     success: impl Fn(AxisSet) -> Option<bool>,
@@ -136,20 +135,20 @@ pub(crate) fn transition(
     }
 }
 
-/// The subsets between one start and the full set, by what is known of them.
+/// The subsets between one start and the full set, grouped by verdict.
 #[derive(Debug)]
 pub(crate) struct Search {
     start: AxisSet,
     /// Subsets that flip the outcome, the full set among them.
     pub(crate) flipping: Vec<AxisSet>,
-    /// Subsets that were run and do not flip it, without the start.
+    /// Subsets that were run and do not flip the outcome, without the start.
     pub(crate) unflipped: Vec<AxisSet>,
     /// Subsets without a verdict.
     pub(crate) open: Vec<AxisSet>,
 }
 
 impl Search {
-    /// The searches of a transition.
+    /// Returns the searches that explain a transition.
     pub(crate) fn of(known: &Known, transition: Transition) -> Vec<Self> {
         let fails = |single: &AxisSet| known.verdict(*single).success() == Some(false);
         match transition {
@@ -180,7 +179,7 @@ impl Search {
         search
     }
 
-    /// The minimal subsets that flip the outcome, each with its open subsets.
+    /// Returns the minimal subsets that flip the outcome, each with its open subsets.
     pub(crate) fn minimal(&self) -> Vec<MinimalSubset> {
         let open_below = |set: AxisSet| {
             let open = self.open.iter().copied();

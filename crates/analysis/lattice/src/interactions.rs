@@ -1,10 +1,10 @@
-//! Interactions of the axes over configurations of which the whole lattice was run.
+//! Interactions of the axes over configurations whose whole lattice was run.
 //!
 //! v(A) is the success rate under the subset A of the axes: a set function, or
-//! a cooperative game in which the axes are the players and success the worth. Its
-//! Möbius transform says what a set of axes does beyond all of its subsets, its
-//! Shapley values share the change from nominal to simultaneous among the axes.
-//! All are linear in counts of successes, so they are computed in integers, and
+//! a cooperative game with the axes as players and success as the worth. Its
+//! Möbius transform is the effect of a set of axes beyond that of its subsets; its
+//! Shapley values divide the change from nominal to simultaneous among the axes.
+//! All are linear in counts of successes, so they are computed in integers and
 //! add up exactly.
 
 use std::collections::BTreeMap;
@@ -23,7 +23,7 @@ pub struct CompleteLattice {
     successes: Vec<bool>,
 }
 
-/// A subset without an outcome.
+/// Error: a subset of the axes has no outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("axes {full}: {set} has no outcome")]
 pub struct IncompleteLattice {
@@ -34,7 +34,7 @@ pub struct IncompleteLattice {
 }
 
 impl CompleteLattice {
-    /// The lattice of a configuration of `task`, from the outcomes under every
+    /// Creates the lattice of a configuration of `task` from the outcomes under every
     /// subset of `full`.
     ///
     /// # Errors
@@ -59,59 +59,58 @@ impl CompleteLattice {
 /// An exact number with its interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
-    /// Numerator of the exact value. All estimates of one kind have one denominator, so
-    /// they add up by their numerators.
+    /// Numerator of the exact value. All estimates of one kind share a denominator, so that
+    /// their numerators add up.
     pub numerator: i64,
     /// Denominator of the exact value, not reduced.
     pub denominator: i64,
     /// `numerator` / `denominator`.
     pub value: f64,
-    /// Its 95 % interval, by resampling tasks ([`Bootstrap`]).
+    /// 95 % interval by resampling tasks ([`Bootstrap`]).
     pub ci95: Option<Interval>,
-    /// Reason why the interval is absent; absent where it is not.
+    /// Reason why `ci95` is absent.
     pub no_interval: Option<NoInterval>,
-    /// The interval that holds together with those of all others of its kind, 95 %
-    /// ([`max_t`]): of Möbius interactions, Shapley values, or pairs. Absent of success and
-    /// sizes, and where `ci95` is.
+    /// 95 % interval that holds simultaneously with those of all Möbius interactions, Shapley
+    /// values or pairs, respectively ([`max_t`]). Absent for success and sizes, and if
+    /// `ci95` is absent.
     pub simultaneous_ci95: Option<Interval>,
 }
 
-/// Success by subset, and what it says of the axes. All values are differences
-/// of success rates, as fractions.
+/// Success by subset, and the effects and interactions of the axes derived from it. All values
+/// are success rates or differences of them, as fractions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interactions {
     /// The axes.
     pub full: AxisSet,
-    /// Configurations.
+    /// Number of configurations.
     pub n: u64,
-    /// Tasks that they belong to.
+    /// Number of their tasks.
     pub tasks: u64,
     /// v(A): the success rate under each subset, over `n`.
     pub success: BTreeMap<AxisSet, Estimate>,
     /// The Möbius transform m(A) = Σ_{B⊆A} (−1)^{|A|−|B|} v(B) of each subset but
-    /// the empty one, over `n`. Of one axis it is its effect alone. Of a pair it is
-    /// what the pair does beyond the sum of its two effects, negative where the two
-    /// together do more harm. v(∅) + Σ_{A≠∅} m(A) = v(full).
+    /// the empty one, over `n`. For one axis it is the effect of that axis alone. For a
+    /// pair it is the effect of the pair beyond the sum of the two single effects, negative
+    /// if both together do more harm. v(∅) + Σ_{A≠∅} m(A) = v(full).
     ///
     /// Source: J. C. Harsanyi, A simplified bargaining model for the n-person
     /// cooperative game, International Economic Review 4 (1963), 194–220
     /// (*dividends*).
     pub moebius: BTreeMap<AxisSet, Estimate>,
     /// For each number of axes, the sum of m over the subsets of that size, over
-    /// `n`: what single axes do, what pairs add to that, what triples add, and so on.
-    /// v(∅) and these add up to v(full), too.
+    /// `n`: the contributions of single axes, of pairs, of triples, and so on. They add up
+    /// to v(full) − v(∅).
     pub sizes: BTreeMap<usize, Estimate>,
     /// The Shapley value of each axis, over 60·`n`: its effect, averaged over all
-    /// orders in which the axes can be added; equally Σ_{A∋i} m(A) / |A|. They sum
-    /// to v(full) − v(∅), simultaneous less nominal success.
+    /// orders in which the axes can be added; equivalently Σ_{A∋i} m(A) / |A|. They sum
+    /// to v(full) − v(∅), simultaneous minus nominal success.
     ///
     /// Source: L. S. Shapley, A value for n-person games, in: Contributions to the
     /// Theory of Games II (1953), 307–317.
     pub shapley: BTreeMap<Axis, Estimate>,
-    /// The Shapley interaction index of each pair, over 60·`n`: how much the
-    /// presence of one axis changes the effect of the other, averaged over the
-    /// other axes present; Σ_{A⊇{i,j}} m(A) / (|A| − 1). Indices do not sum to
-    /// anything.
+    /// The Shapley interaction index of each pair, over 60·`n`: the change of one axis's
+    /// effect by the presence of the other, averaged over the subsets of further axes
+    /// present; Σ_{A⊇{i,j}} m(A) / (|A| − 1). The sum of indices has no meaning.
     ///
     /// Source: M. Grabisch and M. Roubens, An axiomatic approach to the concept of
     /// interaction among players in cooperative games, International Journal of Game
@@ -119,13 +118,12 @@ pub struct Interactions {
     pub pairs: BTreeMap<AxisSet, Estimate>,
 }
 
-/// A multiple of every |A| and |A| − 1 up to six axes, so that what is divided by
-/// them remains an integer.
+/// Common multiple of 1 to 6, so that division by |A| or |A| − 1 is exact for up to six axes.
 const SIXTIETHS: i64 = 60;
 
 impl Interactions {
-    /// Over some configurations; none of no configuration. Their order changes
-    /// nothing.
+    /// Computes the interactions over some configurations; `None` without a configuration.
+    /// The order of configurations does not matter.
     ///
     /// # Panics
     /// If two configurations have different axes.
@@ -185,8 +183,8 @@ impl Interactions {
     }
 }
 
-/// Deviation of each task's contribution from its expectation, a row per estimate: with N
-/// the task's numerator and m its denominator, N − θ·m over the mean m. Rows sum to 0.
+/// Returns the deviation of each task's contribution from its expectation, a row per estimate:
+/// (N − θ·m) / mean m, with N the task's numerator and m its denominator. Rows sum to 0.
 fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -> Vec<Vec<f64>> {
     let tasks = clusters.len() as f64;
     let mean = clusters.iter().map(|task| task.n).sum::<i64>() as f64 / tasks;
@@ -202,7 +200,7 @@ fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -
     rows
 }
 
-/// Gives estimates intervals that hold together.
+/// Sets the simultaneous intervals of a family of estimates.
 fn hold_together(estimates: &mut [Estimate], deviations: &[Vec<f64>], bootstrap: &Bootstrap) {
     let Some(critical) = max_t(deviations, bootstrap) else {
         return;
@@ -231,7 +229,7 @@ impl Tally {
         }
     }
 
-    /// The tally of each task, in the tasks' order.
+    /// Returns the tally of each task, ordered by task.
     fn of_tasks(configurations: &[CompleteLattice], full: AxisSet) -> Vec<Self> {
         let mut clusters: BTreeMap<TaskRef, Self> = BTreeMap::new();
         for lattice in configurations {
@@ -247,7 +245,7 @@ impl Tally {
         clusters.into_values().collect()
     }
 
-    /// Tasks as often as they were drawn.
+    /// Sums the tallies, each weighted by the number of times that its task was drawn.
     fn drawn(clusters: &[Self], draws: &[u32]) -> Self {
         let mut drawn = Self {
             n: 0,
@@ -275,8 +273,7 @@ struct Numerators {
 }
 
 impl Numerators {
-    /// Computes the interactions from the counts of successes by subset, the subsets being
-    /// in order.
+    /// Computes the interactions from the counts of successes, in the order of `subsets`.
     fn of(subsets: &[AxisSet], successes: &[i64]) -> Self {
         let sets = || subsets.iter().copied().zip(successes);
         let coefficient = |set: AxisSet| -> i64 {
@@ -318,8 +315,8 @@ impl Numerators {
         }
     }
 
-    /// Index ranges in [`Self::all`] of the families whose intervals hold together: Möbius
-    /// interactions, Shapley values, pairs.
+    /// Returns the index ranges in [`Self::all`] of the families with simultaneous intervals:
+    /// Möbius interactions, Shapley values, pairs.
     fn families(&self) -> [Range<usize>; 3] {
         let moebius = self.success.len()..self.success.len() + self.moebius.len();
         let shapley = moebius.end + self.sizes.len();
@@ -327,7 +324,8 @@ impl Numerators {
         [moebius, shapley..pairs, pairs..pairs + self.pairs.len()]
     }
 
-    /// All estimates in order, each with its denominator if there is one configuration.
+    /// Returns the numerators of all estimates in order, each with its denominator per
+    /// configuration.
     fn all(&self) -> impl Iterator<Item = (i64, i64)> {
         let rates = self.success.iter().chain(&self.moebius).chain(&self.sizes);
         let sixtieths = self.shapley.iter().chain(&self.pairs);

@@ -8,8 +8,8 @@ use paired::{Matched, Outcome};
 use crate::evidence::{Evidence, Tally, Verdict};
 
 /// The rollouts of one configuration at one level, by the subset of axes that
-/// they perturb. The empty set is the nominal rollout, the full one the
-/// simultaneous.
+/// they perturb. The empty set is the nominal rollout, the full set the
+/// simultaneous one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Known {
     full: AxisSet,
@@ -17,13 +17,13 @@ pub struct Known {
     tallies: BTreeMap<AxisSet, Tally>,
 }
 
-/// Reason why outcomes cannot be those of one configuration.
+/// Error in the axes of a campaign or an outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum KnownError {
-    /// A single axis is its own combination.
+    /// The campaign has fewer than two axes.
     #[error("explain axes {0}: two axes at least can act together")]
     TooFewAxes(AxisSet),
-    /// The campaign has not all of its axes.
+    /// The subset has an axis that the campaign lacks.
     #[error("explain axes {full}: {set} is no subset of them")]
     OtherAxes {
         /// The subset.
@@ -34,8 +34,7 @@ pub enum KnownError {
 }
 
 impl Known {
-    /// Starts without outcomes of a configuration of a campaign with the axes
-    /// `full`.
+    /// Creates an empty record of a configuration in a campaign with the axes `full`.
     ///
     /// # Errors
     /// If there are fewer than two axes.
@@ -50,9 +49,9 @@ impl Known {
         }
     }
 
-    /// Known outcomes of a configuration in one replicate of a campaign: under each
-    /// axis alone, under all, and nominally. A nominal rollout without an outcome is
-    /// left out, because nothing waits for it.
+    /// Collects the outcomes of a configuration in one replicate: under each axis alone,
+    /// under all axes, and nominally. A nominal rollout without an outcome is skipped,
+    /// because no decision waits for it.
     ///
     /// # Errors
     /// If there are fewer than two axes.
@@ -78,11 +77,10 @@ impl Known {
         }
     }
 
-    /// Adds one rollout: [`Outcome::Missing`] if it was asked for and has no
-    /// result yet.
+    /// Adds one rollout, with [`Outcome::Missing`] if it was requested and has no result.
     ///
     /// # Errors
-    /// If the set has an axis that the campaign has not.
+    /// If `set` has an axis that the campaign lacks.
     pub fn record(&mut self, set: AxisSet, outcome: Outcome) -> Result<(), KnownError> {
         let full = self.full;
         if !set.is_subset(full) {
@@ -102,7 +100,7 @@ impl Known {
         self.evidence
     }
 
-    /// The rollouts under a subset.
+    /// Returns the tally of the rollouts under a subset.
     pub fn tally(&self, set: AxisSet) -> Tally {
         self.tallies.get(&set).copied().unwrap_or_default()
     }
@@ -112,7 +110,7 @@ impl Known {
         self.evidence.verdict(&self.tally(set))
     }
 
-    /// The subsets of which a rollout was asked for, with their rollouts, in order.
+    /// Returns the subsets with a requested rollout and their tallies, in order.
     pub fn tallies(&self) -> impl Iterator<Item = (AxisSet, Tally)> {
         self.tallies.iter().map(|(&set, &tally)| (set, tally))
     }
@@ -122,13 +120,13 @@ impl Known {
         self.full.axes().map(AxisSet::of as fn(Axis) -> AxisSet)
     }
 
-    /// Returns true if every campaign runs this subset: none of the axes, one, or
-    /// all.
+    /// Returns true if every campaign runs this subset: no axis, one axis, or all axes.
     pub(crate) fn is_of_campaign(&self, set: AxisSet) -> bool {
         set.len() < 2 || set == self.full
     }
 
-    /// Rollouts under the subsets that no campaign runs by itself.
+    /// Returns the number of requested rollouts under subsets that an ordinary campaign does
+    /// not run.
     pub fn further_rollouts(&self) -> u32 {
         let further = self.tallies().filter(|(set, _)| !self.is_of_campaign(*set));
         further.map(|(_, tally)| tally.asked()).sum()

@@ -1,17 +1,17 @@
 //! Subsets of the axes that change an outcome, and interactions of the axes.
 //!
 //! A campaign runs a configuration under each axis alone and under all axes at
-//! once. A system that pairs exactly can run it under any other subset as well:
-//! six axes have 64 subsets, the *lattice*. From the outcomes that are known,
-//! [`explain()`] says which minimal subsets explain a transition, [`next()`] and
-//! [`plan()`] say which subsets to run next, and [`Explained`] is what a figure
-//! draws. Where the whole lattice was run, [`Interactions`] says how the axes
-//! interact over all configurations.
+//! once. With exact pairing it can run under any other subset as well: six axes
+//! have 64 subsets, the *lattice*. From the known outcomes, [`explain()`] finds the
+//! minimal subsets that explain a transition, [`next()`] and [`plan()`] choose the
+//! subsets to run next, and [`Explained`] holds the data of a figure.
+//! [`Interactions`] quantifies how the axes interact over configurations whose whole
+//! lattice was run.
 //!
-//! Pure: outcomes go in, decisions and numbers come out, the same for the same
-//! outcomes in any order. Read [`explain`](mod@explain) first: it defines the
-//! terms. Then `next`, which chooses rollouts for one configuration, and `plan`,
-//! which spends a budget on many.
+//! The crate does no I/O: decisions and numbers are functions of the set of
+//! outcomes, whose order does not matter. [`explain`](mod@explain) defines the
+//! terms, `next` chooses rollouts for one configuration, and `plan` spends a budget
+//! on many.
 
 #![forbid(unsafe_code)]
 

@@ -1,8 +1,8 @@
 //! Selects the subsets of one configuration to run next.
 //!
-//! A decision is a function of what is known of the configuration, of nothing
-//! else. So it may be made at any time and as often as one likes: what was asked
-//! for is known as pending, and is not asked for again.
+//! A decision is a function of the known outcomes of the configuration alone. It may
+//! therefore be repeated at any time: requested rollouts are recorded as pending and
+//! are not requested again.
 
 use std::collections::BTreeSet;
 
@@ -15,10 +15,10 @@ use crate::known::Known;
 use crate::order::{maximal, minimal};
 
 /// Strategy of the search for minimal subsets. Each strategy runs in batches; a batch is chosen
-/// when all outcomes of the one before are known.
+/// when all outcomes of the previous one are known.
 ///
-/// All three name only subsets that were seen to flip the outcome. They differ in
-/// which they can miss:
+/// All three report only subsets that were observed to flip the outcome. They differ in
+/// the subsets that they find:
 ///
 /// | | minimal pairs | larger minimal subsets |
 /// | --- | --- | --- |
@@ -27,29 +27,29 @@ use crate::order::{maximal, minimal};
 /// | [`Exhaustive`](Self::Exhaustive) | all, established | all, established |
 ///
 /// Outcomes are *monotone* if every superset of a subset that flips the outcome
-/// flips it too. What `Adaptive` and `TopDown` name with at most three axes is
-/// established whether or not outcomes are monotone; of a larger subset at least
-/// those were run that lack one of its axes. What they can miss is a subset that
-/// flips the outcome and has a superset that does not: of rules in which a triple
-/// fails unless a fourth axis is present, and another pair or triple fails always,
-/// both recover every minimal subset in half of the cases (the example `planted`
-/// measures cost and recovery of all strategies). Quarantine and undecided replicates
-/// leave gaps in all of this, which [`MinimalSubset::open`] shows.
+/// flips it too. Subsets of at most three axes found by `Adaptive` and `TopDown` are
+/// established even if outcomes are not monotone; for a larger subset, at least the
+/// subsets that lack one of its axes were run. Both can miss a subset that flips the
+/// outcome and has a superset that does not: for rules in which a triple fails unless a
+/// fourth axis is present, and another pair or triple always fails, both recover every
+/// minimal subset in half of the cases (the example `planted` measures cost and recovery
+/// of all strategies). Quarantined and undecided rollouts leave gaps, which
+/// [`MinimalSubset::open`] lists.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strategy {
-    /// All pairs, then like `TopDown`.
+    /// Runs all pairs first, then continues like `TopDown`.
     #[default]
     Adaptive,
-    /// The fewest rollouts. A subset is *settled* if it contains one that flips
-    /// the outcome or is contained in one that does not: if outcomes are monotone,
-    /// its own is clear. Of the subsets that are not settled, either the smallest
-    /// are run or the largest, whichever are fewer.
+    /// Takes the fewest rollouts. A subset is *settled* if it contains one that flips
+    /// the outcome or is contained in one that does not, so that monotone outcomes
+    /// determine its own. Each batch runs either the smallest or the largest unsettled
+    /// subsets, whichever are fewer.
     ///
-    /// The search begins with all axes but one, six times. If outcomes are
-    /// monotone and there is one minimal subset, it consists of the axes without
-    /// which the outcome does not flip, and is run next. Once all is settled, the
-    /// minimal subsets that were found are verified.
+    /// The search begins with the subsets that lack a single axis. If outcomes are
+    /// monotone and there is one minimal subset, it consists of the axes whose absence
+    /// prevents the flip, and is run next. When all subsets are settled, the minimal
+    /// subsets found are verified.
     ///
     /// Sources: A. Zeller and R. Hildebrandt, Simplifying and isolating
     /// failure-inducing input, IEEE Transactions on Software Engineering 28 (2002),
@@ -58,7 +58,7 @@ pub enum Strategy {
     /// specific sentences, ACM Transactions on Database Systems 28 (2003), 140–174
     /// (the two borders that settle a monotone function).
     TopDown,
-    /// The whole lattice above every start, at once.
+    /// Runs the whole lattice above every start in one batch.
     Exhaustive,
 }
 
@@ -81,7 +81,7 @@ impl Strategy {
 pub struct Request {
     /// The axes to perturb.
     pub set: AxisSet,
-    /// Number of replicates beyond those that were asked for.
+    /// Number of replicates beyond those already requested.
     pub rollouts: u32,
 }
 
@@ -90,18 +90,18 @@ pub struct Request {
 pub enum Decision {
     /// Run this batch; it is not empty.
     Run(Vec<Request>),
-    /// Wait for rollouts that were asked for.
+    /// Wait for requested rollouts.
     Wait,
-    /// There is no transition to be explained, or nothing more to be run.
+    /// There is no transition to explain or no rollout left to run.
     Done,
 }
 
-/// Decides what to run for one configuration.
+/// Decides which subsets of one configuration to run.
 ///
 /// With replicates ([`Evidence::Repeated`](crate::Evidence::Repeated)), a
 /// configuration is pursued as long as the majorities of its rollouts form a
-/// transition. First the subsets that were run get as many replicates as decide
-/// them, then further subsets are run.
+/// transition. Subsets that were run first get replicates until they are decided;
+/// then further subsets are run.
 pub fn next(known: &Known, strategy: Strategy) -> Decision {
     let asked = || known.tallies().map(|(set, _)| set);
     if asked().any(|set| known.verdict(set) == Verdict::Pending) {
@@ -143,11 +143,11 @@ fn first(known: &Known, set: AxisSet) -> Request {
     }
 }
 
-/// Chooses a batch from the subsets that were not run; an empty one if it has
-/// nothing left to do.
+/// Step of a strategy: chooses a batch from the subsets that were not run; empty if the step
+/// is complete.
 type Step = fn(&Search, &[AxisSet]) -> Vec<AxisSet>;
 
-/// The next batch of one search: that of the first step with something to do.
+/// Returns the next batch of one search: the first non-empty batch of the strategy's steps.
 fn wanted(search: &Search, known: &Known, strategy: Strategy) -> Vec<AxisSet> {
     let open = search.open.iter().copied();
     let not_run: Vec<AxisSet> = open
@@ -173,7 +173,7 @@ fn pairs(_: &Search, not_run: &[AxisSet]) -> Vec<AxisSet> {
         .collect()
 }
 
-/// The smallest or the largest of the subsets that are not settled.
+/// Returns the smallest or the largest unsettled subsets, whichever are fewer.
 fn border(search: &Search, not_run: &[AxisSet]) -> Vec<AxisSet> {
     let is_settled = |set: &AxisSet| {
         search
@@ -194,11 +194,11 @@ fn border(search: &Search, not_run: &[AxisSet]) -> Vec<AxisSet> {
     }
 }
 
-/// Axes up to which all subsets of a minimal subset are run.
+/// Largest size of a minimal subset that is verified by running all of its subsets.
 const VERIFIED_AXES: usize = 3;
 
-/// The subsets that have to be run to verify the minimal subsets found: all of
-/// a small one, those that lack one axis of a large one.
+/// Returns the subsets that verify the minimal subsets found: all subsets of a small one, and
+/// those that lack one axis of a large one.
 fn verification(search: &Search, not_run: &[AxisSet]) -> Vec<AxisSet> {
     let of_one = |MinimalSubset { set, open, .. }: MinimalSubset| {
         let small = set.len() <= VERIFIED_AXES;

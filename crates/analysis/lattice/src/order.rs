@@ -2,7 +2,7 @@
 
 use libero_ctrl::AxisSet;
 
-/// The sets without a proper subset among the others.
+/// Returns the sets without a proper subset among the others.
 pub(crate) fn minimal(sets: &[AxisSet]) -> Vec<AxisSet> {
     let has_smaller = |set: &AxisSet| sets.iter().any(|other| other.is_proper_subset(*set));
     sets.iter()
@@ -20,8 +20,7 @@ pub(crate) fn maximal(sets: &[AxisSet]) -> Vec<AxisSet> {
         .collect()
 }
 
-/// The sets that contain `low` and are contained in `high`, without these two,
-/// in order.
+/// Returns the sets strictly between `low` and `high` by inclusion, in order.
 pub(crate) fn between(low: AxisSet, high: AxisSet) -> Vec<AxisSet> {
     let inside = |set: &AxisSet| low.is_proper_subset(*set) && *set != high;
     high.subsets().into_iter().filter(inside).collect()

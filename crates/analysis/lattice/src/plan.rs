@@ -1,4 +1,4 @@
-//! Plans how a budget of rollouts is spent on many configurations.
+//! Planning: spends a budget of rollouts on many configurations.
 
 use std::collections::BTreeMap;
 
@@ -11,31 +11,31 @@ use serde::{Deserialize, Serialize};
 use crate::known::Known;
 use crate::next::{Decision, Request, Strategy, next};
 
-/// A random sample of transitions, as many as a budget explains.
+/// Settings of the random sample of transitions that a budget explains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sample {
-    /// Rollouts to be spent in all, beyond those of the campaign.
+    /// Total number of rollouts to spend beyond those of the campaign.
     pub budget: u32,
-    /// Seed of the random order in which configurations are begun.
+    /// Seed of the random order in which configurations are started.
     pub seed: u64,
     /// Strategy for each configuration.
     pub strategy: Strategy,
-    /// Replicates that the campaign itself runs under each axis alone and under
-    /// all: they are not of the budget.
+    /// Replicates that the campaign itself runs under each axis alone and under all axes,
+    /// which do not count towards the budget.
     pub replicates: u32,
 }
 
-/// Decides what to run next for all configurations, each named by its
+/// Decides which subsets to run next for all configurations, each identified by its
 /// simultaneous rollout.
 ///
-/// Configurations are begun in a random order that depends on the seed and on
-/// their names alone. One is begun only if the budget suffices for its whole
-/// lattice beside what those under way may still need, so that what is begun can
-/// be finished. Towards the end, when nothing else is under way, the rest of the
-/// budget goes to one after the other, and the last may remain unfinished.
+/// Configurations are started in a random order that depends on the seed and
+/// their ids alone. A configuration is started only if the budget covers its whole
+/// lattice in addition to the possible needs of those in progress, so that each one
+/// started can be finished. At the end, when none is in progress, the rest of the
+/// budget goes to one configuration after the other, and the last may remain unfinished.
 ///
-/// Spending is counted from the known rollouts, so no state is kept: pass every
-/// configuration of the sample each time, including those that are explained.
+/// No state is kept, because spending is counted from the known rollouts: pass every
+/// configuration of the sample each time, including explained ones.
 pub fn plan<'a>(
     configurations: &'a BTreeMap<RolloutId, Known>,
     sample: &Sample,
@@ -44,7 +44,7 @@ pub fn plan<'a>(
         .iter()
         .map(|(name, known)| Candidate::of(name, known, sample))
         .collect();
-    // Configurations under way come first: one is begun only if it can be finished.
+    // Configurations in progress come first; a new one starts only if it can be finished.
     candidates.sort_by_key(|candidate| (candidate.spent == 0, candidate.rank, candidate.name));
     let spent: u32 = candidates.iter().map(|candidate| candidate.spent).sum();
     let mut left = sample.budget.saturating_sub(spent);
@@ -107,8 +107,8 @@ fn within(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
 }
 
 impl Known {
-    /// Rollouts beyond a campaign with so many replicates. The nominal rollout is
-    /// always the campaign's.
+    /// Returns the number of requested rollouts beyond those of a campaign with `replicates`
+    /// replicates. Nominal rollouts always belong to the campaign.
     fn rollouts_beyond(&self, replicates: u32) -> u32 {
         let sets = self.tallies().filter(|(set, _)| !set.is_empty());
         let beyond = sets.map(|(set, tally)| match self.is_of_campaign(set) {
@@ -118,7 +118,7 @@ impl Known {
         beyond.sum()
     }
 
-    /// Most rollouts that may still be asked for.
+    /// Returns the largest number of rollouts that may still be requested.
     fn most_further_rollouts(&self) -> u32 {
         let sets = self
             .full()
@@ -137,8 +137,8 @@ mod tests {
     use libero_ctrl::{AxisSet, Condition, Level, TaskRef};
     use paired::Outcome;
 
-    /// Configurations in which the pair of the first two axes fails, and none else
-    /// does before all act together.
+    /// Returns configurations in which only the pair of the first two axes and the full set
+    /// are known to fail.
     fn transitions(count: usize) -> BTreeMap<RolloutId, Known> {
         let named = |task| RolloutId::perturbed(task, Condition::Combination, Level::L2, 3);
         let names = TaskRef::all().map(|task| named(task).expect("a perturbed level"));
@@ -168,8 +168,8 @@ mod tests {
         }
     }
 
-    /// Runs what is planned until nothing is, and returns how many were under way at
-    /// most.
+    /// Runs planned batches until none is left, and returns the largest number of
+    /// configurations in progress at once.
     fn spend(all: &mut BTreeMap<RolloutId, Known>, sample: &Sample) -> usize {
         let mut widest = 0;
         loop {

@@ -1,14 +1,14 @@
-//! The exact interval of a success probability.
+//! Exact (Clopper–Pearson) interval of a success probability.
 
 use paired::{Count, Interval};
 
-/// Halvings of an interval of probabilities: more than a double resolves.
+/// Number of bisection steps, beyond the precision of an `f64`.
 const BISECTIONS: u32 = 60;
 
-/// The Clopper–Pearson interval of a success probability at a confidence
+/// Returns the Clopper–Pearson interval of a success probability at a confidence
 /// `level`, such as 0.95: all probabilities that neither of two one-sided exact
 /// binomial tests at (1 − `level`) / 2 rejects. It covers the truth with at least
-/// the stated probability. None of no rollout.
+/// the stated probability. `None` without a rollout.
 ///
 /// Source: C. J. Clopper and E. S. Pearson, The use of confidence or fiducial
 /// limits illustrated in the case of the binomial, Biometrika 26 (1934), 404–413.
@@ -26,8 +26,7 @@ pub fn clopper_pearson(count: Count, level: f64) -> Option<Interval> {
     Some([1.0 - high(n - successes), high(successes)])
 }
 
-/// Returns the point in [0, 1] at which a condition that holds at 0 and not at 1
-/// ceases to hold.
+/// Returns the point in [0, 1] at which a condition changes from true (at 0) to false (at 1).
 fn bisect(holds: impl Fn(f64) -> bool) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..BISECTIONS {
@@ -42,7 +41,7 @@ fn bisect(holds: impl Fn(f64) -> bool) -> f64 {
 
 /// P(X ≤ k) of X ~ Bin(n, p), for 0 < p < 1.
 fn at_most(k: u64, n: u64, p: f64) -> f64 {
-    // In logarithms: with many rollouts (1 − p)ⁿ underflows.
+    // Works in logarithms, because (1 − p)ⁿ underflows for many rollouts.
     let mut ln_term = n as f64 * (-p).ln_1p();
     let ln_odds = p.ln() - (-p).ln_1p();
     let mut sum = ln_term.exp();

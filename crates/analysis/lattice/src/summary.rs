@@ -1,5 +1,5 @@
-//! Explanations as plain data, to be drawn: the lattice of one configuration,
-//! and how often each minimal subset occurs over all.
+//! Explanations as plain data for figures: the lattice of one configuration, and the
+//! frequency of each minimal subset over all configurations.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -20,15 +20,15 @@ pub struct Explained {
     pub configuration: RolloutId,
     /// All axes of the campaign.
     pub full: AxisSet,
-    /// Rule by which verdicts were reached.
+    /// Rule that determined the verdicts.
     pub evidence: Evidence,
     /// The transition and its minimal subsets.
     pub explanation: Explanation,
-    /// Every subset of which a rollout was asked for, in order, from the nominal
-    /// rollout to the simultaneous one.
+    /// Every subset with a requested rollout, in order from the nominal rollout to the
+    /// simultaneous one.
     pub outcomes: Vec<SubsetOutcome>,
-    /// Rollouts under the subsets that no campaign runs by itself: all but none,
-    /// one and all of the axes.
+    /// Rollouts under the subsets that an ordinary campaign does not run: those of two or
+    /// more axes, but not all.
     pub rollouts: u32,
 }
 
@@ -37,21 +37,21 @@ pub struct Explained {
 pub struct SubsetOutcome {
     /// The axes that are perturbed.
     pub set: AxisSet,
-    /// Verdict, as far as it is decided.
+    /// Verdict of the rollouts under the subset.
     pub verdict: Verdict,
-    /// Its rollouts.
+    /// Counts of the rollouts under the subset.
     pub tally: Tally,
-    /// With replicates, the Clopper–Pearson interval of its success probability
-    /// at the level of one test: it excludes ½ exactly where the verdict is
+    /// With replicates, the Clopper–Pearson interval of the success probability
+    /// at the level of one test; it excludes ½ if and only if the verdict is
     /// success or failure. Absent for a deterministic policy, and without a result.
     pub interval: Option<Interval>,
 }
 
 impl Explained {
-    /// Explains a configuration, named by its simultaneous rollout.
+    /// Explains a configuration, identified by its simultaneous rollout.
     ///
     /// # Errors
-    /// If it has no transition to be explained.
+    /// If the configuration has no transition to explain.
     pub fn of(configuration: RolloutId, known: &Known) -> Result<Self, Unexplained> {
         let explanation = explain(known)?;
         Ok(Self {
@@ -65,8 +65,7 @@ impl Explained {
     }
 }
 
-/// Returns the outcomes under every subset of which a rollout was asked for, in
-/// order.
+/// Returns the outcomes under every subset with a requested rollout, in order.
 pub fn outcomes(known: &Known) -> Vec<SubsetOutcome> {
     let evidence = known.evidence();
     let outcome = |(set, tally): (AxisSet, Tally)| SubsetOutcome {
@@ -92,15 +91,14 @@ pub struct Occurrence {
     pub start: AxisSet,
     /// The minimal subset.
     pub set: AxisSet,
-    /// Configurations in which it is minimal, as far as was run.
+    /// Configurations in which `set` is minimal according to the outcomes so far.
     pub configurations: u64,
-    /// Configurations among them in which that is established.
+    /// Configurations counted above in which minimality is established.
     pub established: u64,
 }
 
-/// Counts the occurrences of each minimal subset. Emergent failures come first, and
-/// of each transition the most frequent subsets; equally frequent ones are ordered
-/// by size, then by their axes.
+/// Counts the occurrences of each minimal subset. Emergent failures come first; within a
+/// transition, subsets are in descending order of frequency, then ordered by size and axes.
 pub fn occurrences(explained: &[Explained]) -> Vec<Occurrence> {
     let mut counts: BTreeMap<(Transition, AxisSet, AxisSet), (u64, u64)> = BTreeMap::new();
     for Explained { explanation, .. } in explained {

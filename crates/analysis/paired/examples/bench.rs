@@ -1,5 +1,5 @@
-//! Benchmark of the statistics of a whole evaluation: six policies, 10,400
-//! random outcomes each, all intervals. Called by `cargo xtask bench report`.
+//! Benchmark of the statistics of a whole evaluation: six policies with 10,400
+//! random outcomes each, all intervals. Run by `cargo xtask bench report`.
 
 use std::num::NonZero;
 use std::thread::available_parallelism;
@@ -13,7 +13,7 @@ use serde_json::json;
 
 const POLICIES: u64 = 6;
 const CONFIGS: u16 = 10;
-/// Measurements; the spread is theirs.
+/// Number of timed repetitions; the reported spread is over these.
 const REPETITIONS: usize = 9;
 
 /// The ids and initial states of LIBERO-CTRL v0.1.

@@ -2,29 +2,29 @@
 //!
 //! `cargo run --release -p paired --example coverage [CAMPAIGNS [SEED]]`
 //!
-//! Every campaign draws new tasks and new directions from a population that is known, and
-//! new outcomes. Each interval is held against the truth of its own target: the drawn tasks
-//! and directions, all tasks under the drawn directions, or all tasks and directions.
+//! Every campaign draws new tasks and new directions from a known population, and new
+//! outcomes. Each interval is compared with the true value of its own target: the drawn
+//! tasks and directions, all tasks under the drawn directions, or all tasks and directions.
 
 use std::collections::BTreeMap;
 
 use libero_ctrl::Level;
 use paired::{Cell, Estimate, Interval, Options, report};
 
-// Tests use the rest.
+// The tests use the other functions of this module.
 #[allow(dead_code)]
 #[path = "../tests/simulated/mod.rs"]
 mod simulated;
 
 use simulated::{CONFIGURATIONS, Chance, Population, estimates};
 
-/// Campaigns of each size, unless another number is given.
+/// Default number of campaigns of each size.
 const CAMPAIGNS: u64 = 1000;
-/// Tasks, and suites that they are drawn from.
+/// Numbers of tasks and of the suites that they are drawn from.
 const SIZES: [(usize, usize); 4] = [(5, 1), (10, 1), (20, 2), (40, 4)];
 const TARGETS: [&str; 3] = ["these", "new tasks", "new both"];
 
-/// Counts of the intervals made and of those that hold the truth.
+/// Counts of the intervals computed and of those that contain the true value.
 #[derive(Clone, Copy, Default)]
 struct Coverage {
     made: u64,

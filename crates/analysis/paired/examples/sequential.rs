@@ -11,11 +11,10 @@ mod replay;
 
 use replay::{Design, Population};
 
-/// Orders per level, unless another number is given.
+/// Default number of orders per level.
 const ORDERS: u64 = 2000;
-/// Designs of orders, each with the factor by which it has fewer orders than
-/// those by task: with a look after four configurations, or after each, there is
-/// more to compute.
+/// Designs of orders, each with a divisor of the number of orders. Designs that look after
+/// every configuration or every four take longer to compute and run fewer orders.
 const DESIGNS: [(&str, Design, u64); 3] = [
     ("rounds of tasks", Design::Tasks, 1),
     ("rounds of suites", Design::Suites, 10),
@@ -41,11 +40,10 @@ al. 2025, arXiv 2503.10966; N-SCORE, Beyond binary success, 2026).";
 /// Normal quantile of a two-sided 95 % interval: Φ⁻¹(0.975).
 const Z: f64 = 1.959963984540054;
 
-/// Smallest number of configurations at which an interval of a fixed sample size
-/// has what a rule asks for: the normal interval of simple random sampling
-/// without replacement, ± z·√(S²/n·(1 − n/N)), with the population's own S² and,
-/// for `excludes`, its own mean. Source: W. G. Cochran, Sampling Techniques (3rd
-/// ed., 1977), section 2.8.
+/// Returns the smallest number of configurations at which a fixed-sample interval meets a
+/// rule: the normal interval of simple random sampling without replacement,
+/// ± z·√(S²/n·(1 − n/N)), with the population's own S² and, for `excludes`, its own mean.
+/// Source: W. G. Cochran, Sampling Techniques (3rd ed., 1977), section 2.8.
 fn fixed_n(population: &Population, rule: &StopRule) -> usize {
     let units = population.units.len();
     let half_width = |n: usize, measure| {
@@ -63,7 +61,7 @@ fn fixed_n(population: &Population, rule: &StopRule) -> usize {
     (1..=units).find(enough).unwrap_or(units)
 }
 
-/// Variance of a measure's value of one configuration, with the divisor N − 1.
+/// Returns the variance of a measure over single configurations, with the divisor N − 1.
 fn variance(population: &Population, measure: Measure) -> f64 {
     let n = population.units.len() as f64;
     let mean = population.total(measure) as f64 / n;

@@ -1,6 +1,6 @@
-//! Percentile intervals by resampling tasks. Configurations of a task are not
-//! independent of one another, so whole tasks are drawn, with replacement, and
-//! a task drawn twice counts twice.
+//! Cluster bootstrap: percentile intervals by resampling tasks. Configurations of a task are
+//! not independent, so whole tasks are drawn with replacement, and a task drawn twice counts
+//! twice.
 
 use std::num::NonZero;
 use std::ops::Range;
@@ -13,17 +13,16 @@ use serde::{Deserialize, Serialize};
 /// Lower and upper end of a 95 % interval.
 pub type Interval = [f64; 2];
 
-/// Most threads that resample: beyond them, starting a thread costs more than
-/// it saves.
+/// Largest number of resampling threads; more cost more to start than they save.
 const MAX_THREADS: usize = 8;
 
-/// Settings of the bootstrap. The default is the protocol's: 4,000 replicates,
-/// and a fixed seed, so that a report is a function of its records.
+/// Settings of the bootstrap. The default is the protocol's: 4,000 replicates
+/// and a fixed seed, so that a report depends on its records alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bootstrap {
-    /// Resamplings.
+    /// Number of resamplings.
     pub replicates: u32,
-    /// Seed of the ChaCha streams that draw them, one stream per resampling.
+    /// Seed of the ChaCha streams, one stream per resampling.
     pub seed: u64,
 }
 
@@ -37,13 +36,12 @@ impl Default for Bootstrap {
 }
 
 impl Bootstrap {
-    /// Percentile intervals of `N` statistics over `clusters` clusters: the
+    /// Returns percentile intervals of `N` statistics over `clusters` clusters: the
     /// 2.5th and 97.5th percentile of the statistics' values over all
-    /// resamplings. `statistics` gets, per cluster, how often it was drawn.
+    /// resamplings. `statistics` gets the number of times that each cluster was drawn.
     ///
-    /// Resampling k is a function of the seed and k alone, so that the number
-    /// of threads changes nothing. None with fewer than two clusters: there is
-    /// nothing to resample.
+    /// Resampling k depends on the seed and k alone, so that the result does not depend
+    /// on the number of threads. `None` with fewer than two clusters.
     ///
     /// Source: B. Efron and R. Tibshirani, An Introduction to the Bootstrap
     /// (1993), section 13.3; tasks as clusters: section 6 of the protocol.
@@ -58,9 +56,9 @@ impl Bootstrap {
         intervals?.try_into().ok()
     }
 
-    /// The same of as many statistics as one likes: `statistics` writes their
-    /// values. One pass of resampling serves them all, and each has the interval
-    /// that it would have by itself.
+    /// Returns the intervals of `count` statistics, whose values `statistics` writes into a
+    /// slice. One pass of resampling serves them all; each interval is the same as if it
+    /// were computed alone.
     pub fn intervals_of_many(
         &self,
         clusters: usize,
@@ -102,7 +100,7 @@ impl Bootstrap {
         Some((0..count).map(of_one).collect())
     }
 
-    /// The statistics of some of the resamplings.
+    /// Computes the statistics of a range of resamplings.
     fn resample(
         &self,
         replicates: Range<u32>,
@@ -119,7 +117,7 @@ impl Bootstrap {
             rng.set_word_pos(0);
             draws.fill(0);
             for _ in 0..clusters {
-                // The upper half of the product is uniform in 0..clusters.
+                // Lemire's multiply-shift: the upper half of the product is in 0..clusters.
                 let wide = u128::from(rng.next_u64()) * clusters as u128;
                 draws[(wide >> 64) as usize] += 1;
             }
@@ -129,11 +127,11 @@ impl Bootstrap {
     }
 }
 
-/// A quantile of sorted values, by linear interpolation between the two
-/// nearest: NumPy's and SciPy's default (Hyndman and Fan's type 7).
+/// Returns a quantile of sorted values by linear interpolation between the two
+/// nearest, as NumPy and SciPy do by default (Hyndman and Fan's type 7).
 ///
 /// # Panics
-/// If there is no value.
+/// If `sorted` is empty.
 pub fn quantile(sorted: &[f64], share: f64) -> f64 {
     let position = share * (sorted.len() - 1) as f64;
     let below = sorted[position.floor() as usize];

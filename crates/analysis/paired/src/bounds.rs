@@ -1,5 +1,5 @@
 //! Worst and best case of a cell with quarantined rollouts: the range of each
-//! measure over every outcome that those rollouts could have had.
+//! measure over all possible outcomes of those rollouts.
 
 use std::collections::BTreeMap;
 
@@ -8,17 +8,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::outcomes::{Matched, Outcome};
 
-/// Lowest and highest value of each measure over every outcome that the
-/// quarantined rollouts could have had.
+/// Lowest and highest value of each measure over all possible outcomes of the
+/// quarantined rollouts.
 ///
-/// Each range but `d`'s is sharp: some outcomes reach its ends. A
-/// quarantined rollout says nothing about the policy, so it stays out of the
-/// measures themselves; the range shows how much it could have mattered.
+/// Every range except that of `d` is sharp: some outcomes reach its ends. A
+/// quarantined rollout says nothing about the policy, so the measures themselves
+/// exclude it; the range shows how much it could have mattered.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
-    /// Configurations: those without a rollout that is still missing.
+    /// Configurations without a missing rollout.
     pub n: u64,
-    /// Configurations among them with a quarantined rollout.
+    /// Configurations counted in `n` that have a quarantined rollout.
     pub affected: u64,
     /// Success rate under each axis alone.
     pub s_axis: BTreeMap<Axis, [f64; 2]>,
@@ -28,8 +28,7 @@ pub struct Bounds {
     pub s_conj: [f64; 2],
     /// Success rate under simultaneous perturbation.
     pub s_sim: [f64; 2],
-    /// `s_conj` − `s_indep`: from lowest less highest to highest less lowest,
-    /// which contains the sharp range.
+    /// `s_conj` − `s_indep` by interval arithmetic, which contains the sharp range.
     pub d: [f64; 2],
     /// `s_sim` − `s_conj`.
     pub i: [f64; 2],
@@ -41,7 +40,7 @@ pub struct Bounds {
     pub r_d: [f64; 2],
 }
 
-/// Certainty and possibility of a statement.
+/// Truth value of a statement that depends on unknown outcomes.
 #[derive(Clone, Copy)]
 struct Possible {
     surely: bool,
@@ -49,7 +48,7 @@ struct Possible {
 }
 
 impl Possible {
-    /// Returns none for a rollout that is still missing.
+    /// Returns `None` for a missing rollout.
     fn of(outcome: Outcome) -> Option<Self> {
         match outcome {
             Outcome::Missing => None,
@@ -95,13 +94,13 @@ struct Ranges {
     b: [u64; 2],
     c: [u64; 2],
     changed: [u64; 2],
-    /// Simultaneous successes less conjunctions.
+    /// Simultaneous successes minus conjunctions.
     i: [i64; 2],
 }
 
 impl Bounds {
-    /// Over configurations of one level and replicate. None where no rollout of
-    /// a configuration is quarantined.
+    /// Computes the bounds over configurations of one level and replicate; `None` if no
+    /// rollout is quarantined.
     pub fn of(configurations: &[Matched]) -> Option<Self> {
         let (mut n, mut affected) = (0, 0);
         let mut ranges = Ranges::default();

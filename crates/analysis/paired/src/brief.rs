@@ -1,5 +1,5 @@
-//! A report in a few lines: what a reader takes away from it, and success by condition.
-//! All measures, their intervals and their symbols are in [`table`](crate::table).
+//! A short report: the main findings and success by condition. The full report with all
+//! measures, intervals and symbols is in [`table`](crate::table).
 
 use libero_ctrl::Condition;
 
@@ -9,9 +9,9 @@ use crate::report::{Cell, Report};
 use crate::table::gate_lines;
 use crate::text::{NOTHING, listed, percent, push_columns, push_wrapped, separate};
 
-/// The report for readers who do not know the protocol's symbols: notes, three sentences,
-/// success by condition in percent, and what else is to be said. Of replicate 0; the
-/// sentences about a level are of the last one.
+/// Writes the report for readers who do not know the protocol's symbols: notes, three
+/// sentences, success by condition in percent, and further remarks. It covers replicate 0;
+/// sentences about a level are about the last level.
 pub fn brief(report: &Report) -> String {
     let mut text = String::new();
     for note in &report.notes {
@@ -47,7 +47,7 @@ fn nominal(report: &Report) -> Option<Count> {
     nominal.find(|it| it.replicate == 0).map(|it| it.count)
 }
 
-/// A row per level, a column per condition.
+/// Appends the success table: a row per level, a column per condition.
 fn push_success(text: &mut String, report: &Report) {
     if report.axes.is_empty() {
         return;

@@ -1,5 +1,5 @@
-//! Two policies, A and B, compared rollout by rollout: which rollouts can be
-//! paired, and how the policies differ under every condition at every level.
+//! Comparison of two policies, A and B, rollout by rollout: pairs the rollouts and computes
+//! the difference under every condition at every level.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,18 +10,18 @@ use crate::bootstrap::Bootstrap;
 use crate::difference::{Difference, DifferenceBounds, Pair};
 use crate::outcomes::{Outcome, Record};
 
-/// Reason why a rollout of both policies is not compared: under one name they
-/// were given different things to do.
+/// Reason why a rollout with the same id for both policies is not compared: its setup
+/// differs between them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Obstacle {
-    /// It starts from another of the task's initial states.
+    /// The rollouts start from different initial states of the task.
     InitialState,
-    /// The scene, or the initial state itself, has another digest.
+    /// The digests of the scene or the initial state differ.
     Scene,
     /// Perturbation, instruction or step budget differ.
     Perturbation,
-    /// *Simultaneous* perturbs other axes.
+    /// *Simultaneous* perturbs different axes.
     Axes,
 }
 
@@ -46,7 +46,7 @@ pub struct Comparison {
     pub only_in_a: u64,
     /// Rollouts that only B has.
     pub only_in_b: u64,
-    /// Rollouts that both have and that cannot be paired, by the reason.
+    /// Rollouts that both policies have but that cannot be paired, by reason.
     pub unpaired: BTreeMap<Obstacle, Vec<RolloutId>>,
 }
 
@@ -61,30 +61,29 @@ pub struct ComparedCell {
     pub condition: Condition,
     /// Rollouts that can be paired.
     pub shared: u64,
-    /// Rollouts without a result yet of A or of B: in no figure.
+    /// Rollouts without a result for A or for B; excluded from all figures.
     pub missing: u64,
-    /// Rollouts that are missing of neither and in quarantine of A or of B: in
-    /// no rate, and bounded.
+    /// Rollouts missing for neither policy and quarantined for at least one; excluded from
+    /// the rates, included in `bounds`.
     pub quarantined: u64,
-    /// Over the others; absent where there is none.
+    /// Difference over all other rollouts; absent if there are none.
     pub difference: Option<Difference>,
-    /// Worst and best case; absent where no rollout is quarantined.
+    /// Worst and best case; absent if no rollout is quarantined.
     pub bounds: Option<DifferenceBounds>,
 }
 
-/// Unpaired rollouts that are named for each reason; the others are counted.
+/// Largest number of unpaired rollouts named per reason; the others are counted.
 const MAX_NAMED: usize = 3;
 
 type Key = (u32, RolloutId);
 
 impl Comparison {
-    /// Compares the records of A and B. `obstacle` is asked about every rollout
-    /// that both have, for what records do not say; that the initial states and
-    /// the axes of *simultaneous* agree is seen to here.
+    /// Compares the records of A and B. Initial states and the axes of *simultaneous* are
+    /// checked here; `obstacle` is called for every common rollout and checks properties
+    /// that are not in the records.
     ///
-    /// A replicate is paired with the other's of the same number. Of a rollout
-    /// that is recorded twice, one record is taken: [`Records`](crate::Records)
-    /// refuses it.
+    /// Replicates are paired by number. If a rollout is recorded twice, only one record
+    /// is used; [`Records`](crate::Records) rejects such input.
     pub fn of(
         a: &[Record],
         b: &[Record],
@@ -153,7 +152,7 @@ impl Comparison {
         comparison
     }
 
-    /// Rollouts with an outcome of both, in all replicates.
+    /// Returns the number of rollouts with an outcome for both policies, over all replicates.
     pub fn compared(&self) -> u64 {
         let cells = self
             .cells
@@ -193,14 +192,14 @@ impl Comparison {
         lines
     }
 
-    /// Rollouts that can be paired, with outcomes or without.
+    /// Returns the number of rollouts that can be paired, with or without outcomes.
     pub fn shared(&self) -> u64 {
         self.cells.iter().map(|cell| cell.shared).sum()
     }
 }
 
 impl ComparedCell {
-    /// `nominal`, or `L2 camera`; without the replicate.
+    /// Returns `nominal` or a name such as `L2 camera`, without the replicate.
     pub fn name(&self) -> String {
         match self.condition {
             Condition::Clean => self.condition.label().to_owned(),
@@ -220,8 +219,8 @@ fn is_either(pair: &Pair, outcome: Outcome) -> bool {
     pair.a == outcome || pair.b == outcome
 }
 
-/// The axes that are perturbed alone at every level: those that *simultaneous*
-/// perturbs there.
+/// Returns, by level, the axes that are perturbed alone, which are those that *simultaneous*
+/// perturbs.
 fn axes(records: &[Record]) -> BTreeMap<Level, BTreeSet<Axis>> {
     let mut axes: BTreeMap<Level, BTreeSet<Axis>> = BTreeMap::new();
     for record in records {

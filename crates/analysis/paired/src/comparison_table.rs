@@ -8,9 +8,8 @@ use crate::difference::Difference;
 use crate::legend::of_intervals;
 use crate::text::{NOTHING, p_value, push_columns, push_legend, push_wrapped, separate};
 
-/// The comparison as a table with its legend; what is left out of it is in
-/// [`Comparison::left_out`]. Rates and differences are in percent and percentage
-/// points.
+/// Writes the comparison as a table with its legend. Rates are in percent, differences in
+/// percentage points. [`Comparison::left_out`] lists the rollouts that it excludes.
 pub fn comparison_table(comparison: &Comparison, bootstrap: &Bootstrap) -> String {
     let mut text = String::new();
     push_columns(&mut text, &rows(comparison));
@@ -38,7 +37,8 @@ fn heads() -> (String, Vec<String>) {
     (String::new(), heads.map(str::to_owned).to_vec())
 }
 
-/// A row per cell, below its replicate, where there are several, and its level.
+/// Returns a row per cell, grouped under headings for the replicate, if there are several,
+/// and the level.
 fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
     let has_replicates = comparison.cells.iter().any(|cell| cell.replicate > 0);
     let mut rows = vec![heads()];
@@ -65,7 +65,8 @@ fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
     rows
 }
 
-/// Intervals for further targets, equivalence, and how many tasks differ.
+/// Appends the intervals for further targets, the equivalence test, and the numbers of tasks
+/// that differ.
 fn push_further(text: &mut String, comparison: &Comparison) {
     let heads = ["directions", "all rows", "5 pts p", "tasks A:B"];
     let mut rows = vec![(String::new(), heads.map(str::to_owned).to_vec())];
@@ -93,14 +94,15 @@ fn push_further(text: &mut String, comparison: &Comparison) {
     }
 }
 
-/// Columns of a difference over no rollout.
+/// Returns the columns of a cell without a rollout to compare.
 fn nothing() -> Vec<String> {
     let mut values = vec![NOTHING.to_owned(); heads().1.len()];
     "0".clone_into(&mut values[0]);
     values
 }
 
-/// `nominal`, `L2 camera`, and of later replicates `L2 camera (replicate 1)`.
+/// Returns a name such as `nominal`, `L2 camera`, or `L2 camera (replicate 1)` for later
+/// replicates.
 fn name(cell: &ComparedCell) -> String {
     match cell.replicate {
         0 => cell.name(),

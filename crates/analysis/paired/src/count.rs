@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::outcomes::Outcome;
 
-/// Successes among rollouts with a result.
+/// Number of successes among the rollouts with a result.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Count {
     /// Successes.
@@ -14,7 +14,7 @@ pub struct Count {
 }
 
 impl Count {
-    /// The success rate; none of no rollout.
+    /// Returns the success rate; `None` without a rollout.
     pub fn rate(&self) -> Option<f64> {
         (self.n > 0).then(|| self.successes as f64 / self.n as f64)
     }

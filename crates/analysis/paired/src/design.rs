@@ -1,4 +1,4 @@
-//! Smallest net effect of simultaneity that a design can show.
+//! Power analysis: the smallest net effect of simultaneity that a design can detect.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use crate::measures::Configuration;
 pub(crate) const Z_TEST: f64 = 1.959963984540054;
 /// Normal quantile of a power of 80 %: Φ⁻¹(0.8).
 pub(crate) const Z_POWER: f64 = 0.8416212335729143;
-/// Halvings of the interval in which the effect is sought: enough for doubles.
+/// Number of bisection steps, enough for the precision of an `f64`.
 const BISECTIONS: u32 = 60;
 
 /// Parameters that the smallest detectable effect depends on.
@@ -20,20 +20,19 @@ pub struct PairedDesign {
     pub tasks: u32,
     /// Configurations of each task, on average.
     pub configs_per_task: f64,
-    /// Share of configurations whose outcome changes, `r_d`: what one expects,
-    /// or what was measured.
+    /// Expected or measured share of configurations whose outcome changes.
     pub r_d: f64,
     /// Intraclass correlation of simultaneous − conjunction among configurations
     /// of a task, from [`task_correlation`].
     pub task_correlation: f64,
 }
 
-/// The smallest |I| that a two-sided test at 5 % finds with a power of 80 %.
+/// Returns the smallest |I| that a two-sided test at 5 % detects with a power of 80 %.
 ///
 /// Solves |I|·√n = z₀.₉₇₅·√(R_d·e) + z₀.₈·√((R_d − I²)·e) for |I|, with n
 /// configurations and the design effect e = 1 + (m − 1)·ρ of m configurations
-/// per task. None where even |I| = R_d, every change in one direction, is too
-/// small an effect.
+/// per task. `None` if even |I| = R_d, with every change in the same direction, is too small
+/// to detect.
 ///
 /// Sources: R. J. Connor, Sample size for testing differences in proportions
 /// for the paired-sample design, Biometrics 43 (1987), 207–211; design effect:
@@ -47,7 +46,7 @@ pub fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
     } = *design;
     let n = f64::from(tasks) * configs_per_task;
     let design_effect = 1.0 + (configs_per_task - 1.0) * task_correlation;
-    // Negative where |I| is detectable.
+    // Negative if |I| is detectable.
     let lacking = |i: f64| {
         let test = Z_TEST * (r_d * design_effect).sqrt();
         let power = Z_POWER * ((r_d - i * i).max(0.0) * design_effect).sqrt();
@@ -67,12 +66,11 @@ pub fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
     Some(high)
 }
 
-/// The intraclass correlation over tasks of simultaneous − conjunction, −1, 0 or 1
-/// per configuration: (B − W) / (B + (m₀ − 1)·W) with B and W the mean squares
+/// Returns the intraclass correlation over tasks of simultaneous − conjunction, which is −1,
+/// 0 or 1 per configuration: (B − W) / (B + (m₀ − 1)·W) with B and W the mean squares
 /// between and within tasks and m₀ the average number of configurations of a
-/// task, corrected for unequal numbers. At least 0: tasks do not repel one
-/// another. None with fewer than two tasks, or where no task has two
-/// configurations or all values are equal.
+/// task, corrected for unequal numbers. Negative values are clamped to 0. `None` with fewer
+/// than two tasks, if no task has two configurations, or if all values are equal.
 ///
 /// Source: A. Donner, A review of inference procedures for the intraclass
 /// correlation coefficient, International Statistical Review 54 (1986), 67–82,
@@ -83,7 +81,7 @@ pub fn task_correlation(configurations: &[Configuration]) -> Option<f64> {
     })
 }
 
-/// The same of another value of a configuration.
+/// Returns the intraclass correlation of `value`, see [`task_correlation`].
 pub(crate) fn correlation(
     configurations: &[Configuration],
     value: impl Fn(&Configuration) -> f64,
@@ -131,7 +129,7 @@ mod tests {
         let small = minimum_detectable_effect(&design(40, 0.27, 0.0)).expect("some");
         let large = minimum_detectable_effect(&design(160, 0.27, 0.0)).expect("some");
         assert!((small / large - 2.0).abs() < 0.02, "{small} {large}");
-        // Near 2.8 standard deviations of the mean of 400 changes.
+        // About 2.8 standard errors of the mean over 400 configurations.
         let rough = 2.8 * (0.27_f64 / 400.0).sqrt();
         assert!((small - rough).abs() < 0.002, "{small} {rough}");
     }

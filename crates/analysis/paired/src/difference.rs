@@ -1,5 +1,5 @@
-//! Differences of two policies, A and B, over the same rollouts: success rates, the
-//! rollouts that only one of them solves, and the intervals of both.
+//! Differences between two policies, A and B, over the same rollouts: success rates, the
+//! rollouts that only one of them solves, and intervals of the difference.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,9 +20,9 @@ use crate::outcomes::Outcome;
 /// The outcomes of one rollout of both policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pair {
-    /// Its task: the cluster that the bootstrap draws.
+    /// Task of the rollout: the cluster that the bootstrap draws.
     pub task: TaskRef,
-    /// Its configuration, or initial state if it is nominal.
+    /// Configuration, or initial state of a nominal rollout.
     pub number: u16,
     /// Outcome for A.
     pub a: Outcome,
@@ -30,24 +30,24 @@ pub struct Pair {
     pub b: Outcome,
 }
 
-/// The paired difference of two policies over rollouts with an outcome of both.
+/// The paired difference of two policies over the rollouts with an outcome for both.
 /// Rates and differences are fractions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Difference {
-    /// Rollouts with an outcome of both.
+    /// Rollouts with an outcome for both policies.
     pub n: u64,
-    /// Tasks that they belong to.
+    /// Tasks of these rollouts.
     pub tasks: u64,
-    /// Success rate of A over them.
+    /// Success rate of A over these rollouts.
     pub s_a: f64,
-    /// Success rate of B over them.
+    /// Success rate of B over these rollouts.
     pub s_b: f64,
-    /// `s_a` − `s_b` = (`a_only` − `b_only`) / `n`: positive where A is better.
+    /// `s_a` − `s_b` = (`a_only` − `b_only`) / `n`: positive if A is better.
     pub difference: f64,
-    /// Its 95 % interval, by the same cluster bootstrap over tasks as
+    /// 95 % interval of `difference`, by the same cluster bootstrap over tasks as
     /// [`Measures`](crate::Measures).
     pub difference_ci95: Option<Interval>,
-    /// Reason why the interval is absent; absent where it is not.
+    /// Reason why `difference_ci95` is absent.
     pub no_interval: Option<NoInterval>,
     /// Rollouts that both solve.
     pub both: u64,
@@ -59,46 +59,46 @@ pub struct Difference {
     pub neither: u64,
     /// Exact two-sided McNemar test of `a_only` against `b_only`.
     pub mcnemar_p: f64,
-    /// The difference with an interval for each target of inference. New directions are
-    /// those of perturbed rollouts; of nominal ones, initial states.
+    /// The difference with an interval for each target of inference. For nominal rollouts,
+    /// initial states take the place of directions.
     pub estimate: Estimate,
     /// Exact two-sided sign-flip p-value over tasks.
     pub sign_flip_p: f64,
-    /// The same after Holm's correction for the rows of the comparison.
+    /// `sign_flip_p` after Holm's correction for the rows of the comparison.
     pub holm_p: f64,
-    /// Interval that holds together with those of all other rows, 95 %.
+    /// 95 % interval that holds simultaneously with those of all other rows.
     pub simultaneous_ci95: Option<Interval>,
     /// p-value of the difference being beyond ±5 points, see
     /// [`equivalence_p`](crate::equivalence_p).
     pub equivalence_p: Option<f64>,
-    /// Task by task.
+    /// Comparison of the policies by task.
     pub profile: Profile,
 }
 
-/// How tasks compare.
+/// Comparison of two policies by task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Profile {
     /// A − B in each task.
     pub tasks: BTreeMap<TaskRef, f64>,
     /// Tasks in which A succeeds more often.
     pub a_better: u64,
-    /// Tasks in which B does.
+    /// Tasks in which B succeeds more often.
     pub b_better: u64,
-    /// Probability that A does better than B in a task drawn at random, an equal task
-    /// counting half, with intervals: the probability of improvement over tasks.
+    /// Probability of improvement with intervals: the probability that A does better than B
+    /// in a task drawn at random, where ties count half.
     ///
     /// Source: R. Agarwal et al., Deep reinforcement learning at the edge of the
     /// statistical precipice, NeurIPS 2021.
     pub improvement: Estimate,
 }
 
-/// Lowest and highest difference over every outcome that quarantined rollouts
-/// could have had. Both ends are reached by some outcomes.
+/// Lowest and highest difference over all possible outcomes of quarantined rollouts. The
+/// bounds are sharp.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DifferenceBounds {
-    /// Rollouts: those that are missing of neither.
+    /// Rollouts that are missing for neither policy.
     pub n: u64,
-    /// Rollouts among them that are quarantined of A or of B.
+    /// Rollouts counted in `n` that are quarantined for A or for B.
     pub affected: u64,
     /// Range of `difference`.
     pub difference: [f64; 2],
@@ -133,9 +133,9 @@ impl Tally {
 }
 
 impl Difference {
-    /// The differences of several sets of pairs, each none where no rollout has
-    /// an outcome of both. The order of pairs changes nothing. All sets share
-    /// one pass of resampling, where they have as many tasks as one another.
+    /// Computes the difference of each set of pairs; `None` if no rollout of the set has an
+    /// outcome for both policies. The order of pairs does not matter. Sets with the same
+    /// number of tasks share one pass of resampling.
     pub fn of_each(sets: &[Vec<Pair>], bootstrap: &Bootstrap) -> Vec<Option<Self>> {
         let clusters: Vec<Vec<Tally>> = sets.iter().map(|pairs| of_tasks(pairs)).collect();
         let mut of_size: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
@@ -202,7 +202,7 @@ impl Difference {
 }
 
 impl DifferenceBounds {
-    /// Over some pairs; none where none is quarantined of either policy.
+    /// Computes the bounds over some pairs; `None` if none is quarantined for either policy.
     pub fn of(pairs: &[Pair]) -> Option<Self> {
         let (mut n, mut affected, mut lowest, mut highest) = (0_u64, 0_u64, 0_i64, 0_i64);
         for Pair { a, b, .. } in pairs {
@@ -224,8 +224,7 @@ impl DifferenceBounds {
     }
 }
 
-/// The tally of every task that has a pair with both outcomes, in the tasks'
-/// order.
+/// Returns the tally of each task that has a pair with both outcomes, ordered by task.
 fn of_tasks(pairs: &[Pair]) -> Vec<Tally> {
     let mut tasks: BTreeMap<TaskRef, Tally> = BTreeMap::new();
     for Pair { task, a, b, .. } in pairs {
@@ -236,7 +235,7 @@ fn of_tasks(pairs: &[Pair]) -> Vec<Tally> {
     tasks.into_values().collect()
 }
 
-/// The difference over tasks as often as they were drawn.
+/// Returns the difference over tasks, weighted by the number of times that each was drawn.
 fn drawn(clusters: &[Tally], draws: &[u32]) -> f64 {
     let (mut net, mut n) = (0.0, 0.0);
     for (task, &times) in clusters.iter().zip(draws) {
@@ -247,7 +246,7 @@ fn drawn(clusters: &[Tally], draws: &[u32]) -> f64 {
     net / n
 }
 
-/// Both outcomes as a row: 1, A − B.
+/// Returns a row for each pair with both outcomes, with the columns 1 and A − B.
 fn rows(pairs: &[Pair]) -> Vec<Row> {
     let rows = pairs.iter().filter_map(|pair| {
         let number = |outcome: Outcome| Some(f64::from(u8::from(outcome.success()?)));
@@ -310,7 +309,7 @@ impl Profile {
     }
 }
 
-/// Corrects the rows of a comparison for one another: Holm's p-values and max-t intervals.
+/// Corrects the rows of a comparison for multiplicity: Holm's p-values and max-t intervals.
 fn together(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
     let mut made: Vec<&mut Difference> = differences.iter_mut().flatten().collect();
     let p_values: Vec<f64> = made.iter().map(|it| it.sign_flip_p).collect();
@@ -321,8 +320,8 @@ fn together(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
         .iter()
         .flat_map(|it| it.profile.tasks.keys().copied())
         .collect();
-    // Of tasks with equally many rollouts, the pseudo-value is the task's own difference
-    // less the mean of its suite's.
+    // If all tasks have the same number of rollouts, the pseudo-value is the task's
+    // difference minus the mean of its suite.
     let pseudo = made.iter().map(|difference| {
         let of = &difference.profile.tasks;
         let mean = |suite| {

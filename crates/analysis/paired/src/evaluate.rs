@@ -1,5 +1,5 @@
-//! From records to a report: groups them into cells, keeps the complete
-//! configurations, and says what is left out. The formulas are in `measures`.
+//! Evaluation of records into a report: groups them into cells, keeps the complete
+//! configurations and notes the excluded ones. The formulas are in `measures`.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,8 +18,8 @@ use crate::outcomes::{DuplicateRecord, Matched, Outcome, Record, Records};
 use crate::replication::Replication;
 use crate::report::{Cell, Completeness, Gap, Nominal, NominalSource, Options, Report, SingleAxis};
 
-/// Reports on one policy's records. Every expanded rollout should be among
-/// them, also those without a result: what is expected is read from them.
+/// Reports on one policy's records. `records` should hold every planned rollout, including
+/// those without a result, because the expected conditions are derived from them.
 ///
 /// # Errors
 /// If a rollout and replicate is recorded twice.
@@ -27,7 +27,7 @@ pub fn report(records: &[Record], options: &Options) -> Result<Report, Duplicate
     Ok(report_of(&Records::new(records)?, options))
 }
 
-/// Reports on records that are matched already.
+/// Reports on matched records.
 pub fn report_of(records: &Records, options: &Options) -> Report {
     let replicates: BTreeSet<u32> = records.outcomes.keys().map(|key| key.0).collect();
     let mut nominal: Vec<Nominal> = replicates
@@ -113,7 +113,7 @@ fn nominal(records: &Records, replicate: u32) -> Option<Nominal> {
     })
 }
 
-/// Nominal rollouts of one suite in replicate 0.
+/// Counts the nominal rollouts of one suite in replicate 0.
 fn nominal_of_suite(records: &Records, suite: Suite) -> Count {
     let tasks = nominal_by_task(records, Some(suite));
     tasks.iter().fold(Count::default(), |sum, task| Count {
@@ -122,7 +122,7 @@ fn nominal_of_suite(records: &Records, suite: Suite) -> Count {
     })
 }
 
-/// Nominal rollouts of each task in replicate 0, of one suite or all.
+/// Counts the nominal rollouts of each task in replicate 0, of one suite or all.
 fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
     let mut tasks: BTreeMap<TaskRef, Count> = BTreeMap::new();
     for (&(replicate, id), &outcome) in &records.outcomes {
@@ -134,7 +134,7 @@ fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
     tasks.into_values().collect()
 }
 
-/// The cell of all configurations of one level and replicate.
+/// Computes the cell of all configurations of one level and replicate.
 fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &Bootstrap) -> Cell {
     let mut conditions: Vec<Condition> = records.axes().map(Condition::Single).collect();
     if records.combines {
@@ -190,7 +190,8 @@ fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &
     }
 }
 
-/// Subsets are run where they are asked for, so that each has a number of its own.
+/// Counts the outcomes under each subset of the axes. Subsets run only for some
+/// configurations, so that their counts differ.
 fn subsets(matched: &[Matched]) -> BTreeMap<AxisSet, Count> {
     let mut counts: BTreeMap<AxisSet, Count> = BTreeMap::new();
     for (&axes, &outcome) in matched.iter().flat_map(|matched| &matched.subsets) {

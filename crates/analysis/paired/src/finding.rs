@@ -1,4 +1,4 @@
-//! A sentence that a report writes by itself, and what it rests on.
+//! A finding: a generated sentence of a report and the statistics behind it.
 
 use libero_ctrl::Level;
 use serde::{Deserialize, Serialize};
@@ -17,16 +17,16 @@ pub enum FindingKind {
     Directions,
 }
 
-/// A sentence of a report.
+/// A generated sentence of a report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finding {
     /// Subject of the sentence.
     pub kind: FindingKind,
-    /// Level of the finding; absent of success, which is of all levels.
+    /// Level of the finding; absent for [`FindingKind::Success`], which covers all levels.
     pub level: Option<Level>,
-    /// True if it claims an effect.
+    /// True if the sentence claims an effect.
     pub claims: bool,
-    /// The smallest corrected p-value that it rests on; absent where it rests on none.
+    /// The smallest corrected p-value behind the sentence; absent if no test is behind it.
     pub holm_p: Option<f64>,
     /// The sentence.
     pub sentence: String,

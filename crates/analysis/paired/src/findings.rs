@@ -1,5 +1,5 @@
 //! Findings of a report as sentences. Every sentence follows from figures of the report;
-//! docs/REPORT.md lists under which condition each is written.
+//! docs/REPORT.md lists the condition under which each is written.
 
 use std::collections::BTreeMap;
 
@@ -13,16 +13,16 @@ use crate::inference::multiplicity::holm;
 use crate::report::{Cell, Report};
 use crate::text::{listed, percent, points};
 
-/// A sentence claims an effect where its p-value is below this, after Holm's correction
-/// over all claims of its kind in the report. It is less than the 5 % of an interval,
-/// because readers act on sentences.
+/// Significance level of sentences that claim an effect, for p-values after Holm's correction
+/// over all claims of the same kind in the report. It is stricter than the 5 % of the
+/// intervals because readers act on sentences.
 pub const FINDING_ALPHA: f64 = 0.01;
 
-/// Equivalence is claimed where its p-value is below this.
+/// Significance level of claims of equivalence.
 const EQUIVALENCE_ALPHA: f64 = 0.05;
 
-/// The findings of a report's replicate 0: success, then level by level costs,
-/// simultaneity, and directions where success depends on them.
+/// Returns the findings about replicate 0: success, then for each level costs, simultaneity
+/// and, if success depends on them, directions.
 pub fn findings(report: &Report) -> Vec<Finding> {
     let cells = report.cells.iter().filter(|cell| cell.replicate == 0);
     let cells: Vec<&Cell> = cells.collect();
@@ -43,13 +43,13 @@ enum Hypothesis {
     Emergent,
     /// R_c is no more than the noise floor.
     Compensated,
-    /// I is not below 0, where no floor is known.
+    /// I is not below 0; tested if no noise floor is known.
     BelowZero,
     /// All directions are alike.
     Directions,
 }
 
-/// The corrected p-values of all hypotheses that are tested.
+/// Corrected p-values of all tested hypotheses.
 struct Claims(BTreeMap<(Level, Hypothesis), f64>);
 
 impl Claims {
@@ -62,7 +62,7 @@ impl Claims {
             let mut test = |hypothesis, p| tested.insert((cell.level, hypothesis), p);
             match &inference.excess {
                 Some(excess) => {
-                    // Without a spread nothing is claimed.
+                    // Without a standard error, no effect is claimed.
                     let p = |estimate: &Estimate| estimate.p().unwrap_or(1.0);
                     test(Hypothesis::Emergent, p(&excess.excess.r_e));
                     test(Hypothesis::Compensated, p(&excess.excess.r_c));
@@ -88,7 +88,7 @@ impl Claims {
     }
 }
 
-/// Nominal success, and simultaneous success at every level.
+/// Writes the finding about nominal success and simultaneous success at every level.
 fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
     let nominal = report.nominal.iter().find(|it| it.replicate == 0)?.count;
     let mut sentence = match nominal.n {
@@ -126,7 +126,7 @@ fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
     })
 }
 
-/// The single axis that costs the most, and what is known of the others.
+/// Writes the finding about the most costly single axis and the significance of the others.
 fn cost(cell: &Cell) -> Option<Finding> {
     let losses = cell.inference.as_ref().map(|it| &it.losses)?;
     let singles = losses
@@ -239,7 +239,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
     })
 }
 
-/// The same where no placebo was run.
+/// Writes the finding about simultaneity if no placebo was run.
 fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding> {
     let inference = cell.inference.as_ref()?;
     let (level, i) = (cell.level, &inference.paired.i);
@@ -278,9 +278,10 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
     })
 }
 
-/// Share of rollouts that hardly differ and end differently, and their names: nominal
-/// ones of two replicates, or nominal and language. Language has an effect of its own,
-/// so that it gives an upper bound of chance.
+/// Returns the share of nearly identical rollouts that end differently, with the beginning of
+/// a sentence about them: nominal rollouts of two replicates, or nominal and
+/// language-perturbed ones. Language has an effect of its own, so that the latter share is an
+/// upper bound of chance.
 fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
     let replicate = report.replication.first();
     let replicate = replicate.and_then(|it| it.flips_by_condition.get(&Condition::Clean)?.rate());
@@ -294,7 +295,7 @@ fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
     Some(("Nominal and language rollouts end differently", rate))
 }
 
-/// The dependence on the direction, where it is shown.
+/// Writes the finding about the dependence on the direction, if it is significant.
 fn directions(cell: &Cell, claims: &Claims) -> Option<Finding> {
     let test = cell.inference.as_ref()?.directions.as_ref()?;
     let p = claims.p(cell, Hypothesis::Directions);
@@ -316,7 +317,7 @@ fn directions(cell: &Cell, claims: &Claims) -> Option<Finding> {
     })
 }
 
-/// ` (−14.2 to −6.0)`, of new tasks.
+/// Formats the interval for new tasks: ` (-14.2 to -6.0)`.
 fn spread(estimate: &Estimate) -> String {
     estimate.new_tasks.map_or_else(String::new, |[low, high]| {
         format!(" ({:.1} to {:.1})", 100.0 * low, 100.0 * high)

@@ -1,5 +1,5 @@
-//! The reproduction gate: whether a policy does unperturbed what its authors
-//! say it does. Before it does, its robustness is not worth interpreting.
+//! The reproduction gate: compares a policy's nominal success with the rate published by its
+//! authors. Robustness is worth interpreting only for a policy that passes.
 
 use libero_ctrl::Suite;
 use serde::{Deserialize, Serialize};
@@ -10,11 +10,11 @@ use crate::inference::student_t::upper_tail;
 /// Largest difference that passes, as a fraction: 5 points. Source: section 6
 /// of the protocol.
 pub const GATE_TOLERANCE: f64 = 0.05;
-/// Nominal rollouts that published figures over all suites are of: 40 tasks × 50
+/// Number of nominal rollouts behind published figures over all suites: 40 tasks × 50
 /// initial states.
 pub const GATE_ROLLOUTS: u64 = 2000;
-/// Nominal rollouts that the published figure of one suite is of: 10 tasks × 50 initial
-/// states.
+/// Number of nominal rollouts behind the published figure of one suite: 10 tasks × 50
+/// initial states.
 pub const GATE_ROLLOUTS_OF_A_SUITE: u64 = 500;
 
 /// Nominal success against the published figure.
@@ -24,13 +24,14 @@ pub struct Gate {
     pub published: f64,
     /// Nominal rollouts and their successes.
     pub nominal: Count,
-    /// The measured rate − `published`; absent where nothing was counted.
+    /// The measured rate − `published`; absent without a counted rollout.
     pub difference: Option<f64>,
     /// Verdict on the difference.
     pub verdict: GateVerdict,
-    /// p-value of the policy's rate on these tasks being beyond [`GATE_TOLERANCE`] of
-    /// `published`, which is taken as exact: if small, reproduction is shown and not only
-    /// not refuted. Absent where no task has two nominal rollouts, or none of them vary.
+    /// Equivalence p-value: tests the hypothesis that the policy's rate on these tasks differs
+    /// from `published`, taken as exact, by more than [`GATE_TOLERANCE`]. A small value
+    /// confirms the reproduction instead of merely not refuting it. Absent if no task has two
+    /// nominal rollouts or outcomes do not vary within tasks.
     pub equivalence_p: Option<f64>,
 }
 
@@ -38,11 +39,11 @@ pub struct Gate {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GateVerdict {
-    /// Within [`GATE_TOLERANCE`] over all rollouts that the figure is of.
+    /// All nominal rollouts have results, and the difference is within [`GATE_TOLERANCE`].
     Passed,
-    /// Outside of it over all of them.
+    /// All nominal rollouts have results, and the difference exceeds [`GATE_TOLERANCE`].
     Failed,
-    /// Fewer nominal rollouts have a result than the figure is of.
+    /// Fewer nominal rollouts have a result than the published figure rests on.
     Undecided,
 }
 
@@ -51,26 +52,26 @@ pub enum GateVerdict {
 pub struct SuiteGate {
     /// The suite.
     pub suite: Suite,
-    /// Its nominal success against the figure published for it.
+    /// Nominal success of the suite against its published figure.
     #[serde(flatten)]
     pub gate: Gate,
 }
 
 impl Gate {
-    /// The gate: |successes / n − published| ≤ [`GATE_TOLERANCE`], with
-    /// n = [`GATE_ROLLOUTS`] at least.
+    /// Evaluates the gate: |successes / n − published| ≤ [`GATE_TOLERANCE`] with
+    /// n ≥ [`GATE_ROLLOUTS`].
     pub fn new(published: f64, nominal: Count) -> Self {
         Self::over(GATE_ROLLOUTS, published, nominal)
     }
 
-    /// The gate of one suite, with n = [`GATE_ROLLOUTS_OF_A_SUITE`] at least.
+    /// Evaluates the gate of one suite, with n ≥ [`GATE_ROLLOUTS_OF_A_SUITE`].
     pub fn of_suite(published: f64, nominal: Count) -> Self {
         Self::over(GATE_ROLLOUTS_OF_A_SUITE, published, nominal)
     }
 
     fn over(rollouts: u64, published: f64, nominal: Count) -> Self {
         let difference = nominal.rate().map(|rate| rate - published);
-        // A difference of exactly the tolerance passes, whatever the last bit says.
+        // A difference of exactly the tolerance passes, despite rounding.
         let close = |difference: f64| difference.abs() <= GATE_TOLERANCE + 1e-9;
         let verdict = match difference {
             Some(difference) if nominal.n >= rollouts => match close(difference) {
@@ -88,8 +89,8 @@ impl Gate {
         }
     }
 
-    /// The gate with its equivalence test, from the nominal rollouts of each task: two
-    /// one-sided t tests with the variance within tasks, Σ_t (n_t/n)²·p_t(1 − p_t)/(n_t − 1).
+    /// Adds the equivalence test, from the nominal rollouts of each task: two one-sided
+    /// t tests with the variance within tasks, Σ_t (n_t/n)²·p_t(1 − p_t)/(n_t − 1).
     pub(crate) fn with_tasks(mut self, tasks: &[Count]) -> Self {
         let n: u64 = tasks.iter().map(|task| task.n).sum();
         let variance = tasks.iter().map(|task| {
@@ -149,7 +150,7 @@ mod tests {
         assert!(near > 0.3, "{near}");
     }
 
-    /// 500 rollouts of one suite were never enough.
+    /// A suite's gate needs 500 rollouts, not the 2,000 of all suites.
     #[test]
     fn all_rollouts_of_a_suite_decide_its_gate() {
         let gate = |n| Gate::of_suite(0.97, Count { successes: 480, n }).verdict;

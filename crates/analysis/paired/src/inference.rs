@@ -1,6 +1,6 @@
-//! Statistical inference of one level: intervals for each target of inference, matched
-//! losses, predictions of independence, and what exceeds the noise floor. The paper's own
-//! measures and intervals are in `measures`.
+//! Statistical inference about one level: intervals for each target of inference, matched
+//! losses, predictions under independence, and the excess over the noise floor. The paper's
+//! own measures and intervals are in `measures`.
 
 pub(crate) mod components;
 pub(crate) mod direction;
@@ -23,32 +23,32 @@ use crate::inference::loss::{Loss, Losses};
 use crate::inference::paired::{Eligible, PairedEstimates, Relative};
 use crate::outcomes::Matched;
 
-/// Everything inferred of one level of one replicate.
+/// Inference about one level of one replicate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Inference {
     /// The paper's measures over complete configurations, with intervals for each target.
     pub paired: PairedEstimates,
-    /// Share that changes among configurations that can change in a direction.
+    /// Rates of change among the configurations that can change.
     pub eligible: Eligible,
     /// Exact two-sided sign-flip p-value of I over tasks.
     pub i_sign_flip_p: f64,
-    /// Simultaneous success against independence relative to nominal success; absent
-    /// without matched nominal rollouts.
+    /// Simultaneous success against the prediction for independent axes relative to nominal
+    /// success; absent without matched nominal rollouts.
     pub relative: Option<Relative>,
     /// The loss under each condition, against the nominal rollouts of the same initial
     /// states; empty without them.
     pub losses: Losses,
-    /// The test of simultaneous success by direction; absent where directions are not
-    /// shared, and of the placebo.
+    /// Test whether simultaneous success depends on the direction; absent if directions are
+    /// not shared between tasks, and for the placebo.
     pub directions: Option<DirectionTest>,
-    /// The noise floor, and what exceeds it; absent without a placebo, and of the placebo
+    /// The noise floor and the excess over it; absent without a placebo, and for the placebo
     /// itself.
     pub excess: Option<Excess>,
 }
 
 impl Inference {
-    /// Of the configurations of one level and replicate, and those of the placebo; none
-    /// where no configuration is complete.
+    /// Computes the inference from the configurations of one level and replicate and those
+    /// of the placebo; `None` if no configuration is complete.
     pub(crate) fn of(
         matched: &[Matched],
         placebo: Option<&[Matched]>,

@@ -12,10 +12,10 @@ use crate::text::{NOTHING, p_value, points, push_columns, push_row, rate, separa
 
 const LABEL: usize = 20;
 const COLUMN: usize = 19;
-/// Levels beside each other.
+/// Largest number of levels side by side.
 const CELLS: usize = 3;
 
-/// One line: its label, and what stands in each column.
+/// One line: its label and the function that formats a level's value.
 type Line = (&'static str, fn(&Inference) -> String);
 
 const LINES: [Line; 21] = [
@@ -79,7 +79,7 @@ const LINES: [Line; 21] = [
     }),
 ];
 
-/// One line of what exceeds the noise floor.
+/// One line about the noise floor and the excess over it.
 type ExcessLine = (&'static str, fn(&Excess) -> String);
 
 const EXCESS_LINES: [ExcessLine; 12] = [
@@ -99,8 +99,8 @@ const EXCESS_LINES: [ExcessLine; 12] = [
     ("  new tasks", |it| changes(it.excess.i.new_tasks)),
 ];
 
-/// Intervals for each target, rates among eligible configurations, relative independence,
-/// and what exceeds the noise floor.
+/// Appends the table: intervals for each target, rates among eligible configurations,
+/// relative independence, and the excess over the noise floor.
 pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], of: &str) {
     for cells in cells.chunks(CELLS) {
         let inferred: Vec<(Level, &Inference)> = cells
@@ -176,7 +176,7 @@ fn push_losses(text: &mut String, cells: &[&Cell], of: &str) {
     }
 }
 
-/// The legend of these lines.
+/// Returns the legend of the table's lines.
 pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
     let inferred: Vec<&Inference> = cells
         .iter()

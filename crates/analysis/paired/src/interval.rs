@@ -1,6 +1,5 @@
-//! Decides which intervals may be shown. A percentile interval always comes out
-//! as two numbers, also where they mean nothing; here such intervals are
-//! withheld, with the reason.
+//! Decides which intervals to report. The percentile bootstrap always yields two
+//! numbers, even meaningless ones; such intervals are withheld here with a reason.
 
 use std::fmt;
 
@@ -8,16 +7,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::{Bootstrap, Interval};
 
-/// Fewest tasks that give an interval: from ten on, 95 % nominal are at least
-/// 90 % actual where the tasks' values are normally distributed.
+/// Smallest number of tasks that gives an interval. From ten tasks on, an interval of 95 %
+/// nominal coverage has at least 90 % actual coverage if the tasks' values are normally
+/// distributed.
 ///
-/// There the percentile interval of G tasks is the mean ± 1.96·√((G − 1)/G)
+/// In that case the percentile interval of G tasks is the mean ± 1.96·√((G − 1)/G)
 /// standard errors, which covers the truth with probability
 /// P(|t_{G−1}| ≤ 1.96·√((G − 1)/G)): 75 % for three tasks, 85 % for five, 90.4 %
-/// for ten, 94 % for forty. Below four tasks an end of the interval is no more
-/// than the most extreme task, because that one is drawn G times with
-/// probability G^−G > 2.5 %; of two tasks it covers the truth in half of all
-/// cases. docs/REPORT.md has simulations.
+/// for ten, 94 % for forty. With fewer than four tasks, an end of the interval is
+/// simply the most extreme task, because that one is drawn G times with
+/// probability G^−G > 2.5 %; with two tasks the interval covers the truth in half
+/// of all cases. docs/REPORT.md has simulations.
 ///
 /// Sources: T. Hesterberg, What teachers should know about the bootstrap, The
 /// American Statistician 69 (2015), 371–386, section 4 (the interval is too
@@ -36,8 +36,8 @@ const NO_WIDTH: f64 = 1e-12;
 pub enum NoInterval {
     /// There are fewer tasks than [`MIN_TASKS`].
     TooFewTasks,
-    /// All resamplings give one value, as where nothing ever happens: the width
-    /// would be nought, which says nothing of how sure the value is.
+    /// All resamplings give the same value, for example if no outcome ever changes. An
+    /// interval of width 0 would suggest a certainty that the data do not support.
     NoSpread,
 }
 
@@ -57,15 +57,14 @@ impl fmt::Display for NoInterval {
     }
 }
 
-/// Intervals of `N` statistics over `tasks` tasks, and why those that are
-/// absent are: the tasks are the same for all of them, so one reason holds for
-/// all.
+/// Returns intervals of `N` statistics over `tasks` tasks, and the first reason why one is
+/// absent.
 pub(crate) fn intervals<const N: usize>(
     bootstrap: &Bootstrap,
     tasks: usize,
     statistics: impl Fn(&[u32]) -> [f64; N] + Sync,
 ) -> ([Option<Interval>; N], Option<NoInterval>) {
-    // Intervals that would be withheld are not computed.
+    // Skips the computation of intervals that would be withheld.
     let intervals = (tasks >= MIN_TASKS).then(|| bootstrap.intervals(tasks, statistics));
     let intervals = intervals.flatten().map_or([None; N], |all| all.map(Some));
     let shown = intervals.map(|interval| shown(tasks, interval));
@@ -73,8 +72,8 @@ pub(crate) fn intervals<const N: usize>(
     (shown.map(Result::ok), why)
 }
 
-/// Intervals of as many statistics as one likes, each of them or why it is
-/// withheld: `statistics` writes the values for tasks drawn so often, as for
+/// Returns the intervals of `count` statistics, each with the reason if it is withheld.
+/// `statistics` writes the values for given draws of the tasks, as for
 /// [`Bootstrap::intervals_of_many`].
 pub fn intervals_of_many(
     bootstrap: &Bootstrap,
@@ -88,7 +87,7 @@ pub fn intervals_of_many(
     each.map(|interval| shown(tasks, interval)).collect()
 }
 
-/// An interval if it may be shown.
+/// Returns the interval, or the reason why it is withheld.
 pub(crate) fn shown(tasks: usize, interval: Option<Interval>) -> Result<Interval, NoInterval> {
     if tasks < MIN_TASKS {
         return Err(NoInterval::TooFewTasks);

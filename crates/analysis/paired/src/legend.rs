@@ -1,5 +1,5 @@
-//! Legend of the table's symbols, for readers without the paper at hand: a line
-//! for each that is printed, and for no other.
+//! Legend of the table's symbols for readers who do not have the paper at hand. It has a
+//! line for each symbol that the table prints.
 
 use crate::bootstrap::Bootstrap;
 use crate::inference_table;
@@ -7,8 +7,8 @@ use crate::interval::{MIN_TASKS, NoInterval};
 use crate::report::{Cell, Report};
 use crate::text::push_legend;
 
-/// The legend of the tables of some reports, for a terminal of 80 columns;
-/// empty where they print no symbol.
+/// Writes the legend of the tables of some reports, for a terminal of 80 columns; empty if
+/// they print no symbol.
 pub fn legend(reports: &[&Report]) -> String {
     let cells = || reports.iter().flat_map(|report| &report.cells);
     let has_pairs = cells().any(|cell| cell.simultaneous.is_some());
@@ -101,8 +101,7 @@ pub fn legend(reports: &[&Report]) -> String {
     text
 }
 
-/// Legend entries that define the intervals and the marks of those that are
-/// absent.
+/// Returns the legend entries that define intervals and the marks of absent ones.
 pub(crate) fn of_intervals(
     bootstrap: &Bootstrap,
     absent: impl IntoIterator<Item = Option<NoInterval>>,

@@ -1,13 +1,13 @@
-//! Matched-outcome statistics: what happened to the same configurations under
-//! each axis alone and under all of them at once, how often simultaneous
-//! perturbation changed an outcome, in which direction, and how sure that is;
-//! and how two policies differ over the same rollouts. Intervals for a campaign
+//! Matched-outcome statistics: outcomes of the same configurations under each
+//! axis alone and under all axes at once, with the rate and direction of the
+//! changes by simultaneous perturbation and their confidence intervals; and the
+//! difference of two policies over the same rollouts. Intervals for a campaign
 //! that may end early are in the file `sequential`.
 //!
-//! Pure: records go in, a [`Report`] comes out, the same for the same records
-//! in any order. The caller knows where records come from, and passes warnings about
-//! how they were made ([`Options::notes`]). Formulas: section 6 of the
-//! protocol; source of the design: arXiv 2609.15940.
+//! The crate does no I/O: a [`Report`] is a function of the set of records, whose
+//! order does not matter. The caller passes warnings about the origin of the
+//! records in [`Options::notes`]. Formulas: section 6 of the protocol; source of
+//! the design: arXiv 2609.15940.
 
 #![forbid(unsafe_code)]
 

@@ -1,7 +1,7 @@
-//! McNemar's test of paired outcomes, exactly.
+//! Exact McNemar test of paired outcomes.
 
-/// Two-sided exact p-value of `b` changes one way against `c` the other, under
-/// the hypothesis that either way is equally likely: twice the smaller tail of
+/// Returns the two-sided exact p-value of `b` changes in one direction against `c` in the
+/// other, under the hypothesis that both are equally likely: twice the smaller tail of
 /// Bin(b + c, ½), at most 1:
 /// p = min(1, 2·Σ_{k ≤ min(b, c)} C(b + c, k)·2^−(b + c)).
 ///

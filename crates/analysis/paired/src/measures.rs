@@ -12,11 +12,11 @@ use crate::mcnemar::mcnemar_exact;
 /// The outcomes of one complete configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Configuration {
-    /// Its task: the cluster that the bootstrap draws.
+    /// Task of the configuration: the cluster that the bootstrap draws.
     pub task: TaskRef,
     /// Success under each axis alone.
     pub alone: BTreeMap<Axis, bool>,
-    /// Success under simultaneous perturbation by all of them.
+    /// Success under simultaneous perturbation of all axes.
     pub simultaneous: bool,
 }
 
@@ -31,23 +31,23 @@ impl Configuration {
 /// formulas are those of section 6 of the protocol (arXiv 2609.15940).
 ///
 /// A measure is exact; its interval (`…_ci95`) is a percentile cluster
-/// bootstrap ([`Bootstrap::intervals`]). Where an interval would mislead it is
-/// absent, and `no_interval` says why.
+/// bootstrap ([`Bootstrap::intervals`]). An interval that would mislead is
+/// absent, and `no_interval` gives the reason.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measures {
-    /// Configurations.
+    /// Number of configurations.
     pub n: u64,
-    /// Tasks that they belong to.
+    /// Number of their tasks.
     pub tasks: u64,
     /// Success rate under each axis alone.
     pub s_axis: BTreeMap<Axis, f64>,
-    /// Π `s_axis`: what independent axes would give.
+    /// Π `s_axis`: the prediction for independent axes.
     pub s_indep: f64,
     /// Share of configurations that succeed under every axis alone.
     pub s_conj: f64,
     /// Success rate under simultaneous perturbation.
     pub s_sim: f64,
-    /// `s_conj` − `s_indep`: how far the axes' failures coincide.
+    /// `s_conj` − `s_indep`: the dependence of the axes' failures.
     pub d: f64,
     /// Interval of `d`.
     pub d_ci95: Option<Interval>,
@@ -69,21 +69,21 @@ pub struct Measures {
     pub r_c: f64,
     /// Interval of `r_c`.
     pub r_c_ci95: Option<Interval>,
-    /// `r_e` + `r_c`: how often simultaneity changes an outcome.
+    /// `r_e` + `r_c`: share of outcomes that simultaneity changes.
     pub r_d: f64,
     /// Interval of `r_d`.
     pub r_d_ci95: Option<Interval>,
-    /// Reason why intervals are absent; absent where none is.
+    /// Reason why intervals are absent; `None` if all are present.
     pub no_interval: Option<NoInterval>,
-    /// `b` / number of simultaneous failures; absent where there are none.
+    /// `b` / number of simultaneous failures; absent if there are none.
     pub emergent_share: Option<f64>,
     /// Exact two-sided McNemar test of `b` against `c`.
     pub mcnemar_p: f64,
 }
 
 impl Measures {
-    /// The measures of some configurations; none of no configuration. Their
-    /// order, and the names of tasks and axes, change no measure.
+    /// Computes the measures of some configurations; `None` without a configuration. The
+    /// result does not depend on their order or on the names of tasks and axes.
     ///
     /// # Panics
     /// If two configurations have different axes.
@@ -123,7 +123,7 @@ impl Measures {
     }
 }
 
-/// Counts of successes: all that the measures need, and additive over clusters.
+/// Counts of successes, from which all measures follow; additive over clusters.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tally {
     n: u64,
@@ -144,7 +144,7 @@ pub(crate) struct Rates {
 }
 
 impl Tally {
-    /// The tally of each task, in the tasks' order.
+    /// Returns the tally of each task, ordered by task.
     pub(crate) fn of_tasks(configurations: &[Configuration], axes: &[Axis]) -> Vec<Self> {
         let mut clusters: BTreeMap<TaskRef, Self> = BTreeMap::new();
         for configuration in configurations {
@@ -154,7 +154,7 @@ impl Tally {
         clusters.into_values().collect()
     }
 
-    /// Tasks as often as they were drawn.
+    /// Sums the tallies, each weighted by the number of times that its task was drawn.
     pub(crate) fn drawn(clusters: &[Self], draws: &[u32]) -> Self {
         let mut drawn = Self::default();
         for (tally, &times) in clusters.iter().zip(draws) {
@@ -206,7 +206,7 @@ impl Tally {
 }
 
 impl Rates {
-    /// d, i, r_e, r_c, r_d: those that get an interval.
+    /// Returns the measures that get an interval: d, i, r_e, r_c, r_d.
     pub(crate) fn with_intervals(&self) -> [f64; 5] {
         [
             self.s_conj - self.s_indep,

@@ -1,4 +1,4 @@
-//! Records of rollouts, and the matching of those of one configuration.
+//! Records of rollouts, and their matching by configuration.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,15 +15,15 @@ pub enum Outcome {
     Success,
     /// The task failed.
     Failure,
-    /// Expanded, and without a result yet.
+    /// Planned, without a result so far.
     #[default]
     Missing,
-    /// Quarantined after too many failed attempts: named, and in no rate.
+    /// Quarantined after too many failed attempts: listed, and excluded from all rates.
     Quarantined,
 }
 
 impl Outcome {
-    /// Returns true if the task succeeded; none where that is not known.
+    /// Returns true if the task succeeded; `None` without a result.
     pub const fn success(self) -> Option<bool> {
         match self {
             Self::Success => Some(true),
@@ -32,8 +32,8 @@ impl Outcome {
         }
     }
 
-    /// Fewest and most successes that a rollout can turn out to be; none while it
-    /// is missing.
+    /// Returns the smallest and largest number of successes that a rollout may count as;
+    /// `None` if it is missing.
     pub(crate) const fn possible_successes(self) -> Option<[i64; 2]> {
         match self {
             Self::Missing => None,
@@ -67,7 +67,7 @@ pub struct Record {
     pub outcome: Outcome,
 }
 
-/// The same rollout and replicate twice.
+/// Error: the same rollout and replicate is recorded twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("report on {id}, replicate {replicate}: it is recorded twice, keep one")]
 pub struct DuplicateRecord {
@@ -77,8 +77,7 @@ pub struct DuplicateRecord {
     pub replicate: u32,
 }
 
-/// One configuration at one level in one replicate, with all that is known of
-/// its rollouts.
+/// One configuration at one level in one replicate, with the outcomes of its rollouts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Matched {
     /// The replicate.
@@ -91,15 +90,15 @@ pub struct Matched {
     pub config: u16,
     /// The initial state of all its rollouts.
     pub init_id: u16,
-    /// The unperturbed rollout from the same initial state; missing too where
-    /// the campaign has none.
+    /// Outcome of the nominal rollout from the same initial state; also missing if the
+    /// campaign does not run it.
     pub nominal: Outcome,
     /// Outcomes under each axis alone, all axes of the campaign.
     pub alone: BTreeMap<Axis, Outcome>,
-    /// Outcomes under several axes but not all, those among the records.
+    /// Outcomes under proper subsets of two or more axes, as far as recorded.
     pub subsets: BTreeMap<AxisSet, Outcome>,
-    /// Outcome under simultaneous perturbation; missing too where the campaign has
-    /// none.
+    /// Outcome under simultaneous perturbation; also missing if the campaign does not run
+    /// it.
     pub simultaneous: Outcome,
 }
 
@@ -127,7 +126,7 @@ impl Transition {
         Self::Compensated,
     ];
 
-    /// The transition from the conjunction of the axes' successes to the
+    /// Returns the transition from the conjunction of the axes' successes to the
     /// success of the simultaneous rollout.
     pub const fn between(conjunction: bool, simultaneous: bool) -> Self {
         match (conjunction, simultaneous) {
@@ -151,7 +150,7 @@ impl Transition {
 }
 
 impl Matched {
-    /// The configuration, if all its outcomes are known.
+    /// Returns the complete configuration; `None` if an outcome is unknown.
     pub fn configuration(&self) -> Option<Configuration> {
         let mut alone = BTreeMap::new();
         for (&axis, outcome) in &self.alone {
@@ -171,8 +170,8 @@ impl Matched {
         Some(Transition::between(conjunction, configuration.simultaneous))
     }
 
-    /// Every transition over the outcomes that quarantined rollouts could have
-    /// had; none while a rollout is missing. One where nothing is in quarantine.
+    /// Returns every transition that the possible outcomes of quarantined rollouts allow:
+    /// exactly one if none is quarantined. `None` if a rollout is missing.
     pub fn possible_transitions(&self) -> Option<Vec<Transition>> {
         let mut conjunction = [1, 1];
         for outcome in self.alone.values() {
@@ -202,7 +201,7 @@ impl Matched {
     }
 }
 
-/// Records by rollout, and what they have in common.
+/// Records by rollout, with their matched configurations.
 #[derive(Clone, Debug, Default)]
 pub struct Records {
     pub(crate) outcomes: BTreeMap<(u32, RolloutId), Outcome>,
@@ -236,25 +235,25 @@ impl Records {
         Ok(matching)
     }
 
-    /// Every configuration of which any perturbed rollout is among the records,
+    /// Returns every configuration with at least one recorded perturbed rollout, ordered
     /// by replicate, level, task and number.
     pub fn configurations(&self) -> &[Matched] {
         &self.matched
     }
 
-    /// Axes that were perturbed alone, in the protocol's order.
+    /// Returns the axes that were perturbed alone, in the protocol's order.
     pub fn axes(&self) -> impl Iterator<Item = Axis> {
         self.axes.iter().copied()
     }
 
-    /// Returns the outcome of a rollout; missing where it is not among the records.
+    /// Returns the outcome of a rollout; [`Outcome::Missing`] if it is not recorded.
     pub(crate) fn outcome(&self, replicate: u32, id: RolloutId) -> Outcome {
         let outcome = self.outcomes.get(&(replicate, id));
         outcome.copied().unwrap_or_default()
     }
 
-    /// Returns true if some rollout of a configuration has not ended, among those
-    /// that there are: its nominal rollout is one of them.
+    /// Returns true if a rollout of a configuration has not ended, including its nominal
+    /// rollout if the campaign runs one.
     pub(crate) fn is_open(&self, matched: &Matched) -> bool {
         let nominal = RolloutId::clean(matched.task, matched.init_id);
         let nominal = self.outcomes.get(&(matched.replicate, nominal));

@@ -1,6 +1,6 @@
-//! The smallest differences that a campaign can show, before it is run: those that a
-//! two-sided test at 5 % finds with a power of 80 %, if its outcomes are like some that are
-//! known. Tasks are clusters where figures are to hold for new tasks.
+//! Power analysis before a campaign runs: the smallest differences that a two-sided test at
+//! 5 % detects with a power of 80 %, assuming outcomes like known ones. Tasks are clusters
+//! if the figures are to hold for new tasks.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::interval::MIN_TASKS;
 use crate::measures::Configuration;
 use crate::outcomes::{DuplicateRecord, Record, Records};
 
-/// Halvings of the interval in which a difference is sought: enough for doubles.
+/// Number of bisection steps, enough for the precision of an `f64`.
 const BISECTIONS: u32 = 60;
 
 /// Assumed outcomes of a level. Rates are fractions; correlations
@@ -30,16 +30,16 @@ pub struct Assumed {
     pub of_success: f64,
     /// Correlation of simultaneous − conjunction, which is −1, 0 or 1.
     pub of_change: f64,
-    /// Correlation of whether the outcome changes.
+    /// Correlation of the indicator that the outcome changes.
     pub of_changed: f64,
 }
 
-/// Configurations that are to be run at a level.
+/// Number of configurations planned at a level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Planned {
     /// Tasks.
     pub tasks: u32,
-    /// Configurations of each, on average.
+    /// Configurations per task, on average.
     pub configs_per_task: f64,
 }
 
@@ -48,26 +48,26 @@ pub struct Planned {
 pub enum Against {
     /// The same measure of another policy, in as many configurations.
     AnotherPolicy,
-    /// That of the placebo level.
+    /// The `R_d` of the placebo level.
     Floor {
-        /// Its assumed value, a fraction.
+        /// Assumed `R_d` of the placebo level, a fraction.
         r_d: f64,
-        /// The configurations that are run there.
+        /// Configurations planned at the placebo level.
         planned: Planned,
     },
 }
 
-/// The smallest differences that are found, as fractions; none where even the largest
-/// possible one is too small, or there are too few tasks for intervals.
+/// The smallest detectable differences, as fractions. `None` if even the largest possible
+/// difference is too small, or if there are too few tasks for intervals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detectable {
-    /// Difference of the success rates of two policies under simultaneous perturbation that
-    /// are as good as each other and independent, in configurations and, for new tasks, in
-    /// tasks: those that fail alike are told apart sooner.
+    /// Difference of the success rates of two policies under simultaneous perturbation,
+    /// assuming independent outcomes in configurations and, for new tasks, in tasks.
+    /// Positively correlated policies are distinguished with smaller differences.
     pub difference: Option<f64>,
     /// Difference of I from 0.
     pub i: Option<f64>,
-    /// Difference of `R_d` from the measure that it is compared with.
+    /// Difference of `R_d` from the reference given by [`Against`].
     pub r_d: Option<f64>,
 }
 
@@ -100,8 +100,8 @@ impl Assumed {
         },
     ];
 
-    /// Summarises known outcomes by level, from the smallest: those of the first replicate,
-    /// of configurations that are complete.
+    /// Summarises known outcomes by ascending level: those of complete configurations in the
+    /// first replicate.
     ///
     /// # Errors
     /// If a rollout and replicate is recorded twice.
@@ -149,8 +149,8 @@ impl Assumed {
         })
     }
 
-    /// The same for the tasks at hand and no others: how much configurations of a task
-    /// resemble one another is then no part of the error.
+    /// Returns the assumptions for inference about the given tasks only, where the
+    /// correlation within tasks does not contribute to the error.
     pub const fn of_these_tasks(self) -> Self {
         Self {
             of_success: 0.0,
@@ -160,7 +160,7 @@ impl Assumed {
         }
     }
 
-    /// The smallest differences that some configurations show.
+    /// Returns the smallest differences that the planned configurations can detect.
     pub fn detectable(&self, planned: Planned, against: Against) -> Detectable {
         if (planned.tasks as usize) < MIN_TASKS {
             return Detectable {
@@ -193,14 +193,14 @@ impl Assumed {
 }
 
 impl Planned {
-    /// The variance of a share over these configurations: that of independent ones times
-    /// the design effect 1 + (m − 1)·ρ.
+    /// Returns the variance of a share over these configurations: the binomial variance
+    /// times the design effect 1 + (m − 1)·ρ.
     fn variance(self, share: f64, correlation: f64) -> f64 {
         let effect = 1.0 + (self.configs_per_task - 1.0).max(0.0) * correlation;
         share * (1.0 - share) * effect / self.of_all()
     }
 
-    /// The configurations of all tasks.
+    /// Returns the number of configurations of all tasks.
     pub fn count(self) -> u32 {
         self.of_all().round() as u32
     }
@@ -210,9 +210,9 @@ impl Planned {
     }
 }
 
-/// The smallest excess of a share over `base` that is found, each over configurations of
-/// its own: solves δ = z₀.₉₇₅·σ(pooled) + z₀.₈·σ(base + δ, base). Where both are over the same
-/// configurations, and these resemble one another, less is found.
+/// Returns the smallest detectable excess of a share over `base`, with separate configurations
+/// for each: solves δ = z₀.₉₇₅·σ(pooled) + z₀.₈·σ(base + δ, base). Smaller differences are
+/// detectable if both share the same, positively correlated configurations.
 ///
 /// Source: J. L. Fleiss, B. Levin, M. C. Paik, Statistical Methods for Rates and Proportions,
 /// third edition (2003), section 4.2.
@@ -220,7 +220,7 @@ fn excess(base: f64, correlation: f64, [here, there]: [Planned; 2]) -> Option<f6
     let spread = |one: f64, other: f64| {
         (here.variance(one, correlation) + there.variance(other, correlation)).sqrt()
     };
-    // Negative where the excess is found.
+    // Negative if the excess is detectable.
     let lacking = |excess: f64| {
         let share = base + excess;
         let all = here.of_all() + there.of_all();

@@ -1,5 +1,5 @@
-//! A further replicate against the first: the same configurations and realised
-//! perturbations, another policy seed.
+//! Comparison of a further replicate with the first: the same configurations and
+//! realised perturbations with a different policy seed.
 
 use std::collections::BTreeMap;
 
@@ -11,22 +11,22 @@ use crate::interval::{NoInterval, intervals};
 use crate::measures::{Configuration, Tally};
 use crate::outcomes::{Matched, Records, Transition};
 
-/// A replicate against replicate 0, over what both have. Source: section 6 of
-/// the protocol.
+/// Comparison of a replicate with replicate 0 over their common rollouts. Source: section 6
+/// of the protocol.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Replication {
     /// The replicate that is compared with replicate 0.
     pub replicate: u32,
-    /// Over all rollouts.
+    /// Flips over all rollouts.
     pub flips: Flips,
-    /// Over the rollouts of each condition.
+    /// Flips over the rollouts of each condition.
     pub flips_by_condition: BTreeMap<Condition, Flips>,
-    /// The changes of the measures, per level where both have complete
-    /// configurations.
+    /// Changes of the measures, for each level with configurations complete in both
+    /// replicates.
     pub changes: BTreeMap<Level, Change>,
 }
 
-/// Rollouts whose outcome is another when the policy's seed is.
+/// Number of rollouts whose outcome differs between two policy seeds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Flips {
     /// Rollouts with an outcome in both replicates.
@@ -36,7 +36,7 @@ pub struct Flips {
 }
 
 impl Flips {
-    /// `flipped` / `compared`; none of no rollout.
+    /// Returns `flipped` / `compared`; `None` without a rollout.
     pub fn rate(&self) -> Option<f64> {
         (self.compared > 0).then(|| self.flipped as f64 / self.compared as f64)
     }
@@ -47,42 +47,41 @@ impl Flips {
     }
 }
 
-/// Measures of a replicate less those of replicate 0, over the configurations
-/// that are complete in both. Intervals resample tasks, both replicates of a
-/// task together.
+/// Measures of a replicate minus those of replicate 0, over the configurations that are
+/// complete in both. The bootstrap resamples both replicates of a task together.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Change {
     /// Configurations that are complete in both.
     pub n: u64,
     /// Configurations with the same transition in both.
     pub same_transition: u64,
-    /// Emergent or compensated in replicate 0.
+    /// Configurations that are emergent or compensated in replicate 0.
     pub changed: u64,
-    /// Configurations among them with the same transition in this replicate.
+    /// Configurations counted in `changed` that have the same transition in this replicate.
     pub changed_again: u64,
     /// Change of `s_sim`.
     pub s_sim: f64,
     /// Change of `d`.
     pub d: f64,
-    /// Interval of it.
+    /// Interval of the change of `d`.
     pub d_ci95: Option<Interval>,
     /// Change of `i`.
     pub i: f64,
-    /// Interval of it.
+    /// Interval of the change of `i`.
     pub i_ci95: Option<Interval>,
     /// Change of `r_e`.
     pub r_e: f64,
-    /// Interval of it.
+    /// Interval of the change of `r_e`.
     pub r_e_ci95: Option<Interval>,
     /// Change of `r_c`.
     pub r_c: f64,
-    /// Interval of it.
+    /// Interval of the change of `r_c`.
     pub r_c_ci95: Option<Interval>,
     /// Change of `r_d`.
     pub r_d: f64,
-    /// Interval of it.
+    /// Interval of the change of `r_d`.
     pub r_d_ci95: Option<Interval>,
-    /// Reason why intervals are absent; absent where none is.
+    /// Reason why intervals are absent; `None` if all are present.
     pub no_interval: Option<NoInterval>,
 }
 

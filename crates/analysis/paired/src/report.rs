@@ -18,8 +18,8 @@ use crate::replication::Replication;
 /// Options of a report.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// Caveats that a reader must know first, one sentence each: another asset pack,
-    /// a privileged policy, mixed versions. Printed at the top.
+    /// Caveats printed at the top, one sentence each, such as a different asset pack, a
+    /// privileged policy, or mixed versions.
     pub notes: Vec<String>,
     /// Settings of the intervals.
     pub bootstrap: Bootstrap,
@@ -27,8 +27,8 @@ pub struct Options {
     pub published_nominal: Option<f64>,
     /// Nominal success rates published of single suites, fractions, for a gate each.
     pub published_by_suite: Vec<(Suite, f64)>,
-    /// Nominal successes as published elsewhere; used where there is no nominal
-    /// rollout among the records.
+    /// Nominal successes reported by another source; used if no nominal rollout is
+    /// recorded.
     pub reported_nominal: Option<Count>,
     /// Assignment of directions to configurations.
     pub directions: Directions,
@@ -50,13 +50,13 @@ pub struct Report {
     pub suite_gates: Vec<SuiteGate>,
     /// Cells, by replicate and level.
     pub cells: Vec<Cell>,
-    /// Each further replicate against the first.
+    /// Comparison of each further replicate with the first.
     pub replication: Vec<Replication>,
     /// Variance components by level; empty without replicates.
     pub components: Vec<Components>,
     /// Sentences about the figures, see [`findings`].
     pub findings: Vec<Finding>,
-    /// Quarantined rollouts, in no rate: `ID` or `ID#rK`.
+    /// Quarantined rollouts, which no rate includes: `ID` or `ID#rK`.
     pub quarantined: Vec<String>,
     /// Settings of the intervals.
     pub bootstrap: Bootstrap,
@@ -81,7 +81,7 @@ pub struct Nominal {
 pub enum NominalSource {
     /// Nominal rollouts among the records.
     Records,
-    /// A count that was published elsewhere.
+    /// A count reported by another source.
     Reported,
 }
 
@@ -92,8 +92,8 @@ pub struct Cell {
     pub replicate: u32,
     /// The level.
     pub level: Level,
-    /// Success of each axis alone over all its results, complete configuration
-    /// or not.
+    /// Success under each single axis over all results, including those of incomplete
+    /// configurations.
     pub alone: BTreeMap<Axis, SingleAxis>,
     /// Success under several axes but not all, over all results; empty where the
     /// campaign has none.
@@ -102,22 +102,21 @@ pub struct Cell {
     /// Success of the simultaneous rollouts over all their results; absent where
     /// the campaign has none.
     pub simultaneous: Option<Count>,
-    /// Counts of complete configurations, which the paired measures are of.
+    /// Counts of complete configurations, on which the paired measures rest.
     pub completeness: Completeness,
-    /// The paired measures; absent while no configuration is complete, or
-    /// where the campaign has no simultaneous rollout.
+    /// Paired measures; absent if no configuration is complete or the campaign runs no
+    /// simultaneous rollouts.
     pub paired: Option<Measures>,
-    /// The same on configurations whose nominal rollout succeeded: what was
-    /// solvable to begin with.
+    /// Paired measures over the solvable configurations, whose nominal rollout succeeded.
     pub solvable: Option<Measures>,
-    /// Worst and best case; absent where no rollout is quarantined.
+    /// Worst and best case; absent if no rollout is quarantined.
     pub bounds: Option<Bounds>,
-    /// How much configurations of a task resemble one another, see
+    /// Intraclass correlation of configurations of a task, see
     /// [`task_correlation`](crate::design::task_correlation).
     pub task_correlation: Option<f64>,
     /// Inference about these figures; absent while no configuration is complete.
     pub inference: Option<Inference>,
-    /// The smallest |`i`| that this many configurations can show, see
+    /// The smallest |`i`| detectable with this many configurations, see
     /// [`minimum_detectable_effect`].
     pub minimum_detectable_i: Option<f64>,
 }
@@ -127,8 +126,7 @@ pub struct Cell {
 pub struct SingleAxis {
     /// Rollouts and their successes.
     pub count: Count,
-    /// 1 − success / nominal success; absent where either is unknown or the
-    /// nominal success is nought.
+    /// 1 − success / nominal success; absent if either is unknown or nominal success is 0.
     pub clean_relative_loss: Option<f64>,
 }
 
@@ -139,7 +137,7 @@ pub struct Completeness {
     pub complete: u64,
     /// All configurations of the cell.
     pub expected: u64,
-    /// Outcomes that the others lack, by condition.
+    /// Missing outcomes of the incomplete configurations, by condition.
     pub gaps: BTreeMap<Condition, Gap>,
 }
 

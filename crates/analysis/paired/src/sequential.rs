@@ -1,30 +1,30 @@
-//! Confidence sequences: intervals for a campaign that one looks at while it
-//! runs, and that one may end as soon as they are narrow enough.
+//! Confidence sequences: intervals that stay valid for a campaign that is
+//! monitored while it runs and may end as soon as they are narrow enough.
 //!
-//! # What is estimated
+//! # Estimand
 //! The configurations of one level are a finite population of N units in strata
 //! (tasks). Units are drawn without replacement, one of every stratum in each
 //! round ([`Order`]). An interval is about the value over *all* N units, drawn or
-//! not, so that it is a point once all are seen.
+//! not, so that it shrinks to a point when all are drawn.
 //!
-//! # What holds
-//! With probability 95 % over the order that was drawn, *every* interval of a
-//! [`SequentialMeasures`] holds at *every* look. So one may look as often as one
-//! likes, stop for any reason, and read any of the five intervals. Intervals of
-//! a fixed sample size, such as a bootstrap's, do not allow that.
+//! # Guarantee
+//! With probability 95 % over the drawn order, *every* interval of a
+//! [`SequentialMeasures`] holds at *every* look. One may therefore look at any
+//! time, stop for any reason, and read any of the five intervals. Intervals for
+//! a fixed sample size, such as a bootstrap's, do not allow this.
 //!
-//! # Why
+//! # Proof
 //! Let stratum k have m_k units, of which r_k remain, with values x and the
-//! total T_k. A unit that is drawn next has the expectation
-//! p_k(T_k) = (T_k − what was seen of stratum k) / r_k. For numbers s (a bet) and
+//! total T_k. The next unit drawn has the expectation
+//! p_k(T_k) = (T_k − sum of the drawn units of stratum k) / r_k. For numbers s (a bet) and
 //! c (a centre) that depend on the past alone, the factor
 //! (1 + s·(x − c)) / (1 + s·(p_k(T_k) − c)) has the expectation 1. The product
 //! of the factors of all draws, M(T_1, …, T_K), is therefore a nonnegative
 //! martingale, and so is its average over several sizes of bets.
 //!
-//! The totals of the strata are not known, and of no interest. A candidate θ for
-//! the population's total is as well supported as the best totals of strata
-//! that add up to it: E(θ) = min {M(T_1, …, T_K): Σ T_k = θ}. At the true total,
+//! The totals of the strata are unknown nuisance parameters. The evidence against a
+//! candidate θ for the population's total is that against the best-supported strata totals
+//! with this sum: E(θ) = min {M(T_1, …, T_K): Σ T_k = θ}. At the true total,
 //! E is at most the martingale at the true totals of strata. By Ville's
 //! inequality it ever reaches 1/α with a probability of at most α, so that
 //! {θ: E(θ) < 1/α} holds the true total at all looks at once with a probability
@@ -34,11 +34,11 @@
 //!
 //! The five measures share α = 5 % equally (Bonferroni).
 //!
-//! # Which strata
-//! Strata must be chosen before anything is known of the outcomes. The fewer they
-//! are, the less the minimum over their totals costs, and the shorter the rounds
-//! are. So strata of suites give narrower intervals than strata of tasks unless
-//! tasks of a suite differ very much, and keep the sample balanced over suites.
+//! # Choice of strata
+//! Strata must be chosen before any outcome is known. With fewer strata, the
+//! minimum over their totals costs less and the rounds are shorter. Strata of
+//! suites therefore give narrower intervals than strata of tasks, unless tasks of
+//! a suite differ very much, and keep the sample balanced over suites.
 //! `cargo run --release -p paired --example sequential` compares them.
 //!
 //! # New tasks

@@ -1,5 +1,5 @@
-//! A report as text for a terminal of 80 columns: what to know first, success
-//! rates with their counts, the paired measures, and what is missing.
+//! A report as text for a terminal of 80 columns: notes, success rates with their
+//! counts, paired measures, and missing outcomes.
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -22,13 +22,13 @@ use crate::text::{
 
 const PAIRED_LABEL: usize = 20;
 const PAIRED_COLUMN: usize = 19;
-/// Paired cells beside each other.
+/// Largest number of paired cells side by side.
 const PAIRED_CELLS: usize = 3;
-/// Quarantined rollouts that are named; the others are counted.
+/// Largest number of quarantined rollouts named; the others are counted.
 const MAX_NAMED: usize = 6;
 
-/// The report as a table. Rates and differences are in percent and percentage
-/// points; what its symbols mean is in [`legend`](crate::legend).
+/// Writes the report as a table. Rates are in percent, differences in percentage points;
+/// [`legend`](crate::legend) explains the symbols.
 pub fn table(report: &Report) -> String {
     let mut text = String::new();
     for note in &report.notes {
@@ -99,7 +99,7 @@ fn nominal_line(nominal: &Nominal, report: &Report) -> String {
     format!("nominal success{of}: {rate} % ({successes}/{n}{source}){missing}")
 }
 
-/// Lines of the gates' verdicts, over all suites and of single ones.
+/// Writes the verdicts of the gates over all suites and for single suites.
 pub fn gate_lines(report: &Report) -> String {
     let mut text = String::new();
     if let Some(gate) = &report.gate {
@@ -218,7 +218,7 @@ fn push_subsets(text: &mut String, cells: &[&Cell], of: &str) {
                 ),
                 None => NOTHING.to_owned(),
             });
-            // A long name has a line of its own.
+            // A name that is too long for the column gets its own line.
             let name = set.name();
             let label = match name.len() < PAIRED_LABEL {
                 true => name,
@@ -265,7 +265,7 @@ const SOLVABLE_LINES: [Line; 4] = [
 /// One line of the worst and best case.
 type BoundsLine = (&'static str, fn(&Bounds) -> String);
 
-/// The range of the measures over every outcome of the quarantined rollouts.
+/// Lines of the ranges of measures over all possible outcomes of quarantined rollouts.
 const BOUNDS_LINES: [BoundsLine; 4] = [
     ("worst and best: n", |b| b.n.to_string()),
     ("  I", |b| points_interval(Some(b.i), None)),

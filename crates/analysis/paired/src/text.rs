@@ -11,8 +11,8 @@ pub(crate) const WIDTH: usize = 80;
 /// Mark of an absent value.
 pub(crate) const NOTHING: &str = "-";
 
-/// Words over as many lines of a terminal as they need, the first after
-/// `prefix`, the others below it.
+/// Appends words wrapped to the terminal's width: the first line after `prefix`, the others
+/// indented to align with it.
 pub fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
     let indent = " ".repeat(prefix.chars().count());
     let mut line = prefix.to_owned();
@@ -35,14 +35,14 @@ pub fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
     text.push('\n');
 }
 
-/// Begins a block: an empty line after what is there.
+/// Starts a block: appends an empty line unless the text is empty or ends with one.
 pub(crate) fn separate(text: &mut String) {
     if !text.is_empty() && !text.ends_with("\n\n") {
         text.push('\n');
     }
 }
 
-/// A label and values, each at the right end of a column of the same width.
+/// Appends a row: a label, and values right-aligned in columns of the same width.
 pub(crate) fn push_row<T: AsRef<str>>(
     text: &mut String,
     label_width: usize,
@@ -58,8 +58,8 @@ pub(crate) fn push_row<T: AsRef<str>>(
     text.push('\n');
 }
 
-/// Rows of equally many values, the first row their heads, in columns as wide
-/// as what is in them.
+/// Appends a table whose first row holds the heads. All rows have the same number of values;
+/// each column is as wide as its widest cell.
 pub(crate) fn push_columns(text: &mut String, rows: &[(String, Vec<String>)]) {
     let width = |cell: &String| cell.chars().count();
     let label = rows.iter().map(|(label, _)| width(label)).max();
@@ -71,7 +71,7 @@ pub(crate) fn push_columns(text: &mut String, rows: &[(String, Vec<String>)]) {
     };
     let widths: Vec<usize> = (0..columns).map(of_column).collect();
     let needed = label + widths.iter().sum::<usize>();
-    // Wider than necessary where there is room.
+    // Uses a wider gap if the table still fits.
     let gap = match needed + 2 * columns <= WIDTH {
         true => 2,
         false => 1,
@@ -86,7 +86,7 @@ pub(crate) fn push_columns(text: &mut String, rows: &[(String, Vec<String>)]) {
     }
 }
 
-/// Entries of a legend: a symbol, and what it means beside it.
+/// Appends the entries of a legend: each symbol with its meaning beside it.
 pub(crate) fn push_legend(text: &mut String, entries: &[(&str, String)]) {
     let widths = entries.iter().map(|(symbol, _)| symbol.chars().count());
     let width = widths.max().unwrap_or_default();
@@ -111,12 +111,12 @@ pub(crate) fn points(value: f64) -> String {
     format!("{:+.2}", 100.0 * value)
 }
 
-/// An interval of rates, or why there is none.
+/// Formats an interval of rates, or the reason why there is none.
 pub(crate) fn rate_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
     interval_of(rate, interval, why)
 }
 
-/// An interval of differences, or why there is none.
+/// Formats an interval of differences, or the reason why there is none.
 pub(crate) fn points_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
     interval_of(points, interval, why)
 }
@@ -141,7 +141,7 @@ pub(crate) fn p_value(p: f64) -> String {
     }
 }
 
-/// `a`, `a and b`, `a, b and c`.
+/// Joins parts as a list: `a`, `a and b`, `a, b and c`.
 pub(crate) fn listed(parts: &[String]) -> String {
     match parts {
         [] => String::new(),

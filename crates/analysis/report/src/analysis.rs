@@ -1,5 +1,5 @@
-//! One policy, measured: its subject, its records matched, its statistics; or what a
-//! campaign that follows from another has found out.
+//! The analysis of one policy: its subject, its matched records and its statistics, or
+//! the findings of a campaign that follows from another.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -14,22 +14,22 @@ use crate::sequential::Sequential;
 use crate::subject::Subject;
 use crate::warnings;
 
-/// One policy, measured.
+/// The analysis of one policy.
 #[derive(Clone, Debug)]
 pub struct Analysis {
-    /// Name of the policy in this document, unlike all others.
+    /// Name of the policy, unique in this document.
     pub label: String,
     /// Subject: the outcomes and their circumstances.
     pub subject: Subject,
-    /// Its outcomes, matched. Of a campaign that stopped early, those of the
-    /// configurations that its confidence sequences rest on.
+    /// Matched outcomes. If the campaign stopped early, only the configurations that its
+    /// confidence sequences rest on.
     pub records: Records,
-    /// The records of these, if some do not count.
+    /// Records of the counted configurations; `None` if all of the subject's records count.
     counted: Option<Vec<Record>>,
-    /// Its confidence sequences, if it may end early.
+    /// Confidence sequences, if the campaign may end early.
     pub sequential: Option<Sequential>,
-    /// The statistics; without figures if it follows from another campaign, whose
-    /// configurations it has only parts of.
+    /// The statistics; without figures if the campaign follows from another, because it then
+    /// runs only parts of each configuration.
     pub report: Report,
     /// Explanations of another campaign's transitions, if it explains one.
     pub findings: Option<Findings>,
@@ -95,18 +95,18 @@ impl Analysis {
         })
     }
 
-    /// Returns true if it has configurations to be paired: not if it follows from
-    /// another campaign.
+    /// Returns true if the campaign has whole configurations to pair, that is, if it does
+    /// not follow from another campaign.
     pub fn is_paired(&self) -> bool {
         self.subject.derived.is_none()
     }
 
-    /// The records that figures are of.
+    /// Returns the records that the figures rest on.
     pub(crate) fn counted(&self) -> &[Record] {
         self.counted.as_deref().unwrap_or(&self.subject.records)
     }
 
-    /// All records, without the outcomes that figures are not of.
+    /// Returns all records; those that do not count have their outcome removed.
     pub(crate) fn outcomes_of_all(&self) -> Vec<Record> {
         let counted = self.counted().iter();
         let counted: BTreeSet<_> = counted.map(|it| (it.replicate, it.id)).collect();

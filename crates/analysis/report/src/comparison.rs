@@ -1,5 +1,5 @@
-//! Two policies compared over the rollouts that both have, and why some cannot
-//! be: what was simulated differently, or perturbed differently, is not paired.
+//! Comparison of two policies over the rollouts that both ran. Rollouts that were
+//! simulated or perturbed differently are not paired, and the reason is reported.
 
 use std::collections::BTreeSet;
 
@@ -12,7 +12,7 @@ use crate::sequential_comparison::{NoCommonOrder, SequentialComparison};
 use crate::subject::{Origin, Setups, Subject};
 use crate::warnings::{Of, mujoco, pack, renderer};
 
-/// A comparison that was made.
+/// A completed comparison of two policies.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
     /// The policy A.
@@ -38,7 +38,7 @@ pub struct Comparison {
 /// One of the policies that are compared.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Side {
-    /// Name of the policy in this comparison, unlike the other's.
+    /// Name of the policy, unique in this comparison.
     pub label: String,
     /// The policy's name.
     pub policy: String,
@@ -46,7 +46,7 @@ pub struct Side {
     pub origin: Origin,
 }
 
-/// Two policies of which nothing can be paired.
+/// Error: no rollouts of the two policies can be paired.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("compare {a} with {b}: {}", .reasons.join("; "))]
 pub struct Unpairable {
@@ -58,7 +58,7 @@ pub struct Unpairable {
     pub reasons: Vec<String>,
 }
 
-/// Circumstances in which both policies must have been measured.
+/// Properties of the measurement that both policies must share.
 const SHARED: [(&str, Of); 3] = [
     ("asset pack", pack),
     ("MuJoCo version", mujoco),
@@ -66,12 +66,11 @@ const SHARED: [(&str, Of); 3] = [
 ];
 
 impl Comparison {
-    /// Compares two policies, A − B, with what is known of their rollouts.
+    /// Compares two policies, A − B. `setups` are the known digests of their rollouts.
     ///
     /// # Errors
-    /// If nothing of them can be paired: they were measured with different
-    /// asset packs, simulators, renderers or realisation modes, or no rollout
-    /// of both is the same.
+    /// If no rollouts can be paired: the policies were measured with different asset packs,
+    /// simulators, renderers or realisation modes, or have no rollout in common.
     pub fn of(analyses: [&Analysis; 2], setups: [&Setups; 2]) -> Result<Self, Unpairable> {
         let [a, b] = analyses;
         let sides = sides(a, b);
@@ -127,10 +126,11 @@ impl Comparison {
         })
     }
 
-    /// Follows a rule about the difference: says under which conditions it is met.
+    /// Adds the confidence sequences of the difference, and under which conditions `rule`
+    /// is met.
     ///
     /// # Errors
-    /// If both did not run in the same drawn order.
+    /// If the two campaigns did not run in the same drawn order.
     pub fn follow(
         &mut self,
         analyses: [&Analysis; 2],
@@ -142,7 +142,7 @@ impl Comparison {
         Ok(())
     }
 
-    /// `A − B`, in the names of both.
+    /// Returns `A − B` with the labels of the two policies.
     pub(crate) fn title(&self) -> String {
         format!("{} − {}", self.a.label, self.b.label)
     }
@@ -190,12 +190,12 @@ impl Side {
     }
 }
 
-/// Rollouts of one name that were not the same for both.
+/// Returns the rollouts that both policies ran under the same id but in different setups.
 fn unpaired(statistics: &paired::Comparison) -> BTreeSet<RolloutId> {
     statistics.unpaired.values().flatten().copied().collect()
 }
 
-/// Both, told apart by where their outcomes come from if not by name.
+/// Returns the two sides, labelled by origin if their names are the same.
 fn sides(a: &Analysis, b: &Analysis) -> [Side; 2] {
     let is_ambiguous = a.label == b.label;
     let side = |analysis: &Analysis, letter: &str| {
@@ -216,9 +216,9 @@ fn sides(a: &Analysis, b: &Analysis) -> [Side; 2] {
     [side(a, "A"), side(b, "B")]
 }
 
-/// Names the unknown circumstances of a subject, though both must share them.
+/// Names the properties in [`SHARED`] that are unknown for a subject.
 fn unknown(subject: &Subject, side: &Side) -> Option<String> {
-    // A campaign without any result has nothing yet that could be known.
+    // Properties are recorded with results, so a campaign without results has none yet.
     let has_results = !subject.provenances.is_empty();
     let may_be_unknown = has_results || matches!(subject.origin, Origin::File { .. });
     let is_unknown = |(_, of): &&(&str, Of)| may_be_unknown && values(subject, *of).is_empty();
@@ -234,7 +234,7 @@ fn unknown(subject: &Subject, side: &Side) -> Option<String> {
     })
 }
 
-/// A property that both must share and do not, as far as it is known.
+/// Describes a property in which the subjects are known to differ.
 fn different(
     (what, of): &(&str, Of),
     subjects: [&Subject; 2],
@@ -255,7 +255,7 @@ fn different(
     ))
 }
 
-/// Distinct values of a property, empty ones aside.
+/// Returns the distinct non-empty values of a property.
 fn values(subject: &Subject, of: Of) -> BTreeSet<String> {
     let values = subject.provenances.iter().map(of);
     values.filter(|value| !value.is_empty()).collect()
@@ -275,8 +275,7 @@ fn different_realisation([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<Str
     })
 }
 
-/// Returns the reason why a rollout of both cannot be paired, as far as digests
-/// are known.
+/// Returns the reason why a rollout cannot be paired, judging by the known digests.
 fn obstacle(record: &Record, [a, b]: [&Setups; 2]) -> Option<Obstacle> {
     let differ = |a: Option<&String>, b: Option<&String>| a.zip(b).is_some_and(|(a, b)| a != b);
     let state = RolloutId::clean(record.id.task(), record.init_id);

@@ -19,7 +19,7 @@ use crate::warnings;
 /// Columns of a terminal. Errors are cut there; the JSON form has them whole.
 const WIDTH: usize = 80;
 
-/// Policies, measured.
+/// A report: the analyses of one or several policies.
 #[derive(Clone, Debug)]
 pub struct Document {
     /// Warnings about comparing the policies, to be read first.
@@ -28,10 +28,10 @@ pub struct Document {
     pub analyses: Vec<Analysis>,
 }
 
-/// A report that cannot be made.
+/// Failure to build or write a report.
 #[derive(Debug, thiserror::Error)]
 pub enum DocumentError {
-    /// The same rollout twice.
+    /// A subject holds the same rollout and replicate twice.
     #[error("measure policy `{policy}`")]
     Duplicate {
         /// Name of the policy.
@@ -74,7 +74,7 @@ struct JsonReport<'a> {
 }
 
 impl Document {
-    /// Measures the subjects.
+    /// Analyses the subjects.
     ///
     /// # Errors
     /// If a subject holds the same rollout and replicate twice.
@@ -104,8 +104,8 @@ impl Document {
         pairs.collect()
     }
 
-    /// The policies with complete configurations at a level: how each is called
-    /// here, and its measures.
+    /// Returns the label and the measures of each policy with complete configurations at a
+    /// level.
     pub(crate) fn paired(&self, level: Level) -> Vec<(&str, &Measures)> {
         let policies = self.analyses.iter().filter_map(|analysis| {
             let measures = analysis.cell(level)?.paired.as_ref()?;
@@ -145,8 +145,8 @@ impl Document {
         Ok(text.map_err(JsonError::from)?)
     }
 
-    /// The report in a few lines for a terminal of 80 columns: success by condition, and
-    /// sentences in place of symbols.
+    /// Writes a short report for a terminal of 80 columns: success by condition, and
+    /// findings as sentences.
     pub fn brief(&self) -> String {
         let mut text = String::new();
         for warning in &self.warnings {
@@ -207,8 +207,8 @@ impl Document {
     }
 }
 
-/// The policies' names, with their origins where two have the same, and with a
-/// number where that is not enough.
+/// Returns a unique label per policy: its name, with its origin if two names are equal,
+/// and with a number if the origins are equal too.
 fn labels(subjects: &[Subject]) -> Vec<String> {
     let mut labels: Vec<String> = Vec::new();
     let mut taken = BTreeSet::new();

@@ -1,6 +1,5 @@
 //! Findings of a campaign that explains another, as text for a terminal and as JSON.
-//! The definition of minimal subsets and the choice of those to run are `lattice`'s
-//! business.
+//! The crate `lattice` defines minimal subsets and chooses the subsets to run.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -15,7 +14,7 @@ use serde::Serialize;
 
 use crate::subject::{Prospect, Subject, things};
 
-/// Columns of a terminal for the names of axes.
+/// Width of the column of axis names, in characters.
 const NAMES: usize = 52;
 
 /// Findings about a campaign's transitions.
@@ -33,24 +32,23 @@ pub struct Findings {
     pub transitions: u64,
     /// Transitions whose explanation is finished.
     pub explained: u64,
-    /// Emergent failures that are left out because the nominal rollout fails too.
+    /// Emergent failures that are not explained because the nominal rollout fails too.
     pub nominal_fails: u64,
-    /// Rollouts that were run or wait to be run, beyond those of the campaign.
+    /// Rollouts of the explaining campaign, finished or waiting.
     pub rollouts: u64,
     /// Rollouts among them without an outcome yet.
     pub waiting: u64,
     /// Occurrences of each minimal subset.
     pub subsets: Vec<Occurrence>,
-    /// Each configuration of which a subset was run.
+    /// Explanation of each configuration of which a subset was run.
     pub configurations: Vec<Explained>,
 }
 
 impl Findings {
-    /// Returns the number of transitions and rollouts that explaining a campaign
-    /// would take.
+    /// Returns the number of transitions to explain and of rollouts that this would take.
     ///
     /// # Errors
-    /// If it perturbs one axis only.
+    /// If the campaign perturbs only one axis.
     pub fn prospect(campaign: &Subject, explanation: &Explanation) -> Result<Prospect, KnownError> {
         let known = configurations(&campaign.counted(), &[], explanation)?;
         let mut prospect = Prospect {
@@ -73,11 +71,11 @@ impl Findings {
         Ok(prospect)
     }
 
-    /// Puts together what a campaign that explains another knows and what that one
-    /// does; none of a campaign that explains nothing.
+    /// Combines the outcomes of the explaining campaign `by` with those of the explained
+    /// one; `None` if `by` explains no campaign.
     ///
     /// # Errors
-    /// If the campaign that is explained perturbs one axis only.
+    /// If the explained campaign perturbs only one axis.
     pub fn of(by: &Subject) -> Result<Option<Self>, KnownError> {
         let Some((explanation, records)) = by.explains() else {
             return Ok(None);
@@ -88,7 +86,7 @@ impl Findings {
             campaign: explanation.campaign.clone(),
             explained_by: by.origin_name().to_owned(),
             policy: by.policy.clone(),
-            // While an outcome is missing, there may be further transitions.
+            // A missing outcome may still turn out to be a transition.
             complete: records.iter().all(is_settled) && plan(&known, &sample).is_empty(),
             transitions: 0,
             explained: 0,
@@ -161,7 +159,7 @@ impl Findings {
         text
     }
 
-    /// Progress of the explanation, in a sentence without its subject and its stop.
+    /// Returns the progress of the explanation: a sentence without subject and full stop.
     pub(crate) fn standing(&self) -> String {
         let Self {
             transitions,
@@ -216,7 +214,7 @@ fn push_subsets(text: &mut String, title: &str, occurrences: &[&Occurrence]) {
     }
 }
 
-/// `camera+robot`, or `robot with camera` where the search started at robot.
+/// Formats a subset: `camera+robot`, or `robot with camera` if the search started at robot.
 pub(crate) fn subset(start: AxisSet, set: AxisSet) -> String {
     match start.is_empty() {
         true => set.to_string(),

@@ -1,8 +1,8 @@
 //! The figures, as SVG. Each is a panel of one fixed width, so that a page can
-//! set panels side by side where there is room and below one another where
-//! there is not, and no text has to shrink.
+//! set panels side by side if there is room and below one another if there is
+//! not, without scaling text.
 //!
-//! A meaning never rests on colour alone: transitions have marks, measures have
+//! Colour never carries meaning alone: transitions have marks, measures have
 //! shapes, heat maps have numbers. Colours are those of M. Okabe and K. Ito,
 //! Color Universal Design (2008), and, for the heat map, of ColorBrewer's YlGnBu
 //! (C. Brewer, 2002).
@@ -46,14 +46,14 @@ pub use upset::upset;
 /// The style that the panels need; a page includes it once.
 pub const STYLE: &str = include_str!("figures/style.css");
 
-/// Address of a configuration's page of rollouts, by its simultaneous rollout and its
-/// replicate.
+/// Maps a configuration's simultaneous rollout and its replicate to the URL of the page
+/// that shows its rollouts.
 pub type Link<'a> = &'a dyn Fn(RolloutId, u32) -> String;
 
-/// Around the panel in a file of its own.
+/// Padding around a panel that is written to a file of its own.
 const PADDING: f64 = 14.0;
 
-/// One panel.
+/// One panel, rendered inline in a page or as an SVG file.
 #[derive(Clone, Debug)]
 pub struct Figure {
     /// Name of its file, without extension.
@@ -82,8 +82,7 @@ impl Figure {
         }
     }
 
-    /// Makes the figure as wide as a page, for which a narrow page needs a box that
-    /// scrolls.
+    /// Makes the figure as wide as a page; on a narrow page it scrolls in a box.
     fn wide(self) -> Self {
         Self {
             is_wide: true,
@@ -98,7 +97,7 @@ impl Figure {
 
     /// Renders the figure for a file of its own.
     pub fn standalone(&self) -> String {
-        // A viewer's own background may be of the other scheme than the text.
+        // A viewer may show a dark background behind light-scheme text, or the reverse.
         let style = html! {
             style { (PreEscaped(STYLE)) }
             rect class="ground" x=(svg::number(-PADDING)) y=(svg::number(-PADDING))
@@ -181,7 +180,7 @@ pub fn all(document: &Document) -> Vec<Figure> {
     for pair in document.comparisons() {
         figures.extend(pair.ok().and_then(|comparison| differences(&comparison)));
     }
-    // Two labels can have one plain form, and no file may overwrite another.
+    // Distinct labels can map to the same file name; files must not overwrite each other.
     let mut taken = BTreeSet::new();
     for figure in &mut figures {
         while !taken.insert(figure.name.clone()) {

@@ -1,6 +1,5 @@
-//! How far: what a campaign that measures another one's thresholds has found out, as text
-//! for a terminal and as JSON. What a threshold is, and which radii to run, is
-//! `thresholds`' business.
+//! Report of a campaign that measures another campaign's thresholds, as text for a terminal
+//! and as JSON. The crate `thresholds` defines thresholds and chooses the radii to run.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -13,7 +12,7 @@ use thresholds::{Curve, Decision, Known, Measurement, Ray, Threshold};
 use crate::subject::{Prospect, Subject, things};
 use crate::words;
 
-/// Columns of a terminal for the names of conditions.
+/// Width of the column of condition names, in characters.
 const NAMES: usize = 14;
 
 /// Measured thresholds of a campaign.
@@ -25,25 +24,25 @@ pub struct HowFar {
     pub measured_by: String,
     /// The policy.
     pub policy: String,
-    /// Width that a bracket must not exceed, radius.
+    /// Largest width of a finished bracket, in units of radius.
     pub tolerance: f64,
     /// The largest radius that is run.
     pub max_radius: f64,
     /// True if nothing remains to be run.
     pub complete: bool,
-    /// Thresholds that are looked for: one for each configuration under each condition.
+    /// Number of thresholds searched for: one per configuration and condition.
     pub looked_for: u64,
-    /// Thresholds of which nothing remains to be run.
+    /// Number of thresholds whose search is finished.
     pub found: u64,
-    /// Thresholds that are not looked for, because the budget does not suffice.
+    /// Number of thresholds not searched for because the budget does not suffice.
     pub beyond_budget: u64,
-    /// Rollouts that were run or wait to be run, beyond those of the campaign.
+    /// Rollouts of the measuring campaign, finished or waiting.
     pub rollouts: u64,
     /// Rollouts among them without an outcome yet.
     pub waiting: u64,
     /// Curves of configurations that still succeed at each radius, by condition.
     pub curves: Vec<Curve>,
-    /// Each threshold that is looked for.
+    /// Each threshold that is searched for.
     pub thresholds: Vec<Measured>,
 }
 
@@ -63,11 +62,12 @@ pub struct Measured {
     pub succeeds_at: Option<f64>,
     /// The smallest radius at which it fails, 0 for the nominal rollout.
     pub fails_at: Option<f64>,
-    /// Larger radii at which it succeeds again: it is not monotone.
+    /// Radii above `fails_at` at which the configuration succeeds again, so that success is
+    /// not monotone.
     pub recovers_at: Vec<f64>,
     /// True if nothing remains to be run.
     pub is_found: bool,
-    /// Every radius that was asked for, from the smallest; the nominal rollout first.
+    /// Outcome at every requested radius in ascending order, the nominal rollout first.
     pub outcomes: Vec<AtRadius>,
 }
 
@@ -83,7 +83,7 @@ pub enum Kind {
     Between,
     /// The threshold is beyond the largest radius.
     Beyond,
-    /// Nothing failed so far, and the largest radius has no outcome.
+    /// No failure so far, and the largest radius has no outcome.
     Open,
 }
 
@@ -109,7 +109,7 @@ pub struct AtRadius {
     pub outcome: Outcome,
 }
 
-/// A budget that no configuration can be measured with.
+/// Error: the budget is too small to measure one configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "measure thresholds with a budget of {budget}: one configuration may take {most} rollouts, give \
@@ -118,15 +118,15 @@ pub struct AtRadius {
 pub struct BudgetTooSmall {
     /// The budget.
     pub budget: u32,
-    /// Most rollouts that a configuration may take.
+    /// Largest number of rollouts that a configuration may take.
     pub most: u32,
 }
 
 impl HowFar {
-    /// Checks that a budget suffices for a configuration of the campaign.
+    /// Checks that the budget suffices for at least one configuration of the campaign.
     ///
     /// # Errors
-    /// If it does not.
+    /// If the budget is smaller than one configuration may take.
     pub fn is_affordable(
         campaign: &Subject,
         thresholds: &Thresholds,
@@ -142,8 +142,7 @@ impl HowFar {
         }
     }
 
-    /// Returns the number of thresholds and rollouts that measuring a campaign would
-    /// take.
+    /// Returns the number of thresholds to measure and of rollouts that this would take.
     pub fn prospect(campaign: &Subject, thresholds: &Thresholds) -> Prospect {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
         let mut prospect = Prospect {
@@ -156,8 +155,8 @@ impl HowFar {
         prospect
     }
 
-    /// Puts together what a campaign that measures another one's thresholds knows and
-    /// what that one does; none of a campaign that measures no thresholds.
+    /// Combines the outcomes of the measuring campaign `by` with those of the measured one;
+    /// `None` if `by` measures no thresholds.
     pub fn of(by: &Subject) -> Option<Self> {
         let (thresholds, records) = by.measures()?;
         let measurement = Measurement::of(records, &by.records, thresholds);
@@ -220,7 +219,7 @@ impl HowFar {
         text
     }
 
-    /// Progress of the measurement, in a sentence without its subject and its stop.
+    /// Returns the progress of the measurement: a sentence without subject and full stop.
     pub(crate) fn standing(&self) -> String {
         let mut words = format!(
             "measures thresholds of {}: {} of {} found in {}",
@@ -277,7 +276,7 @@ impl Measured {
         }
     }
 
-    /// The radii at which it is known that it succeeds, or that it fails.
+    /// Lists the radii whose outcome is known to be a success, or a failure.
     pub(crate) fn radii(&self, success: bool) -> String {
         let such = self.outcomes.iter();
         let such = such.filter(|it| it.outcome.success() == Some(success));
@@ -286,16 +285,16 @@ impl Measured {
     }
 }
 
-/// The largest radius at which it succeeds, where it succeeds nominally.
+/// Returns the largest radius that succeeds, [`Level::L0`] if no perturbed rollout does.
 fn largest_success(known: &Known) -> Option<Level> {
     let succeeds = known.points().filter(|(_, it)| *it == Outcome::Success);
     Some(succeeds.map(|(level, _)| level).max().unwrap_or(Level::L0))
 }
 
-/// A row per condition, a column per radius of the grid.
+/// Appends the survival table: a row per condition, a column per radius of the grid.
 fn push_survival(text: &mut String, curves: &[&Curve]) {
     text.push_str("\nconfigurations that still succeed, %, by radius\n");
-    // Conditions with a perturbed language have a shorter grid.
+    // Conditions that perturb the language axis have a shorter grid.
     let longest = curves
         .iter()
         .max_by(|a, b| a.largest_radius.total_cmp(&b.largest_radius));
@@ -327,8 +326,8 @@ fn push_survival(text: &mut String, curves: &[&Curve]) {
     }
 }
 
-/// A row per condition: where half of the configurations survive, and what the curve is
-/// over.
+/// Appends the table of median radii: a row per condition with the radius at which half of
+/// the configurations survive and the number of configurations behind the curve.
 fn push_half_success(text: &mut String, curves: &[&Curve]) {
     text.push_str("\nradius at which half of the configurations still succeed\n");
     let _ = writeln!(

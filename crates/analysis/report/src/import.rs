@@ -1,9 +1,9 @@
-//! Result files of the reference implementation, and of `coordinator export`:
-//! `rollouts.jsonl`, one policy per folder, and beside it, optionally,
-//! `about.json` with what the rows do not say.
+//! Import of result files of the reference implementation and of `coordinator export`:
+//! `rollouts.jsonl`, one policy per folder, and optionally an `about.json` beside it with
+//! metadata that the rows lack.
 //!
-//! Lines are read one at a time. A file with a bad line is refused whole, with
-//! the numbers of its bad lines: half a file would make other figures.
+//! Lines are read one at a time. A file with a bad line is rejected as a whole, with the
+//! numbers of its bad lines, because a partial import would change the figures.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -18,26 +18,26 @@ use sha2::{Digest, Sha256};
 
 use crate::subject::{Origin, Setups, Subject};
 
-/// The rows, inside a folder.
+/// Name of the file of result rows in a folder.
 const ROWS: &str = "rollouts.jsonl";
-/// Name of the file about the rows' circumstances, inside a folder.
+/// Name of the metadata file in a folder.
 const ABOUT: &str = "about.json";
 /// Longest line that is read, bytes.
 const MAX_LINE_BYTES: u64 = 64 << 10;
 /// Largest `about.json` that is read, bytes.
 const MAX_ABOUT_BYTES: u64 = 64 << 10;
-/// Bad lines that are named; the others are counted.
+/// Largest number of bad lines listed in an error; the others are counted.
 const MAX_NAMED: usize = 10;
-/// Most rows of a file: ten replicates of the largest design.
+/// Largest number of rows in a file: ten replicates of the largest design.
 const MAX_FILE_ROWS: usize = 10 * MAX_ROWS;
-/// Most bytes of a file, above [`MAX_FILE_ROWS`] rows of some hundred bytes. Without a limit a
-/// sparse file or a device is read for hours, or for ever.
+/// Largest file, bytes; more than [`MAX_FILE_ROWS`] rows of a few hundred bytes need. Without
+/// a limit, reading a sparse file or a device takes hours or never ends.
 const MAX_FILE_BYTES: u64 = 4 << 30;
 
 /// A file that cannot be read as results.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
-    /// The file system.
+    /// The file could not be read.
     #[error("read {path}: name a folder that holds {ROWS}, or such a file")]
     Read {
         /// Path of the folder or file.
@@ -45,7 +45,7 @@ pub enum ImportError {
         /// Error of the system.
         source: std::io::Error,
     },
-    /// Lines that are no result rows.
+    /// Some lines are not valid result rows.
     #[error("import {path}: {} bad, nothing was taken of it: {}", counted(.bad), said(.named, .bad))]
     Lines {
         /// Path of the file.
@@ -55,13 +55,13 @@ pub enum ImportError {
         /// First of the bad lines.
         named: Vec<BadLine>,
     },
-    /// More rows than any design has.
+    /// The file has more than [`MAX_FILE_ROWS`] rows.
     #[error("import {path}: it has more than {MAX_FILE_ROWS} rows: divide it")]
     TooLong {
         /// Path of the file.
         path: PathBuf,
     },
-    /// Larger than any file of rows.
+    /// The file is larger than [`MAX_FILE_BYTES`].
     #[error("import {path}: it is larger than {} GiB; divide it", MAX_FILE_BYTES >> 30)]
     TooLarge {
         /// Path of the file.
@@ -73,7 +73,7 @@ pub enum ImportError {
         /// Path of the file.
         path: PathBuf,
     },
-    /// The file about the rows does not parse.
+    /// `about.json` cannot be parsed.
     #[error("read {path}, which says what the rows are")]
     About {
         /// Path of the file.
@@ -83,12 +83,12 @@ pub enum ImportError {
     },
 }
 
-/// A line that is no result row.
+/// A line that is not a valid result row.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BadLine {
     /// Number of the line, from 1.
     pub number: usize,
-    /// Reason why it is no row.
+    /// Reason why the line is invalid.
     pub reason: String,
 }
 
@@ -103,8 +103,8 @@ struct About {
     nominal: Option<Count>,
 }
 
-/// A result row of the reference. What repeats the id is checked against it;
-/// step counts and times are not looked at.
+/// A result row of the reference implementation. Fields that repeat parts of the id are
+/// checked against it; step counts and times are ignored.
 #[derive(Deserialize)]
 struct Row {
     rollout_id: RolloutId,
@@ -226,7 +226,7 @@ fn read_about(path: &Path) -> Result<About, ImportError> {
 struct Reading {
     number: usize,
     records: Vec<Record>,
-    /// The line of each rollout.
+    /// Line number of each rollout and replicate, to report duplicates.
     lines: HashMap<(RolloutId, u32), usize>,
     policy: Option<String>,
     bad: usize,
@@ -256,7 +256,7 @@ impl Reading {
             return Err(format!("it is longer than {MAX_LINE_BYTES} bytes"));
         }
         let row: Row = serde_json::from_slice(line.trim_ascii_end()).map_err(|error| {
-            // Its own line number is always 1, which would mislead.
+            // serde_json sees a single line and always reports line 1.
             let error = JsonError::from(error);
             match error.place() {
                 Some((_, column)) => format!("{}, at column {column}", error.problem()),
@@ -313,7 +313,8 @@ impl Row {
         }
     }
 
-    /// As the row says, or as the protocol does for its configurations 0 to 9.
+    /// Returns the initial state given in the row, or the protocol's for configurations 0
+    /// to 9.
     fn initial_state(&self) -> Result<u16, String> {
         let own = self.rollout_id.config();
         let known = match own {

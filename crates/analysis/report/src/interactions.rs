@@ -1,6 +1,6 @@
-//! Interactions of the axes in a campaign, over the configurations of which the
-//! whole lattice was run, level by level: as text for a terminal and as JSON. The
-//! definitions are `lattice`'s.
+//! Interactions of the axes in a campaign by level, over the configurations whose whole
+//! lattice was run, as text for a terminal and as JSON. The crate `lattice` defines the
+//! interactions.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -16,9 +16,9 @@ use serde::Serialize;
 use crate::subject::Subject;
 use crate::words::{percent, points, points_interval};
 
-/// Columns of a terminal for the names of axes.
+/// Width of the column of axis names, in characters.
 const NAMES: usize = 48;
-/// Columns for a success rate, and for a change of it.
+/// Width of the column of success rates, in characters.
 const RATE: usize = 7;
 const CHANGE: usize = 8;
 
@@ -44,11 +44,11 @@ pub struct LevelInteractions {
     pub level: Level,
     /// Configurations that lack an outcome under some subset.
     pub left_out: u64,
-    /// Over all others.
+    /// Interactions over all other configurations.
     pub interactions: Interactions,
 }
 
-/// A campaign without a configuration whose whole lattice was run.
+/// Error: no configuration of the campaign has an outcome under every subset of the axes.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum NoInteractions {
     /// The campaign perturbs one axis.
@@ -57,7 +57,7 @@ pub enum NoInteractions {
     /// The campaign has no perturbed configuration.
     #[error("compute the interactions of `{0}`: it perturbs nothing; create it with `--axes`")]
     Empty(String),
-    /// Every configuration has a gap.
+    /// Every configuration lacks an outcome under some subset.
     #[error(
         "compute the interactions of `{campaign}`: none of its {configurations} configurations has \
          an outcome under every subset of the axes, nominal included ({first}: {gap}); wait for its \
@@ -76,11 +76,11 @@ pub enum NoInteractions {
 }
 
 impl AxisInteractions {
-    /// Computes the interactions of a subject: of the subsets that it ran itself,
-    /// or together with the campaign that it explains.
+    /// Computes the interactions of a subject from its own subsets or, if it explains a
+    /// campaign, from the outcomes of both.
     ///
     /// # Errors
-    /// If no configuration has its whole lattice.
+    /// If no configuration has an outcome under every subset of the axes.
     pub fn of(subject: &Subject) -> Result<Self, NoInteractions> {
         let campaign = subject.origin_name();
         let explains = subject.explains();
@@ -180,13 +180,16 @@ impl AxisInteractions {
     }
 }
 
-/// The lattice of a configuration, if all its outcomes are known.
+/// Returns the lattice of a configuration.
+///
+/// # Errors
+/// If an outcome is missing.
 fn whole(id: &RolloutId, known: &Known) -> Result<CompleteLattice, IncompleteLattice> {
     CompleteLattice::new(id.task(), known.full(), |set| known.verdict(set).success())
 }
 
 impl LevelInteractions {
-    /// Success under no axis and under all of them.
+    /// Returns nominal success and success with all axes perturbed.
     pub(crate) fn ends(&self) -> [&Estimate; 2] {
         let success = &self.interactions.success;
         [&success[&AxisSet::EMPTY], &success[&self.interactions.full]]
@@ -239,7 +242,7 @@ impl LevelInteractions {
     }
 }
 
-/// The number of a change stands under its head, the interval behind it.
+/// Appends a line; the change is right-aligned in its column and its interval follows.
 fn push_line(text: &mut String, name: &str, success: &str, change: &str) {
     let (number, interval) = change.split_once(' ').unwrap_or((change, ""));
     let line = format!("{name:<NAMES$}{success:>RATE$}{number:>CHANGE$} {interval}");
@@ -251,14 +254,14 @@ fn rate(estimate: &Estimate) -> String {
     percent(estimate.value)
 }
 
-/// `-12.3 [-20.1, -4.0]`, in a terminal's letters.
+/// Formats a change in ASCII, such as `-12.3 [-20.1, -4.0]`.
 fn change(estimate: &Estimate) -> String {
     let interval = estimate.simultaneous_ci95.or(estimate.ci95);
     let interval = points_interval(interval, estimate.no_interval);
     format!("{}{interval}", points(estimate.value)).replace('−', "-")
 }
 
-/// Lists in place of maps, so that every key is a name of something.
+/// JSON form, with lists in place of maps so that every key is a fixed field name.
 #[derive(Serialize)]
 pub(crate) struct JsonForm<'a> {
     campaign: &'a str,
@@ -285,7 +288,7 @@ struct JsonLevel<'a> {
 struct JsonSubset<'a> {
     set: AxisSet,
     success: &'a Estimate,
-    /// Null of the empty set.
+    /// Null for the empty set.
     moebius: Option<&'a Estimate>,
 }
 

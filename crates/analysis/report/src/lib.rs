@@ -1,10 +1,10 @@
 //! Reports of outcomes: text for a terminal, JSON, one page of HTML, its
-//! figures as SVG, and the table of configurations as CSV or Parquet. Not
-//! responsible for the statistics, which are `paired`'s, nor for where outcomes
-//! are kept: a [`Subject`] comes from a coordinator or from [`import`].
+//! figures as SVG, and the table of configurations as CSV or Parquet. The crate
+//! `paired` computes the statistics; a [`Subject`] comes from a coordinator or
+//! from [`import`].
 //!
-//! The same subjects give the same bytes: no instant, no machine, no order of
-//! arrival.
+//! Output is deterministic: the same subjects give the same bytes, independent of
+//! time, machine and order of arrival.
 
 #![forbid(unsafe_code)]
 

@@ -1,5 +1,5 @@
-//! The report as one page of HTML: no script, no network, light and dark, on a
-//! phone and on paper. What is written in its sections is in the modules below.
+//! The report as one self-contained page of HTML without scripts, in a light and a dark
+//! scheme, for screens, phones and paper. The modules below write its sections.
 
 mod differences;
 mod explanation;
@@ -25,7 +25,7 @@ pub const STYLE: &str = concat!(
     include_str!("figures/style.css")
 );
 
-/// The page, a whole file.
+/// Renders the report as a complete HTML file.
 pub fn page(document: &Document) -> String {
     let title = title(document);
     let page = html! {
@@ -58,7 +58,7 @@ pub fn warnings(document: &Document) -> Markup {
 }
 
 /// Renders the sections below the warnings, for another page that includes
-/// [`STYLE`]. The squares of the outcome matrices lead to the addresses that
+/// [`STYLE`]. The squares of the outcome matrices are linked to the URLs that
 /// `link` returns.
 pub fn sections(document: &Document, link: Option<Link>) -> Markup {
     let levels = levels(document);
@@ -115,7 +115,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
     }
 }
 
-/// A comparison of two policies, for another page that includes [`STYLE`].
+/// Renders a comparison of two policies, for another page that includes [`STYLE`].
 pub fn comparison(comparison: &Comparison) -> Markup {
     differences::of_one(comparison)
 }

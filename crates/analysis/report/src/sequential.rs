@@ -1,5 +1,5 @@
-//! Confidence sequences: what a campaign that may end early knows whenever one looks,
-//! and what its early end saved.
+//! Confidence sequences of a campaign that may end early, valid at any look, and the
+//! rollouts that an early end saved.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -10,39 +10,39 @@ use serde::Serialize;
 
 use crate::subject::{EarlyStop, Subject};
 
-/// Columns of a terminal for the interval of each measure, the last of them signed.
+/// Widths of the columns of intervals, in characters: rates, then signed points.
 const RATE_COLUMNS: usize = 14;
 const POINTS_COLUMNS: usize = 17;
 
-/// The confidence sequences of a campaign: of one that stopped early, at the look at
-/// which it did, of any other now.
+/// The confidence sequences of a campaign at the look at which it stopped early or, if it
+/// did not, over all its outcomes so far.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Sequential {
-    /// Rule by which it ends early.
+    /// Rule for stopping early.
     pub rule: StopRule,
     /// Seed of the order of its configurations.
     pub seed: u64,
     /// Strata of the order: each round has one configuration of each.
     pub strata: Strata,
-    /// True if it did end early.
+    /// True if the campaign stopped early.
     pub has_stopped: bool,
     /// Configurations of the campaign: the population of the intervals.
     pub configurations: usize,
-    /// Configurations that the intervals rest on: the first in the drawn order.
+    /// Number of configurations that the intervals rest on: the first in the drawn order.
     pub used: usize,
     /// Rollouts of the campaign.
     pub rollouts: usize,
-    /// Rollouts without an outcome because it ended early.
+    /// Rollouts that were not run because the campaign stopped early.
     pub saved: usize,
-    /// Both ends by level and measure, fractions.
+    /// Interval by level and measure, fractions.
     pub levels: BTreeMap<Level, BTreeMap<Measure, [f64; 2]>>,
     /// Estimates, which weigh strata as the campaign has them and lie within the ends; of
     /// levels with a known outcome in every stratum.
     pub estimates: BTreeMap<Level, BTreeMap<Measure, f64>>,
 }
 
-/// That a campaign stopped early, after how many of its configurations, why, and how
-/// many of its rollouts that saved.
+/// Describes an early stop: after how many configurations, by which rule, and how many
+/// rollouts it saved.
 pub fn stopped_in_words(
     [used, configurations]: [u64; 2],
     rule: &str,
@@ -143,8 +143,7 @@ impl Sequential {
         self.levels.iter().map(of_level).collect()
     }
 
-    /// Returns the warning that figures rest on fewer configurations; none where every one
-    /// counts.
+    /// Returns the warning that figures rest on fewer configurations; `None` if all count.
     pub(crate) fn warning(&self) -> Option<String> {
         if self.has_stopped {
             let configurations = [self.used as u64, self.configurations as u64];
@@ -260,7 +259,8 @@ fn columns(measure: Measure) -> usize {
     }
 }
 
-/// `[3.5, 12.0]`, or of a difference `[-4.0, +1.5]`: percent, or points.
+/// Formats an interval: a rate in percent, `[3.5, 12.0]`, or a difference in points,
+/// `[-4.0, +1.5]`.
 pub(crate) fn percent_text(measure: Measure, [low, high]: [f64; 2]) -> String {
     let (low, high) = (100.0 * low, 100.0 * high);
     match measure {

@@ -1,5 +1,5 @@
-//! Two campaigns that run their configurations in the same drawn order, compared
-//! whenever one looks.
+//! Sequential comparison of two campaigns that run their configurations in the same drawn
+//! order, valid at any look.
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -14,13 +14,13 @@ use crate::sequential::percent_text;
 /// The confidence sequences of A − B.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SequentialComparison {
-    /// Seed of the order of both.
+    /// Seed of the drawn order of both campaigns.
     pub seed: u64,
     /// Strata of the order: each round has one configuration of each.
     pub strata: Strata,
-    /// Rule that was asked for, if any.
+    /// Rule to evaluate, if one was given.
     pub rule: Option<StopRule>,
-    /// Every condition at every perturbed level.
+    /// Difference under every condition at every perturbed level.
     pub cells: Vec<SequentialCell>,
 }
 
@@ -33,19 +33,19 @@ pub struct SequentialCell {
     pub condition: Condition,
     /// Configurations of the campaigns: the population of the interval.
     pub configurations: usize,
-    /// Configurations that it rests on: the first in the drawn order that both
-    /// have.
+    /// Number of configurations that the interval rests on: the first in the drawn order
+    /// that both campaigns have.
     pub used: usize,
-    /// Both ends, fractions.
+    /// Interval of the difference, fractions.
     pub difference: [f64; 2],
     /// Number of configurations after which the rule was first met, if it was.
     pub met_after: Option<usize>,
 }
 
-/// Two subjects that did not run their configurations in the same drawn order.
+/// Error: the subjects did not run their configurations in the same drawn order.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoCommonOrder {
-    /// A subject was not drawn at all.
+    /// A subject's configurations did not run in a drawn order.
     #[error(
         "compare {subject} sequentially: its configurations did not run in a drawn order; create \
          both campaigns with `--stop`"
@@ -54,7 +54,7 @@ pub enum NoCommonOrder {
         /// Name of the subject.
         subject: String,
     },
-    /// The subjects were drawn in different orders.
+    /// The subjects ran in different drawn orders.
     #[error(
         "compare {a} with {b} sequentially: {a} ran in the order of {order_a}, {b} in that of \
          {order_b}; create both campaigns with the same `--stop-seed` and `--stop-strata`"
@@ -69,7 +69,7 @@ pub enum NoCommonOrder {
         /// Order of policy B.
         order_b: String,
     },
-    /// The subjects were drawn of different configurations.
+    /// The subjects have different configurations.
     #[error(
         "compare {a} with {b} sequentially: they have different configurations; give both the \
          same tasks and configurations"
@@ -165,7 +165,7 @@ impl SequentialComparison {
 }
 
 impl SequentialCell {
-    /// `L2 camera`.
+    /// Returns the level and the condition, such as `L2 camera`.
     pub(crate) fn name(&self) -> String {
         format!("{} {}", self.level, self.condition.label())
     }

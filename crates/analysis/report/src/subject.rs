@@ -1,5 +1,4 @@
-//! Subject of a report: one policy's outcomes, and everything known about how they were
-//! made.
+//! Subject of a report: one policy's outcomes and their provenance.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -18,21 +17,21 @@ pub struct Subject {
     pub origin: Origin,
     /// Source of the perturbations' random elements, if known.
     pub realisation: Option<Realisation>,
-    /// Every rollout that was meant to run, with or without an outcome.
+    /// Every planned rollout, with or without an outcome.
     pub records: Vec<Record>,
     /// The last errors of the quarantined rollouts.
     pub errors: Vec<Quarantined>,
-    /// Rollouts that ran twice and came out differently.
+    /// Rollouts that ran twice with different results.
     pub divergent: Vec<String>,
-    /// Results of another realisation than `realisation`: in no figure, and
-    /// missing among the records.
+    /// Number of results with a realisation mode other than `realisation`. They are in no
+    /// figure and count as missing in `records`.
     pub left_out: u64,
     /// The distinct circumstances under which the outcomes were made.
     pub provenances: Vec<Provenance>,
-    /// Actions beyond the range that the policy answered, if known.
+    /// Counts of the policy's actions outside [-1, 1], if known.
     #[serde(default)]
     pub beyond: Option<BeyondRange>,
-    /// Mix of fingerprints among the outcomes, if they have more than one.
+    /// Fingerprints of the outcomes, if there is more than one.
     #[serde(default)]
     pub fingerprints: Option<Fingerprints>,
     /// The published nominal success rate, a fraction.
@@ -40,18 +39,19 @@ pub struct Subject {
     /// Nominal success rates published of single suites, fractions.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub published_by_suite: Vec<(Suite, f64)>,
-    /// Nominal successes as published elsewhere.
+    /// Nominal successes reported by another source.
     pub reported_nominal: Option<Count>,
-    /// Assignment of its directions to configurations.
+    /// Assignment of perturbation directions to configurations.
     #[serde(default)]
     pub directions: Directions,
-    /// Digests of the rollouts' circumstances; empty where they are not known.
+    /// Digests of the rollouts' setups; empty if unknown.
     #[serde(default)]
     pub setups: Setups,
-    /// Purpose, if it follows from another campaign.
+    /// Purpose of the campaign, if it follows from another.
     #[serde(default)]
     pub derived: Option<Derived>,
-    /// Early stop of its campaign, possible or done; none of one that runs to its end.
+    /// Early-stop rule of the campaign, and whether it applied; `None` if the campaign always
+    /// runs to its end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub early_stop: Option<EarlyStop>,
 }
@@ -61,27 +61,27 @@ pub struct Subject {
 pub struct Derived {
     /// Purpose, with the campaign that it follows from.
     pub purpose: Purpose,
-    /// That campaign's rollouts, with or without an outcome; of one that stopped early,
-    /// those that count.
+    /// Rollouts of the campaign that it follows from, with or without an outcome; if that
+    /// campaign stopped early, only those that count.
     pub records: Vec<Record>,
 }
 
 /// Size of a campaign that follows from another, before it is created.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Prospect {
-    /// Transitions to explain or thresholds to measure, as far as the outcomes show them.
+    /// Transitions to explain or thresholds to measure, according to the outcomes so far.
     pub subjects: u64,
-    /// The most rollouts that these take, whatever their outcomes are.
+    /// Upper bound of the number of rollouts, by suite.
     pub most_rollouts: BTreeMap<Suite, u64>,
 }
 
 impl Prospect {
-    /// The most rollouts in all.
+    /// Returns the upper bound over all suites.
     pub fn rollouts(&self) -> u64 {
         self.most_rollouts.values().sum()
     }
 
-    /// Spends a budget, each suite its share of it.
+    /// Caps the rollouts at a budget, shared among the suites in proportion.
     pub(crate) fn bound(&mut self, budget: u64) {
         let all = self.rollouts();
         if all > budget {
@@ -105,31 +105,31 @@ pub enum Purpose {
 /// Early stop of a campaign.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EarlyStop {
-    /// The rule, and what its order is drawn from.
+    /// The rule, with the seed and strata of the drawn order.
     pub stop: Stop,
     /// True if it stopped early.
     pub has_stopped: bool,
 }
 
-/// Digests of the circumstances of a subject's rollouts, beyond their names: a rollout of
-/// one name can differ between two subjects. Digests can only be compared for equality.
+/// Digests of the setups of a subject's rollouts. Rollouts with the same id can differ between
+/// two subjects. Digests can only be compared for equality.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Setups {
     /// Digest of perturbation, instruction and step budget, by rollout.
     pub rollouts: BTreeMap<RolloutId, String>,
-    /// Digest of scene and initial state, by the nominal rollout from that state, where
-    /// any result tells.
+    /// Digest of scene and initial state, by the nominal rollout from that state, for states
+    /// with at least one result.
     pub scenes: BTreeMap<RolloutId, String>,
 }
 
-/// Actions with a number outside [-1, 1], of all that were executed.
+/// Counts of executed actions with a component outside [-1, 1].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BeyondRange {
     /// Actions beyond the range.
     pub actions: u64,
     /// All actions.
     pub of_actions: u64,
-    /// Rollouts with at least one of them.
+    /// Rollouts with at least one action beyond the range.
     pub rollouts: u64,
 }
 
@@ -148,11 +148,11 @@ pub enum Origin {
     },
     /// A file of result rows.
     File {
-        /// The folder's or the file's own name, without what is above it.
+        /// Name of the folder or file, without its parent folders.
         name: String,
         /// SHA-256 of the file.
         digest: String,
-        /// Description by its makers; empty where they give none.
+        /// Description given by its authors; may be empty.
         source: String,
     },
 }
@@ -162,7 +162,7 @@ pub enum Origin {
 pub struct Quarantined {
     /// `ID` or `ID#rK`.
     pub rollout: String,
-    /// The last error, whole.
+    /// The last error in full.
     pub last_error: String,
 }
 
@@ -174,7 +174,7 @@ pub fn rollout_name(rollout_id: &str, replicate: u32) -> String {
     }
 }
 
-/// A number of things: `1 rollout`, `2 rollouts`.
+/// Formats a count with its noun: `1 rollout`, `2 rollouts`.
 pub(crate) fn things(count: u64, thing: &str) -> String {
     match count {
         1 => format!("1 {thing}"),
@@ -182,8 +182,8 @@ pub(crate) fn things(count: u64, thing: &str) -> String {
     }
 }
 
-/// The records that figures are of: of a campaign that stopped early, those of the
-/// configurations that its intervals rest on.
+/// Returns the records that the figures rest on: all of them or, if the campaign stopped
+/// early, those of the configurations that its intervals rest on.
 pub fn counted<'a>(records: &'a [Record], early_stop: Option<&EarlyStop>) -> Cow<'a, [Record]> {
     let stopped = early_stop.filter(|it| it.has_stopped);
     let counted = stopped.and_then(|early| CampaignLook::counted_when_met(records, &early.stop));
@@ -211,18 +211,18 @@ impl Subject {
         }
     }
 
-    /// Returns true if its campaign stopped early: rollouts without an outcome get none.
+    /// Returns true if the campaign stopped early, so that no further rollout will run.
     pub fn has_stopped(&self) -> bool {
         let early = self.early_stop.as_ref();
         early.is_some_and(|early| early.has_stopped)
     }
 
-    /// The records that figures are of.
+    /// Returns the records that the figures rest on; see [`counted`].
     pub fn counted(&self) -> Cow<'_, [Record]> {
         counted(&self.records, self.early_stop.as_ref())
     }
 
-    /// The campaign's or the file's name.
+    /// Returns the name of the campaign or file.
     pub fn origin_name(&self) -> &str {
         match &self.origin {
             Origin::Campaign { name, .. } | Origin::File { name, .. } => name,

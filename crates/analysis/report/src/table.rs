@@ -1,7 +1,7 @@
-//! Tables for people's own analyses, as CSV and as Parquet, with the same columns: of
-//! configurations with all their outcomes; of campaigns that explain others, of the
-//! minimal subsets that were found; of those that measure thresholds, of these. No column
-//! is an instant: the same outcomes give the same bytes.
+//! Tables for further analysis, with the same columns as CSV and as Parquet. A row is a
+//! configuration with all its outcomes; a minimal subset, if the campaigns explain others;
+//! or a threshold, if they measure thresholds. No column holds a time, so that the same
+//! outcomes give the same bytes.
 
 mod configurations;
 mod explanations;
@@ -16,9 +16,9 @@ use crate::document::Document;
 pub use form::TableError;
 pub use results::{ResultRow, write_results_parquet};
 
-/// Writes the table as CSV, with a line of column names: minimal subsets if every
-/// subject explains another campaign, thresholds if every subject measures those of
-/// another, configurations otherwise.
+/// Writes the table as CSV with a header line. Its rows are minimal subsets if every subject
+/// explains another campaign, thresholds if every subject measures thresholds, and
+/// configurations otherwise.
 ///
 /// # Errors
 /// If `out` fails.
@@ -30,8 +30,8 @@ pub fn write_csv(document: &Document, out: impl Write) -> Result<(), TableError>
     }
 }
 
-/// Writes the same table as Parquet: one row group, no compression, with what pandas
-/// needs to read nullable columns as what they are.
+/// Writes the same table as Parquet: one row group, no compression, and pandas metadata that
+/// preserves the types of nullable columns.
 ///
 /// # Errors
 /// If `out` fails.

@@ -1,5 +1,5 @@
-//! Warnings of a report, to be read before its figures, in words. Pure, and the
-//! same for the same results: no instant, no count of attempts, no worker.
+//! Warnings of a report, to be read before its figures. They depend on the results alone, not
+//! on times, numbers of attempts or workers.
 
 use std::collections::BTreeSet;
 
@@ -10,14 +10,14 @@ use rollout_types::{Fingerprints, Provenance};
 
 use crate::subject::Subject;
 
-/// The built-in pack, which is another benchmark than LIBERO.
+/// The built-in asset pack, which is a different benchmark from LIBERO.
 const PRIMITIVES: &str = "primitives";
-/// Rollouts named in one warning; more are counted.
+/// Largest number of rollouts named in one warning; the others are counted.
 const MAX_NAMED: usize = 5;
-/// Digits of a digest that are shown.
+/// Number of hexadecimal digits shown of a digest.
 const DIGEST_DIGITS: usize = 12;
 
-/// The warnings about one subject, worst first.
+/// Returns the warnings about one subject, most severe first.
 pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
     let provenances = &subject.provenances;
     let mut warnings = Vec::new();
@@ -54,7 +54,7 @@ pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
     warnings
 }
 
-/// The warnings about comparing subjects with one another, worst first.
+/// Returns the warnings about comparing subjects with each other, most severe first.
 pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
     let mut warnings = Vec::new();
     if subjects.len() < 2 {
@@ -92,8 +92,8 @@ pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
 
 pub(crate) type Of = fn(&Provenance) -> String;
 
-/// Properties that all results of a campaign should share, and what it means if
-/// they do not.
+/// Properties that all results of a campaign should share, and the consequence if they
+/// differ.
 const MIXTURES: [(&str, &str, Of); 7] = [
     (
         "MuJoCo version",
@@ -134,7 +134,7 @@ pub(crate) fn pack(p: &Provenance) -> String {
     format!("{} ({})", p.pin.asset_pack, short(&p.pin.asset_pack_digest))
 }
 
-/// Empty in results of older workers that drew no frame.
+/// Returns the renderer, which is empty in results of older workers that rendered no frame.
 pub(crate) fn renderer(p: &Provenance) -> String {
     p.pin.renderer.clone()
 }
@@ -191,7 +191,7 @@ fn left_out(subject: &Subject) -> Option<String> {
     })
 }
 
-/// Warns of a policy that was measured on other assets than it was taught on.
+/// Warns of a policy that was measured on a different asset pack than it was trained on.
 fn taught_elsewhere(subject: &Subject) -> Option<String> {
     let mut provenances = subject.provenances.iter();
     provenances.find_map(|provenance| {
@@ -254,7 +254,7 @@ fn incomplete(subject: &Subject) -> Option<String> {
     })
 }
 
-/// Some names, and how many more there are.
+/// Lists the first [`MAX_NAMED`] names and counts the others.
 pub(crate) fn some_of(names: &[String]) -> String {
     let mut text = names[..names.len().min(MAX_NAMED)].join("; ");
     if names.len() > MAX_NAMED {
@@ -263,7 +263,7 @@ pub(crate) fn some_of(names: &[String]) -> String {
     text
 }
 
-/// The beginning of a digest.
+/// Abbreviates a digest to [`DIGEST_DIGITS`] digits.
 pub(crate) fn short(digest: &str) -> &str {
     match digest.get(..DIGEST_DIGITS).unwrap_or(digest) {
         "" => "no digest",

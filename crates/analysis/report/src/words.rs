@@ -1,22 +1,22 @@
-//! Formats numbers for people: percent and percentage points with one decimal, a
-//! proper minus sign, intervals in brackets.
+//! Number formats for people: percent and percentage points with one decimal, a
+//! typographic minus sign, intervals in brackets.
 
 use std::collections::BTreeSet;
 
 use paired::{Interval, NoInterval};
 use thresholds::{Curve, HalfSuccess, Point};
 
-/// A rate, or a loss, in percent: `87.5`, `−0.3`.
+/// Formats a rate or a loss in percent: `87.5`, `−0.3`.
 pub(crate) fn percent(rate: f64) -> String {
     minus(format!("{:.1}", 100.0 * rate))
 }
 
-/// A difference in points: `+0.3`, `−6.0`.
+/// Formats a difference in percentage points: `+0.3`, `−6.0`.
 pub(crate) fn points(difference: f64) -> String {
     minus(format!("{:+.1}", 100.0 * difference))
 }
 
-/// With a proper minus sign; what rounds to nought has none.
+/// Replaces hyphens by minus signs and drops the sign of zero.
 fn minus(text: String) -> String {
     match text.as_str() {
         "-0.0" | "+0.0" => "0.0".to_owned(),
@@ -24,17 +24,19 @@ fn minus(text: String) -> String {
     }
 }
 
-/// A sentence with proper minus signs before its numbers.
+/// Replaces the hyphens before a sentence's numbers by minus signs.
 pub(crate) fn minus_signs(sentence: &str) -> String {
     sentence.replace(" -", " −").replace("(-", "(−")
 }
 
-/// ` [9.8, 17.8]`, or why there is none: ` (too few tasks)`.
+/// Formats the interval of a rate, ` [9.8, 17.8]`, or the reason why there is none,
+/// ` (too few tasks)`.
 pub(crate) fn rate_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
     interval_of(percent, interval, why)
 }
 
-/// ` [−6.0, +6.5]`, or why there is none: ` (too few tasks)`.
+/// Formats the interval of a difference, ` [−6.0, +6.5]`, or the reason why there is none,
+/// ` (too few tasks)`.
 pub(crate) fn points_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
     interval_of(points, interval, why)
 }
@@ -51,7 +53,7 @@ fn interval_of(
     }
 }
 
-/// `n = 400`, or `n = 396 to 400`.
+/// Formats the range of several counts: `n = 400`, or `n = 396 to 400`.
 pub(crate) fn counts(counts: impl IntoIterator<Item = u64>) -> String {
     let counts: BTreeSet<u64> = counts.into_iter().collect();
     match (counts.first(), counts.last()) {
@@ -61,7 +63,7 @@ pub(crate) fn counts(counts: impl IntoIterator<Item = u64>) -> String {
     }
 }
 
-/// A p-value: `0.003`, `5e-9`.
+/// Formats a p-value: `0.003`, `5e−9`.
 pub(crate) fn p_value(p: f64) -> String {
     match p < 1e-3 {
         true => format!("{p:.0e}").replace('-', "−"),
@@ -69,9 +71,8 @@ pub(crate) fn p_value(p: f64) -> String {
     }
 }
 
-/// Radius at which half of the configurations survive, as it is printed: `4.25`, `2 to
-/// 4` where no radius between was run, `> 16`, or `none` where fewer than half succeed
-/// nominally.
+/// Formats the radius at which half of the configurations still succeed: `4.25`; `2 to 4` if
+/// no radius between was run; `> 16`; or `none` if fewer than half succeed nominally.
 pub(crate) fn half_success(curve: &Curve) -> String {
     let share = |point: Option<&Point>| point.map_or(0.0, |point| point.survival);
     match (curve.half_success.radius, curve.half_success.bounds) {
@@ -84,7 +85,7 @@ pub(crate) fn half_success(curve: &Curve) -> String {
     }
 }
 
-/// The interval of a half-success radius, or why there is none.
+/// Formats the interval of a half-success radius, or the reason why there is none.
 pub(crate) fn half_success_interval(half: &HalfSuccess) -> String {
     match (half.ci95, half.no_interval) {
         (Some([low, high]), _) => format!("[{low:.2}, {high:.2}]"),

@@ -1,20 +1,20 @@
-//! Survival curves: which share of the configurations still succeeds at a radius.
+//! Survival curves: the share of configurations that still succeed at a radius.
 //!
 //! A configuration *survives* up to a radius if it succeeds nominally and at every
-//! smaller radius that was run. The curve begins at the nominal success rate, over all
-//! configurations: those that fail nominally survive to no radius. So it is comparable
-//! with a report's rates; where no configuration recovers from a failure, it is equal to
-//! them at the levels of the grid.
+//! smaller radius that was run. The curve starts at the nominal success rate over all
+//! configurations; those that fail nominally survive to no radius. It is therefore
+//! comparable with a report's rates, and equal to them at the levels of the grid if no
+//! configuration recovers from a failure.
 //!
-//! The place of a threshold within its bracket is not known. The curve takes it as
-//! uniform there; the *band* is what every other place would give. At a radius that was
-//! run of every configuration, both are the same. A threshold beyond the largest success
-//! whose failure is not known is censored on the right: the curve goes on with it as with
-//! the others that came so far, the band with everything that it may be.
+//! The position of a threshold within its bracket is unknown. The curve assumes a uniform
+//! distribution; the *band* covers every possible position. At a radius that was run for
+//! every configuration, both coincide. A threshold without a known failure is
+//! right-censored at the largest success: beyond it the curve treats the configuration like
+//! the others that survived so far, and the band covers all possibilities.
 //!
-//! Intervals are about what the band allows: from the lower end of an interval of the least
-//! to the upper end of an interval of the most, over resampled tasks. So they hold wherever
-//! in their brackets the thresholds lie, and are never narrower than the brackets there
+//! Intervals cover the band: from the lower end of an interval of its minimum to the upper
+//! end of an interval of its maximum, over resampled tasks. They hold for any position of
+//! the thresholds in their brackets and are never narrower than the brackets
 //! (J. L. Horowitz, C. F. Manski, Nonparametric analysis of randomized experiments with
 //! missing covariate and outcome data, Journal of the American Statistical Association 95
 //! (2000), 77–84).
@@ -30,9 +30,9 @@ use crate::search::Search;
 
 /// One half of all configurations.
 const HALF: f64 = 0.5;
-/// Most rounds in which the share of censored configurations is settled, and the change
-/// of a share that ends them.
+/// Largest number of iterations of the fixed point for censored configurations.
 const MOST_ROUNDS: u32 = 1_000;
+/// Change of a share below which the iteration has converged.
 const CHANGE: f64 = 1e-12;
 
 /// Survival curve of configurations over the radius, under one condition.
@@ -40,32 +40,33 @@ const CHANGE: f64 = 1e-12;
 pub struct Curve {
     /// Condition: the perturbed axes.
     pub condition: Condition,
-    /// The radii that were run of every configuration.
+    /// Radii that are run for every configuration.
     pub grid: Vec<f64>,
-    /// The largest of them; the curve ends there.
+    /// Largest radius of the grid, where the curve ends.
     pub largest_radius: f64,
-    /// True if radii between those of the grid are run: not where language is perturbed.
+    /// True if radii between those of the grid are run, that is, if language is not
+    /// perturbed.
     pub is_bisected: bool,
-    /// Configurations that it is over: those of which every radius of the grid has been
-    /// run, and those that fail nominally.
+    /// Number of configurations in the curve: those with outcomes on the whole grid, and
+    /// those that fail nominally.
     pub n: u64,
     /// Number of their tasks.
     pub tasks: usize,
-    /// Configurations that it leaves out: outcomes of the grid are missing still, or the
-    /// nominal rollout is in quarantine.
+    /// Number of excluded configurations: outcomes of the grid are missing, or the nominal
+    /// rollout is quarantined.
     pub left_out: u64,
     /// Configurations that fail nominally.
     pub nominal_fails: u64,
-    /// Configurations that survive up to the largest radius: there, their threshold is
+    /// Configurations that survive up to the largest radius, where their threshold is
     /// censored.
     pub beyond: u64,
-    /// Configurations that are censored below it, because the outcome there is in
-    /// quarantine.
+    /// Configurations that are censored below the largest radius because its outcome is
+    /// quarantined.
     pub censored: u64,
-    /// Configurations that succeed again at a larger radius than one at which they fail.
+    /// Configurations that succeed again at a radius beyond a failure.
     pub not_monotone: u64,
-    /// The curve, from radius 0 on, straight between these points. None where it is over
-    /// no configuration.
+    /// Points of the curve from radius 0 on, with linear interpolation between them. Empty
+    /// without a configuration.
     pub points: Vec<Point>,
     /// Radius at which half of the configurations survive.
     pub half_success: HalfSuccess,
@@ -82,23 +83,24 @@ pub struct Point {
     pub survival: f64,
     /// The smallest and the largest share that the brackets allow.
     pub band: [f64; 2],
-    /// Interval of `survival`, by resampling tasks, wherever the thresholds lie in their
-    /// brackets; none where that cannot give one.
+    /// Interval of `survival` by resampling tasks, valid for any position of the thresholds
+    /// in their brackets; absent if resampling cannot give one.
     pub ci95: Option<Interval>,
 }
 
 /// The radius up to which half of all configurations survive.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HalfSuccess {
-    /// Radius at which the curve crosses one half; none if fewer than half succeed
+    /// Radius at which the curve crosses one half; `None` if fewer than half succeed
     /// nominally, more than half survive up to the largest radius, or brackets are not
     /// narrowed there.
     pub radius: Option<f64>,
-    /// Range of the radius for these configurations, wherever the thresholds are in their
-    /// brackets; none where the curve is over no configuration.
+    /// Range of the radius for these configurations over all positions of the thresholds in
+    /// their brackets; `None` without a configuration.
     pub bounds: Option<Interval>,
-    /// Interval, by resampling tasks, brackets included. An end at 0 means less than
-    /// half nominally, one at the largest radius, half or more there.
+    /// Interval by resampling tasks, including the uncertainty of brackets. An end at 0 means
+    /// that less than half succeed nominally; an end at the largest radius, that half or more
+    /// survive there.
     pub ci95: Option<Interval>,
     /// Reason why there is no interval.
     pub no_interval: Option<NoInterval>,
@@ -109,11 +111,11 @@ pub struct HalfSuccess {
 enum Survives {
     /// The configuration fails nominally.
     Never,
-    /// Up to a radius between these.
+    /// The configuration survives up to a radius in this bracket.
     Until([f64; 2]),
-    /// Up to the largest radius.
+    /// The configuration survives up to the largest radius.
     Throughout,
-    /// Up to this radius; what is beyond is not known.
+    /// The configuration survives up to this radius; outcomes beyond are unknown.
     AtLeast(f64),
 }
 
@@ -132,8 +134,9 @@ impl Survives {
         survives.filter(|_| found.is_on_grid)
     }
 
-    /// Probability that it survives up to a radius, if its threshold is uniform in its
-    /// bracket, and, where it is censored, as likely as `others` that survive as far.
+    /// Returns the probability of survival up to a radius for a threshold that is uniform in
+    /// its bracket. Beyond censoring, it is the conditional probability of `others` that
+    /// survive as far.
     fn expected(self, radius: f64, others: impl Fn(f64) -> f64) -> f64 {
         match self {
             Self::Never => 0.0,
@@ -147,7 +150,7 @@ impl Survives {
         }
     }
 
-    /// Returns whether it certainly survives up to a radius, and whether it possibly does.
+    /// Returns whether the configuration certainly, and possibly, survives up to a radius.
     fn bounds(self, radius: f64) -> [bool; 2] {
         match self {
             Self::Never => [false; 2],
@@ -168,7 +171,7 @@ impl Survives {
 }
 
 impl Curve {
-    /// The curve of a condition, over the rays of which this was found.
+    /// Computes the curve of a condition from the thresholds found along its rays.
     pub(crate) fn of(
         condition: Condition,
         search: &Search,
@@ -201,15 +204,15 @@ impl Curve {
         }
     }
 
-    /// The point at a radius of the grid.
+    /// Returns the point at a radius of the grid.
     pub fn at(&self, radius: f64) -> Option<&Point> {
         self.points.iter().find(|point| point.radius == radius)
     }
 }
 
-/// The configurations task by task: what is resampled.
+/// The configurations grouped by task, which is the unit of resampling.
 struct Clusters {
-    /// Radii at which the curve can bend.
+    /// Radii at which the slope of the curve can change.
     radii: Vec<f64>,
     tasks: Vec<Task>,
 }
@@ -217,7 +220,7 @@ struct Clusters {
 /// The configurations of one task.
 struct Task {
     n: f64,
-    /// Number of them that survive up to each radius: the fewest, then the most.
+    /// Smallest, then largest number of configurations that survive up to each radius.
     survive: [Vec<f64>; 2],
 }
 
@@ -247,7 +250,7 @@ impl Clusters {
         }
     }
 
-    /// The curve's points, and where it crosses one half.
+    /// Computes the curve's points and the radius at which it crosses one half.
     fn points(
         &self,
         known: &[(TaskRef, Survives)],
@@ -269,7 +272,7 @@ impl Clusters {
         let intervals = intervals_of_many(bootstrap, tasks, count, statistics);
         let interval = |k: usize| {
             let ends = [2 * k, 2 * k + 1].map(|place| match intervals[place] {
-                // An end that no resampling moves is its value.
+                // An end that is the same in all resamplings is exact.
                 Err(NoInterval::NoSpread) => Ok([values[place]; 2]),
                 ends => ends,
             });
@@ -300,10 +303,10 @@ impl Clusters {
         (points.collect(), half)
     }
 
-    /// The curve at each radius. Censored configurations survive as the others do, of
-    /// which they are some: the share is what makes that so (B. Efron, The two sample
-    /// problem with censored data, Proceedings of the Fifth Berkeley Symposium 4 (1967),
-    /// 831–853).
+    /// Computes the curve at each radius as Efron's self-consistent estimate: censored
+    /// configurations survive with the curve's own conditional probability, which is
+    /// iterated to a fixed point (B. Efron, The two sample problem with censored data,
+    /// Proceedings of the Fifth Berkeley Symposium 4 (1967), 831–853).
     fn survival(&self, known: &[(TaskRef, Survives)]) -> Vec<f64> {
         let mut survival = vec![1.0; self.radii.len()];
         for _ in 0..MOST_ROUNDS {
@@ -326,8 +329,8 @@ impl Clusters {
         survival
     }
 
-    /// The least and the most survival at each radius over tasks that were drawn so often,
-    /// in turn, and then the radii between which it crosses one half.
+    /// Writes the least and the greatest survival at each radius, alternating, over tasks
+    /// weighted by `draws`; then the radii between which survival crosses one half.
     fn statistics(&self, draws: &[u32], values: &mut [f64]) {
         values.fill(0.0);
         let mut n = 0.0;
@@ -354,7 +357,7 @@ impl Clusters {
         values[2 * self.radii.len() + 1] = high;
     }
 
-    /// Returns the radius at which a curve crosses one half, straight between its points.
+    /// Returns the radius at which a curve crosses one half, by linear interpolation.
     fn crossing(&self, survival: &[f64]) -> f64 {
         let below = survival.iter().position(|share| *share <= HALF);
         match below {

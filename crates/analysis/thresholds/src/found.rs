@@ -1,4 +1,4 @@
-//! Threshold found along one ray.
+//! Threshold of one ray, derived from its known outcomes.
 
 use libero_ctrl::Level;
 use paired::Outcome;
@@ -6,26 +6,26 @@ use paired::Outcome;
 use crate::ray::Known;
 use crate::search::Search;
 
-/// Radius at which success turns to failure, as far as it is known.
+/// Radius at which success turns to failure, as far as known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Threshold {
-    /// The nominal rollout fails: there is no success that could turn.
+    /// The nominal rollout fails, so that there is no threshold.
     NominalFails,
     /// The nominal rollout has no outcome.
     NominalUnknown,
-    /// The threshold is between these radii: the smallest at which it fails, and the
-    /// largest below at which it succeeds.
+    /// The threshold lies between the smallest failing radius and the largest successful
+    /// radius below it.
     Between {
-        /// Largest radius at which it succeeds; L0 is the nominal rollout.
+        /// Largest successful radius below `fails_at`; L0 is the nominal rollout.
         succeeds_at: Level,
-        /// Smallest radius at which it fails.
+        /// Smallest failing radius.
         fails_at: Level,
     },
-    /// Beyond the largest radius that is run, where it succeeds: the threshold is
-    /// censored on the right.
+    /// The largest radius succeeds and no radius fails: the threshold is right-censored
+    /// there.
     Beyond,
     /// No radius is known to fail, and the largest has no outcome: the threshold is
-    /// censored on the right, at the largest radius that is known to succeed.
+    /// right-censored at the largest radius that is known to succeed.
     Open {
         /// Largest radius at which it succeeds; L0 is the nominal rollout.
         succeeds_at: Level,
@@ -37,9 +37,9 @@ pub enum Threshold {
 pub struct Found {
     /// The first radius at which success turns to failure.
     pub threshold: Threshold,
-    /// Larger radii at which it succeeds nevertheless: the ray is not monotone.
+    /// Radii beyond the threshold that succeed, so that the ray is not monotone.
     pub recovers_at: Vec<Level>,
-    /// True if no outcome of the grid is missing. Before, failures can turn up at
+    /// True if no outcome of the grid is missing. Otherwise, failures may still appear at
     /// smaller radii.
     pub is_on_grid: bool,
 }

@@ -1,18 +1,18 @@
 //! Thresholds: the radius at which a policy's success turns to failure.
 //!
-//! A configuration under one condition has a direction that is the same at every
-//! radius: a [`Ray`], which begins at the nominal rollout. From the outcomes that are
-//! known along a ray, [`next()`] says which radii to run next and [`found()`] where
-//! success turns to failure. A [`Measurement`] puts the rays of a campaign together, and
-//! its [`Curve`]s say how many configurations still succeed at a radius.
+//! A configuration under one condition has the same direction at every radius: a
+//! [`Ray`], which begins at the nominal rollout. From the known outcomes along a ray,
+//! [`next()`] chooses the radii to run next and [`found()`] derives the threshold. A
+//! [`Measurement`] collects the rays of a campaign, and its [`Curve`]s give the share of
+//! configurations that still succeed at a radius.
 //!
-//! Pure: outcomes go in, decisions and numbers come out, the same for the same outcomes
-//! in any order. Read `ray`, `search`, `found`, which says what is known of one
-//! ray, then `next`, which chooses radii on it, `measurement`, which spends a budget on many, and `curve`.
+//! The crate does no I/O: decisions and numbers are functions of the set of outcomes,
+//! whose order does not matter. `ray`, `search` and `found` describe a single ray, `next`
+//! chooses radii on it, `measurement` spends a budget on many, and `curve` summarises them.
 //!
-//! One rollout decides whether a configuration succeeds at a radius, the one of
-//! replicate 0. For a policy that samples, a threshold is therefore that of one draw
-//! at each radius, and the curves, which are means over configurations, are what to read.
+//! Only the rollout of replicate 0 decides whether a configuration succeeds at a radius.
+//! For a policy that samples, a threshold therefore rests on one draw per radius; the
+//! curves, which are means over configurations, remain meaningful.
 
 #![forbid(unsafe_code)]
 

@@ -1,5 +1,5 @@
-//! The rays of a campaign, from the records of two: the one that is measured, and the
-//! one that runs further radii of it. How a budget of rollouts is spent on them.
+//! The rays of a campaign, from its own records and those of the campaign that runs further
+//! radii, and the allocation of a budget of rollouts to them.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,20 +18,20 @@ use crate::search::Search;
 /// A configuration: its task and its number.
 type Configuration = (TaskRef, u16);
 
-/// Everything that is known of the thresholds of a campaign.
+/// Outcomes, searches and sample of a campaign whose thresholds are measured.
 #[derive(Clone, Debug)]
 pub struct Measurement {
     thresholds: Thresholds,
     rays: BTreeMap<Ray, Known>,
     searches: BTreeMap<Condition, Search>,
-    /// The most rollouts that each configuration takes, whatever its outcomes are.
+    /// Upper bound of the number of rollouts of each configuration.
     costs: BTreeMap<Configuration, u32>,
     sample: BTreeSet<Configuration>,
 }
 
 impl Measurement {
-    /// Puts together what is known: `source` are the records of the campaign that is
-    /// measured, `own` those of the one that runs further radii.
+    /// Combines the records of the measured campaign, `source`, with those of the campaign
+    /// that runs further radii, `own`.
     pub fn of(source: &[Record], own: &[Record], thresholds: &Thresholds) -> Self {
         let source: Vec<Record> = source
             .iter()
@@ -83,7 +83,7 @@ impl Measurement {
         }
     }
 
-    /// The rays that are measured, with what is known of them, by condition, task and
+    /// Returns the measured rays with their known outcomes, by condition, task and
     /// configuration.
     pub fn rays(&self) -> impl Iterator<Item = (Ray, &Known)> {
         let rays = self.rays.iter();
@@ -91,24 +91,24 @@ impl Measurement {
         measured.map(|(&ray, known)| (ray, known))
     }
 
-    /// Number of rays, measured or not.
+    /// Returns the number of rays, measured or not.
     pub fn of_rays(&self) -> usize {
         self.rays.len()
     }
 
-    /// The conditions that are measured, and how.
+    /// Returns the search of each measured condition.
     pub fn searches(&self) -> impl Iterator<Item = (Condition, &Search)> {
         self.searches
             .iter()
             .map(|(&condition, search)| (condition, search))
     }
 
-    /// The most rollouts that any configuration takes, whatever its outcomes are.
+    /// Returns the upper bound of the number of rollouts of any single configuration.
     pub fn most_rollouts_of_one(&self) -> u32 {
         self.costs.values().copied().max().unwrap_or_default()
     }
 
-    /// The most rollouts that each configuration of the sample takes.
+    /// Returns the upper bound of the number of rollouts of each sampled configuration.
     pub fn most_rollouts(&self) -> impl Iterator<Item = (TaskRef, u32)> {
         let sampled = self.costs.iter().filter(|(it, _)| self.sample.contains(it));
         sampled.map(|((task, _), most)| (*task, *most))
@@ -124,7 +124,8 @@ impl Measurement {
         next(known, &self.searches[&ray.condition])
     }
 
-    /// The rollouts to run next, in the order to run them in; none where everything is found, or asked for.
+    /// Returns the rollouts to run next, in order; empty if every threshold is found or all
+    /// needed rollouts are requested.
     pub fn plan(&self) -> Vec<(Ray, Level)> {
         let asked: u32 = self.rays.values().map(Known::further).sum();
         let left = self
@@ -140,9 +141,9 @@ impl Measurement {
             levels.into_iter().map(move |level| (ray, level))
         });
         let mut wanted: Vec<(Ray, Level)> = wanted.collect();
-        // Configuration by configuration, so that what is there covers all tasks early.
+        // Sorted by configuration first, so that early results cover all tasks.
         wanted.sort_by_key(|(ray, level)| (ray.config, ray.task, ray.condition, *level));
-        // The sample is chosen so that this cuts nothing off, unless rollouts come back
+        // The sample fits the budget, so that this cuts nothing off unless rollouts return
         // from quarantine after their brackets were halved without them.
         wanted.truncate(left as usize);
         wanted
@@ -176,12 +177,12 @@ fn alone(condition: Condition) -> AxisSet {
     }
 }
 
-/// The configurations that are measured: all of them, or as many as the budget suffices
-/// for whatever their outcomes turn out to be.
+/// Selects the configurations to measure: all of them, or as many as the budget covers in the
+/// worst case.
 ///
-/// The choice depends on the seed and on the campaign's rows, and on no outcome: it is a random
-/// sample. Configurations come in rounds, one of each task, so that a small sample has many tasks,
-/// and with all conditions, so that these are compared over the same configurations.
+/// The choice depends on the seed and the campaign's rows but on no outcome, so that it is a random
+/// sample. Configurations are taken in rounds, one per task, so that a small sample has many tasks,
+/// and with all conditions, so that conditions are compared over the same configurations.
 fn sample(
     costs: &BTreeMap<Configuration, u32>,
     thresholds: &Thresholds,
@@ -209,7 +210,7 @@ fn sample(
     affordable.collect()
 }
 
-/// The place of a configuration in the random order of its task.
+/// Returns the sort key of a configuration in the random order of its task.
 fn rank(task: TaskRef, config: u16, seed: u64) -> u64 {
     let name = RolloutId::perturbed(task, Condition::Combination, Level::L1, config);
     let name = name.expect("a combination at L1 is perturbed");

@@ -1,8 +1,8 @@
 //! Selects the radii of one ray to run next.
 //!
-//! A decision is a function of what is known along the ray, of nothing else. So it may
-//! be made at any time and as often as one likes: what was asked for is known as
-//! missing, and is not asked for again.
+//! A decision is a function of the known outcomes along the ray alone. It may therefore be
+//! repeated at any time: requested rollouts are recorded as missing and are not requested
+//! again.
 
 use libero_ctrl::Level;
 use paired::Outcome;
@@ -11,18 +11,17 @@ use crate::found::{Threshold, found};
 use crate::ray::Known;
 use crate::search::Search;
 
-/// Brackets are as wide as they were asked for if they exceed it by a rounding error
-/// only: radii have six decimals.
+/// Rounding error by which a bracket may exceed the tolerance: radii have six decimals.
 const ROUNDING: f64 = 1e-5;
 
 /// Next step for a ray.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Decision {
-    /// Run these radii; there is one at least.
+    /// Run these radii; the list is not empty.
     Run(Vec<Level>),
     /// Wait for outcomes.
     Wait,
-    /// There is nothing more to be run.
+    /// No radius remains to be run.
     Done,
 }
 
@@ -57,8 +56,8 @@ pub fn next(known: &Known, search: &Search) -> Decision {
         .is_some_and(|it| high - low > it + ROUNDING);
     let halfway = Level::of_radius(f64::midpoint(low, high)).filter(|_| is_wide);
     match halfway {
-        // A known outcome halfway is in quarantine: the bracket stays as wide as it
-        // is.
+        // A rollout exists halfway and did not narrow the bracket, so it is quarantined: the
+        // bracket cannot be narrowed further.
         Some(level) if known.at(level).is_none() => Decision::Run(vec![level]),
         _ => Decision::Done,
     }

@@ -25,7 +25,7 @@ pub struct Known {
 }
 
 impl Known {
-    /// A ray of which the nominal rollout ended so: its outcome at radius 0.
+    /// Creates a ray from the outcome of its nominal rollout, at radius 0.
     pub fn new(nominal: Outcome) -> Self {
         Self {
             nominal,
@@ -33,12 +33,12 @@ impl Known {
         }
     }
 
-    /// Adds what the campaign that is measured knows of a radius.
+    /// Adds an outcome of the measured campaign.
     pub fn record(&mut self, level: Level, outcome: Outcome) {
         self.points.insert(level, outcome);
     }
 
-    /// Adds a rollout that was asked for: [`Outcome::Missing`] while it has no result.
+    /// Adds a requested rollout, with [`Outcome::Missing`] while it has no result.
     pub fn record_further(&mut self, level: Level, outcome: Outcome) {
         self.record(level, outcome);
         self.further += 1;
@@ -49,25 +49,25 @@ impl Known {
         self.nominal
     }
 
-    /// Returns the outcome of the rollout at a radius; none where none was asked for.
+    /// Returns the outcome of the rollout at a radius; `None` if none was requested.
     pub fn at(&self, level: Level) -> Option<Outcome> {
         self.points.get(&level).copied()
     }
 
-    /// The radii at which a rollout was asked for, with its outcome, from the smallest.
+    /// Returns the radii with a requested rollout and their outcomes, in ascending order.
     pub fn points(&self) -> impl Iterator<Item = (Level, Outcome)> {
         self.points
             .iter()
             .map(|(&level, &outcome)| (level, outcome))
     }
 
-    /// Rollouts that were asked for beyond those of the campaign that is measured.
+    /// Returns the number of rollouts requested beyond those of the measured campaign.
     pub const fn further(&self) -> u32 {
         self.further
     }
 
-    /// The radii at which it is known that it succeeds, or that it fails, from the
-    /// smallest.
+    /// Returns the radii whose outcome is known to be a success, or a failure, in ascending
+    /// order.
     pub(crate) fn levels(&self, success: bool) -> impl DoubleEndedIterator<Item = Level> {
         let points = self.points.iter();
         let such = points.filter(move |(_, outcome)| outcome.success() == Some(success));

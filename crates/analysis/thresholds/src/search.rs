@@ -1,26 +1,26 @@
-//! Search for thresholds.
+//! Parameters of the search for thresholds: grid and tolerance.
 
 use libero_ctrl::{Axis, AxisSet, Condition, Level, Thresholds};
 
 /// Parameters of the search for a threshold.
 ///
-/// First all radii of a grid are run, whatever their outcomes, so that every ray is
-/// seen to fail and to recover with the same resolution. Then the first bracket in
-/// which success turns to failure is halved until it is narrow enough. A radius
-/// between two that succeed is not run: a failure there stays unseen.
+/// First, all radii of a grid are run regardless of their outcomes, so that failures and
+/// recoveries are observed with the same resolution along every ray. Then the first
+/// bracket in which success turns to failure is halved until it is narrow enough. Radii
+/// between two successes are not run; a failure there goes unnoticed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Search {
-    /// The radii that are run in any case, from the smallest.
+    /// Radii that are always run, in ascending order.
     pub grid: Vec<Level>,
-    /// Width that the bracket must not exceed, radius; none where there are no radii
-    /// between those of the grid.
+    /// Largest width of a finished bracket, in units of radius; `None` if no radii between
+    /// those of the grid exist.
     pub tolerance: Option<f64>,
 }
 
 impl Search {
-    /// Search for the thresholds of a condition in a campaign of these axes. Language
-    /// has wordings at the protocol's levels and nothing between or beyond, so that a
-    /// condition with it is run at those only.
+    /// Returns the search for the thresholds of a condition in a campaign of the given axes.
+    /// Language has wordings only at the protocol's levels, so that a condition that
+    /// perturbs it is run only at those.
     pub fn of(thresholds: &Thresholds, condition: Condition, axes: AxisSet) -> Self {
         let mut grid = thresholds.grid();
         if !condition.axes(axes).contains(Axis::Language) {
@@ -36,14 +36,14 @@ impl Search {
         }
     }
 
-    /// The largest radius that is run.
+    /// Returns the largest radius of the grid.
     pub fn largest(&self) -> Option<Level> {
         self.grid.last().copied()
     }
 
-    /// The most rollouts that a ray takes of which the outcomes at some radii are
-    /// supplied, whatever all outcomes are: the rest of the grid, and as many halvings
-    /// as the widest bracket needs that quarantine can leave.
+    /// Returns the upper bound of the number of rollouts of a ray whose outcomes at some
+    /// radii are supplied: the rest of the grid, and the halvings of the widest bracket that
+    /// quarantined rollouts can leave.
     pub fn most_rollouts(&self, is_supplied: impl Fn(Level) -> bool) -> u32 {
         let grid = self.grid.iter().filter(|level| !is_supplied(**level));
         let widest = self.largest().map_or(0.0, Level::radius);

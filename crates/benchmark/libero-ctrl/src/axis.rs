@@ -33,7 +33,7 @@ impl Axis {
         Self::Language,
     ];
 
-    /// The axes with numbers for parameters: all but language.
+    /// Axes with numeric parameters: all except language.
     pub const METRIC: [Self; 5] = [
         Self::Camera,
         Self::Lighting,

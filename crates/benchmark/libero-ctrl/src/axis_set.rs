@@ -1,4 +1,4 @@
-//! Sets of axes: what is perturbed together.
+//! Sets of axes that are perturbed together.
 
 use std::fmt;
 use std::str::FromStr;
@@ -11,7 +11,7 @@ use crate::names::{UnknownName, serde_as_text};
 /// is written `none`.
 ///
 /// Sets are ordered by size, then by their axes in the protocol's order, so that
-/// every set stands behind its subsets.
+/// every set follows its subsets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct AxisSet(u8);
 
@@ -21,7 +21,7 @@ impl AxisSet {
     /// Set of all six axes.
     pub const ALL: Self = Self((1 << Axis::ALL.len()) - 1);
 
-    /// The set of one axis.
+    /// Returns the set of one axis.
     pub const fn of(axis: Axis) -> Self {
         Self(1 << axis as u8)
     }
@@ -31,32 +31,32 @@ impl AxisSet {
         self.0.count_ones() as usize
     }
 
-    /// Returns true if it has no axis.
+    /// Returns true if the set is empty.
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }
 
-    /// Returns true if an axis is in it.
+    /// Returns true if the set contains an axis.
     pub const fn contains(self, axis: Axis) -> bool {
         self.0 & (1 << axis as u8) != 0
     }
 
-    /// Returns true if all its axes are in another set; every set is a subset of itself.
+    /// Returns true if the set is a subset of another; every set is a subset of itself.
     pub const fn is_subset(self, of: Self) -> bool {
         self.0 & of.0 == self.0
     }
 
-    /// Returns true if it is a subset of another set, and not that set itself.
+    /// Returns true if the set is a subset of another and not equal to it.
     pub const fn is_proper_subset(self, of: Self) -> bool {
         self.is_subset(of) && self.0 != of.0
     }
 
-    /// Axes of either.
+    /// Returns the axes that are in either set.
     pub const fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 
-    /// Axes that are not in another set.
+    /// Returns the axes that are not in `other`.
     pub const fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }
@@ -93,8 +93,8 @@ impl FromIterator<Axis> for AxisSet {
 
 impl Ord for AxisSet {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        // Of two sets of one size, the one with the earliest axis that only one of them has
-        // is first; that axis is the lowest bit.
+        // Of two sets of the same size, the first is the one that has the lowest bit in which
+        // they differ, that is, the earliest axis that only one of them has.
         let by_axes = || other.0.reverse_bits().cmp(&self.0.reverse_bits());
         self.len().cmp(&other.len()).then_with(by_axes)
     }
@@ -128,7 +128,7 @@ impl fmt::Display for AxisSet {
 impl FromStr for AxisSet {
     type Err = UnknownName;
 
-    /// Reads axes in any order, each once.
+    /// Parses axes in any order, each at most once.
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         if text == EMPTY {
             return Ok(Self::EMPTY);

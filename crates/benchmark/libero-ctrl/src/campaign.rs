@@ -1,6 +1,6 @@
-//! A campaign: which policy is measured on which rollouts. This module reads
-//! and checks the specification; which rollouts a design has is `design`'s
-//! business, and what an imported row may say is `manifest`'s.
+//! Specification of a campaign: a policy and the rollouts to measure it on. This module
+//! parses and validates the specification; `design` defines the rollouts of a design, and
+//! `manifest` validates imported rows.
 
 use serde::{Deserialize, Serialize};
 
@@ -23,15 +23,15 @@ use crate::thresholds::Thresholds;
 use crate::wanted::{MIN_DIGEST_DIGITS, RendererKind, Wanted};
 use crate::wording::JsonError;
 
-/// Most replicates of a campaign: replicates multiply its rollouts.
+/// Largest number of replicates of a campaign.
 pub const MAX_REPLICATES: u32 = 100;
 
 /// The specification of a campaign, as people and tools write it in JSON.
 ///
-/// The fields of its [`Rollouts`] stand beside the others: `tasks`, `axes`,
-/// `levels` and, optional, `subsets`, `configs`, `nominal`, `design_seed`, `directions`,
-/// `placebo_radius` and `placebo_configs`; or `manifest`, `explains` or `thresholds`, instead of all these. Tasks are written as
-/// `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
+/// The fields of [`Rollouts`] are flattened into the specification: `tasks`, `axes`, `levels`
+/// and optionally `subsets`, `configs`, `nominal`, `design_seed`, `directions`,
+/// `placebo_radius` and `placebo_configs`; or, instead of all these, `manifest`, `explains` or
+/// `thresholds`. Tasks are written as `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SpecText", into = "SpecText")]
 pub struct CampaignSpec {
@@ -43,14 +43,14 @@ pub struct CampaignSpec {
     pub rollouts: Rollouts,
     /// Source of random elements.
     pub realisation: Realisation,
-    /// Number of runs of every rollout, each with another policy seed.
+    /// Number of runs of every rollout, each with a different policy seed.
     pub replicates: u32,
-    /// Rollouts that are filmed.
+    /// Rollouts to record on video.
     pub record: Record,
-    /// Asset pack and renderer required of its workers; what is left open is decided by the first
+    /// Asset pack and renderer required of workers; unspecified ones are fixed by the first
     /// result.
     pub wanted: Wanted,
-    /// Rule by which it ends early; without one it runs to its end.
+    /// Rule for stopping early; without one the campaign runs to its end.
     pub stop: Option<Stop>,
     /// The robot's conduct while an answer of its policy is under way.
     pub execution: Execution,
@@ -59,9 +59,9 @@ pub struct CampaignSpec {
 /// Source of a campaign's rows.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Rollouts {
-    /// Rows of a design, expanded with the protocol's figures and this project's paraphrases.
+    /// Rows of a design, expanded with the protocol's parameters and this project's paraphrases.
     Design(Design),
-    /// Rows of a manifest as they stand, instructions included.
+    /// Rows of a manifest, unchanged, including their instructions.
     Manifest(Vec<ManifestRow>),
     /// Subsets of the axes that follow from the outcomes of another campaign.
     Explanation(Explanation),
@@ -70,7 +70,7 @@ pub enum Rollouts {
 }
 
 impl Rollouts {
-    /// The campaign from whose outcomes they follow, if they do.
+    /// Returns the name of the campaign whose outcomes determine the rollouts, if any.
     pub fn source(&self) -> Option<&str> {
         match self {
             Self::Design(_) | Self::Manifest(_) => None,
@@ -79,7 +79,7 @@ impl Rollouts {
         }
     }
 
-    /// Says how the campaign is called from whose outcomes they follow.
+    /// Sets the name of the campaign whose outcomes determine the rollouts.
     pub fn set_source(&mut self, name: &str) {
         match self {
             Self::Design(_) | Self::Manifest(_) => {}
@@ -89,7 +89,7 @@ impl Rollouts {
     }
 }
 
-/// A policy and where it answers.
+/// A policy and its endpoint.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyRoute {
@@ -99,7 +99,7 @@ pub struct PolicyRoute {
     pub endpoint: String,
 }
 
-/// Rollouts of a campaign that are filmed.
+/// Selection of the rollouts to record on video.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Record {
@@ -108,24 +108,25 @@ pub enum Record {
     None,
     /// Rollouts that fail.
     Failures,
-    /// Rollouts of configurations whose outcome simultaneous perturbation changes,
-    /// and their nominal rollouts: afterwards, from the actions that are kept
-    /// with every rollout.
+    /// Rollouts of configurations whose outcome changes under simultaneous perturbation,
+    /// and their nominal rollouts; replayed afterwards from the actions stored with every
+    /// rollout.
     Transitions,
     /// Every rollout.
     All,
 }
 
-/// A specification that cannot run.
+/// Error in a specification.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SpecError {
-    /// Not JSON, an unknown or missing field, or an unknown name in one.
+    /// The text is not valid JSON, a field is missing or unknown, or a value is not a known
+    /// name.
     #[error("read campaign specification: {problem}")]
     Json {
         /// Problem and its line.
         problem: String,
     },
-    /// A field that must not be empty.
+    /// A required field is empty.
     #[error("read campaign specification: `{field}` is empty, {remedy}")]
     Empty {
         /// The field.
@@ -141,7 +142,7 @@ pub enum SpecError {
         /// The number given.
         given: u32,
     },
-    /// Not a URL.
+    /// The policy's endpoint is not a URL.
     #[error(
         "read campaign specification: `policy.endpoint` is `{given}`, \
          write a URL such as http://127.0.0.1:50051"
@@ -150,7 +151,7 @@ pub enum SpecError {
         /// The text given.
         given: String,
     },
-    /// No asset pack's name or digest.
+    /// The asset pack is neither a known name nor a digest.
     #[error(
         "read campaign specification: `assets` is `{given}`, write `primitives`, `libero` or the \
          first {MIN_DIGEST_DIGITS} digits or more of a pack's digest (workers are given the folder)"
@@ -159,13 +160,13 @@ pub enum SpecError {
         /// The text given.
         given: String,
     },
-    /// Another realisation than `matched`, in a campaign that follows from outcomes.
+    /// A campaign that follows from outcomes has a realisation other than `matched`.
     #[error(
         "read campaign specification: `{field}` with `realisation` reference, in which an axis \
          is another perturbation in each condition: write matched"
     )]
     Unmatched {
-        /// The field that says what it follows from.
+        /// The field that names the source campaign.
         field: &'static str,
     },
     /// A radius outside its range.
@@ -180,19 +181,18 @@ pub enum SpecError {
         /// Valid range.
         valid: [f64; 2],
     },
-    /// A rule that cannot end the campaign.
+    /// The rule cannot end the campaign.
     #[error("read campaign specification: {0}")]
     Stop(StopError),
-    /// A design that cannot be run.
+    /// The design is invalid.
     #[error("read campaign specification: {0}")]
     Design(DesignError),
-    /// Imported rows that cannot be run. The lines are those of a manifest with
-    /// one row a line.
+    /// Some imported rows are invalid. Line numbers refer to a manifest with one row per line.
     #[error(transparent)]
     Manifest(#[from] ManifestErrors),
 }
 
-// Their words are part of this error's: as its source, they would be said twice.
+// The message includes that of the inner error, which as a source would be printed twice.
 impl From<StopError> for SpecError {
     fn from(error: StopError) -> Self {
         Self::Stop(error)
@@ -206,10 +206,10 @@ impl From<DesignError> for SpecError {
 }
 
 impl CampaignSpec {
-    /// Reads and checks a specification.
+    /// Parses and validates a specification.
     ///
     /// # Errors
-    /// Names what is wrong and what would be right.
+    /// If the text is not a valid specification; the error names the problem and the remedy.
     pub fn from_json(text: &str) -> Result<Self, SpecError> {
         let spec: Self = serde_json::from_str(text).map_err(|error| SpecError::Json {
             problem: JsonError::from(error).to_string(),
@@ -218,10 +218,10 @@ impl CampaignSpec {
         Ok(spec)
     }
 
-    /// Checks what the types leave open.
+    /// Validates constraints that the types do not express.
     ///
     /// # Errors
-    /// Names what is wrong and what would be right.
+    /// If a constraint is violated; the error names the problem and the remedy.
     pub fn check(&self) -> Result<(), SpecError> {
         let empty = |field, remedy| Err(SpecError::Empty { field, remedy });
         if self.name.is_empty() {
@@ -288,7 +288,7 @@ impl CampaignSpec {
         }
     }
 
-    /// Returns the version of the design that its rollouts belong to.
+    /// Returns the version of the design that the rollouts belong to.
     pub fn version(&self) -> DesignVersion {
         let version = match &self.rollouts {
             Rollouts::Design(design) => design.version(),
@@ -300,7 +300,7 @@ impl CampaignSpec {
     }
 }
 
-/// A specification as it is written.
+/// Serialised form of a specification.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SpecText {
@@ -348,7 +348,7 @@ struct SpecText {
     execution: Execution,
 }
 
-/// Fields that do not go together, or a task that is none.
+/// Error in the combination of fields, or an unknown task.
 #[derive(Debug, thiserror::Error)]
 enum TextError {
     #[error(
@@ -447,7 +447,7 @@ impl From<CampaignSpec> for SpecText {
     }
 }
 
-/// Refuses whatever else says what is run beside a field that does so by itself.
+/// Rejects specifications with more than one source of rollouts.
 fn no_two_sources(text: &SpecText) -> Result<(), TextError> {
     let written = [
         ("manifest", text.manifest.is_some()),

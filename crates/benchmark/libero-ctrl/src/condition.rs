@@ -15,15 +15,15 @@ pub enum Condition {
     Clean,
     /// One axis alone.
     Single(Axis),
-    /// Several axes, but not all six: two to five. [`Self::of`] makes it.
+    /// Two to five axes; constructed by [`Self::of`].
     Subset(AxisSet),
-    /// Simultaneous: all axes of the campaign at once. Ids call it
-    /// `combination`, as the published ones do.
+    /// Simultaneous: all axes of the campaign at once. Rollout ids use the published name
+    /// `combination`.
     Combination,
 }
 
 impl Condition {
-    /// The condition that perturbs these axes and no other. All six are
+    /// Returns the condition that perturbs exactly these axes. All six axes are
     /// [`Self::Combination`].
     pub fn of(axes: AxisSet) -> Self {
         let mut each = axes.axes();
@@ -35,7 +35,7 @@ impl Condition {
         }
     }
 
-    /// Returns the axes that it perturbs in a campaign of the given axes.
+    /// Returns the axes that the condition perturbs in a campaign of the given axes.
     pub const fn axes(self, campaign: AxisSet) -> AxisSet {
         match self {
             Self::Clean => AxisSet::EMPTY,
@@ -45,8 +45,8 @@ impl Condition {
         }
     }
 
-    /// Name in rollout ids and manifests, which the benchmark released: seeds are made from
-    /// it. People read [`Self::label`].
+    /// Returns the benchmark's published name, used in rollout ids and manifests and hashed
+    /// into seeds. The name for people is [`Self::label`].
     pub fn name(self) -> &'static str {
         match self {
             Self::Clean => "clean",
@@ -56,8 +56,7 @@ impl Condition {
         }
     }
 
-    /// The paper's name, which people read and write: `nominal`, the axes, or
-    /// `simultaneous`.
+    /// Returns the paper's name, used for people: `nominal`, the axes, or `simultaneous`.
     pub fn label(self) -> &'static str {
         match self {
             Self::Clean => "nominal",
@@ -77,7 +76,7 @@ impl fmt::Display for Condition {
 impl FromStr for Condition {
     type Err = UnknownName;
 
-    /// Reads the paper's name and the released one.
+    /// Parses the paper's name or the published name.
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         match text {
             "nominal" | "clean" => Ok(Self::Clean),
@@ -100,12 +99,11 @@ serde_as_text!(Condition);
 /// Source of the random elements of a perturbation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Realisation {
-    /// A stream keyed by configuration and axis, so that an axis alone and the same axis in
-    /// a combination are realised identically.
+    /// A stream keyed by configuration and axis, so that an axis has the same random elements
+    /// alone and in a combination.
     #[default]
     Matched,
-    /// NumPy's streams seeded by the rollout id, as the reference implementation draws
-    /// them.
+    /// NumPy's streams seeded by the rollout id, as in the reference implementation.
     Reference,
 }
 

@@ -1,5 +1,5 @@
-//! A design: which part of the protocol is run, or what beyond it. This module
-//! says what a design is, checks it and names it; `expansion` makes rows of it.
+//! Design of a campaign: a selection from the protocol, or an extension of it. This module
+//! defines, validates and identifies designs; `expansion` expands them into rows.
 
 use std::fmt::Write;
 
@@ -25,19 +25,19 @@ use crate::thresholds::Thresholds;
 pub struct Design {
     /// Tasks, in the benchmark's order, each once.
     pub tasks: Vec<TaskRef>,
-    /// Axes: each is perturbed alone, and two or more simultaneously.
+    /// Perturbed axes: each alone and, if there are two or more, all simultaneously.
     pub axes: Vec<Axis>,
-    /// Further conditions: several of the axes, but not all of them.
+    /// Further conditions: proper subsets of two or more axes.
     pub subsets: Vec<AxisSet>,
     /// Levels of every axis. L0 is the placebo level.
     pub levels: Vec<Level>,
     /// Configurations: 0 to 9 are the protocol's presets, others are drawn.
     pub configs: Vec<u16>,
-    /// Nominal rollouts that go with them.
+    /// Nominal rollouts of the design.
     pub nominal: Nominal,
-    /// Seed of the configurations beyond the presets, and of tasks' own directions.
+    /// Seed of the configurations beyond the presets, and of task-specific directions.
     pub seed: u64,
-    /// Source of the directions of its configurations.
+    /// Source of the directions of the configurations.
     pub directions: Directions,
     /// Form of the placebo level, if it is among `levels`.
     pub placebo: Placebo,
@@ -56,10 +56,10 @@ pub enum Nominal {
     None,
 }
 
-/// A design that cannot be run.
+/// Error in a design.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DesignError {
-    /// A field that must not be empty.
+    /// A required field is empty.
     #[error("`{field}` is empty, {remedy}")]
     Empty {
         /// The field.
@@ -67,7 +67,7 @@ pub enum DesignError {
         /// Remedy: the value to write.
         remedy: &'static str,
     },
-    /// A number outside its range.
+    /// A number is outside its range.
     #[error("`{field}` has {given}, valid are {valid}")]
     OutOfRange {
         /// The field.
@@ -77,7 +77,7 @@ pub enum DesignError {
         /// Valid range.
         valid: String,
     },
-    /// A subset that is none of several axes.
+    /// A subset is not a proper subset of two or more of the design's axes.
     #[error(
         "`subsets` has {given}, valid are sets of two axes or more of {axes}, but not all of them: \
          single axes and all at once are there anyway"
@@ -88,13 +88,13 @@ pub enum DesignError {
         /// The design's axes.
         axes: AxisSet,
     },
-    /// A placebo that no level runs.
+    /// A placebo option is set, but L0 is not among the levels.
     #[error("`{field}` is about the placebo level: add L0 to `levels`, or take `{field}` out")]
     NoPlacebo {
         /// The field.
         field: &'static str,
     },
-    /// A placebo's radius outside its range.
+    /// The radius of the placebo is outside its range.
     #[error(
         "`placebo_radius` is {given}, valid are {} to {}", PLACEBO_RADII[0], PLACEBO_RADII[1]
     )]
@@ -102,13 +102,13 @@ pub enum DesignError {
         /// The radius.
         given: f64,
     },
-    /// A placebo of a configuration that the design has not.
+    /// A configuration of the placebo is not in the design.
     #[error("`placebo_configs` has {given}, which is none of `configs`")]
     PlaceboConfig {
         /// The configuration.
         given: u16,
     },
-    /// The language axis where there are no paraphrases.
+    /// The language axis has no paraphrases at a level of the design.
     #[error(
         "axis `language` has paraphrases at L1, L2 and L3 and not at {level}: \
          take it out of `axes`, or import a manifest that says what is said"
@@ -117,7 +117,7 @@ pub enum DesignError {
         /// The level.
         level: Level,
     },
-    /// More rows than can be run.
+    /// The design has more than [`MAX_ROWS`] rows.
     #[error("it has {rows} rollouts, at most {MAX_ROWS} are expanded: divide it")]
     TooLarge {
         /// Number of rows.
@@ -141,8 +141,8 @@ impl Design {
         }
     }
 
-    /// The same design with every list in order and each entry once, so that
-    /// equal designs are equal.
+    /// Returns the design with every list sorted and deduplicated, so that equivalent
+    /// designs compare equal.
     pub fn in_order(self) -> Self {
         Self {
             tasks: in_order(self.tasks),
@@ -158,10 +158,10 @@ impl Design {
         }
     }
 
-    /// Checks what the types leave open.
+    /// Validates constraints that the types do not express.
     ///
     /// # Errors
-    /// Names what is wrong and what would be right.
+    /// If a constraint is violated; the error names the problem and the remedy.
     pub fn check(&self) -> Result<(), DesignError> {
         let empty = |field, remedy| Err(DesignError::Empty { field, remedy });
         if self.tasks.is_empty() {
@@ -234,24 +234,24 @@ impl Design {
         }
     }
 
-    /// Returns true if it has the placebo level.
+    /// Returns true if the design has the placebo level.
     pub fn has_placebo(&self) -> bool {
         self.levels.contains(&Level::L0)
     }
 
-    /// Returns true if a configuration is run at a level: all are at all levels but the
-    /// placebo's.
+    /// Returns true if a configuration is run at a level; only the placebo level may exclude
+    /// configurations.
     pub(crate) fn runs(&self, level: Level, config: u16) -> bool {
         level != Level::L0 || self.placebo.has(config)
     }
 
-    /// Returns all its axes.
+    /// Returns the set of all axes of the design.
     pub fn axis_set(&self) -> AxisSet {
         self.axes.iter().copied().collect()
     }
 
-    /// The perturbed conditions: each axis alone, the subsets, then, of two axes
-    /// or more, their combination.
+    /// Returns the perturbed conditions: each axis alone, the subsets and, if there are two
+    /// axes or more, their combination.
     pub fn conditions(&self) -> Vec<Condition> {
         let mut conditions: Vec<Condition> =
             self.axes.iter().copied().map(Condition::Single).collect();
@@ -276,11 +276,11 @@ impl Design {
             self.effective_seed(),
         ));
         let mut text = text.expect("names and numbers serialise");
-        // Designs without subsets are older than these, and keep their names.
+        // Subsets are appended only if present, so that older designs keep their versions.
         for subset in &self.subsets {
             text.push_str(subset.name());
         }
-        // So do those with shared directions and without a placebo.
+        // The same holds for designs with shared directions and without a placebo.
         if self.directions == Directions::Own {
             text.push_str("own directions");
         }
@@ -291,7 +291,7 @@ impl Design {
         DesignVersion(format!("{CUSTOM}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
-    /// Returns true if both have the same rollouts.
+    /// Returns true if both designs have the same rollouts.
     fn is(&self, other: &Self) -> bool {
         let seedless = |design: &Self| Self {
             seed: 0,
@@ -300,7 +300,7 @@ impl Design {
         seedless(self) == seedless(other) && self.effective_seed() == other.effective_seed()
     }
 
-    /// The seed, where anything is drawn from it.
+    /// Returns the seed if the design draws anything from it.
     fn effective_seed(&self) -> Option<u64> {
         let drawn = self.configs.iter().any(|&config| config >= PRESETS);
         (drawn || self.directions == Directions::Own).then_some(self.seed)
@@ -317,17 +317,17 @@ impl Design {
     }
 }
 
-/// Identifier of the design that results belong to: `v0.1` exactly for LIBERO-CTRL v0.1,
-/// else `custom-` and a checksum of the design, `manifest-` and a checksum of the
+/// Identifier of the design that results belong to: `v0.1` for exactly LIBERO-CTRL v0.1,
+/// otherwise `custom-` and a checksum of the design, `manifest-` and a checksum of the
 /// imported rows, or `explains-` or `thresholds-` and a checksum of that specification.
 /// Results of different designs are never pooled.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DesignVersion(String);
 
 impl DesignVersion {
-    /// The version of imported rows, whatever their order. Rows that are those
-    /// of v0.1 to the last letter are v0.1; the reference's own manifest is
-    /// not, because it has other paraphrases.
+    /// Returns the version of imported rows, independent of their order. Rows identical to
+    /// those of v0.1 have the version v0.1; the reference's own manifest does not, because
+    /// its paraphrases differ.
     pub fn of_manifest(rows: &[ManifestRow]) -> Self {
         let text = |rows: &[ManifestRow]| {
             let mut rows: Vec<&ManifestRow> = rows.iter().collect();
@@ -350,7 +350,7 @@ impl DesignVersion {
         Self::of_derived(EXPLAINS, explanation)
     }
 
-    /// The version of a campaign that measures another one's thresholds.
+    /// Returns the version of a campaign that measures another campaign's thresholds.
     pub fn of_thresholds(thresholds: &Thresholds) -> Self {
         Self::of_derived(THRESHOLDS, thresholds)
     }
@@ -416,10 +416,10 @@ const MANIFEST: &str = "manifest-";
 const EXPLAINS: &str = "explains-";
 const THRESHOLDS: &str = "thresholds-";
 
-/// The tasks that a text names: `all`, a suite, or one task.
+/// Parses a selection of tasks: `all`, a suite, or one task.
 ///
 /// # Errors
-/// If it names none.
+/// If the text is not a valid selection.
 pub fn select_tasks(text: &str) -> Result<Vec<TaskRef>, UnknownName> {
     if text == "all" {
         return Ok(TaskRef::all().collect());
@@ -456,7 +456,7 @@ mod tests {
     fn only_the_whole_design_is_v0_1() {
         let whole = Design::v0_1();
         assert_eq!(whole.version().as_str(), "v0.1");
-        // Nothing is drawn from the seed: it is the same design.
+        // The design draws nothing from the seed, so that the version is the same.
         let seeded = Design {
             seed: 7,
             ..whole.clone()

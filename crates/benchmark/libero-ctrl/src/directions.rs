@@ -1,6 +1,6 @@
-//! Configurations beyond the ten presets, and those of designs with directions of their
-//! own: directions on the unit sphere and initial states, drawn from the seed of a
-//! design. Where directions are shared, configurations 0 to 9 are the protocol's.
+//! Directions and initial states of configurations, drawn from the seed of a design. Shared
+//! directions of configurations 0 to 9 are the protocol's presets; those beyond, and all
+//! task-specific ones, are drawn on the unit sphere.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,31 +9,31 @@ use crate::presets::{PRESETS, half_space, preset_direction, unit};
 use crate::streams::{MatchedRng, MatchedStream};
 use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
 
-/// Most configurations of a design: they multiply its rollouts.
+/// Largest number of configurations of a design.
 pub const MAX_CONFIGS: u16 = 1_000;
 
 /// Source of the directions of a design's configurations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Directions {
-    /// All tasks': configuration 3 is the same direction in each, the protocol's in 0 to
-    /// 9. Figures then hold for these directions.
+    /// Shared by all tasks: a configuration has the same direction in each task, the
+    /// protocol's for 0 to 9. Figures then hold for these directions only.
     #[default]
     Shared,
-    /// Each task's own, drawn from the design's seed, the first ten too. Figures then hold
-    /// for all directions, of which every configuration has drawn one.
+    /// Drawn separately for each task from the design's seed, including the first ten.
+    /// Figures then generalise to all directions, which the configurations sample.
     Own,
 }
 
-/// Part of every key: a change of what is drawn must change it.
+/// Part of every key; it must change whenever the drawn values change.
 const VERSION: &str = "libero-ctrl/configurations/1";
 
-/// The direction of a configuration in the normalised coordinates of an axis: a
+/// Returns the direction of a configuration in the normalised coordinates of an axis: a
 /// unit vector, empty for the language axis.
 ///
-/// A drawn one is uniform on the sphere, then folded into the axis's half-spaces. It is a
-/// function of `design_seed`, axis and configuration alone, and, where every task has its
-/// own, of the task.
+/// A drawn direction is uniform on the sphere, then folded into the axis's half-spaces. It
+/// depends only on `design_seed`, axis and configuration and, for [`Directions::Own`], on the
+/// task.
 pub(crate) fn direction(
     of: Directions,
     task: TaskRef,
@@ -47,7 +47,7 @@ pub(crate) fn direction(
         Directions::Own => format!("{task}/{axis}/c{config}"),
     };
     let mut rng = draws(design_seed, &name);
-    // A vector of independent normals points everywhere alike.
+    // A normalised vector of independent normals is uniform on the sphere.
     let mut direction: Vec<f64> = unit(axis).iter().map(|_| rng.standard_normal()).collect();
     let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
     for component in &mut direction {
@@ -59,11 +59,11 @@ pub(crate) fn direction(
     direction
 }
 
-/// The initial state that a configuration of a task is paired with.
+/// Returns the initial state of a configuration of a task.
 ///
-/// The presets have the protocol's; the configurations after them have the
-/// other states of the task in an order drawn from `design_seed`, so that fifty
-/// configurations have all fifty. From the fifty-first on they repeat.
+/// The presets have the protocol's states; later configurations have the remaining states of
+/// the task in an order drawn from `design_seed`, so that fifty configurations cover all
+/// fifty states. From the fifty-first configuration on, states repeat.
 pub(crate) fn init_id(task: TaskRef, config: u16, design_seed: u64) -> u16 {
     let evaluated = task.eval_init_ids();
     let place = usize::from(config % INIT_STATES_PER_TASK);

@@ -1,5 +1,5 @@
 //! Expands a design into manifest rows: its rollouts, their order and their values.
-//! Replicates are not rows: they repeat them.
+//! Replicates repeat the same rows.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,30 +18,29 @@ use crate::row::ManifestRow;
 use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
 
 impl CampaignSpec {
-    /// The campaign's rows, in the order of [`Design::expand`]: those of its
-    /// design, or those of its manifest, values and instructions as they stand.
+    /// Returns the campaign's rows in the order of [`Design::expand`]: those of its design,
+    /// or the unchanged rows of its manifest.
     ///
     /// # Errors
-    /// If the specification is wrong.
+    /// If the specification is invalid.
     pub fn expand(&self) -> Result<Vec<ManifestRow>, SpecError> {
         self.check()?;
         Ok(match &self.rollouts {
             Rollouts::Design(design) => design.expand()?,
             Rollouts::Manifest(rows) => paired_units_first(rows.clone()),
-            // They follow from outcomes.
+            // These rows are planned from outcomes at run time.
             Rollouts::Explanation(_) | Rollouts::Thresholds(_) => Vec::new(),
         })
     }
 }
 
 impl Design {
-    /// The design's rows, paired units first: configuration by configuration,
-    /// task by task, the nominal rollout and then all conditions of a
-    /// configuration stand together, so that interim paired figures cover all
-    /// tasks early. The other nominal rollouts come last.
+    /// Returns the design's rows, paired units first: by configuration, then by task, the
+    /// nominal rollout followed by all conditions of the configuration, so that interim
+    /// paired figures cover all tasks early. The other nominal rollouts come last.
     ///
     /// # Errors
-    /// If the design cannot be run.
+    /// If the design is invalid.
     pub fn expand(&self) -> Result<Vec<ManifestRow>, DesignError> {
         self.check()?;
         let mut rows = Vec::new();
@@ -71,11 +70,11 @@ impl Design {
         Ok(rows)
     }
 
-    /// The row of a configuration of this design under one of its conditions, at any
-    /// level: its direction is the same at all of them.
+    /// Returns the row of a configuration under a condition of this design at any level,
+    /// including levels that the design does not run; the direction does not depend on it.
     ///
     /// # Errors
-    /// If the condition perturbs language, and there are no paraphrases at the level.
+    /// If the condition perturbs language and the level has no paraphrases.
     pub fn row_at(
         &self,
         task: TaskRef,
@@ -126,7 +125,7 @@ impl Design {
             ..ManifestRow::new(id, config, init_id, perturbation)
         };
         if axes.contains(Axis::Language) {
-            // There are ten variants; configurations beyond them speak them again.
+            // There are ten variants; configurations beyond ten repeat them.
             let paraphrase = paraphrase(task, level, config % PRESETS);
             row.instruction = paraphrase.text;
             row.variant_id = Some(paraphrase.variant_id);
@@ -135,13 +134,13 @@ impl Design {
     }
 }
 
-/// The row of a nominal rollout.
+/// Returns the row of a nominal rollout.
 pub(crate) fn clean_row(task: TaskRef, init_id: u16) -> ManifestRow {
     let id = RolloutId::clean(task, init_id);
     ManifestRow::new(id, init_id, init_id, Perturbation::default())
 }
 
-/// Rows of any origin in the order of [`Design::expand`].
+/// Sorts rows of any origin into the order of [`Design::expand`].
 fn paired_units_first(mut rows: Vec<ManifestRow>) -> Vec<ManifestRow> {
     let mut first_configs = BTreeMap::new();
     for row in &rows {
@@ -265,7 +264,7 @@ mod tests {
             Ok(triple.clone())
         );
         assert_eq!(all.axes(), AxisSet::ALL);
-        // The others are as they are without subsets.
+        // All other rows are the same as without subsets.
         let others = rows
             .iter()
             .filter(|row| !matches!(row.id.condition(), Condition::Subset(_)));

@@ -1,5 +1,5 @@
-//! Levels: how severe a perturbation is. Not responsible for what a radius
-//! means on an axis: the units are in `presets`.
+//! Levels: the severity of a perturbation. The units of a radius on each axis are in
+//! `presets`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,18 +9,18 @@ use crate::names::{UnknownName, serde_as_text};
 /// Severity: the radius of a perturbation in normalised coordinates, in which
 /// every parameter of an axis is divided by its unit.
 ///
-/// LIBERO-CTRL names four radii, and `L2` is how radius 4 is written. Any other
-/// is written as itself, `r2.5`, with up to six decimals. Levels are ordered by
-/// radius. `L0` is the level of nominal rollouts, and the placebo level of perturbed
-/// ones, whose radius their rows hold ([`crate::Placebo`]).
+/// LIBERO-CTRL names four radii; radius 4, for example, is written `L2`. Any other radius
+/// is written as a number with up to six decimals, such as `r2.5`. Levels are ordered by
+/// radius. `L0` is the level of nominal rollouts and, for perturbed ones, the placebo level,
+/// whose radius is stored in the rows ([`crate::Placebo`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Level {
-    // A decimal, so that a level is equal to what its text says.
+    // Decimal, so that a level equals the one parsed from its text.
     radius_micros: u32,
 }
 
 impl Level {
-    /// Nominal, radius 0; of a perturbed rollout, the placebo level.
+    /// Radius 0 for nominal rollouts; the placebo level for perturbed ones.
     pub const L0: Self = Self::of_whole_radius(0);
     /// Radius 2.
     pub const L1: Self = Self::of_whole_radius(2);
@@ -32,8 +32,8 @@ impl Level {
     /// The protocol's levels at which something is perturbed.
     pub const PERTURBED: [Self; 3] = [Self::L1, Self::L2, Self::L3];
 
-    /// The level of a radius, rounded to the six decimals that a radius has; none
-    /// where a level cannot be, see [`Self::from_str`].
+    /// Returns the level of a radius, rounded to six decimals; `None` if the radius is out
+    /// of range, see [`Self::from_str`].
     pub fn of_radius(radius: f64) -> Option<Self> {
         let radius_micros = (radius * f64::from(MICROS)).round();
         let valid = f64::from(LEAST_MICROS)..=f64::from(MOST_MICROS);
@@ -42,12 +42,12 @@ impl Level {
         })
     }
 
-    /// The radius.
+    /// Returns the radius in normalised coordinates.
     pub fn radius(self) -> f64 {
         f64::from(self.radius_micros) / f64::from(MICROS)
     }
 
-    /// Returns true if it is one of [`Self::PERTURBED`].
+    /// Returns true if the level is one of [`Self::PERTURBED`].
     pub fn is_named(self) -> bool {
         Self::PERTURBED.contains(&self)
     }
@@ -100,16 +100,16 @@ const NAMES: [(&str, Level); 4] = [
 
 const VALID: [&str; 5] = ["L0", "L1", "L2", "L3", "or a radius from r0.001 to r100"];
 
-/// Parts of 1 that a radius is counted in.
+/// Number of micros per unit of radius.
 const MICROS: u32 = 1_000_000;
-/// Most decimals of a radius.
+/// Largest number of decimals of a radius.
 const DECIMALS: usize = 6;
-/// Below this radius, parameters would be rounded to nothing.
+/// Smallest radius, micros; below it, parameters would be rounded to zero.
 const LEAST_MICROS: u32 = MICROS / 1_000;
-/// Above this radius, a light's brightness would leave single precision.
+/// Largest radius, micros; above it, a light's brightness would overflow single precision.
 const MOST_MICROS: u32 = 100 * MICROS;
 
-/// Reads a decimal number.
+/// Parses a decimal number into micros; `None` if it is not one.
 fn micros(text: &str) -> Option<u32> {
     let (whole, decimals) = text.split_once('.').unwrap_or((text, "0"));
     let digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());

@@ -1,9 +1,9 @@
-//! Manifests as files of JSON Lines: one row per line, in the reference's
-//! shape. Reads, checks, writes and compares texts; opening files is the
-//! caller's business, and what a row means is `row`'s.
+//! Manifests in JSON Lines: one row per line, in the reference's format. Parses,
+//! validates, writes and compares texts; the caller opens files, and `row` defines
+//! the rows.
 //!
 //! An imported manifest is authoritative: its values and instructions are run
-//! as they stand. So what cannot be meant is refused, with its line.
+//! unchanged. Inconsistent rows are therefore rejected, with their line numbers.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Write};
@@ -18,23 +18,23 @@ use crate::row::{MAX_ROWS, ManifestRow};
 use crate::suite::TaskRef;
 use crate::wording::JsonError;
 
-/// Errors that are listed; more are counted.
+/// Largest number of errors listed; the others are counted.
 const MAX_LISTED: usize = 20;
 
-/// Largest relative deviation of the radius of a row's parameters from its level's:
-/// the published directions have four or five decimals.
+/// Largest relative deviation of the radius of a row's parameters from that of its level;
+/// the published directions have only four or five decimals.
 const RADIUS_TOLERANCE: f64 = 2e-3;
 
-/// Half a unit in the last decimal of a parameter, which is much of a small
-/// radius.
+/// Rounding error of a parameter: half a unit in the last decimal, which matters at small
+/// radii.
 const ROUNDING: f64 = 0.5e-6;
 
-/// Reads a manifest. Empty lines are skipped.
+/// Parses a manifest. Empty lines are skipped.
 ///
 /// # Errors
-/// Lists every line that is refused: no row, a row that contradicts itself,
-/// parameters of another level, an id that was there before, a configuration
-/// that is not one. A manifest without rows is refused too.
+/// If the manifest has no rows, or a line is not a row, contradicts itself or its
+/// configuration's other rows, has parameters of a different level, or repeats an id. The
+/// error lists the lines.
 pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
     let mut rows = Vec::new();
     let mut checker = Checker::default();
@@ -58,7 +58,7 @@ pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
     Ok(rows)
 }
 
-/// Checks rows that were not read from a text: the first is line 1.
+/// Validates rows that were not parsed from a text; errors number them from 1.
 ///
 /// # Errors
 /// As [`parse`].
@@ -81,8 +81,7 @@ pub fn to_text<'a>(rows: impl IntoIterator<Item = &'a ManifestRow>) -> String {
     text
 }
 
-/// Returns the differences of two manifests by rollout id. The order of rows does
-/// not count.
+/// Returns the differences between two manifests by rollout id, ignoring the order of rows.
 pub fn diff(left: &[ManifestRow], right: &[ManifestRow]) -> Vec<Difference> {
     let by_id = |rows: &[ManifestRow]| -> BTreeMap<RolloutId, Value> {
         let json = |row: &ManifestRow| serde_json::to_value(row).expect("a row serialises");
@@ -110,9 +109,9 @@ pub fn diff(left: &[ManifestRow], right: &[ManifestRow]) -> Vec<Difference> {
 /// One difference between two manifests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Difference {
-    /// A row that only the first has.
+    /// A row that only the first manifest has.
     OnlyLeft(RolloutId),
-    /// A row that only the second has.
+    /// A row that only the second manifest has.
     OnlyRight(RolloutId),
     /// A value that differs.
     Value {
@@ -120,9 +119,9 @@ pub enum Difference {
         id: RolloutId,
         /// The column, for example `perturb.camera.d_azimuth_deg`.
         column: String,
-        /// JSON of the first.
+        /// JSON value in the first manifest.
         left: String,
-        /// JSON of the second.
+        /// JSON value in the second manifest.
         right: String,
     },
 }
@@ -142,7 +141,7 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Reasons why a manifest is refused.
+/// Errors in a manifest, by line.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ManifestErrors {
     listed: Vec<LineError>,
@@ -158,13 +157,13 @@ pub struct LineError {
     pub problem: LineProblem,
 }
 
-/// The ways in which a line is wrong.
+/// Kinds of problems with a line.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LineProblem {
     /// The line is not a row.
     #[error("{0}")]
     Row(String),
-    /// An id for the second time.
+    /// The id occurs in an earlier line.
     #[error("{id} is already in line {first}")]
     Duplicate {
         /// The id.
@@ -172,24 +171,24 @@ pub enum LineProblem {
         /// Line in which it was first, from 1.
         first: usize,
     },
-    /// Another initial state or other parameters than the configuration's
-    /// other rows: the two would be compared, and are not comparable.
+    /// The initial state or parameters differ from those of the configuration's other rows,
+    /// with which the row would be compared.
     #[error("{id}: {column} differ from those of its configuration in line {first}")]
     Unpaired {
         /// The row.
         id: RolloutId,
         /// Names of the columns that differ.
         column: String,
-        /// The row that it should agree with.
+        /// Line of the row that it should agree with.
         first: usize,
     },
-    /// More rows than can be run.
+    /// The manifest has more than [`MAX_ROWS`] rows.
     #[error("more than {MAX_ROWS} rows: divide it")]
     TooMany,
     /// The manifest has no rows.
     #[error("it has no rows")]
     NoRows,
-    /// Parameters of another level.
+    /// The parameters do not have the radius of the row's level.
     #[error("{id}: parameters of axis {axis} have radius {given:.3}, at {level} it is {expected}")]
     Radius {
         /// The row.
@@ -200,13 +199,13 @@ pub enum LineProblem {
         level: Level,
         /// The parameters' radius in normalised coordinates.
         given: f64,
-        /// The level's.
+        /// Radius of the level.
         expected: f64,
     },
 }
 
 impl ManifestErrors {
-    /// The first errors, by line.
+    /// Returns the first errors, by line.
     pub fn listed(&self) -> &[LineError] {
         &self.listed
     }
@@ -244,7 +243,7 @@ impl fmt::Display for ManifestErrors {
 
 impl std::error::Error for ManifestErrors {}
 
-/// Checks rows against one another.
+/// Checks rows against each other.
 #[derive(Default)]
 struct Checker {
     lines_of_ids: BTreeMap<RolloutId, usize>,
@@ -273,8 +272,8 @@ impl Checker {
         }
     }
 
-    /// The column in which a row contradicts its configuration, and the line that it
-    /// contradicts.
+    /// Returns the columns in which a row contradicts its configuration, and the line of the
+    /// contradicted row.
     fn difference(&mut self, line: usize, row: &ManifestRow) -> Option<(String, usize)> {
         let key = (row.id.task(), row.id.level(), row.id.config()?);
         let known = self.configurations.entry(key);

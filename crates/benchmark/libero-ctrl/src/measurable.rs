@@ -1,34 +1,34 @@
-//! Checks which campaigns can have thresholds measured.
+//! Checks whether the thresholds of a campaign can be measured.
 
 use crate::campaign::Rollouts;
 use crate::design::Nominal;
 use crate::level::Level;
 use crate::thresholds::Thresholds;
 
-/// A campaign whose thresholds cannot be measured, and what to do about it.
+/// Reason why the thresholds of a campaign cannot be measured, with a remedy.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotMeasurable {
-    /// The rows are imported, or follow from outcomes.
+    /// The rows are imported or follow from outcomes.
     #[error(
         "its rows come from no design, so that nothing says what they are at another radius; \
          create a campaign with `tasks`, `axes` and `levels`"
     )]
     NoDesign,
-    /// The campaign has no nominal rollouts, where every threshold begins.
+    /// The campaign has no nominal rollouts, from which thresholds are measured.
     #[error(
         "it has no nominal rollouts, from which a threshold is counted; create it with `nominal` \
          eval"
     )]
     NoNominal,
-    /// The campaign perturbs nothing, or nothing but at the placebo level.
+    /// The campaign perturbs nothing, or only at the placebo level.
     #[error(
         "it perturbs nothing, or at the placebo level only; create a campaign with axes and levels"
     )]
     NoCondition,
-    /// A condition that it does not run.
+    /// The campaign does not run the condition.
     #[error("it does not run the condition {given}; its own are {valid}")]
     OtherCondition {
-        /// The condition that was asked for.
+        /// The requested condition.
         given: &'static str,
         /// Conditions that it runs, for people.
         valid: String,
@@ -36,10 +36,10 @@ pub enum NotMeasurable {
 }
 
 impl Thresholds {
-    /// Checks that a campaign of these rollouts has thresholds to be measured.
+    /// Checks that the thresholds of a campaign with the given rollouts can be measured.
     ///
     /// # Errors
-    /// Says why not, and what to do.
+    /// If they cannot; see [`NotMeasurable`].
     pub fn can_be_of(&self, rollouts: &Rollouts) -> Result<(), NotMeasurable> {
         let Rollouts::Design(design) = rollouts else {
             return Err(NotMeasurable::NoDesign);

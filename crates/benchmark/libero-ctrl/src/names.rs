@@ -1,7 +1,6 @@
-//! Error of every name that people type: it quotes the name and lists the valid
-//! ones.
+//! Error for unknown names: quotes the name and lists the valid ones.
 
-/// A name that means nothing here.
+/// Error: the name is unknown.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("read {kind}{}: valid are {valid}", quoted(given))]
 pub struct UnknownName {
@@ -13,7 +12,7 @@ pub struct UnknownName {
     pub valid: String,
 }
 
-/// Quotes the name for the message, where it follows the kind of name expected.
+/// Quotes the name for the message, after the kind of name expected.
 fn quoted(given: &str) -> String {
     match given {
         "" => ", of which nothing was given".to_owned(),

@@ -3,9 +3,8 @@
 //! [`DefaultRng`] is `numpy.random.default_rng`, which the reference
 //! implementation of LIBERO-CTRL uses.
 //!
-//! This module is not a source of randomness for new work: what this project
-//! draws for itself comes from [`crate::streams`]. Only the distributions that
-//! the two codes call exist here.
+//! Use [`crate::streams`], not this module, as the source of randomness for new
+//! code. Only the distributions that LIBERO and the reference call are implemented.
 //!
 //! Sources: M. Matsumoto and T. Nishimura, MT19937 (1998); M. O'Neill, PCG
 //! XSL-RR 128/64 and `seed_seq_fe` (2014, 2015); J. Doornik, ZIGNOR (2005);
@@ -20,7 +19,7 @@ pub use default_rng::DefaultRng;
 pub use legacy::{LegacyRng, LegacyState, STATE_WORDS};
 pub(crate) use ziggurat::standard_normal;
 
-/// A double in [0, 1) from the upper 53 bits of a 64-bit word.
+/// Returns a double in [0, 1) from the upper 53 bits of a 64-bit word.
 pub(crate) fn unit_from_bits(bits: u64) -> f64 {
     (bits >> 11) as f64 * (1.0 / 9_007_199_254_740_992.0)
 }

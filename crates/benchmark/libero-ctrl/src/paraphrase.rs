@@ -1,6 +1,6 @@
 //! Paraphrases of the canonical instructions: ten variants of every task at
-//! three levels, 1,200 sentences. Not responsible for which rollout gets which:
-//! variant j is configuration j, and `expansion` puts it into the row.
+//! three levels, 1,200 sentences. Variant j belongs to configuration j; `expansion`
+//! puts it into the row.
 //!
 //! The sentences are this project's own. Like the presets of the metric axes,
 //! variant j is the same change in every task, and the levels are cumulative by
@@ -17,11 +17,11 @@
 //! also says how its templates are written. To add a task, name its
 //! construction there and fill the construction's slots from `words`; a new
 //! construction needs its canonical order and ten structures. A word may only
-//! replace another where it names its object uniquely in the scenes of all
-//! tasks that use the list. Then read the new sentences, all of them.
+//! replace another if it names its object uniquely in the scenes of all tasks that
+//! use the list. Proofread all new sentences.
 //!
 //! The orthography is that of LIBERO's instructions: lower case, no final
-//! punctuation, questions included. Commas may stand inside.
+//! punctuation, not even for questions. Commas within the sentence are allowed.
 
 mod rules;
 mod speech;
@@ -42,9 +42,8 @@ pub struct Paraphrase {
     pub variant_id: String,
 }
 
-/// The paraphrase of a task's instruction at `level` in configuration `config`.
-/// The same arguments always give the same sentence. At L0, the placebo level, it is the
-/// canonical instruction.
+/// Returns the paraphrase of a task's instruction at `level` in configuration `config`. The
+/// result is deterministic; at L0, the placebo level, it is the canonical instruction.
 ///
 /// # Panics
 /// If `level` is neither L0 nor one of [`Level::PERTURBED`], or `config` is not below
@@ -98,7 +97,7 @@ mod tests {
         TaskRef::all().flat_map(|task| (0..VARIANTS).map(move |variant| (task, variant)))
     }
 
-    /// The lists of words and verbs that a template reaches through its slots.
+    /// Returns the lists of words and verbs that a template uses, directly or through slots.
     fn lists(task: &'static Task, template: &'static str) -> BTreeSet<&'static str> {
         let rules = rules();
         let construction = &rules.constructions[&task.construction];

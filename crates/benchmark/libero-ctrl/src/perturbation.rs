@@ -1,7 +1,5 @@
-//! The parameters of the five metric axes, as a manifest row carries them.
-//! Values only: what they do to a camera, a picture or an action is the
-//! simulator's business, and which random elements go with them is that of
-//! `streams`.
+//! Parameters of the five metric axes, as in a manifest row. The simulator applies
+//! them to cameras, pictures and actions; `streams` provides their random elements.
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -31,7 +29,7 @@ macro_rules! parameters {
             /// Keys in manifests, in order.
             pub const KEYS: [&'static str; $count] = [$(stringify!($field)),+];
 
-            /// The values in the order of [`Self::KEYS`].
+            /// Returns the values in the order of [`Self::KEYS`].
             pub fn values(&self) -> [f64; $count] {
                 [$(self.$field),+]
             }
@@ -130,9 +128,9 @@ parameters! {
     }
 }
 
-/// Perturbation of one rollout: the parameters of each perturbed axis. With
-/// none set it is a nominal rollout, or one of the language axis, whose
-/// perturbation is the row's instruction.
+/// Perturbation of one rollout: the parameters of each perturbed axis. All are absent
+/// in a nominal rollout and in one that perturbs only language, whose perturbation is the
+/// row's instruction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Perturbation {
@@ -154,7 +152,7 @@ pub struct Perturbation {
 }
 
 impl Perturbation {
-    /// The metric axes that are set, in the reference's order.
+    /// Returns the perturbed metric axes in the reference's order.
     pub fn axes(&self) -> Vec<Axis> {
         let set = [
             self.camera.is_some(),
@@ -167,7 +165,7 @@ impl Perturbation {
         axes.filter_map(|(axis, set)| set.then_some(axis)).collect()
     }
 
-    /// The same of some axes only.
+    /// Returns the perturbation restricted to some axes.
     pub fn only(&self, axes: AxisSet) -> Self {
         Self {
             camera: self.camera.filter(|_| axes.contains(Axis::Camera)),
@@ -178,7 +176,7 @@ impl Perturbation {
         }
     }
 
-    /// The values of one axis, in the order of its keys; empty where it is not
+    /// Returns the values of one axis in the order of its keys; empty if the axis is not
     /// perturbed.
     pub fn values(&self, axis: Axis) -> Vec<f64> {
         match axis {
@@ -195,7 +193,7 @@ impl Perturbation {
     }
 
     /// Returns the `perturb` object of a manifest row: nested by axis for
-    /// several axes, flat for one axis alone, empty where nothing is perturbed.
+    /// several axes, flat for one axis alone, empty if nothing is perturbed.
     pub fn to_manifest(&self, condition: Condition) -> Map<String, Value> {
         let nested = match serde_json::to_value(self) {
             Ok(Value::Object(nested)) => nested,
@@ -213,8 +211,7 @@ impl Perturbation {
     /// Parses the `perturb` object of a manifest row.
     ///
     /// # Errors
-    /// If a key is unknown or missing, or the object is not that of the
-    /// condition.
+    /// If a key is unknown or missing, or the object does not match the condition.
     pub fn from_manifest(
         condition: Condition,
         perturb: Map<String, Value>,
@@ -246,16 +243,16 @@ impl Perturbation {
     }
 }
 
-/// A `perturb` object that does not belong to its condition.
+/// Error: the `perturb` object does not match its condition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PerturbError {
-    /// Parameters where there are none to have.
+    /// The condition has no parameters, but some are given.
     #[error("read `perturb`: condition {condition} has no parameters, leave it empty")]
     NotEmpty {
         /// The row's condition.
         condition: Condition,
     },
-    /// Parameters of other axes than the condition's.
+    /// The parameters are for different axes than the condition's.
     #[error(
         "read `perturb` of condition {condition}: it has parameters of {given}, give those of its own axes"
     )]
@@ -265,7 +262,7 @@ pub enum PerturbError {
         /// The axes that have parameters.
         given: AxisSet,
     },
-    /// An unknown, missing or non-numeric parameter.
+    /// A parameter is unknown, missing or not a number.
     #[error("read `perturb` of condition {condition}: {problem}")]
     Parameters {
         /// The row's condition.

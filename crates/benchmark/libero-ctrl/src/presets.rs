@@ -1,9 +1,9 @@
-//! The figures of LIBERO-CTRL v0.1: directions, units, radii, evaluation
-//! states and step budgets, read from `data/presets.json`. The arithmetic that
-//! makes parameters of them is here; their meaning is in `perturbation`.
+//! Presets of LIBERO-CTRL v0.1: directions, units, radii, evaluation
+//! states and step budgets, read from `data/presets.json`. This module computes
+//! parameters from them; `perturbation` defines their meaning.
 //!
-//! Source: `manifests/v0.1/manifest.json` of the protocol's released code
-//! (arXiv 2609.15940), figures only.
+//! Source: the numbers in `manifests/v0.1/manifest.json` of the protocol's released
+//! code (arXiv 2609.15940).
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
@@ -17,26 +17,26 @@ use crate::perturbation::{
 };
 use crate::suite::{Suite, TaskRef};
 
-/// Presets per axis, and configurations per task and level.
+/// Number of presets per axis, which is that of configurations per task and level.
 pub const PRESETS: u16 = 10;
 
-/// Control steps without action before the policy starts: the released states
-/// float their objects above what supports them.
+/// Control steps without action before the policy starts, in which the objects of the
+/// released initial states, which float above their supports, settle.
 pub const SETTLE_STEPS: u32 = 10;
 
 /// Seed of NumPy's legacy generator before a scene is composed and before each
 /// reset, so that every rollout of a task sees the same fixtures.
 pub const ENV_SEED: u32 = 20_260_904;
 
-/// The units of an axis's parameters, in their order: what radius 1 is. Empty
-/// for the language axis.
+/// Returns the units of an axis's parameters, that is, their values at radius 1. Empty for
+/// the language axis.
 pub fn unit(axis: Axis) -> &'static [f64] {
     let presets = presets().axes.get(axis.name());
     presets.map_or(&[], |presets| &presets.unit)
 }
 
 /// Adds preset `config` of `axis` at `level` to a perturbation. The language
-/// axis has no numbers and adds nothing.
+/// axis has no parameters and adds nothing.
 ///
 /// # Panics
 /// If `config` is not below [`PRESETS`].
@@ -44,13 +44,13 @@ pub fn apply_preset(perturbation: &mut Perturbation, axis: Axis, level: Level, c
     apply_direction(perturbation, axis, level, preset_direction(axis, config));
 }
 
-/// Adds the parameters of `axis` that lie in `direction` at `level` to a
-/// perturbation. The language axis has no numbers and adds nothing.
+/// Adds the parameters of `axis` in `direction` at `level` to a perturbation. The
+/// language axis has no parameters and adds nothing.
 ///
 /// Every parameter is radius × unit × direction, rounded to six decimals.
 ///
 /// # Panics
-/// If `direction` has not one component per parameter.
+/// If `direction` does not have one component per parameter.
 pub(crate) fn apply_direction(
     perturbation: &mut Perturbation,
     axis: Axis,
@@ -78,8 +78,7 @@ pub(crate) fn apply_direction(
     }
 }
 
-/// The direction of preset `config`: a unit vector, empty for the language
-/// axis.
+/// Returns the direction of preset `config`: a unit vector, empty for the language axis.
 ///
 /// # Panics
 /// If `config` is not below [`PRESETS`].
@@ -88,15 +87,15 @@ pub(crate) fn preset_direction(axis: Axis, config: u16) -> &'static [f64] {
     presets.map_or(&[], |presets| &presets.directions[usize::from(config)])
 }
 
-/// The components of an axis's directions of which only one sign counts: a
-/// camera farther away, a hand higher up, a lag, a noise.
+/// Returns the indices of the components of an axis's directions that are restricted to one
+/// sign, such as the camera's distance, the hand's height, lag and noise.
 pub(crate) fn half_space(axis: Axis) -> &'static [usize] {
     let presets = presets().axes.get(axis.name());
     presets.map_or(&[], |presets| &presets.half_space)
 }
 
-/// Rounds to six decimals as Python's `round(x, 6)`: correctly from the exact
-/// binary value, ties to even, keeping the sign of zero.
+/// Rounds to six decimals like Python's `round(x, 6)`: correctly from the exact
+/// binary value, ties to even, preserving the sign of zero.
 pub fn round6(value: f64) -> f64 {
     // Formatting with a precision rounds the exact value; scaling by 10⁶ first
     // would round twice and differ in the last digit of some presets.
@@ -129,7 +128,7 @@ impl TaskRef {
     }
 }
 
-/// Protocol figures of one suite.
+/// Presets of one suite.
 struct SuitePresets {
     max_steps: u32,
     demo_action_rms: [f64; 2],
@@ -141,7 +140,7 @@ struct Presets {
     axes: BTreeMap<String, AxisPresets>,
 }
 
-/// The figures, parsed once. Tests ensure that the embedded file parses.
+/// Returns the embedded presets, parsed once. Tests ensure that the file parses.
 fn presets() -> &'static Presets {
     static PRESETS: LazyLock<Presets> = LazyLock::new(|| {
         let file: PresetsFile = serde_json::from_str(include_str!("../data/presets.json"))
@@ -162,7 +161,7 @@ struct AxisPresets {
     directions: Vec<Vec<f64>>,
 }
 
-/// The file as it is written.
+/// Serialised form of `data/presets.json`.
 #[derive(Deserialize)]
 struct PresetsFile {
     protocol: ProtocolFigures,

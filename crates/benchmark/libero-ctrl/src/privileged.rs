@@ -1,5 +1,5 @@
-//! The simulator's own state, as scripted experts see it. Not responsible for reading it from
-//! a simulator, nor for sending it.
+//! Privileged state of the simulator, the observation of scripted experts. Other crates read
+//! it from a simulator and send it.
 
 use std::fmt;
 
@@ -20,34 +20,34 @@ pub struct Privileged {
     pub gripper_opening: f64,
 }
 
-/// A thing in the scene.
+/// An object, fixture or site in the scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Entity {
-    /// Instance name, or the site's.
+    /// Name of the instance or site.
     pub name: String,
     /// Kind of entity.
     pub kind: EntityKind,
-    /// Category; of a site, the instance that carries it.
+    /// Category; for a site, the name of the instance that carries it.
     pub category: String,
-    /// World frame, m.
+    /// Position, world frame, m.
     pub pos: [f64; 3],
-    /// World frame, w x y z.
+    /// Orientation, world frame, w x y z.
     pub quat_wxyz: [f64; 4],
-    /// Half extents along the world's axes of its collision geometry, m; of a
-    /// site, its own.
+    /// Half extents of the world-aligned bounding box, m: that of the collision geometry,
+    /// or of the site itself.
     pub half_extents: [f64; 3],
-    /// Centre of that box, world frame, m.
+    /// Centre of the bounding box, world frame, m.
     pub centre: [f64; 3],
 }
 
 /// Kinds of entities.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EntityKind {
-    /// Moves freely.
+    /// A free-moving object.
     Object,
-    /// Stands still.
+    /// A static fixture.
     Fixture,
-    /// A region.
+    /// A site that marks a region.
     Site,
 }
 

@@ -1,5 +1,5 @@
-//! Rollout ids: the identity of a rollout inside a design, from which its seeds
-//! are made. A replicate is not part of it.
+//! Rollout ids: the identity of a rollout in a design, from which its seeds are derived. The
+//! replicate is not part of the id.
 
 use std::fmt;
 use std::str::FromStr;
@@ -12,12 +12,12 @@ use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
 const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN, for example spatial/t0/camera/L2/c00 or \
                        spatial/t0/simultaneous/L2/c00, or SUITE/tN/nominal/iNN for initial state NN";
 
-/// Names one rollout: `spatial/t0/camera/L2/c00`.
+/// Identifies one rollout: `spatial/t0/camera/L2/c00`.
 ///
-/// The last number is the configuration. A clean rollout has none, but an
-/// initial state: `spatial/t0/clean/i07`, as the reference's files write it,
-/// because seeds are made from this text. Also read are `spatial/t0/clean/L0/c07`, and
-/// the paper's words, as in `spatial/t0/nominal/i07` and `spatial/t0/simultaneous/L2/c00`.
+/// The last number is the configuration. A clean rollout has an initial state instead,
+/// `spatial/t0/clean/i07`, as in the reference's files; the text must match theirs because
+/// seeds are derived from it. The parser also accepts `spatial/t0/clean/L0/c07` and the
+/// paper's terms, as in `spatial/t0/nominal/i07` and `spatial/t0/simultaneous/L2/c00`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RolloutId {
     task: TaskRef,
@@ -75,19 +75,19 @@ impl RolloutId {
         self.level
     }
 
-    /// Returns true if it is a rollout of the placebo level: perturbed, but so little that
-    /// no policy should care.
+    /// Returns true if the rollout is at the placebo level, perturbed too little to affect any
+    /// policy.
     pub fn is_placebo(&self) -> bool {
         self.level == Level::L0 && self.condition != Condition::Clean
     }
 
-    /// The configuration; none in a clean rollout.
+    /// Returns the configuration; `None` for a clean rollout.
     pub fn config(&self) -> Option<u16> {
         (self.condition != Condition::Clean).then_some(self.number)
     }
 
-    /// The id's last number: the configuration, or a clean rollout's initial
-    /// state.
+    /// Returns the last number of the id: the configuration, or the initial state of a clean
+    /// rollout.
     pub const fn number(&self) -> u16 {
         self.number
     }

@@ -1,6 +1,6 @@
-//! One row of a manifest: the unit of work, in the shape of the reference's
-//! JSON Lines. A row holds values, not a recipe: nothing is drawn again when it
-//! runs. Reading whole files of rows is `manifest`'s business.
+//! One row of a manifest: the unit of work, in the format of the reference's JSON Lines.
+//! A row holds the drawn parameter values, so that nothing is drawn again when it runs.
+//! `manifest` parses whole files of rows.
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -16,41 +16,40 @@ use crate::presets::SETTLE_STEPS;
 use crate::rollout_id::RolloutId;
 use crate::suite::{INIT_STATES_PER_TASK, Suite};
 
-/// Most rows of a campaign, whether designed or imported.
+/// Largest number of rows of a campaign, designed or imported.
 pub const MAX_ROWS: usize = 250_000;
 
-/// Everything that a worker needs to know about a rollout, and nothing that a
-/// replicate changes.
+/// Everything that a worker needs to run a rollout, except for what differs between
+/// replicates.
 ///
-/// Serialises to the reference's row. Suite, task, axis, level, configuration
-/// and split are written out there and must agree with the id when read.
+/// Serialises to the reference's row format, which repeats suite, task, axis, level,
+/// configuration and split; when parsed, these must agree with the id.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "FlatRow", into = "FlatRow")]
 pub struct ManifestRow {
     /// Identity of the rollout.
     pub id: RolloutId,
-    /// Place of the initial state among those of the design: the configuration,
-    /// or in a clean row the initial state itself.
+    /// Index of the initial state in the design: the configuration, or the initial state
+    /// itself in a clean row.
     pub init_slot: u16,
-    /// Number of the initial state among the task's released ones.
+    /// Index of the initial state among the task's released ones.
     pub init_id: u16,
     /// The policy's instruction, verbatim.
     pub instruction: String,
-    /// Identifier of the instruction's paraphrase; none where language is not
-    /// perturbed.
+    /// Identifier of the instruction's paraphrase; `None` if language is not perturbed.
     pub variant_id: Option<String>,
-    /// Control steps that the policy has.
+    /// Step budget of the policy, control steps.
     pub max_steps: u32,
     /// Control steps without action before the policy starts.
     pub settle_steps: u32,
     /// Perturbed axes and their parameters.
     pub perturbation: Perturbation,
-    /// The radius of a row at the placebo level, and of no other.
+    /// Radius of a row at the placebo level; `None` for all other rows.
     pub placebo_radius: Option<Level>,
 }
 
 impl ManifestRow {
-    /// A row with the protocol's step budget and the canonical instruction.
+    /// Creates a row with the protocol's step budget and the canonical instruction.
     pub fn new(id: RolloutId, init_slot: u16, init_id: u16, perturbation: Perturbation) -> Self {
         Self {
             id,
@@ -65,12 +64,12 @@ impl ManifestRow {
         }
     }
 
-    /// The radius of its perturbation; 0 of a nominal row.
+    /// Returns the radius of the perturbation; 0 for a nominal row.
     pub fn radius(&self) -> f64 {
         self.placebo_radius.unwrap_or(self.id.level()).radius()
     }
 
-    /// The axes that it perturbs.
+    /// Returns the perturbed axes.
     pub fn axes(&self) -> AxisSet {
         let metric: AxisSet = self.perturbation.axes().into_iter().collect();
         match self.variant_id {
@@ -79,11 +78,11 @@ impl ManifestRow {
         }
     }
 
-    /// The same configuration under some of its axes only, each perturbed as in
-    /// this row.
+    /// Returns the row of the same configuration restricted to some of its axes, each
+    /// perturbed as in this row.
     ///
     /// # Errors
-    /// If no axis is named, or the row is not perturbed.
+    /// If `axes` is empty or the row is not perturbed.
     pub fn only(&self, axes: AxisSet) -> Result<Self, UnknownName> {
         let id = self.id;
         let config = id.number();
@@ -101,10 +100,10 @@ impl ManifestRow {
     }
 }
 
-/// A row that contradicts itself.
+/// Error: the row contradicts itself.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RowError {
-    /// A column says something else than the rollout id.
+    /// A column contradicts the rollout id.
     #[error("read row {id}: `{column}` is {given}, but the id says {expected}")]
     Contradiction {
         /// The row's id.
@@ -116,7 +115,7 @@ pub enum RowError {
         /// Text that follows from the id.
         expected: String,
     },
-    /// No such initial state.
+    /// The initial state does not exist.
     #[error("read row {id}: `init_id` is {given}, valid are 0 to 49")]
     InitState {
         /// The row's id.
@@ -124,8 +123,8 @@ pub enum RowError {
         /// The row's initial state.
         given: u16,
     },
-    /// A placebo's radius where there is no placebo, none where there is, or none that
-    /// can be a placebo's.
+    /// The placebo's radius is given for another row, missing in a placebo row, or out of
+    /// range.
     #[error(
         "read row {id}: `placebo_radius` is {}, write {} to {} in perturbed rows at L0, and \
          leave it out of others",
@@ -137,7 +136,7 @@ pub enum RowError {
         /// The row's radius.
         given: Option<f64>,
     },
-    /// A policy seed in the row.
+    /// The row has a policy seed.
     #[error("read row {id}: `policy_seed` is {given}, but seeds follow from the id: write 0")]
     PolicySeed {
         /// The row's id.
@@ -145,18 +144,18 @@ pub enum RowError {
         /// The row's policy seed.
         given: u64,
     },
-    /// Parameters that do not belong to the row's condition.
+    /// The parameters do not match the row's condition.
     #[error("read row {id}: {problem}")]
     Perturb {
         /// The row's id.
         id: RolloutId,
-        /// The parameters' problem. Part of the message, because readers of JSON keep
-        /// no chain of causes.
+        /// Problem with the parameters. It is part of the message, because serde errors do
+        /// not keep a source.
         problem: PerturbError,
     },
 }
 
-/// The reference's columns, in its order.
+/// Columns of the reference's row, in its order.
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FlatRow {
@@ -334,7 +333,7 @@ mod tests {
         }
     }
 
-    /// The reference's clean file leaves out what is empty.
+    /// The reference's clean file omits empty columns.
     #[test]
     fn the_references_clean_rows_are_read() {
         let read: ManifestRow = serde_json::from_value(json!({

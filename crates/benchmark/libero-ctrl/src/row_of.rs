@@ -1,4 +1,4 @@
-//! Derives the manifest row of a rollout's id.
+//! Derives a manifest row from a rollout id.
 
 use crate::axis::Axis;
 use crate::axis_set::AxisSet;
@@ -8,22 +8,22 @@ use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
 use crate::suite::INIT_STATES_PER_TASK;
 
-/// An id that names no rollout of the protocol.
+/// Error: the id names no rollout of the protocol.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("make the manifest row of {id}: {problem}")]
 pub struct NoSuchRow {
     /// The id.
     pub id: RolloutId,
-    /// Reason of the failure.
+    /// Reason why there is no such row.
     pub problem: String,
 }
 
-/// The row of an id in LIBERO-CTRL v0.1, or beyond it in the design of seed 0.
-/// A combination combines all six axes, or at a radius of its own, for which
-/// there are no paraphrases, the five metric ones.
+/// Returns the row of an id in LIBERO-CTRL v0.1 or, for configurations beyond it, in the
+/// design with seed 0. A combination perturbs all six axes or, at unnamed radii, which have
+/// no paraphrases, the five metric axes.
 ///
 /// # Errors
-/// If there is no such configuration.
+/// If there is no such configuration or initial state.
 pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
     let problem = |problem: String| NoSuchRow { id, problem };
     let Some(config) = id.config() else {

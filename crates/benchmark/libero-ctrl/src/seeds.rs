@@ -1,18 +1,17 @@
-//! The seeds that follow from a rollout's id. Section 5 of the protocol; the
-//! matched realisation does not use them, see `streams`.
+//! Seeds derived from a rollout's id, as in section 5 of the protocol. The matched
+//! realisation does not use [`reference_seed`], see `streams`.
 
 use crate::axis::Axis;
 use crate::condition::Condition;
 use crate::rollout_id::RolloutId;
 
-/// CRC-32 (zlib) of the id's UTF-8 bytes.
+/// Returns the seed of a rollout: the CRC-32 (zlib) of the id's UTF-8 bytes.
 pub fn rollout_seed(id: &RolloutId) -> u32 {
     crc32fast::hash(id.to_string().as_bytes())
 }
 
-/// The seed that reaches the policy at Reset: of replicate 0 the rollout's own,
-/// of replicate k ≥ 1 the CRC-32 of `{id}#r{k}`. A replicate changes nothing
-/// else.
+/// Returns the seed passed to the policy at Reset: for replicate 0 the rollout's seed, for
+/// replicate k ≥ 1 the CRC-32 of `{id}#r{k}`. Replicates differ in nothing else.
 pub fn policy_seed(id: &RolloutId, replicate: u32) -> u64 {
     u64::from(match replicate {
         0 => rollout_seed(id),
@@ -20,9 +19,9 @@ pub fn policy_seed(id: &RolloutId, replicate: u32) -> u64 {
     })
 }
 
-/// Seed of an axis in the `reference` realisation: `default_rng(seed)` draws
-/// the parts that are fixed for the rollout, `default_rng(seed + 1)` the noise
-/// of each step. With several axes, part k of the metric axes adds 1000·k.
+/// Returns the seed of an axis in the `reference` realisation: `default_rng(seed)` draws
+/// the elements that are fixed for the rollout, `default_rng(seed + 1)` the noise of each
+/// step. If several axes are perturbed, the metric axis with index k adds 1000·k.
 pub fn reference_seed(id: &RolloutId, axis: Axis) -> u64 {
     let part = match id.condition() {
         Condition::Subset(_) | Condition::Combination => {

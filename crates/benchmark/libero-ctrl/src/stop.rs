@@ -1,5 +1,4 @@
-//! A campaign that may end early: by which rule, and in which order it runs its
-//! configurations until then.
+//! Early stop of a campaign: the stop rule, and the drawn order of configurations.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,9 +13,8 @@ use crate::row::ManifestRow;
 use crate::stop_rule::{Clause, Measure, StopRule};
 use crate::suite::TaskRef;
 
-/// Early stop of a campaign. Its configurations run in an order that is drawn
-/// before anything is known of their outcomes, and it ends as soon as the rule
-/// holds at every one of its levels.
+/// Early stop of a campaign. Its configurations run in an order that is drawn before any
+/// outcome is known, and it ends as soon as the rule holds at every level.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stop {
@@ -34,10 +32,10 @@ pub struct Stop {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strata {
-    /// Every suite: narrower intervals, unless tasks of a suite differ very much.
+    /// A stratum per suite: narrower intervals, unless tasks of a suite differ very much.
     #[default]
     Suites,
-    /// Every task.
+    /// A stratum per task.
     Tasks,
     /// Every suite, and of it all configurations of one task together: for rules about new
     /// tasks, of which a task in part says nothing.
@@ -63,13 +61,13 @@ impl Strata {
     }
 }
 
-/// A rule for a campaign that it cannot end.
+/// Error: the rule cannot end the campaign.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StopError {
-    /// The rule is about a measure that a campaign has not.
+    /// The rule uses a measure that a campaign does not have.
     #[error("`stop`: {0}")]
     Measure(UnknownName),
-    /// The campaign has one axis, or none.
+    /// The campaign has fewer than two axes.
     #[error(
         "`stop` needs simultaneous rollouts, and those of each axis alone: name two axes or more, \
          or take `stop` out"
@@ -91,7 +89,7 @@ pub enum StopError {
         /// Those that go with it.
         needed: &'static str,
     },
-    /// Several replicates.
+    /// The campaign has several replicates.
     #[error(
         "`stop` with {given} `replicates`: its intervals are about one rollout of each; write 1, \
          or take `stop` out"
@@ -100,25 +98,25 @@ pub enum StopError {
         /// The number of replicates given.
         given: u32,
     },
-    /// A campaign that follows from another's outcomes.
+    /// The campaign follows from another campaign's outcomes.
     #[error("`stop` beside `{field}`, which ends by itself: take `stop` out")]
     Follows {
-        /// The field that says what it follows from.
+        /// The field that names the source campaign.
         field: &'static str,
     },
-    /// An imported configuration that lacks a rollout that others have.
+    /// An imported configuration lacks a rollout that others have.
     #[error(
         "`stop` needs every configuration under the same conditions at every level: {rollout} is \
          not in the manifest; add it, or take `stop` out"
     )]
     Missing {
-        /// The first rollout that is not there.
+        /// The first missing rollout.
         rollout: RolloutId,
     },
 }
 
 impl Stop {
-    /// Checks that the rule can end a campaign of so many replicates.
+    /// Checks that the rule can end a campaign with the given number of replicates.
     pub(crate) fn check(&self, replicates: u32) -> Result<(), StopError> {
         let known = self.rule.check(&Measure::OF_ONE_POLICY);
         known.map_err(StopError::Measure)?;
@@ -144,8 +142,8 @@ impl Stop {
     }
 }
 
-/// Every configuration needs the simultaneous rollout, and that of each axis alone,
-/// at every level: else it never counts, and neither does any that is drawn later.
+/// Checks that every configuration has the simultaneous rollout and one per single axis at
+/// every level. An incomplete configuration would never count, nor any drawn after it.
 pub(crate) fn check_rows(rows: &[ManifestRow]) -> Result<(), StopError> {
     let mut axes: BTreeSet<Axis> = BTreeSet::new();
     let mut levels: BTreeSet<Level> = BTreeSet::new();
@@ -155,7 +153,7 @@ pub(crate) fn check_rows(rows: &[ManifestRow]) -> Result<(), StopError> {
         if let Condition::Single(axis) = id.condition() {
             axes.insert(axis);
         }
-        // The floor may be measured in some configurations only, and ends nothing.
+        // Placebo rollouts may cover only some configurations and do not affect the rule.
         if id.is_placebo() {
             continue;
         }

@@ -1,4 +1,4 @@
-//! Rule by which a campaign may end: `width(I) < 0.08 and S_sim excludes 0.5`.
+//! Stop rules of campaigns, such as `width(I) < 0.08 and S_sim excludes 0.5`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -94,10 +94,10 @@ impl TryFrom<String> for Measure {
     }
 }
 
-/// A rule by which a campaign ends early: all its clauses hold at one look.
+/// A stop rule: a campaign ends early when all clauses hold at the same look.
 ///
-/// Confidence sequences hold at all looks, so that intervals stay valid
-/// whichever rule ends the campaign.
+/// Confidence sequences hold at all looks, so that intervals stay valid under any stop
+/// rule.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
 pub struct StopRule {
@@ -117,11 +117,11 @@ pub enum Clause {
 }
 
 impl StopRule {
-    /// Checks that a campaign or comparison has every measure that the rule is
-    /// about. One that has not would never be ended by it.
+    /// Checks that a campaign or comparison has every measure that the rule uses. Otherwise
+    /// the rule would never hold.
     ///
     /// # Errors
-    /// The first measure that it has not.
+    /// If a measure is missing; the error names the first.
     pub fn check(&self, measures: &[Measure]) -> Result<(), UnknownName> {
         let mut needed = self.clauses.iter().map(|clause| clause.measure());
         match needed.find(|measure| !measures.contains(measure)) {
@@ -139,7 +139,7 @@ impl StopRule {
         self.clauses.iter().any(Clause::is_about_new_tasks)
     }
 
-    /// The clauses, as written.
+    /// Returns the clauses in the order written.
     pub fn clauses(&self) -> &[Clause] {
         &self.clauses
     }
@@ -176,7 +176,7 @@ impl fmt::Display for Clause {
 impl FromStr for Clause {
     type Err = UnknownName;
 
-    /// Reads a clause; blanks may be left out where nothing runs together.
+    /// Parses a clause; spaces are optional where the parts stay distinct.
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         let unknown = || unknown(text);
         if let Some(width) = text.trim().strip_prefix("width(") {
@@ -233,7 +233,7 @@ impl TryFrom<String> for StopRule {
     }
 }
 
-/// A finite number; never −0, which would be written so.
+/// Parses a finite number and normalises −0 to 0.
 fn number(text: &str) -> Option<f64> {
     let number: f64 = text.trim().parse().ok()?;
     number.is_finite().then_some(number + 0.0)

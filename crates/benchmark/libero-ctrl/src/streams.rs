@@ -1,11 +1,11 @@
 //! Random streams of a perturbation: the blur's angle, the bias direction, the
 //! misalignment axis, the noise of each step.
 //!
-//! In the `matched` realisation the key of a stream names the configuration and
-//! the axis, and neither the condition nor the replicate: an axis alone and the
-//! same axis in a combination realise the same perturbation, step for step, and
-//! a replicate changes the policy's seed only. What to draw is the simulator's
-//! business; this module only says from where.
+//! In the `matched` realisation the key of a stream consists of the configuration and
+//! the axis, without the condition and the replicate: an axis alone and the same axis
+//! in a combination realise the same perturbation, step for step, and replicates
+//! differ only in the policy's seed. The simulator decides what to draw from the
+//! streams.
 
 use std::f64::consts::PI;
 
@@ -21,16 +21,16 @@ use crate::rollout_id::RolloutId;
 use crate::seeds::reference_seed;
 use crate::suite::TaskRef;
 
-/// Part of every key: a change of what is drawn, or in which order, must change
-/// it, so that results of both are never taken for one another's.
+/// Part of every key. It must change whenever the draws or their order change, so that old
+/// and new results are never mixed.
 const STREAM_VERSION: &str = "libero-ctrl/v0.1/matched/1";
 
 /// The source of one axis's random elements in one rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Randomness {
-    /// Keyed by configuration and axis.
+    /// A stream keyed by configuration and axis.
     Matched(MatchedStream),
-    /// NumPy's: `default_rng(seed)` for what is fixed in the rollout,
+    /// NumPy's generators: `default_rng(seed)` for elements that are fixed for the rollout,
     /// `default_rng(seed + 1)` for the noise of each step.
     Reference {
         /// See [`reference_seed`].
@@ -39,7 +39,7 @@ pub enum Randomness {
 }
 
 impl Randomness {
-    /// The source of `axis` in rollout `id`.
+    /// Returns the source of random elements of `axis` in rollout `id`.
     pub fn of(id: &RolloutId, axis: Axis, realisation: Realisation) -> Self {
         match realisation {
             Realisation::Matched => {
@@ -52,19 +52,19 @@ impl Randomness {
     }
 }
 
-/// A ChaCha key from which every draw can be reached by name, in any order.
+/// A ChaCha key with random access to every draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MatchedStream {
     key: [u8; 32],
 }
 
 impl MatchedStream {
-    /// The stream of one axis of one configuration.
+    /// Creates the stream of one axis of one configuration.
     pub fn new(task: TaskRef, level: Level, config: u16, axis: Axis) -> Self {
         Self::named(&format!("{STREAM_VERSION}/{task}/{level}/c{config}/{axis}"))
     }
 
-    /// The stream of anything else that has a name.
+    /// Creates the stream with the given name.
     pub(crate) fn named(name: &str) -> Self {
         Self {
             key: Sha256::digest(name.as_bytes()).into(),
@@ -77,8 +77,7 @@ impl MatchedStream {
     }
 
     /// Returns the generator of the draws at control step `step` on `lane`, for
-    /// example a camera: independent of how often the other steps and lanes
-    /// were asked for.
+    /// example a camera. It does not depend on draws at other steps and lanes.
     pub fn at(&self, step: u32, lane: u32) -> MatchedRng {
         self.rng(1 + (u64::from(lane) << 32 | u64::from(step)))
     }
@@ -95,17 +94,17 @@ impl MatchedStream {
 pub struct MatchedRng(ChaCha12Rng);
 
 impl MatchedRng {
-    /// Uniform in [0, 1).
+    /// Draws uniformly from [0, 1).
     pub fn random(&mut self) -> f64 {
         unit_from_bits(self.0.next_u64())
     }
 
-    /// Uniform in [0, π): the direction of a line.
+    /// Draws the angle of an undirected line, uniformly from [0, π).
     pub fn line_angle(&mut self) -> f64 {
         PI * self.random()
     }
 
-    /// A standard normal.
+    /// Draws a standard normal.
     pub fn standard_normal(&mut self) -> f64 {
         standard_normal(|| self.0.next_u64())
     }

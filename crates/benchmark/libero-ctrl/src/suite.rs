@@ -1,6 +1,5 @@
-//! The four suites of LIBERO that the protocol evaluates, and their forty
-//! tasks in the benchmark's own order. Not responsible for scenes or goals:
-//! those are read from the task's BDDL file.
+//! The four LIBERO suites that the protocol evaluates, and their forty tasks in the
+//! benchmark's own order. Scenes and goals are in the tasks' BDDL files.
 
 use std::fmt;
 use std::str::FromStr;
@@ -30,7 +29,7 @@ impl Suite {
     /// All suites, in the reference's order.
     pub const ALL: [Self; 4] = [Self::Spatial, Self::Object, Self::Goal, Self::Long];
 
-    /// LIBERO's own name: `libero_spatial`, ..., `libero_10`.
+    /// Returns LIBERO's name: `libero_spatial`, ..., `libero_10`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Spatial => "libero_spatial",
@@ -40,7 +39,7 @@ impl Suite {
         }
     }
 
-    /// The name inside rollout ids: `spatial`, `object`, `goal`, `long`.
+    /// Returns the name in rollout ids: `spatial`, `object`, `goal`, `long`.
     pub const fn short_name(self) -> &'static str {
         match self {
             Self::Spatial => "spatial",
@@ -69,7 +68,7 @@ impl fmt::Display for Suite {
 impl FromStr for Suite {
     type Err = UnknownName;
 
-    /// Reads either name: `libero_10` and `long` are the same suite.
+    /// Parses either name: `libero_10` and `long` are the same suite.
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         Self::ALL
             .into_iter()
@@ -80,7 +79,7 @@ impl FromStr for Suite {
 
 serde_as_text!(Suite);
 
-/// A task: a suite and the task's place in it. Displays as `libero_goal/3`.
+/// A task: a suite and an index in it. Displays as `libero_goal/3`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TaskRef {
     suite: Suite,
@@ -109,7 +108,7 @@ impl TaskRef {
         self.suite
     }
 
-    /// Place in the suite, 0 to 9, in the benchmark's order.
+    /// Returns the index in the suite, 0 to 9, in the benchmark's order.
     pub const fn index(self) -> u8 {
         self.index
     }
@@ -119,8 +118,8 @@ impl TaskRef {
         TASK_NAMES[self.suite.ordinal()][usize::from(self.index)]
     }
 
-    /// The canonical instruction, as LIBERO makes it from the file's name: its
-    /// words, without the scene that a name of `libero_10` begins with.
+    /// Returns the canonical instruction, which LIBERO derives from the file's name: its
+    /// words, without the scene prefix of names in `libero_10`.
     pub fn instruction(self) -> String {
         let name = self.name();
         let words = match name.split_once("_SCENE") {

@@ -1,9 +1,9 @@
-//! The file stems of the forty tasks. Data only.
+//! File stems of the forty tasks.
 //!
 //! Source: the task map and task order 0 of LIBERO's benchmark (hf-libero
 //! 0.1.4); the order is the benchmark's, not the alphabet's.
 
-/// Names of the tasks by suite, then by place in the suite.
+/// Names of the tasks by suite, then by index in the suite.
 pub(crate) const TASK_NAMES: [[&str; 10]; 4] = [
     [
         "pick_up_the_black_bowl_between_the_plate_and_the_ramekin_and_place_it_on_the_plate",

@@ -1,19 +1,19 @@
 //! Specification of a campaign that measures the perturbation thresholds of another
-//! one's policy.
+//! campaign's policy.
 
 use serde::{Deserialize, Serialize};
 
 use crate::condition::Condition;
 use crate::level::Level;
 
-/// Narrowest and widest brackets that can be asked for, radius.
+/// Valid range of [`Thresholds::tolerance`], in units of radius.
 pub const TOLERANCES: [f64; 2] = [0.01, 100.0];
-/// Smallest and largest of the radii up to which thresholds can be measured.
+/// Valid range of [`Thresholds::max_radius`].
 pub const MAX_RADII: [f64; 2] = [2.0, 100.0];
 
-/// A campaign that measures the thresholds of another one runs its configurations at
-/// further radii. At which follows from the outcomes of both campaigns, so that it
-/// has no rows of its own to begin with.
+/// Parameters of a campaign that measures the thresholds of another one: it runs that
+/// campaign's configurations at further radii. The radii follow from the outcomes of both
+/// campaigns, so that it starts without rows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Thresholds {
@@ -22,13 +22,13 @@ pub struct Thresholds {
     /// Conditions of that campaign that are measured; empty for all of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
-    /// Width that a bracket between success and failure must not exceed, radius.
+    /// Largest width of a finished bracket between success and failure, in units of radius.
     #[serde(default = "default_tolerance")]
     pub tolerance: f64,
     /// The largest radius that is run.
     #[serde(default = "default_max_radius")]
     pub max_radius: f64,
-    /// Most rollouts; without it, every configuration is measured.
+    /// Largest number of rollouts; without it, every configuration is measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<u32>,
     /// Seed of the order in which configurations are measured.
@@ -37,13 +37,13 @@ pub struct Thresholds {
 }
 
 impl Thresholds {
-    /// The tolerance unless another is asked for, radius.
+    /// Default tolerance, in units of radius.
     pub const DEFAULT_TOLERANCE: f64 = 0.5;
-    /// The largest radius unless another is asked for: twice that of L3.
+    /// Default largest radius: twice that of L3.
     pub const DEFAULT_MAX_RADIUS: f64 = 16.0;
 
-    /// The radii that are run in any case: the protocol's levels, on with twice the
-    /// radius each time, up to the largest, and that one.
+    /// Returns the radii that are always run: those of the protocol's levels, continued by
+    /// doubling up to the largest radius, which is included.
     pub fn grid(&self) -> Vec<Level> {
         let doubled = (0..).map(|k| Level::L1.radius() * f64::from(1 << k));
         let mut radii: Vec<f64> = doubled.take_while(|&r| r < self.max_radius).collect();
@@ -51,7 +51,7 @@ impl Thresholds {
         radii.into_iter().filter_map(Level::of_radius).collect()
     }
 
-    /// The first field that is out of its range, what it says, and the range.
+    /// Returns the first field that is out of range, with its value and its valid range.
     pub(crate) fn out_of_range(&self) -> Option<(&'static str, f64, [f64; 2])> {
         let fields = [
             ("thresholds.tolerance", self.tolerance, TOLERANCES),

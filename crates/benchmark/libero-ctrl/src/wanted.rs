@@ -1,11 +1,10 @@
-//! Requirements of a campaign on its workers. Those left open are decided by
-//! its first result.
+//! Requirements of a campaign on its workers. The first result fixes those left unspecified.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// Fewest digits of a digest that name an asset pack.
+/// Smallest number of digits of a digest that identifies an asset pack.
 pub(crate) const MIN_DIGEST_DIGITS: usize = 8;
 /// Asset packs by name.
 const PACKS: [&str; 2] = ["primitives", "libero"];
@@ -24,14 +23,14 @@ pub struct Wanted {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RendererKind {
-    /// This project's renderer: the same bits on every machine.
+    /// This project's renderer, bit-identical on every machine.
     Software,
-    /// A machine's OpenGL.
+    /// The machine's OpenGL.
     Gl,
 }
 
 impl Wanted {
-    /// The assets that it asks for, if they can be no pack's name or digest.
+    /// Returns the required assets if they are neither the name nor a digest of a pack.
     pub(crate) fn unknown_assets(&self) -> Option<&str> {
         let is_digit = |it| matches!(it, b'0'..=b'9' | b'a'..=b'f');
         let is_known = |text: &str| {
@@ -51,7 +50,7 @@ impl RendererKind {
     }
 }
 
-/// "assets `libero` and renderer `software`"; empty if it asks for nothing.
+/// Writes "assets `libero` and renderer `software`"; empty without requirements.
 impl fmt::Display for Wanted {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let assets = self.assets.iter().map(|name| format!("assets `{name}`"));

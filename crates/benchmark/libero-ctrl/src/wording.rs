@@ -1,13 +1,13 @@
-//! Rewords the errors of JSON and TOML readers for authors of the text. Their
-//! messages name Rust's types; the field and the value in them are kept.
+//! Rewords errors of JSON and TOML parsers for authors of the text: replaces the names of
+//! Rust types and keeps the field and the value.
 
 use std::fmt;
 
-/// A text that is no JSON, or not the JSON that was asked for.
+/// Error: the text is not valid JSON, or not of the expected form.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JsonError {
     problem: String,
-    /// Line and column, from 1; none if the text as a whole is meant.
+    /// Line and column, from 1; `None` if the error concerns the whole text.
     place: Option<(usize, usize)>,
 }
 
@@ -49,8 +49,8 @@ impl fmt::Display for JsonError {
 
 impl std::error::Error for JsonError {}
 
-/// A message of a reader of JSON or TOML in plain words; one that is plain
-/// already, as it is.
+/// Rewords a message of a JSON or TOML parser in plain words; returns other messages
+/// unchanged.
 pub fn plain_words(message: &str) -> String {
     let about = |prefix: &str| message.strip_prefix(prefix);
     if let Some(field) = about("missing field ") {
@@ -101,7 +101,7 @@ fn first(text: &str) -> &str {
     text.split(',').next().unwrap_or(text)
 }
 
-/// "one of `a`, `b`" or "`a` or `b`" or "`a`", after a word for them.
+/// Formats the valid choices, "one of `a`, `b`", "`a` or `b`" or "`a`", after `word`.
 fn choice(word: &str, known: &str) -> String {
     match (word, known.strip_prefix("one of ")) {
         ("write", Some(several)) => format!("write one of {several}"),

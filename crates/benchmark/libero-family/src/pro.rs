@@ -1,24 +1,24 @@
-//! LIBERO-PRO: the tasks of each of LIBERO's four suites in four kinds of change, with fifty
-//! initial states of their own. Sixteen suites, whose files are called as LIBERO's.
+//! LIBERO-PRO: the tasks of LIBERO's four suites under four kinds of change, with fifty
+//! initial states each. Its sixteen suites use LIBERO's file names.
 
 use std::fmt;
 use std::str::FromStr;
 
 use libero_ctrl::Suite;
 
-/// Initial states of a task.
+/// Number of initial states of a task.
 pub const STATES: u16 = 50;
 
 /// The change of a suite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
-    /// Another sentence, in the BDDL file.
+    /// A different sentence, in the BDDL file.
     Language,
-    /// Objects of other colours and sizes.
+    /// Objects with different colours and sizes.
     Object,
-    /// Objects in one another's places.
+    /// Objects with swapped positions.
     Position,
-    /// Another goal.
+    /// A different goal.
     Task,
 }
 
@@ -37,7 +37,7 @@ impl Kind {
     }
 }
 
-/// A suite. Displays as LIBERO-PRO calls it: `libero_goal_swap`.
+/// A suite. Displays as LIBERO-PRO's name, such as `libero_goal_swap`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ProSuite {
     /// LIBERO's suite.
@@ -72,7 +72,7 @@ impl FromStr for ProSuite {
     }
 }
 
-/// No suite of LIBERO-PRO that can be run is called so.
+/// Error: LIBERO-PRO has no runnable suite of this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "read suite `{given}` of LIBERO-PRO: valid are libero_spatial, libero_object, libero_goal or \
@@ -93,7 +93,7 @@ mod tests {
         for suite in suites {
             assert_eq!(suite.to_string().parse(), Ok(suite));
         }
-        // Its files are not published.
+        // The files of `env` suites are not published.
         let error = "libero_goal_env".parse::<ProSuite>().unwrap_err();
         assert!(error.to_string().contains("_swap"), "{error}");
     }

@@ -1,5 +1,5 @@
-//! Protocols by name: how a harness begins a rollout of a variant, what it tells the policy,
-//! and how long it lets it try. Numbers of two protocols measure different things.
+//! Named protocols: a harness's initial state, prompt and step budget for a rollout of a
+//! variant. Results of different protocols are not comparable.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,12 +8,12 @@ use libero_ctrl::Suite;
 
 use crate::plus::Prompt;
 
-/// The state in which the waits begin.
+/// State of the environment at the start of a rollout, before the waiting steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Beginning {
-    /// Initial state 0 over a reset; controllers as the reset left them.
+    /// Initial state 0, set after a reset; the controllers keep the state of the reset.
     InitialState,
-    /// A reset alone.
+    /// A reset without setting an initial state.
     Reset,
 }
 
@@ -59,35 +59,35 @@ impl FromStr for Benchmark {
     }
 }
 
-/// No benchmark is called so.
+/// Error: there is no benchmark of this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("read benchmark `{given}`: valid are libero-plus, libero-pro")]
 pub struct UnknownBenchmark {
     given: String,
 }
 
-/// A harness' way to run a benchmark.
+/// Settings with which a harness runs a benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Protocol {
     /// Name on the command line and in results.
     pub name: &'static str,
     /// The benchmark.
     pub benchmark: Benchmark,
-    /// The state in which the waits begin.
+    /// State at the start of a rollout.
     pub beginning: Beginning,
     /// Source of the prompt.
     pub prompt: Prompt,
     /// Seed of the environment's generator.
     pub seed: u32,
-    /// Control steps of the do-nothing action before the policy's first look.
+    /// Number of control steps with the no-op action before the policy's first observation.
     pub waits: u32,
-    /// Control steps that the policy has, in the order of [`Suite::ALL`].
+    /// Step budgets of the policy, in the order of [`Suite::ALL`].
     budgets: [u32; 4],
-    /// The code that it is read from.
+    /// Source code that the settings are taken from.
     pub source: &'static str,
 }
 
-/// Budgets of openvla-oft, which most harnesses took over.
+/// Step budgets of openvla-oft, which most harnesses use.
 const BUDGETS: [u32; 4] = [220, 280, 300, 520];
 
 /// The protocols.
@@ -175,12 +175,12 @@ pub const PROTOCOLS: [Protocol; 8] = [
 ];
 
 impl Protocol {
-    /// The one of LIBERO-Plus' published table.
+    /// Protocol of LIBERO-Plus' published table.
     pub const PLUS_OFFICIAL: Self = PROTOCOLS[0];
-    /// The one of LIBERO-PRO's published table.
+    /// Protocol of LIBERO-PRO's published table.
     pub const PRO_OFFICIAL: Self = PROTOCOLS[5];
 
-    /// Control steps that the policy has in a suite.
+    /// Returns the step budget of the policy in a suite.
     pub const fn budget(&self, suite: Suite) -> u32 {
         match suite {
             Suite::Spatial => self.budgets[0],
@@ -210,7 +210,7 @@ impl FromStr for Protocol {
     }
 }
 
-/// No protocol is called so.
+/// Error: there is no protocol of this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("read protocol `{given}`: valid are {}", PROTOCOLS.map(|protocol| protocol.name).join(", "))]
 pub struct UnknownProtocol {

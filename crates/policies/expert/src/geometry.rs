@@ -1,6 +1,5 @@
-//! The little geometry that the expert needs: vectors, rotations, and boxes
-//! seen from above. Not a linear algebra library. World frame, metres,
-//! radians, z up.
+//! Geometry of the expert: vectors, rotations, and footprints of boxes. World frame,
+//! metres, radians, z up.
 
 use std::f64::consts::FRAC_PI_2;
 use std::ops::{Add, Mul, Sub};
@@ -20,7 +19,7 @@ impl Vec3 {
         Self { x, y, z }
     }
 
-    /// The horizontal unit vector at `angle` from the x axis.
+    /// Returns the horizontal unit vector at `angle` from the x axis.
     pub(crate) fn heading(angle: f64) -> Self {
         Self::new(angle.cos(), angle.sin(), 0.0)
     }
@@ -41,12 +40,12 @@ impl Vec3 {
         self.dot(self).sqrt()
     }
 
-    /// Length of the shadow on the floor.
+    /// Length of the horizontal projection.
     pub(crate) fn horizontal_norm(self) -> f64 {
         self.x.hypot(self.y)
     }
 
-    /// The same point at another height.
+    /// Replaces the height of a point.
     pub(crate) fn at_height(self, z: f64) -> Self {
         Self { z, ..self }
     }
@@ -55,7 +54,7 @@ impl Vec3 {
         Self::new(self.x.abs(), self.y.abs(), self.z.abs())
     }
 
-    /// The largest coordinate, signs kept.
+    /// Returns the largest signed coordinate.
     pub(crate) fn max_coordinate(self) -> f64 {
         self.x.max(self.y).max(self.z)
     }
@@ -102,7 +101,7 @@ impl Quat {
         v: Vec3::new(0.0, 0.0, 0.0),
     };
 
-    /// A turn by `angle` about the unit vector `axis`.
+    /// Returns the rotation by `angle` about the unit vector `axis`.
     pub(crate) fn turn(axis: Vec3, angle: f64) -> Self {
         Self {
             w: (angle / 2.0).cos(),
@@ -117,7 +116,7 @@ impl Quat {
         }
     }
 
-    /// This turn after `first`.
+    /// Composes rotations: `first`, then this one.
     pub(crate) fn after(self, first: Self) -> Self {
         Self {
             w: self.w * first.w - self.v.dot(first.v),
@@ -130,8 +129,7 @@ impl Quat {
         p + t * self.w + self.v.cross(t)
     }
 
-    /// Axis times angle of the shorter way round, so that its length is at
-    /// most pi.
+    /// Returns axis times angle for the shorter direction, so that the length is at most pi.
     pub(crate) fn rotation_vector(self) -> Vec3 {
         let q = if self.w < 0.0 {
             Self {
@@ -150,8 +148,8 @@ impl Quat {
     }
 }
 
-/// `angle` brought into (-pi/2, pi/2] by half turns: where a two-fingered
-/// hand, or a line, looks the same.
+/// Reduces `angle` to (-pi/2, pi/2] by half turns, under which a two-fingered hand or a line
+/// is symmetric.
 pub(crate) fn half_turn(angle: f64) -> f64 {
     let a = angle.rem_euclid(2.0 * FRAC_PI_2);
     if a > FRAC_PI_2 {
@@ -161,7 +159,7 @@ pub(crate) fn half_turn(angle: f64) -> f64 {
     }
 }
 
-/// A body's footprint as a rectangle along its own horizontal axes.
+/// Footprint of a body as a rectangle along its own horizontal axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Footprint {
     /// Direction of the narrower side, rad from the x axis, in (-pi/2, pi/2].
@@ -174,8 +172,8 @@ pub(crate) struct Footprint {
 /// Recovers a rectangle from its world-aligned bounding box (`half`) and the
 /// body's orientation: the box of a rectangle a × b turned by t is
 /// a·|cos t| + b·|sin t| by a·|sin t| + b·|cos t|, which is solved for a and
-/// b. Near 45° the two equations say the same, and near-round bodies have no
-/// sides: both are taken as they stand, along the world's axes or the body's.
+/// b. Near 45° the two equations are degenerate, and near-round bodies have no sides: in
+/// these cases the bounding box is used unchanged, along the body's or the world's axes.
 pub(crate) fn footprint(quat: Quat, half: Vec3) -> Footprint {
     let t = horizontal_axis_angle(quat);
     let (c, s) = (t.cos().abs(), t.sin().abs());
@@ -191,7 +189,7 @@ pub(crate) fn footprint(quat: Quat, half: Vec3) -> Footprint {
     };
     let mut angle = t;
     if a.min(b) <= 0.0 {
-        // A round body fills its box whichever way it is turned.
+        // The bounding box of a round body does not depend on its orientation.
         (a, b, angle) = (half.x, half.y, 0.0);
     }
     let (narrow, wide, turn) = if a <= b {
@@ -206,8 +204,8 @@ pub(crate) fn footprint(quat: Quat, half: Vec3) -> Footprint {
     }
 }
 
-/// The horizontal part of the body axis that points up: none where the body
-/// stands or lies square, towards its low side where it is tilted.
+/// Returns the horizontal part of the most upright body axis: zero if the body stands or lies
+/// square, towards its low side if it is tilted.
 pub(crate) fn lean(quat: Quat) -> Vec3 {
     let most_upright = AXES
         .map(|axis| quat.rotate(axis))
@@ -217,7 +215,7 @@ pub(crate) fn lean(quat: Quat) -> Vec3 {
     most_upright.at_height(0.0) * most_upright.z.signum()
 }
 
-/// Heading of a body axis that lies nearest to the horizontal plane.
+/// Returns the heading of the body axis closest to the horizontal plane.
 fn horizontal_axis_angle(quat: Quat) -> f64 {
     let flattest = AXES
         .map(|axis| quat.rotate(axis))

@@ -1,5 +1,4 @@
-//! Plans skills from goal predicates, in an order in which they do not undo one another.
-//! The skills carry themselves out.
+//! Plans skills from goal predicates, in an order in which they do not undo each other.
 
 use std::collections::VecDeque;
 
@@ -12,20 +11,20 @@ use crate::routine::{self, Deed, Routine};
 use crate::transfer::Transfer;
 use crate::world::{World, drawer_joint};
 
-/// A skill at work.
+/// A skill in progress.
 #[derive(Clone, Debug)]
 pub(crate) enum Skill {
     Transfer(Transfer),
     Routine(Routine),
-    /// Opens the fingers around whatever is between them, and backs out from a handle.
+    /// Opens the fingers to release an object, and backs out from a handle.
     LetGo,
 }
 
 impl Skill {
-    /// The command for this step; none once the skill is over.
+    /// Returns the command for this step; `None` if the skill is complete.
     ///
     /// # Errors
-    /// Names an entity or joint that the scene lacks.
+    /// If the scene lacks an entity or joint.
     pub(crate) fn step(
         &mut self,
         world: &World,
@@ -38,7 +37,7 @@ impl Skill {
         }
     }
 
-    /// Returns true if the skill goes on with the object between the fingers.
+    /// Returns true if the skill can continue with the object between the fingers.
     fn goes_on(&self, world: &World) -> bool {
         let object = match self {
             Self::Transfer(transfer) => transfer.object(),
@@ -56,9 +55,10 @@ impl Skill {
     }
 }
 
-/// Distance by which the hand backs out from a handle before it goes elsewhere, m.
+/// Distance by which the hand backs out from a handle before moving elsewhere, m.
 const CLEAR_OF_HANDLE_M: f64 = 0.06;
-/// An object whose box is nearer than this to the grip point may be between the fingers, m.
+/// Distance from the grip point to the box of an object within which the object may be
+/// between the fingers, m.
 const BETWEEN_M: f64 = 0.005;
 
 fn let_go(world: &World) -> Option<Command> {
@@ -81,12 +81,12 @@ fn let_go(world: &World) -> Option<Command> {
     })
 }
 
-/// The skills that are left, after something else has driven the robot: as [`plan`], but with
-/// what is in the hand first, which must not be dropped for something else, and each at the
-/// point that the world shows. Of `earlier`, the plan before, it takes the grasps.
+/// Replans after another controller has driven the robot: like [`plan`], but the skill of the
+/// held object comes first, so that it is not dropped, and each skill resumes at the phase that
+/// the world shows. Grasps are taken from `earlier`, the previous plan.
 ///
 /// # Errors
-/// As [`plan`].
+/// As for [`plan`].
 pub(crate) fn resume(
     world: &World,
     motion: &Motion,
@@ -103,7 +103,7 @@ pub(crate) fn resume(
         }
     }
     if let Some(at) = held {
-        // Nothing goes into a drawer that is shut.
+        // A closed drawer must be pulled open before an object can go into it.
         let is_pull = |skill: &Skill| match skill {
             Skill::Routine(routine) => matches!(routine.deed(), Deed::PullDrawer { .. }),
             _ => false,
@@ -134,13 +134,11 @@ pub(crate) fn resume(
     Ok(skills)
 }
 
-/// The skills that make `world`'s goal true, first to last: what opens comes
-/// before what is put in, and what closes comes after. What is seen to be done
-/// already is left out.
+/// Plans the skills that achieve `world`'s goal, in order: opening comes before putting
+/// objects in, closing after. Predicates that already hold are skipped.
 ///
 /// # Errors
-/// Names a predicate that the expert has no skill for, or an argument that the
-/// scene lacks.
+/// If the expert has no skill for a predicate, or the scene lacks an argument.
 pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, String> {
     let (mut before, mut between, mut after) = (Vec::new(), Vec::new(), Vec::new());
     for predicate in &world.goal {
@@ -178,8 +176,8 @@ fn no_skill(predicate: &Predicate) -> String {
     )
 }
 
-/// Opens the drawer of `region` as far as `to`, m, if it is in a drawer and
-/// that is not open.
+/// Plans to open the drawer of `region` to `to`, m, if the region is in a drawer that is not
+/// open.
 fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, String> {
     let joint = drawer_joint(region);
     let Some(position) = joint.and_then(|joint| world.joint(&joint).ok()) else {
@@ -201,7 +199,7 @@ fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, String> {
     Ok((!on).then(|| Skill::Routine(Routine::new(turn))))
 }
 
-/// Closes a drawer by its region, or a door by its fixture.
+/// Plans to close a drawer, given by its region, or a door, given by its fixture.
 fn close(world: &World, what: &str) -> Result<Option<Skill>, String> {
     let drawer = drawer_joint(what).and_then(|joint| world.joint(&joint).ok());
     let (deed, closed) = match drawer {
@@ -264,7 +262,7 @@ fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
     }
 }
 
-/// The object that is to go onto the same target.
+/// Returns the other object whose target is the same.
 fn sharer<'a>(goal: &'a [Predicate], predicate: &Predicate) -> Option<&'a str> {
     let shares = |other: &&Predicate| {
         *other != predicate
@@ -278,7 +276,8 @@ fn sharer<'a>(goal: &'a [Predicate], predicate: &Predicate) -> Option<&'a str> {
         .map(String::as_str)
 }
 
-/// The place's own side, or the other one where `other` is there already and nearer to it.
+/// Returns the place's own side, or the opposite one if `other` is already there and nearer to
+/// the own side.
 fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<f64, String> {
     let (object, other) = (world.entity(object)?, world.entity(other)?);
     if !place.holds(world, other)? {
@@ -322,7 +321,7 @@ mod tests {
             .joint("cabinet_1_top_level", position)
     }
 
-    /// Checks that the plan's skills show these words, one each.
+    /// Asserts that the debug form of each planned skill contains the expected word.
     fn check(scene: &KinematicScene, expected: &[&str]) {
         let skills = plan(&scene.world()).expect("a plan");
         let shown: Vec<String> = skills.iter().map(|skill| format!("{skill:?}")).collect();

@@ -1,6 +1,6 @@
-//! Choice of a grasp: across the object's narrow side if the hand spans it, else at its
-//! rim. Pure geometry of bounding boxes; the few categories whose box misleads are in
-//! [`KNOBS`].
+//! Grasp selection: across the object's narrow side if the hand spans it, otherwise at its
+//! rim. Uses the geometry of bounding boxes only; exceptions for categories with misleading
+//! boxes are in [`KNOBS`] and [`HANDLES`].
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -8,33 +8,33 @@ use crate::geometry::{Footprint, Vec3, footprint, half_turn, lean};
 use crate::motion::FINGERTIP_M;
 use crate::world::{Entity, Solid, World};
 
-/// Widest body that is pinched whole, m: the hand opens to 0.08 m, less a
+/// Largest width of a body that is pinched across, m: the hand opens to 0.08 m, minus a
 /// margin on both sides.
 const PINCH_WIDTH_M: f64 = 0.072;
 /// Depth of the grip point below an object's top when pinching, m: the palm is 35 mm
 /// above the grip point.
 const PINCH_DEPTH_M: f64 = 0.025;
-/// The same at a rim, and how far inside the box's side the wall is; further
-/// in, the closing fingers draw the rim to their middle, which helps where a
-/// container's wall leaves the outer finger little room.
+/// Depth of the grip point below an object's top when gripping a rim, m.
 const RIM_DEPTH_M: f64 = 0.014;
+/// Distances of the grip point inside the side of the box when gripping a rim, m. At larger
+/// ones the closing fingers pull the rim to their centre, which helps if a container's wall
+/// leaves the outer finger little room.
 const RIM_INSETS_M: [f64; 3] = [0.006, 0.016, 0.026];
-/// Fingertips stay this far above what the object stands on, m.
+/// Clearance of the fingertips above the object's support, m.
 const FLOOR_GAP_M: f64 = 0.004;
-/// Rim points tried around a round body.
+/// Number of rim points tried around a round body.
 const RIM_POINTS: u32 = 24;
-/// A box longer than this times its width has a handle along its length, and
-/// is only held at its two long sides.
+/// Ratio of length to width above which a body is assumed to have a handle along its length,
+/// so that it is held only at its two long sides.
 const ROUND_RATIO: f64 = 1.12;
-/// Further pinch positions off an object's middle, as shares of its wide side, for a
-/// neighbour that is in the way of the middle.
+/// Pinch positions relative to an object's centre, as shares of its wide side; those off the
+/// centre avoid neighbours.
 const OFF_CENTRE: [f64; 5] = [0.0, 0.25, -0.25, 0.5, -0.5];
 /// Reach of an open finger from the grip point, m.
 const FINGER_REACH_M: f64 = 0.058;
-/// Penalties of a grasp, expressed as turning of the hand: a closing direction a quarter
-/// turn away from a place's wish, rad; a part of the hand in the way, rad; a finger in a
-/// wall, an arm stretched too far, and a rim point on the low side of a tilted body, rad
-/// per m.
+/// Penalties of a grasp, in equivalent rotation of the hand: a closing direction a quarter
+/// turn away from the wish, rad; a part of the hand in collision, rad; a finger in a wall, an
+/// arm stretched too far, and a rim point on the low side of a tilted body, rad per m.
 const ASKEW_WEIGHT: f64 = 3.0;
 const COLLISION_WEIGHT: f64 = 4.0;
 const WALL_WEIGHT: f64 = 140.0;
@@ -51,9 +51,9 @@ const FICKLE_COST: f64 = 0.5;
 const ALIKE_M: f64 = 0.02;
 const ALIKE_RAD: f64 = 0.3;
 
-/// A part of the open hand, from the grip point: where it is along the closing
-/// direction, its half sizes along and across, and how high its lower end is,
-/// m (Panda hand of robosuite 1.4.0).
+/// A part of the open hand relative to the grip point, m: position along the closing
+/// direction, half sizes along and across it, and height of the lower end (Panda hand of
+/// robosuite 1.4.0).
 struct Part {
     at: f64,
     half: (f64, f64),
@@ -83,25 +83,25 @@ const HAND: [Part; 4] = [
     },
 ];
 
-/// Categories held by a knob on top, above the body's origin, and how far
-/// below the top of the knob the grip point goes, m.
+/// Categories held by a knob on top, above the body's origin, with the depth of the grip
+/// point below the top of the knob, m.
 const KNOBS: [(&str, f64); 1] = [("moka_pot", 0.006)];
 
-/// Categories with an upright handle, and on which side it is in their own
-/// axes; how far in from its end, and how far below the object's top, the grip
-/// point goes, m.
+/// Categories with an upright handle, with the direction of the handle in body axes. The
+/// following constants are the distances of the grip point from the handle's end and below
+/// the object's top, m.
 const HANDLES: [(&str, Vec3); 1] = [("white_yellow_mug", Vec3::new(1.0, 0.0, 0.0))];
 const HANDLE_INSET_M: f64 = 0.01;
 const HANDLE_DEPTH_M: f64 = 0.042;
 
-/// A way to hold an object.
+/// A grasp of an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Grasp {
     /// Grip point from the centre of the object's box, world axes, m.
     pub(crate) offset: Vec3,
     /// Closing direction, rad from the world's x axis.
     pub(crate) closing: f64,
-    /// Part of the rank that does not depend on the object's place, rad.
+    /// Part of the cost that does not depend on the object's position, rad.
     strain: f64,
 }
 
@@ -109,9 +109,9 @@ pub(crate) struct Grasp {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Wish {
     Any,
-    /// The closing direction is across this horizontal one.
+    /// The closing direction is perpendicular to this horizontal direction.
     Across(Vec3),
-    /// The hand stays beside the object.
+    /// The hand holds the object by its handle and stays beside it.
     Handle,
 }
 
@@ -119,15 +119,15 @@ pub(crate) enum Wish {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Purpose<'a> {
     pub(crate) wish: Wish,
-    /// Destination of the object's origin, seen from above, and of its lowest point.
+    /// Destination: horizontally of the object's origin, vertically of its lowest point.
     pub(crate) destination: Vec3,
     /// Object or fixture at the destination, which the hand may touch.
     pub(crate) owner: &'a str,
 }
 
-/// All ways to hold `object`, best first: little turning of the hand, no
-/// finger in a neighbour, room beside the rim, and within the arm's reach here
-/// and there.
+/// Returns all grasps of `object` in ascending order of cost. Good grasps rotate the hand
+/// little, collide with no neighbour, have room beside the rim, and are within the arm's reach
+/// at the object and at the destination.
 pub(crate) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> Vec<Grasp> {
     let shape = footprint(object.quat, object.half);
     let handle = HANDLES.iter().find(|h| h.0 == object.category);
@@ -145,11 +145,11 @@ pub(crate) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> V
     all
 }
 
-/// The way to hold `object` for a hand that is somewhere already: as [`choices`] ranks them,
-/// but rather near the hand, and rather like `earlier`, so that it does not change its mind on
-/// the way.
+/// Returns the best grasp of `object` for the current position of the hand: ranked like
+/// [`choices`], with penalties on the distance from the hand and on a change from `earlier`, so
+/// that the choice does not oscillate.
 ///
-/// None if there is no way.
+/// `None` if there is no grasp.
 pub(crate) fn nearest(
     world: &World,
     object: &Entity,
@@ -182,7 +182,7 @@ fn knob(object: &Entity, shape: Footprint, depth: f64) -> Grasp {
     }
 }
 
-/// Across the upright handle at the end of a mug's box.
+/// Returns the grasp across the upright handle at the end of a mug's box.
 fn by_handle(object: &Entity, shape: Footprint, way: Vec3) -> Grasp {
     Grasp {
         offset: (way * (shape.wide - HANDLE_INSET_M)).at_height(object.half.z - HANDLE_DEPTH_M),
@@ -234,7 +234,7 @@ fn grip_height(object: &Entity, depth: f64) -> f64 {
     (object.half.z - depth).max(lowest)
 }
 
-/// Rank of a grasp, in radians of hand turning that it is worth.
+/// Cost of a grasp, in equivalent radians of hand rotation.
 fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> f64 {
     let turning = half_turn(grasp.closing - FRAC_PI_2).abs();
     let askew = match purpose.wish {
@@ -255,9 +255,9 @@ fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> 
     turning + askew + grasp.strain + collisions + into_wall + stretch + downhill
 }
 
-/// Number of parts of the open hand that would come down on one of `among`, with the grip
-/// point at `grip`. The container of the object does not count: its walls are checked by
-/// [`into_wall`].
+/// Returns the number of parts of the open hand that would collide with a solid selected by
+/// `among`, with the grip point at `grip`. The container of the object does not count, because
+/// [`into_wall`] checks its walls.
 fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) -> bool) -> usize {
     let (along, across) = (Vec3::heading(closing), Vec3::heading(closing + FRAC_PI_2));
     let hits = |part: &Part, solid: &Solid| {
@@ -271,8 +271,8 @@ fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) ->
         .sum()
 }
 
-/// Depth, m, to which the outer finger would reach into the wall of a container that the
-/// object is in. A fixture's box says nothing about its inside; the regions in it do.
+/// Returns the depth, m, by which the outer finger would penetrate the wall of the container
+/// that holds the object. The inside of a fixture is given by its regions, not by its box.
 fn into_wall(world: &World, object: &Entity, grasp: &Grasp) -> f64 {
     let outward = grasp.offset.at_height(0.0);
     if outward.norm() < RIM_INSETS_M[0] {
@@ -365,7 +365,7 @@ mod tests {
 
     #[test]
     fn a_neighbour_of_a_box_moves_the_pinch_off_its_centre() {
-        // The palm, not a finger, would hit the bottle.
+        // At the centre, the palm would hit the bottle.
         let scene = scene()
             .object("thing", [0.0, 0.0, 0.009], [0.04, 0.02, 0.009])
             .object("bottle", [0.035, 0.1, 0.07], [0.022, 0.03, 0.07]);
@@ -398,7 +398,7 @@ mod tests {
         let mut scene = scene().object("thing", [0.0, 0.0, 0.03], BOWL);
         let tilt = Quat::turn(Vec3::new(1.0, 0.0, 0.0), 0.3);
         scene.state.entities[0].quat_wxyz = [tilt.w, tilt.v.x, tilt.v.y, tilt.v.z];
-        // Turned about x, the side at +y has gone up.
+        // The rotation about x has raised the side at +y.
         let grasp = best(&scene, Wish::Any);
         assert!(grasp.offset.y > 0.03, "{grasp:?}");
     }

@@ -1,7 +1,6 @@
-//! Test help: a stand-in for the simulator without contacts. The hand follows
-//! the action as LIBERO's controller makes it do in free space; closed fingers
-//! hold what is between them; what is let go drops to the floor. Physics is
-//! not its business: for that there are tests on the real simulator.
+//! Test double of the simulator without contacts. The hand follows actions like LIBERO's
+//! controller in free space; closed fingers hold the object between them; released
+//! objects drop to the floor. Physics is covered by tests on the real simulator.
 
 use libero_ctrl::{Entity, EntityKind, Predicate, Privileged};
 
@@ -14,25 +13,25 @@ const STIFFNESS: f64 = 150.0;
 const UNIT_M: f64 = 0.05;
 const SUBSTEPS: u32 = 25;
 const SUBSTEP_SECS: f64 = 0.002;
-/// rad per step at full action: its rotation is not looked at closely.
+/// Rotation per step at full action, rad; approximate.
 const STEP_RAD: f64 = 0.15;
-/// m per step at which the fingers travel.
+/// Travel of the fingers per step, m.
 const FINGER_STEP_M: f64 = 0.01;
-/// Distance between fingers that hold something, m.
+/// Distance between the fingers when they hold an object, m.
 const HOLDING_M: f64 = 0.02;
-/// Objects nearer than this to the grip point can be held, m.
+/// Largest distance from the grip point at which an object can be held, m.
 const REACH_M: f64 = 0.08;
 
 pub(crate) struct KinematicScene {
     pub(crate) state: Privileged,
-    /// Number of times that the fingers close without getting hold of anything.
+    /// Number of times that the fingers will close without grasping the object.
     pub(crate) slippery: u32,
     held: Option<usize>,
     velocity: [f64; 3],
 }
 
 impl KinematicScene {
-    /// A hand at rest, 0.3 m above the origin, over a floor at height 0.
+    /// Creates a scene with the hand at rest 0.3 m above the origin and the floor at height 0.
     pub(crate) fn new(goal: &str, arguments: &[&str]) -> Self {
         let state = Privileged {
             goal: vec![predicate(goal, arguments)],
@@ -59,8 +58,7 @@ impl KinematicScene {
         self
     }
 
-    /// An object standing on the floor, or, with `centre`'s third number, in
-    /// the air.
+    /// Adds an object with the given centre and half extents, m.
     pub(crate) fn object(self, name: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
         self.entity(
             name,
@@ -81,7 +79,7 @@ impl KinematicScene {
         )
     }
 
-    /// A region on or in `parent`.
+    /// Adds a region on or in `parent`.
     pub(crate) fn region(self, name: &str, parent: &str, centre: [f64; 3], half: [f64; 3]) -> Self {
         self.entity(name, EntityKind::Site, parent, centre, half)
     }
@@ -110,7 +108,7 @@ impl KinematicScene {
         World::read(&self.state).expect("a scene of the right widths")
     }
 
-    /// One control step.
+    /// Simulates one control step.
     pub(crate) fn apply(&mut self, action: [f32; 7]) {
         let a = action.map(f64::from);
         let shift = self.pull_hand([a[0], a[1], a[2]]);
@@ -128,14 +126,14 @@ impl KinematicScene {
         }
     }
 
-    /// Takes the held object out of the hand.
+    /// Drops the held object to the floor.
     pub(crate) fn knock_out_of_hand(&mut self) {
         if let Some(held) = self.held.take() {
             drop_to_floor(&mut self.state.entities[held]);
         }
     }
 
-    /// Displacement of the hand by the spring in one step.
+    /// Returns the displacement of the hand by the controller's spring in one step.
     fn pull_hand(&mut self, action: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|i| {
             let (goal, velocity) = (action[i] * UNIT_M, &mut self.velocity[i]);

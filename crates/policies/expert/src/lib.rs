@@ -1,8 +1,7 @@
-//! A scripted manipulator for LIBERO's tasks, deterministic, that looks at no
-//! camera and is given the simulator's own state instead. It exercises the whole
-//! service with rollouts that mostly succeed, and teaches policies that see; it is
-//! no baseline for them. Skills live in the rooms below; this file only runs them
-//! one after the other.
+//! A deterministic scripted policy for LIBERO's tasks that observes the simulator's
+//! privileged state instead of cameras. It exercises the whole service with rollouts
+//! that mostly succeed, and provides demonstrations for visual policies; it is not a
+//! baseline for them. Skills are in the modules; this file runs them in sequence.
 
 mod geometry;
 mod goal;
@@ -27,15 +26,17 @@ use world::World;
 
 pub use motion::Action;
 
-/// Steps after which a hand that stays where it is, this far from where it should be, m and rad,
-/// counts as stuck; steps of its way back, half of them up; and how far up it aims, m.
+/// Number of steps after which a hand far from its target counts as stuck.
 const PATIENCE_STEPS: u32 = 20;
+/// Distances from the target beyond which the hand is far from it, m and rad.
 const FAR_M: f64 = 0.012;
 const FAR_RAD: f64 = 0.25;
+/// Number of steps of the way back of a stuck hand; half of them go up.
 const BACKING_STEPS: u32 = 32;
+/// Height above the hand of the target of an upward step, m.
 const STEP_M: f64 = 0.05;
 
-/// The scripted manipulator in one rollout. A clone goes on as the original would.
+/// State of the scripted policy in one rollout. A clone continues like the original.
 #[derive(Clone, Debug, Default)]
 pub struct Expert {
     /// Remaining skills; `None` before the first observation.
@@ -43,21 +44,21 @@ pub struct Expert {
     motion: Motion,
     /// Position of the shoulder, from the first observation, when the hand is at rest.
     shoulder: Option<Vec3>,
-    /// Consecutive steps of its own for which the hand has been far from its target.
+    /// Number of consecutive own steps in which the hand was far from its target.
     far_steps: u32,
-    /// Steps left of the way back from where the hand was stuck.
+    /// Remaining steps of the way back of a stuck hand.
     backing_steps: u32,
-    /// True if something else has driven the robot since the last action.
+    /// True if another controller has driven the robot since the last action.
     is_interrupted: bool,
 }
 
 impl Expert {
-    /// The action for the state at hand. To be asked at every control step, in order,
-    /// also where something else drives the robot ([`Self::interrupt`]): it remembers what it
-    /// has done and how the hand moves.
+    /// Returns the action for a state. Must be called at every control step, in order, even
+    /// while another controller drives the robot ([`Self::interrupt`]), because the policy
+    /// tracks its own actions and the motion of the hand.
     ///
     /// # Errors
-    /// In words, where the state is of no scene that it can read.
+    /// If the expert does not support the scene or its goal.
     pub fn act(&mut self, state: &Privileged) -> Result<Action, String> {
         let mut world = World::read(state)?;
         world.shoulder = *self.shoulder.get_or_insert(world.shoulder);
@@ -70,17 +71,17 @@ impl Expert {
         Ok(motion::servo(&world, &self.motion, &command))
     }
 
-    /// Says that the robot has done something else than the last action. The next action then
-    /// follows from what is seen: what is left to do, what is in the hand, and how far the
-    /// hand is with it. Without this, steps that something else took would count as the
-    /// expert's own, and it would take a hand that hesitates for one that touches something.
+    /// Reports that the robot did not execute the last action. The next action is then
+    /// replanned from the state alone: the remaining goals, the held object and the phase of
+    /// its skill. Without this call, the other controller's steps would count as the expert's
+    /// own, and a hand that hesitates would be mistaken for one in contact.
     pub fn interrupt(&mut self) {
         self.is_interrupted = true;
     }
 
-    /// `command`, unless it has got the hand nowhere: it may be hooked into something, or the
-    /// arm be at the limit of a joint, which no box shows. Then it goes up, and back to where it
-    /// rests, for a while.
+    /// Returns `command`, unless the hand is stuck: caught on an object, or the arm at a joint
+    /// limit, which bounding boxes do not show. A stuck hand moves up and back to its rest
+    /// position for a number of steps.
     fn unstuck(&mut self, world: &World, command: Command) -> Command {
         let travels = command.pace >= 1.0;
         let is_far = !command.hand.is_near(world, FAR_M, FAR_RAD);
@@ -110,8 +111,8 @@ impl Expert {
         }
     }
 
-    /// The next skill's command; a plan that has run out is made anew, since
-    /// an episode that goes on has not reached its goal.
+    /// Returns the next skill's command. Replans when the plan is exhausted, because an
+    /// episode that continues has not reached its goal.
     fn command(&mut self, world: &World) -> Result<Command, String> {
         let is_interrupted = std::mem::take(&mut self.is_interrupted);
         let mut plan = match self.plan.take() {
@@ -150,7 +151,7 @@ mod tests {
             .object("plate_1", [0.05, 0.2, 0.01], [0.069, 0.069, 0.01])
     }
 
-    /// Every action of an episode of `steps` steps.
+    /// Returns the actions of an episode of `steps` steps.
     fn episode(steps: u32) -> Vec<Action> {
         let (mut scene, mut expert) = (scene(), Expert::default());
         let mut actions = Vec::new();
@@ -170,8 +171,8 @@ mod tests {
         assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
     }
 
-    /// Returns true if the bowl comes to its plate within this many steps, where `meddle`
-    /// changes every action that is not the expert's own, by the step's number.
+    /// Returns true if the bowl reaches its plate within `steps` steps. `meddle` may replace
+    /// the expert's action at each step.
     fn ends(steps: u32, meddle: impl Fn(u32, Action) -> Option<Action>) -> bool {
         let (mut scene, mut expert) = (scene(), Expert::default());
         (0..steps).any(|step| {
@@ -188,7 +189,7 @@ mod tests {
 
     #[test]
     fn what_it_does_follows_from_what_it_sees_alone() {
-        // Told at every step that it was not its own, it keeps no phase.
+        // Interrupted at every step, the expert keeps no phase.
         assert!(ends(250, |_, action| Some(action)));
     }
 
@@ -219,7 +220,7 @@ mod tests {
             scene.apply(action);
         }
         assert!(scene.state.entities[0].pos[2] > 0.05, "it lifts the bowl");
-        // Another one's grasp: this expert has seen none of it.
+        // A new expert takes over a grasp that it has not observed.
         let mut newcomer = Expert::default();
         for _ in 0..4 {
             newcomer.interrupt();

@@ -1,10 +1,10 @@
 //! Servo of the hand: a proportional controller on the true pose, and the detour over
-//! obstacles. The target pose is chosen elsewhere.
+//! obstacles. Other modules choose the target pose.
 //!
-//! The action moves the set point of LIBERO's operational-space controller
-//! relative to where the hand is now, so that an error fed back at every step
-//! is a spring of the controller's own stiffness; a gain above one makes the
-//! spring stiffer, and saturation limits the speed to about 0.3 m/s.
+//! An action moves the set point of LIBERO's operational-space controller relative to
+//! the current pose of the hand, so that feeding back the error at every step acts as
+//! a spring with the controller's own stiffness; a gain above one makes the spring
+//! stiffer, and saturation limits the speed to about 0.3 m/s.
 
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
@@ -21,34 +21,35 @@ const UNIT_RAD: f64 = 0.5;
 /// Stiffens the position spring. The controller is critically damped at one;
 /// two still settles without visible overshoot.
 const POSITION_GAIN: f64 = 2.0;
-/// Steps by which the position is extrapolated: the damping that the stiffer spring and
-/// the step's delay need.
+/// Number of steps by which the position is extrapolated, to damp the stiffer spring and
+/// the delay of a step.
 const LOOKAHEAD_STEPS: f64 = 1.5;
 /// Distance from the point between the fingertips to their lower end, m (Panda hand of
 /// robosuite 1.4.0).
 pub(crate) const FINGERTIP_M: f64 = 0.0095;
-/// Room kept between what the hand carries and what it passes over, m.
+/// Vertical clearance between the hand's load and obstacles below it, m.
 const CLEARANCE_M: f64 = 0.02;
-/// Half the width of what passes over: fingers and what they hold, m.
+/// Half the width of the moving fingers and their load, m.
 const CORRIDOR_M: f64 = 0.06;
-/// Nearer than this to its goal, the hand comes down whatever is beside it, m.
+/// Horizontal distance from the goal within which the hand descends regardless of
+/// neighbours, m.
 const ARRIVAL_M: f64 = 0.03;
-/// A hand this far above its goal is high, m.
+/// Height above the goal from which the hand first moves sideways, m.
 const HIGH_M: f64 = 0.05;
-/// A hand that moves less than this in a step has been stopped by something.
+/// Displacement per step below which the hand counts as stopped, m.
 const STILL_M: f64 = 0.0008;
 
-/// A hand on a straight way may be that far before or beyond it, m, and turned by that much, rad.
+/// Tolerances of a hand on a straight path: distance before or beyond it, m, and angle, rad.
 const ALONG_M: f64 = 0.015;
 const ALIGNED_RAD: f64 = 0.25;
-/// Fingers this far apart are open, m; the hand opens to 0.08 m.
+/// Opening beyond which the fingers count as open, m; the hand opens to 0.08 m.
 pub(crate) const OPEN_M: f64 = 0.065;
-/// Fingers at rest between these two have something between them, m: not open, and not shut.
+/// Range of the opening, m, in which fingers at rest hold an object.
 const GRASPED_M: (f64, f64) = (0.0015, 0.0765);
-/// A hand that stays within so many m for so many steps is stuck.
+/// Distance, m, within which a hand counts as stuck if it stays there for [`TRAIL_STEPS`].
 const STUCK_M: f64 = 0.02;
 const TRAIL_STEPS: usize = 16;
-/// Steps that the fingers stand still before they count as at rest.
+/// Number of steps without motion after which the fingers count as at rest.
 const AT_REST_STEPS: u32 = 2;
 
 /// A pose of the hand: the point between the fingertips, and its orientation
@@ -73,8 +74,9 @@ impl HandPose {
         turn.rotation_vector().norm()
     }
 
-    /// Returns true if the hand is on its straight way from here to `goal`: at most
-    /// `aside` m beside it, a little before or beyond it, and turned like one of the two.
+    /// Returns true if the hand is on the straight path from this pose to `goal`: at most
+    /// `aside` m beside it, at most slightly before or beyond it, and oriented like either
+    /// pose.
     pub(crate) fn leads(self, goal: HandPose, world: &World, aside: f64) -> bool {
         let way = goal.pos - self.pos;
         let length = way.norm().max(f64::MIN_POSITIVE);
@@ -93,10 +95,10 @@ impl HandPose {
     }
 }
 
-/// The hand pointing down, closing along the horizontal direction `angle`. Of
-/// the two poses that look alike, the one nearer to the robot's rest pose,
-/// which closes along the world's y: a quarter turn either way stays inside
-/// the last joint's range.
+/// Returns the orientation of a hand that points down and closes along the horizontal
+/// direction `angle`. Of the two symmetric orientations it is the one nearer to the robot's
+/// rest pose, which closes along the world's y: a quarter turn either way stays inside the
+/// last joint's range.
 pub(crate) fn pointing_down(angle: f64) -> Quat {
     let rest = Quat {
         w: 0.0,
@@ -105,8 +107,8 @@ pub(crate) fn pointing_down(angle: f64) -> Quat {
     Quat::turn(Vec3::UP, half_turn(angle - FRAC_PI_2)).after(rest)
 }
 
-/// `quat`, a hand pointing down, tilted by `angle` so that the fingers point
-/// more and more along the horizontal direction `ahead`.
+/// Tilts `quat`, the orientation of a hand that points down, by `angle` so that the fingers
+/// turn towards the horizontal direction `ahead`.
 pub(crate) fn tilted(quat: Quat, ahead: Vec3, angle: f64) -> Quat {
     let down = Vec3::UP * -1.0;
     Quat::turn(down.cross(ahead), angle).after(quat)
@@ -128,7 +130,7 @@ pub(crate) struct Command {
     pub(crate) pace: f64,
 }
 
-/// The action that serves `command`: seven numbers in [-1, 1].
+/// Computes the action that follows `command`: seven numbers in [-1, 1].
 pub(crate) fn servo(world: &World, motion: &Motion, command: &Command) -> Action {
     let foretold = world.grip + motion.per_step() * LOOKAHEAD_STEPS;
     let shift = (command.hand.pos - foretold) * (POSITION_GAIN / UNIT_M);
@@ -137,8 +139,8 @@ pub(crate) fn servo(world: &World, motion: &Motion, command: &Command) -> Action
         .quat
         .after(world.grip_quat.inverse())
         .rotation_vector();
-    // Apart from each other, so that a long way down leaves the full authority
-    // to stay above the goal.
+    // Saturated separately, so that a long descent leaves full authority for the horizontal
+    // position.
     let across = saturate(shift.at_height(0.0), 1.0);
     let upward = shift.z.clamp(-command.pace, command.pace);
     let turn = saturate(turn * (1.0 / UNIT_RAD), 1.0);
@@ -159,14 +161,14 @@ fn saturate(v: Vec3, limit: f64) -> Vec3 {
     }
 }
 
-/// Load of the hand on its way, or the object that it goes for.
+/// Load of the moving hand, or the object that it is about to grasp.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Errand<'a> {
-    /// No load; the hand's own lowest part is this far below the grip point, m.
+    /// No load; the lowest part of the hand is this far below the grip point, m.
     Empty(f64),
-    /// Goes for this object, which is no obstacle.
+    /// The hand moves to grasp this object, which is not an obstacle.
     For(&'a Entity),
-    /// Holds this object.
+    /// The hand holds this object.
     With(&'a Entity),
 }
 
@@ -188,13 +190,12 @@ impl Errand<'_> {
     }
 }
 
-/// Returns the point to steer to now in order to reach `goal` without running into
-/// anything: out from under overhead obstacles, straight up until everything on the way
-/// is cleared, then across, then down.
+/// Returns the next waypoint towards `goal` that avoids obstacles: out from under overhead
+/// obstacles, straight up until the path is clear, then across, then down.
 pub(crate) fn detour(world: &World, goal: Vec3, errand: Errand) -> Vec3 {
     let aside = (goal - world.grip).horizontal_norm();
     if aside < ARRIVAL_M {
-        // High above it, sideways first: there may be an edge beneath.
+        // Far above the goal, moves sideways first, because there may be an edge below.
         let is_high = world.grip.z > goal.z + HIGH_M && aside > ARRIVAL_M / 2.0;
         return goal.at_height(if is_high { world.grip.z } else { goal.z });
     }
@@ -232,7 +233,7 @@ fn highest_on_the_way(world: &World, goal: Vec3, errand: Errand) -> Option<f64> 
         .max_by(f64::total_cmp)
 }
 
-/// The horizontal way out from under a solid that is above the held object.
+/// Returns the horizontal displacement out from under a solid above the held object.
 fn way_from_under(world: &World, errand: Errand) -> Option<Vec3> {
     let Errand::With(object) = errand else {
         return None;
@@ -251,8 +252,7 @@ fn way_from_under(world: &World, errand: Errand) -> Option<Vec3> {
     Some(away * (1.0 / away.norm().max(CLEARANCE_M)))
 }
 
-/// Watches the hand from step to step: how fast it is, and whether something
-/// stopped it.
+/// Tracks the motion of the hand and the fingers over steps.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Motion {
     last: Option<(Vec3, f64)>,
@@ -294,8 +294,7 @@ impl Motion {
         self.still_steps
     }
 
-    /// Returns true if the hand has made no progress in the last steps, even if it
-    /// trembles.
+    /// Returns true if the hand has made no progress in the last steps, apart from jitter.
     pub(crate) fn is_stuck(&self) -> bool {
         let here = self.trail[TRAIL_STEPS - 1];
         let away = |place: &Vec3| (*place - here).norm();
@@ -309,14 +308,14 @@ impl Motion {
         between && self.finger_still_steps >= AT_REST_STEPS
     }
 
-    /// Returns true if fingers at a grasp should close: they are open, or on their way,
-    /// or stopped just now.
+    /// Returns true if fingers at a grasp should close: they are open, or have only just
+    /// stopped closing.
     pub(crate) fn may_close(&self, world: &World) -> bool {
         let stops = self.opened < STILL_M && self.finger_still_steps < AT_REST_STEPS;
         world.opening > OPEN_M || stops
     }
 
-    /// Number of steps for which the fingers have not moved against each other.
+    /// Number of steps for which the opening of the fingers has not changed.
     pub(crate) fn finger_still_steps(&self) -> u32 {
         self.finger_still_steps
     }

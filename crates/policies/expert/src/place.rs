@@ -1,26 +1,26 @@
-//! Destination of an object: the meaning of a goal predicate's target for the hand that
-//! carries something there. The way there is planned elsewhere.
+//! Destination of an object: resolves the target of a goal predicate to poses for the hand
+//! that carries the object. `motion` plans the path.
 
 use crate::geometry::{Vec3, footprint};
 use crate::grasp::Wish;
 use crate::motion::FINGERTIP_M;
 use crate::world::{Entity, World};
 
-/// An object is carried this far above its destination's brim, m.
+/// Height above the destination's brim at which an object is carried, m.
 const CARRY_M: f64 = 0.02;
-/// Depth below an open container's brim at which an object is let go, m.
+/// Depth below an open container's brim at which an object is released, m.
 const DROP_DEPTH_M: f64 = 0.04;
-/// Distance from a drawer's middle towards its front at which an object is let go, clear of the
-/// roof and of the handles above, m.
+/// Distance from a drawer's centre towards its front at which an object is released, clear of the
+/// cabinet's top and of the handles above, m.
 const DRAWER_SHIFT_M: f64 = 0.022;
 /// Placing into a covered region, where the hand has to stay outside: depth of the object behind
-/// the opening, its gap above the floor, and length of the straight way in, m.
+/// the opening, its gap above the floor, and length of the straight path in, m.
 const COVERED_DEPTH_M: f64 = 0.013;
 const COVERED_FLOOR_GAP_M: f64 = 0.02;
 const COVERED_RUN_M: f64 = 0.13;
-/// Air between two objects that share a target, m.
+/// Gap between two objects that share a target, m.
 const NEIGHBOUR_GAP_M: f64 = 0.004;
-/// Near enough to its place, m.
+/// Tolerance of the object's position at its place, m.
 const THERE_M: f64 = 0.005;
 /// LIBERO's own tolerance for one object on another, m.
 const ON_OBJECT_M: f64 = 0.03;
@@ -33,7 +33,7 @@ pub(crate) struct Place {
     pub(crate) relation: Relation,
     /// Object or region.
     pub(crate) target: String,
-    /// Side of the target's middle, if two objects share it: -1 or 1; 0 is the middle
+    /// Side of the target's centre, if two objects share it: -1 or 1; 0 is the centre
     /// itself.
     pub(crate) slot: f64,
 }
@@ -44,27 +44,27 @@ pub(crate) enum Relation {
     In,
 }
 
-/// A place, resolved to the current poses. Points are destinations of the object's
-/// origin, seen from above; heights are those of its lowest point.
+/// A place, resolved to current poses. Points give the horizontal position of the object's
+/// origin and the height of its lowest point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spot {
-    /// Start of the way in.
+    /// Start of the approach.
     pub(crate) gate: Vec3,
-    /// End of the way in.
+    /// End of the approach.
     pub(crate) rest: Vec3,
     entry: Entry,
     floor: f64,
     brim: f64,
 }
 
-/// Way of an object to its place.
+/// Approach of an object to its place.
 #[derive(Clone, Copy, Debug)]
 enum Entry {
-    /// Put down.
+    /// Put down on a surface.
     Onto,
-    /// Let go above the inside.
+    /// Released above the inside of a container.
     Into,
-    /// Through an open front, that way out.
+    /// Moved through an open front; the vector points outwards.
     Through(Vec3),
 }
 
@@ -115,10 +115,10 @@ impl Place {
         })
     }
 
-    /// Returns true if the object is in its place, as far as boxes tell.
+    /// Returns true if the object is in its place, judging by bounding boxes.
     ///
     /// # Errors
-    /// Names a target that the scene lacks.
+    /// If the scene lacks the target.
     pub(crate) fn holds(&self, world: &World, object: &Entity) -> Result<bool, String> {
         let target = world.entity(&self.target)?;
         let inside = target.local(object.pos).abs() - target.half;
@@ -136,10 +136,10 @@ impl Place {
         })
     }
 
-    /// The object or fixture that the target is, or is on.
+    /// Returns the name of the target's object or fixture: for a region, the one it is on.
     ///
     /// # Errors
-    /// Names a target that the scene lacks.
+    /// If the scene lacks the target.
     pub(crate) fn owner<'a>(&self, world: &'a World) -> Result<&'a str, String> {
         let target = world.entity(&self.target)?;
         Ok(if target.is_region() {
@@ -152,7 +152,7 @@ impl Place {
     /// Requirement of the place on the grasp.
     ///
     /// # Errors
-    /// If the scene lacks the target, which the message names.
+    /// If the scene lacks the target.
     pub(crate) fn wish(&self, world: &World) -> Result<Wish, String> {
         let target = world.entity(&self.target)?;
         if self.relation == Relation::On {
@@ -161,7 +161,7 @@ impl Place {
         Ok(if world.front_of_cover(target).is_some() {
             Wish::Handle
         } else if let Some(out) = world.front_of_drawer(target) {
-            // The palm, long in the closing direction, stays parallel to the
+            // The palm is long in the closing direction and must be parallel to the
             // cabinet's front.
             Wish::Across(out)
         } else {
@@ -171,13 +171,13 @@ impl Place {
 }
 
 impl Spot {
-    /// Position of the grip point that puts the held object at `point`.
+    /// Returns the position of the grip point that puts the held object at `point`.
     pub(crate) fn hand_for(world: &World, object: &Entity, point: Vec3) -> Vec3 {
         let up = point.z - object.bottom();
         (world.grip + point - object.pos).at_height(world.grip.z + up)
     }
 
-    /// Returns true if the way in can begin, with `left` to go to the gate.
+    /// Returns true if the approach can begin, given the remaining displacement to the gate.
     pub(crate) fn at_gate(&self, left: Vec3) -> bool {
         let sunk = match self.entry {
             Entry::Onto | Entry::Into => true,
@@ -186,7 +186,7 @@ impl Spot {
         sunk && left.horizontal_norm() < 2.0 * THERE_M
     }
 
-    /// Returns true if the held object can be let go.
+    /// Returns true if the held object can be released.
     pub(crate) fn reached(&self, world: &World, object: &Entity) -> bool {
         match self.entry {
             Entry::Onto => object.bottom() < self.floor + THERE_M,
@@ -198,7 +198,7 @@ impl Spot {
         }
     }
 
-    /// Direction in which the hand leaves.
+    /// Returns the direction in which the hand retreats.
     pub(crate) fn way_out(&self) -> Vec3 {
         match self.entry {
             Entry::Onto | Entry::Into => Vec3::UP,

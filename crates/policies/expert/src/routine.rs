@@ -1,7 +1,7 @@
 //! Manipulation without carrying: drawers, the stove's knob, the microwave's door, and
-//! flat things that are pushed along. Each is a short sequence of stages, whose poses
-//! follow the mechanism as it moves. Boxes do not show the movable part of a fixture, so
-//! the few figures of LIBERO's fixture models that are needed are given here.
+//! flat objects that are pushed. Each is a short sequence of stages, whose poses follow the
+//! mechanism as it moves. Bounding boxes do not show the movable part of a fixture, so the
+//! necessary dimensions of LIBERO's fixture models are constants here.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -12,65 +12,66 @@ use crate::motion::{
 };
 use crate::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
 
-/// A drawer counts as open beyond this.
+/// Joint position beyond which a drawer counts as open, m.
 pub(crate) const OPEN_M: f64 = -0.14;
-/// Positions at which a drawer is let go: to count as open, and to take something in,
-/// which is less far, to leave room for the hand beneath. The drawer runs on a little.
+/// Joint positions at which a drawer is released, m: to count as open, and to receive an
+/// object, which is less far to leave room for the hand beneath. The drawer coasts a little.
 pub(crate) const DRAWER_OPEN_M: f64 = -0.155;
 pub(crate) const DRAWER_AJAR_M: f64 = -0.118;
-/// A drawer counts as closed above 0: a position that is safely so.
+/// Joint position at which a drawer is safely closed, m; it counts as closed above 0.
 const DRAWER_CLOSED_M: f64 = 0.003;
-/// Tilt of the hand that reaches for a handle from the front, and of the one
-/// that pushes a drawer shut with its fingertips ahead of the palm, rad.
+/// Tilt of the hand when it reaches for a handle from the front, and when it pushes a drawer
+/// shut with the fingertips ahead of the palm, rad.
 const PULL_TILT: f64 = FRAC_PI_2;
 const PUSH_TILT: f64 = 0.6;
-/// The stove counts as on beyond 0.5 rad of its knob.
+/// Angle to which the stove's knob is turned, rad; the stove counts as on from 0.5 rad.
 const KNOB_ON: f64 = 0.8;
 /// Depth of the grip point below the top of the knob's ridge, m.
 const KNOB_DEPTH_M: f64 = 0.018;
-/// The microwave's hinge in its own axes, and the door's top above its
+/// Position of the microwave's hinge in its own axes, and height of the door's top above its
 /// origin, m.
 const HINGE: Vec3 = Vec3::new(-0.1725, -0.088, 0.0);
 const DOOR_TOP_M: f64 = 0.188;
-/// Contact point of the hand: from the hinge along the door, below its top (so that the
-/// palm passes above the handle), and in front of its middle, m.
+/// Contact point of the hand, m: distance from the hinge along the door, depth below the top
+/// of the door (so that the palm passes above the handle), and distance in front of its
+/// middle.
 const DOOR_REACH_M: f64 = 0.17;
 const DOOR_DEPTH_M: f64 = 0.05;
 const DOOR_FRONT_M: f64 = 0.044;
-/// The microwave counts as closed above -0.005 rad.
+/// Angle to which the microwave's door is closed, rad; it counts as closed above -0.005 rad.
 const DOOR_CLOSED: f64 = -0.003;
 /// Lead of the hand's goal over a mechanism, m and rad, which pulls the mechanism along.
 const LEAD_M: f64 = 0.05;
 const LEAD_RAD: f64 = 0.4;
-/// Distance kept before and after, m.
+/// Distance from the mechanism before and after the manipulation, m.
 const STANDOFF_M: f64 = 0.09;
-/// Near enough for the next stage, m and rad.
+/// Tolerances for proceeding to the next stage, m and rad.
 const NEAR_M: f64 = 0.01;
 const NEAR_RAD: f64 = 0.1;
-/// Steps for the fingers to open or close.
+/// Number of steps for the fingers to open or close.
 const FINGER_STEPS: u32 = 8;
-/// Steps after which a stage that gets nowhere is left.
+/// Number of steps after which a stage without progress ends.
 const PATIENCE_STEPS: u32 = 80;
-/// A hand that is so far beside its way, m, is still on it; so far from a handle or a knob, it
-/// closes; so far, it holds it; and so far above where it presses, it presses.
+/// Tolerances for recognising the stage, m: distance of the hand from its path; from a handle
+/// or knob at which it closes; at which it holds it; and height above the contact point at
+/// which it presses.
 const ASIDE_M: f64 = 0.02;
 const AT_M: f64 = 0.012;
 const HELD_M: f64 = 0.025;
 const PRESSING_M: f64 = 0.006;
-/// Share of full vertical speed near things.
+/// Share of full vertical speed near obstacles.
 const GENTLE: f64 = 0.4;
-/// Distance from the middle at which fingertips drag a flat thing by its upper face, m,
-/// and distance from its goal at which it is let go.
+/// Distance from the centre at which fingertips drag a flat object by its upper face, and
+/// distance from the goal at which the object is released, m.
 const DRAG_FROM_M: f64 = 0.03;
 const DRAG_DONE_M: f64 = 0.012;
-/// Lead of the goal over the fingertips, m: gentler than with fixtures, since a light
-/// plate is thrown off by a jerk.
+/// Lead of the goal over the fingertips when dragging, m.
 const DRAG_LEAD_M: f64 = 0.05;
 
 /// Task of a routine.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Deed {
-    /// Open the drawer that has this region in it, to this position, m.
+    /// Open the drawer that contains the region to the joint position `to`, m.
     PullDrawer { region: String, to: f64 },
     /// Close the drawer of this region.
     PushDrawer { region: String },
@@ -82,7 +83,7 @@ pub(crate) enum Deed {
     Drag { object: String, region: String },
 }
 
-/// The skill.
+/// State of a routine in progress.
 #[derive(Clone, Debug)]
 pub(crate) struct Routine {
     deed: Deed,
@@ -91,7 +92,7 @@ pub(crate) struct Routine {
     ticks: u32,
 }
 
-/// One stage: where the hand should be, and what ends it.
+/// One stage: the target pose of the hand, and the condition that ends the stage.
 struct Stage {
     hand: HandPose,
     fingers: Fingers,
@@ -99,13 +100,13 @@ struct Stage {
 }
 
 enum Until {
-    /// The hand has travelled there, over whatever is between.
+    /// The hand has reached the pose by a detour over obstacles.
     Travelled,
-    /// The hand is there, or something stopped it.
+    /// The hand has reached the pose or was stopped.
     There,
     /// The given number of steps has passed.
     Steps(u32),
-    /// The mechanism is where it should be.
+    /// The mechanism has reached its target position.
     Reached(bool),
 }
 
@@ -122,20 +123,20 @@ impl Routine {
         &self.deed
     }
 
-    /// Begins at the stage that the world shows.
+    /// Resumes at the stage derived from the state of the world.
     ///
     /// # Errors
-    /// Names an entity or joint that the scene lacks.
+    /// If the scene lacks an entity or joint.
     pub(crate) fn resume(&mut self, world: &World, motion: &Motion) -> Result<(), String> {
         self.stage = self.deed.seen(world, motion)?;
         self.ticks = 0;
         Ok(())
     }
 
-    /// The command for this step; none once the last stage is over.
+    /// Returns the command for this step; `None` after the last stage.
     ///
     /// # Errors
-    /// Names an entity or joint that the scene lacks.
+    /// If the scene lacks an entity or joint.
     pub(crate) fn step(
         &mut self,
         world: &World,
@@ -176,7 +177,7 @@ impl Routine {
 }
 
 impl Deed {
-    /// The number of the stage that the world shows.
+    /// Derives the number of the current stage from the state of the world.
     fn seen(&self, world: &World, motion: &Motion) -> Result<u32, String> {
         let (Some(ready), Some(begun)) = (self.stage(0, world)?, self.stage(1, world)?) else {
             return Ok(0);
@@ -209,7 +210,7 @@ impl Deed {
         })
     }
 
-    /// The stage of that number; none after the last.
+    /// Returns stage `number`; `None` after the last.
     fn stage(&self, number: u32, world: &World) -> Result<Option<Stage>, String> {
         match self {
             Self::PullDrawer { region, to } => pull_drawer(number, world, region, *to),
@@ -236,11 +237,11 @@ pub(crate) fn knob_is_on(position: f64) -> bool {
     position >= 0.5
 }
 
-/// A drawer as it stands now.
+/// Current state of a drawer.
 struct Drawer {
     position: f64,
     handle: Vec3,
-    /// Out of the cabinet's front, horizontal.
+    /// Horizontal direction out of the cabinet's front.
     out: Vec3,
 }
 
@@ -408,7 +409,7 @@ fn drag(number: u32, world: &World, object: &str, region: &str) -> Result<Option
     }))
 }
 
-/// Position of the one joint of `fixture`.
+/// Returns the position of the only joint of `fixture`.
 pub(crate) fn only_joint(world: &World, fixture: &str) -> Result<f64, String> {
     let name = world.joints_of(fixture).next();
     name.map_or_else(

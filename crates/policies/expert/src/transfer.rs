@@ -1,6 +1,5 @@
-//! Pick an object up and put it somewhere: one state machine, driven by what
-//! is observed at every step. A grasp that missed, or an object lost on the
-//! way, starts the next attempt with the next grasp.
+//! Skill that picks an object up and places it: a state machine driven by the observation at
+//! every step. A missed grasp or a lost object starts another attempt with the next grasp.
 
 use crate::geometry::{Quat, Vec3};
 use crate::grasp::{self, Grasp, Purpose};
@@ -10,41 +9,40 @@ use crate::motion::{
 use crate::place::{Place, Spot};
 use crate::world::{Entity, World};
 
-/// The hand waits this far above a grasp before it comes down, m.
+/// Height above a grasp at which the hand starts its descent, m.
 const HOVER_M: f64 = 0.04;
 /// Retreat of the hand from a released object, m.
 const RETREAT_M: f64 = 0.05;
-/// Near enough to go on to the next phase: m, and rad.
+/// Tolerances for proceeding to the next phase, m and rad.
 const NEAR_M: f64 = 0.008;
 const NEAR_RAD: f64 = 0.06;
-/// A hand that comes down may be turned that far from its grasp, rad, and may have been stopped
-/// that far above it, m.
+/// Tolerances for recognising a descending hand: angle from the grasp, rad, and height above
+/// it at which the hand may have been stopped, m.
 const TURNED_RAD: f64 = 0.15;
 const STOPPED_M: f64 = 0.015;
-/// An object whose box is nearer than this to the grip point can be in the hand, m.
+/// Distance from the grip point to an object's box within which the object can be held, m.
 const BESIDE_M: f64 = 0.005;
-/// A held object this near to its place, seen from above, goes on down, m.
+/// Horizontal distance from its place within which a held object continues its descent, m.
 const OVER_REST_M: f64 = 0.02;
-/// Near enough to close the fingers, m.
+/// Distance from the grasp within which the fingers close, m.
 const DEEP_M: f64 = 0.003;
-/// A held object that slips further than this from the hand is lost, m.
+/// Slip of a held object relative to the hand beyond which it counts as lost, m.
 const LOST_M: f64 = 0.03;
 /// Height by which an object is lifted before the grasp is trusted, m.
 const LIFT_M: f64 = 0.03;
-/// Steps for the fingers to travel: closing waits for at least the first and
-/// at most the second number.
+/// Smallest and largest number of steps to wait for the fingers to close.
 const CLOSING_STEPS: (u32, u32) = (5, 12);
 const OPENING_STEPS: u32 = 5;
-/// Steps after which a phase near things is ended as it is, and after which a
-/// way across is given up.
+/// Number of steps after which a phase near obstacles ends regardless of progress, and after
+/// which a travel is given up.
 const PATIENCE_STEPS: u32 = 60;
 const TRAVEL_STEPS: u32 = 120;
-/// A hand that has run out of patience this near to its goal goes on, m.
+/// Distance from the goal within which a hand that runs out of steps proceeds anyway, m.
 const ALMOST_M: f64 = 0.03;
-/// Share of full speed near things.
+/// Share of full speed near obstacles.
 const GENTLE: f64 = 0.4;
 
-/// The skill.
+/// State of a transfer in progress.
 #[derive(Clone, Debug)]
 pub(crate) struct Transfer {
     object: String,
@@ -52,9 +50,9 @@ pub(crate) struct Transfer {
     phase: Phase,
     /// Steps spent in this phase.
     ticks: u32,
-    /// Attempts given up so far: which grasp to try.
+    /// Number of failed attempts, which selects the grasp to try next.
     missed: usize,
-    /// The grasp that was tried last.
+    /// The last grasp tried.
     grasp: Option<Grasp>,
 }
 
@@ -82,17 +80,17 @@ struct Grip {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Hold {
     quat: Quat,
-    /// Object's centre from the grip point when the fingers had closed.
+    /// Object's centre relative to the grip point after the fingers closed.
     object_from_grip: Vec3,
     /// Position at which the fingers closed.
     lifted_from: Vec3,
 }
 
-/// Decision of a phase after looking at the world.
+/// Transition decided by a phase.
 enum Next {
     Stay(Command),
     Go(Phase),
-    /// The object is not in the hand: start again.
+    /// The object is not in the hand; start another attempt.
     Missed,
     Done,
 }
@@ -109,7 +107,7 @@ impl Transfer {
         }
     }
 
-    /// The object that is moved.
+    /// Returns the name of the object.
     pub(crate) fn object(&self) -> &str {
         &self.object
     }
@@ -117,17 +115,17 @@ impl Transfer {
     /// Returns true if the object is in the hand.
     ///
     /// # Errors
-    /// Names an object that the scene lacks.
+    /// If the scene lacks the object.
     pub(crate) fn holds(&self, world: &World, motion: &Motion) -> Result<bool, String> {
         let object = world.entity(&self.object)?;
         Ok(motion.grasps(world) && world.gap_to(object) < BESIDE_M)
     }
 
-    /// Begins at the phase that the world shows, as after `earlier`, the same skill before
-    /// something else drove the robot.
+    /// Resumes at the phase derived from the state of the world. `earlier` is the same skill
+    /// before another controller drove the robot.
     ///
     /// # Errors
-    /// Names an object or region that the scene lacks.
+    /// If the scene lacks an object or region.
     pub(crate) fn resume(
         &mut self,
         earlier: Option<&Self>,
@@ -170,7 +168,8 @@ impl Transfer {
         Ok(())
     }
 
-    /// The object in the hand, as `earlier` took it if it is still held like that.
+    /// Returns the hold of the object: that of `earlier` if the object has not slipped since,
+    /// otherwise a new one from the current poses.
     fn hold(&self, earlier: Option<&Self>, world: &World, object: &Entity) -> Hold {
         if let Some(Phase::Lift(hold) | Phase::Carry(hold) | Phase::Lower(hold)) =
             earlier.map(|earlier| earlier.phase)
@@ -194,11 +193,11 @@ impl Transfer {
         })
     }
 
-    /// The command for this step; none once the object has been let go and
-    /// the hand is out of the way.
+    /// Returns the command for this step; `None` when the object is released and the hand has
+    /// retreated.
     ///
     /// # Errors
-    /// Names an object or region that the scene lacks.
+    /// If the scene lacks an object or region.
     pub(crate) fn step(
         &mut self,
         world: &World,
@@ -265,7 +264,7 @@ impl Transfer {
         if self.ticks >= TRAVEL_STEPS {
             return Next::Missed;
         }
-        // Beside it, the object itself is in the way.
+        // Beside the object, the object itself is an obstacle.
         let errand = match world.grip.z < object.top() && world.gap_to(object) > 0.0 {
             true => Errand::Empty(FINGERTIP_M),
             false => Errand::For(object),
@@ -283,7 +282,7 @@ impl Transfer {
                 ..hand
             }));
         }
-        // Sideways first, where the fingers would come down on the object.
+        // Moves sideways first if the fingers would come down on the object.
         let aside = (hand.pos - world.grip).horizontal_norm();
         let pos = if aside > 2.0 * NEAR_M {
             hand.pos.at_height(world.grip.z)
@@ -358,7 +357,7 @@ impl Transfer {
 }
 
 impl Grip {
-    /// Pose in which the hand holds the object as it lies now.
+    /// Returns the pose of the hand for a grasp of the object at its current pose.
     fn hand(&self, object: &Entity) -> HandPose {
         HandPose {
             pos: object.centre + self.grasp.offset,
@@ -373,7 +372,7 @@ impl Hold {
     }
 }
 
-/// The phase before the object is held, by where the hand is.
+/// Derives the phase before the object is held from the position of the hand.
 fn seen(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) -> Phase {
     let quat = pointing_down(grasp.closing);
     let grip = Grip { grasp, quat };
@@ -449,8 +448,8 @@ mod tests {
         Transfer::new("can_1".to_owned(), place)
     }
 
-    /// Runs the skill to its end and returns the names of its phases, each as
-    /// often as it was entered. `disturb` sees the phase before each step.
+    /// Runs the skill to its end and returns the names of the phases in the order in which
+    /// they were entered. `disturb` is called with the phase before each step.
     fn run(
         scene: &mut KinematicScene,
         mut disturb: impl FnMut(&mut KinematicScene, Phase),

@@ -1,5 +1,4 @@
-//! The simulator's state as the expert reads it: checked once, then
-//! looked up by name. Not responsible for deciding anything.
+//! The simulator's state as observed by the expert: validated once, with lookup by name.
 
 use libero_ctrl::{EntityKind, Predicate, Privileged};
 
@@ -10,13 +9,12 @@ use crate::geometry::{Quat, Vec3};
 pub(crate) struct Entity {
     pub(crate) name: String,
     pub(crate) kind: EntityKind,
-    /// Category of an object or fixture; of a region, the instance it is on.
+    /// Category of an object or fixture; for a region, the instance it is on.
     pub(crate) category: String,
-    /// Origin of the body, which is what goal predicates measure.
+    /// Origin of the body, which goal predicates measure.
     pub(crate) pos: Vec3,
     pub(crate) quat: Quat,
-    /// World-aligned box of the collision geometry; of a region, its size
-    /// along its own axes.
+    /// World-aligned box of the collision geometry; for a region, its box along its own axes.
     pub(crate) centre: Vec3,
     pub(crate) half: Vec3,
 }
@@ -43,18 +41,18 @@ impl Entity {
         }
     }
 
-    /// Half height, whichever of its axes points up.
+    /// Half extent along the vertical in the current orientation.
     pub(crate) fn upright_half_height(&self) -> f64 {
         self.extent_along(Vec3::UP)
     }
 
-    /// `p` in a region's own axes, from its centre.
+    /// Transforms `p` into a region's own frame.
     pub(crate) fn local(&self, p: Vec3) -> Vec3 {
         self.quat.inverse().rotate(p - self.pos)
     }
 }
 
-/// One instant of the simulation.
+/// State of the simulation at one step.
 #[derive(Clone, Debug)]
 pub(crate) struct World {
     entities: Vec<Entity>,
@@ -63,24 +61,24 @@ pub(crate) struct World {
     pub(crate) goal: Vec<Predicate>,
     /// Point between the fingertips.
     pub(crate) grip: Vec3,
-    /// x: closing direction, z: where the fingers point.
+    /// Orientation of the hand; x: closing direction, z: pointing direction of the fingers.
     pub(crate) grip_quat: Quat,
     /// Distance between the fingers, m.
     pub(crate) opening: f64,
-    /// The arm's shoulder, if the hand is at rest. The robot's base is not
-    /// observed: the expert keeps the first one of an episode.
+    /// Position of the arm's shoulder, computed for a hand at rest. The robot's base is not
+    /// observed, so the expert keeps the first value of an episode.
     pub(crate) shoulder: Vec3,
 }
 
-/// The shoulder from the grip point at rest: LIBERO's robots face the world's
-/// x and rest with the hand that far in front, m.
+/// Position of the shoulder relative to the grip point at rest, m. LIBERO's robots face the
+/// world's x.
 const SHOULDER_FROM_REST: Vec3 = Vec3::new(-0.45, 0.0, 0.071);
-/// With the hand pointing down, the wrist from the grip point: up, and back
+/// Position of the wrist relative to the grip point of a hand that points down: up, and back
 /// towards the shoulder, m (the Panda's flange and seventh link).
 const WRIST_UP_M: f64 = 0.204;
 const WRIST_BACK_M: f64 = 0.088;
-/// A wrist further from the shoulder than this comes near the stretched arm,
-/// which the controller does not get out of well, m; at 0.70 the elbow is
+/// Distance of the wrist from the shoulder beyond which the arm is nearly stretched, a
+/// configuration that the controller leaves only with difficulty, m; at 0.70 the elbow is
 /// straight.
 const COMFORTABLE_REACH_M: f64 = 0.65;
 
@@ -88,14 +86,14 @@ const COMFORTABLE_REACH_M: f64 = 0.65;
 const LARGEST_M: f64 = 100.0;
 /// Largest component of a unit quaternion, with room for its rounding.
 const LARGEST_OF_UNIT: f64 = 1.001;
-/// Most objects, fixtures and regions: LIBERO's scenes have some dozens.
+/// Largest number of objects, fixtures and regions; LIBERO's scenes have a few dozen.
 const MAX_ENTITIES: usize = 1_000;
 
 impl World {
-    /// Reads the state.
+    /// Converts and validates a state.
     ///
     /// # Errors
-    /// Names the field that holds a number that no scene has.
+    /// If there are too many entities, or a field holds a number that is out of range.
     pub(crate) fn read(state: &Privileged) -> Result<Self, String> {
         if state.entities.len() > MAX_ENTITIES {
             return Err(format!(
@@ -130,19 +128,19 @@ impl World {
         Ok(world)
     }
 
-    /// The entity called `name`.
+    /// Returns the entity named `name`.
     ///
     /// # Errors
-    /// Names what is not in the scene.
+    /// If the scene has no such entity.
     pub(crate) fn entity(&self, name: &str) -> Result<&Entity, String> {
         let found = self.entities.iter().find(|e| e.name == name);
         found.ok_or_else(|| format!("the scene has no object, fixture or region named '{name}'"))
     }
 
-    /// Position of a joint, rad or m.
+    /// Returns the position of a joint, rad or m.
     ///
     /// # Errors
-    /// Names what is not in the scene.
+    /// If the scene has no such joint.
     pub(crate) fn joint(&self, name: &str) -> Result<f64, String> {
         let found = self.joints.iter().find(|(n, _)| n == name);
         found
@@ -178,7 +176,7 @@ impl World {
         ((self.grip - object.centre).abs() - object.half).max_coordinate()
     }
 
-    /// The objects whose boxes the grip point is in, up to `margin` m.
+    /// Returns the objects whose boxes, enlarged by `margin` m, contain the grip point.
     pub(crate) fn objects_at_grip(&self, margin: f64) -> impl Iterator<Item = &Entity> {
         let objects = self
             .entities
@@ -187,8 +185,8 @@ impl World {
         objects.filter(move |e| self.gap_to(e) < margin)
     }
 
-    /// If the hand is at a drawer's handle, its fingers towards the cabinet, at most `away` m in
-    /// front of it: out of that cabinet's front, horizontal.
+    /// Returns the horizontal direction out of the cabinet's front if the hand is at a drawer's
+    /// handle with its fingers towards the cabinet, at most `away` m in front of it.
     pub(crate) fn handle_at_grip(&self, away: f64) -> Option<Vec3> {
         let pointing = self.grip_quat.rotate(Vec3::UP);
         self.regions().find_map(|region| {
@@ -203,7 +201,7 @@ impl World {
         })
     }
 
-    /// Everything that can be run into.
+    /// Returns all obstacles.
     pub(crate) fn solids(&self) -> &[Solid] {
         &self.solids
     }
@@ -213,15 +211,15 @@ impl World {
         self.entities.iter().filter(|e| e.is_region())
     }
 
-    /// If `region` is in a drawer: out of the cabinet's front, horizontal.
+    /// Returns the horizontal direction out of the cabinet's front if `region` is in a drawer.
     pub(crate) fn front_of_drawer(&self, region: &Entity) -> Option<Vec3> {
         let joint = drawer_joint(&region.name)?;
         self.joint(&joint).ok()?;
         Some(front(self.entity(&region.category).ok()?))
     }
 
-    /// If something of its own fixture is above `region`, so that only the
-    /// open front leads in: out of that front, horizontal.
+    /// Returns the horizontal direction out of the fixture's open front if the fixture covers
+    /// `region`, so that only the front gives access.
     pub(crate) fn front_of_cover(&self, region: &Entity) -> Option<Vec3> {
         let cover = self.entity(&top_side(&region.category)).ok()?;
         let beneath = cover.local(region.pos.at_height(cover.pos.z)).abs() - cover.half;
@@ -231,7 +229,7 @@ impl World {
     }
 }
 
-/// The joint of the drawer that has `region` in it, by LIBERO's naming.
+/// Returns the name of the joint of the drawer that contains `region`, by LIBERO's naming.
 pub(crate) fn drawer_joint(region: &str) -> Option<String> {
     region
         .strip_suffix("_region")
@@ -243,24 +241,25 @@ fn top_side(fixture: &str) -> String {
     format!("{fixture}_top_side")
 }
 
-/// LIBERO's cabinets and its microwave open along their own -y.
+/// Returns the direction out of a fixture's front: LIBERO's cabinets and microwave open along
+/// their own -y.
 fn front(fixture: &Entity) -> Vec3 {
     fixture.quat.rotate(Vec3::new(0.0, -1.0, 0.0))
 }
 
-/// A drawer's walls around its region, m.
+/// Thickness of a drawer's walls around its region, m.
 const DRAWER_WALL_M: f64 = 0.01;
-/// A drawer's handle bar from the centre of its region, out of the cabinet's
-/// front and up, and its half extents across the bar and along it, m (LIBERO's
-/// two cabinets agree on them).
+/// Position of a drawer's handle bar relative to the centre of its region, out of the
+/// cabinet's front and up, and half extents across and along the bar, m (the same for
+/// LIBERO's two cabinets).
 pub(crate) const HANDLE_OUT_M: f64 = 0.113;
 pub(crate) const HANDLE_UP_M: f64 = -0.0045;
 const HANDLE_HALF_M: (f64, f64) = (0.012, 0.048);
 
-/// A box that can be run into.
+/// A box-shaped obstacle.
 #[derive(Clone, Debug)]
 pub(crate) struct Solid {
-    /// Name of the object or fixture that it is, or is part of.
+    /// Name of the object or fixture that the box belongs to.
     pub(crate) owner: String,
     pub(crate) centre: Vec3,
     pub(crate) quat: Quat,
@@ -281,21 +280,19 @@ impl Solid {
         self.quat.inverse().rotate(Vec3::UP).abs().dot(self.half)
     }
 
-    /// Distance of `p` from the box along the axis along which it is furthest outside;
-    /// negative within.
+    /// Distance of `p` from the box along the axis of greatest separation, m; negative within.
     pub(crate) fn gap(&self, p: Vec3) -> f64 {
         let offset = self.quat.inverse().rotate(p - self.centre);
         (offset.abs() - self.half).max_coordinate()
     }
 
-    /// The same, seen from above.
+    /// Horizontal distance of `p` from the box, as for [`Self::gap`].
     pub(crate) fn gap_from_above(&self, p: Vec3) -> f64 {
         self.gap(p.at_height(self.centre.z))
     }
 
-    /// Returns true if, seen from above, the box overlaps the rectangle around `p` that
-    /// reaches out by these two horizontal vectors, which are at right angles: no axis of
-    /// either separates the two.
+    /// Returns true if, seen from above, the box overlaps the rectangle around `p` with the
+    /// two perpendicular horizontal half axes `reach`, by the separating axis theorem.
     pub(crate) fn overlaps_from_above(&self, p: Vec3, reach: [Vec3; 2]) -> bool {
         let inward = self.quat.inverse();
         let offset = inward.rotate((p - self.centre).at_height(0.0));
@@ -306,9 +303,9 @@ impl Solid {
     }
 }
 
-/// The solids of a scene. The box of a cabinet with an open drawer says little
-/// about what is beside that drawer, so that cabinets are taken apart: the
-/// body under its top, each drawer, and each handle.
+/// Returns the obstacles of a scene. The bounding box of a cabinet with an open drawer covers
+/// free space beside the drawer, so cabinets are split into the body under the top, each
+/// drawer, and each handle.
 fn solids(world: &World) -> Vec<Solid> {
     let mut solids = Vec::new();
     for e in world.entities.iter().filter(|e| !e.is_region()) {
@@ -339,7 +336,7 @@ fn solids(world: &World) -> Vec<Solid> {
     solids
 }
 
-/// The drawer around `region`, and its handle.
+/// Returns the drawer around `region`, and its handle.
 fn drawer(cabinet: &Entity, region: &Entity, out: Vec3) -> [Solid; 2] {
     let wall = Vec3::new(DRAWER_WALL_M, DRAWER_WALL_M, DRAWER_WALL_M);
     let (across, along) = HANDLE_HALF_M;
@@ -361,10 +358,10 @@ fn drawer(cabinet: &Entity, region: &Entity, out: Vec3) -> [Solid; 2] {
     ]
 }
 
-/// Paths are looked at every few centimetres: a number beyond all measure would
-/// keep this busy for minutes.
+/// Checks that values are in range. Paths are sampled every few centimetres, so that an
+/// absurdly large number would take minutes.
 fn within(values: &[f64], largest: f64, owner: &str, field: &str) -> Result<(), String> {
-    // NaN is within no bound.
+    // NaN fails the comparison.
     let is_within = |value: &f64| value.abs() <= largest;
     match values.iter().find(|value| !is_within(value)) {
         Some(value) => Err(format!(

@@ -1,9 +1,9 @@
-//! Checks of what a policy server answers: its description, and its chunks of
-//! actions. Worker and gateway both apply them, so that an answer is judged alike
-//! whether a campaign's endpoint is a gateway or the policy server itself. Pure.
+//! Validation of a policy server's responses: its description, and its chunks of
+//! actions. Worker and gateway both apply it, so that a response is judged the same
+//! whether a campaign's endpoint is a gateway or the policy server itself.
 //!
-//! Numbers beyond ±1 and up to [`LARGEST_NUMBER`] pass: the worker clips them and
-//! counts the clipped actions in the result.
+//! Numbers beyond ±1 and up to [`LARGEST_NUMBER`] are accepted: the worker clips them
+//! and counts the clipped actions in the result.
 
 #![forbid(unsafe_code)]
 
@@ -15,21 +15,20 @@ use thiserror::Error;
 pub const ACTION_WIDTH: usize = 7;
 /// Longest chunk that a policy may declare: twice LIBERO's longest episode.
 pub const MAX_HORIZON: u32 = 1040;
-/// Largest frame that a policy may ask for, pixels along a side.
+/// Largest side of a frame that a policy may request, pixels.
 pub const MAX_FRAME_SIDE: u32 = 1024;
 /// The cameras of a LIBERO scene.
 pub const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 
-/// Largest magnitude of a number in an action. Policies that answer millimetres,
-/// degrees or pixels by mistake stay below it, and are clipped and counted. Larger
-/// numbers come from a broken network; clipping them would count its failure as
-/// the task's.
+/// Largest magnitude of a number in an action. Policies that return millimetres, degrees or
+/// pixels by mistake stay below it; their actions are clipped and counted. Larger numbers
+/// come from a broken network; clipping them would report its failure as a failed task.
 pub const LARGEST_NUMBER: f32 = 1e3;
 
 /// One action as it is on the wire.
 pub type WireAction = [f32; ACTION_WIDTH];
 
-/// Returns the actions of an answer, if a robot can execute them.
+/// Returns the actions of a response if a robot can execute them.
 ///
 /// # Errors
 /// If the answer is not n × 7 finite numbers with 0 < n ≤ `horizon`, all of them
@@ -76,12 +75,12 @@ pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], 
     })
 }
 
-/// Checks a policy's description of itself.
+/// Validates a policy's description of itself.
 ///
 /// # Errors
-/// If it is of another protocol version, has no name, a horizon or chunk that no
-/// rollout can execute, a camera or reading that no scene has, frames that no
-/// message holds, or settings that no result can carry.
+/// If the protocol version differs, the name is empty, a rollout cannot execute the horizon or
+/// chunk, a camera or reading does not exist, frames are too large for a message, or settings
+/// cannot be stored in a result.
 pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault> {
     let DescribeResponse {
         protocol_version,
@@ -124,7 +123,7 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     }
 }
 
-/// Returns the bytes of a camera's frame, if scenes have the camera and the size is allowed.
+/// Returns the size of a camera's frame, bytes, if the camera exists and the size is allowed.
 fn camera_bytes(camera: &CameraRequest) -> Result<u64, DescriptionFault> {
     let CameraRequest {
         name,
@@ -145,26 +144,26 @@ fn camera_bytes(camera: &CameraRequest) -> Result<u64, DescriptionFault> {
     Ok(3 * u64::from(*width) * u64::from(*height))
 }
 
-/// Reason why an answer is not a chunk of actions. Reads as a sentence about the
+/// Reason why a response is not a valid chunk of actions. The message is a clause about the
 /// policy, which it calls "it".
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ActionFault {
-    /// Actions of another width than a robot's.
+    /// The actions do not have [`ACTION_WIDTH`] numbers.
     #[error("its actions are {width} numbers wide, not {ACTION_WIDTH}")]
     Width {
         /// Width as answered.
         width: u32,
     },
-    /// The answer has no action.
+    /// The response has no action.
     #[error("it answered no action")]
     Empty,
-    /// Numbers left over.
+    /// The count of numbers is not a multiple of [`ACTION_WIDTH`].
     #[error("it answered {numbers} numbers, which are no whole actions of {ACTION_WIDTH}")]
     Ragged {
         /// Count of numbers as answered.
         numbers: usize,
     },
-    /// More actions than declared.
+    /// The response has more actions than the declared horizon.
     #[error("it answered {count} actions, but its Describe says at most {horizon}")]
     TooMany {
         /// Actions answered.
@@ -172,7 +171,7 @@ pub enum ActionFault {
         /// Horizon as declared.
         horizon: u32,
     },
-    /// NaN or infinite.
+    /// A number is NaN or infinite.
     #[error("component {component} of action {action} is {value}")]
     NotFinite {
         /// Index of the action in its chunk.
@@ -182,7 +181,7 @@ pub enum ActionFault {
         /// Number as answered.
         value: f32,
     },
-    /// Beyond [`LARGEST_NUMBER`].
+    /// A number exceeds [`LARGEST_NUMBER`].
     #[error(
         "component {component} of action {action} is {value:e}, and actions lie within -1..1: is \
          it un-normalised?"
@@ -197,11 +196,11 @@ pub enum ActionFault {
     },
 }
 
-/// Reason why no rollout can work with a description. Reads as a sentence about
-/// the policy, which it calls "it".
+/// Reason why a description is unusable. The message is a clause about the policy, which it
+/// calls "it".
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DescriptionFault {
-    /// Another version of the policy protocol.
+    /// The server speaks a different version of the policy protocol.
     #[error(
         "it speaks policy protocol version {theirs}, and this program version \
          {PROTOCOL_VERSION}; upgrade the older side"
@@ -210,7 +209,7 @@ pub enum DescriptionFault {
         /// The server's version.
         theirs: u32,
     },
-    /// Results could not say what they belong to.
+    /// The name is empty, so that results could not be attributed.
     #[error("it has no name")]
     Nameless,
     /// The horizon is 0, or longer than any episode.
@@ -219,7 +218,7 @@ pub enum DescriptionFault {
         /// Horizon as declared.
         horizon: u32,
     },
-    /// Executes nothing, or more than it answers.
+    /// The number of executed actions is 0 or exceeds the horizon.
     #[error("it wants {execute} actions executed per query, of a horizon of {horizon}")]
     Execute {
         /// Executed actions as declared.
@@ -227,7 +226,7 @@ pub enum DescriptionFault {
         /// Horizon as declared.
         horizon: u32,
     },
-    /// The field is not in the protocol's list.
+    /// The robot reading is not part of the protocol.
     #[error("it wants robot reading {field}, which this protocol version does not have")]
     StateField {
         /// The number on the wire.
@@ -239,7 +238,7 @@ pub enum DescriptionFault {
         /// Name as declared.
         name: String,
     },
-    /// A frame that is never drawn.
+    /// The side of a frame is 0 or exceeds [`MAX_FRAME_SIDE`].
     #[error(
         "it wants frames of {width}×{height} pixels from camera {camera:?}, and sides are 1 to \
          {MAX_FRAME_SIDE}"
@@ -261,7 +260,7 @@ pub enum DescriptionFault {
         /// Size of all frames together.
         bytes: u64,
     },
-    /// Settings that no result can carry.
+    /// The settings cannot be stored in a result.
     #[error("it {problem}")]
     Settings {
         /// The setting and what is wrong with it; reads after "it".

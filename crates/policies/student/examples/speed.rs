@@ -31,9 +31,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Prints the time a query takes in batches of this size, over so many calls: by the
-/// processor's clock, which stands still while other programs compute, and by the
-/// wall's.
+/// Prints the time per query in batches of the given size, over `calls` calls: CPU time of
+/// the thread, which excludes other programs, and wall time.
 fn measure(
     network: &Network,
     queries: &[Query<'_>],

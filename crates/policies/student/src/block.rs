@@ -1,4 +1,4 @@
-//! A residual block that the text modulates.
+//! A residual block, modulated by the text embedding (FiLM).
 
 use crate::columns::{self, Planes, Room};
 use crate::convolution::Convolution;
@@ -8,7 +8,7 @@ use crate::norm::{Film, GroupNorm};
 use crate::product::Products;
 use crate::weights::Tensors;
 
-/// Two convolutions of 3 x 3 and a shortcut of 1 x 1 around them.
+/// Two 3 x 3 convolutions and a 1 x 1 shortcut.
 #[derive(Debug)]
 pub(crate) struct Block {
     stride: usize,
@@ -21,7 +21,7 @@ pub(crate) struct Block {
     skip: Convolution,
 }
 
-/// Scratch memory for intermediate values, used again from block to block.
+/// Scratch memory for intermediate values, reused by all blocks.
 #[derive(Debug, Default)]
 pub(crate) struct Workspace {
     pub(crate) room: Room,
@@ -36,13 +36,13 @@ pub(crate) struct Shape {
     pub(crate) inputs: usize,
     /// Output channels.
     pub(crate) outputs: usize,
-    /// 2 halves the sides, 1 keeps them.
+    /// Stride of the first convolution: 2 halves the sides, 1 keeps them.
     pub(crate) stride: usize,
 }
 
 impl Block {
-    /// Takes the tensors whose names start with `name`. `text` is the width of the text embedding
-    /// that modulates the block.
+    /// Reads the tensors with the prefix `name`. `text` is the width of the text embedding that
+    /// modulates the block.
     pub(crate) fn read(
         tensors: &mut Tensors<'_>,
         name: &str,
@@ -97,7 +97,7 @@ impl Block {
     }
 }
 
-/// Sets `values` to this many zeros.
+/// Sets `values` to `size` zeros.
 pub(crate) fn zeros(values: &mut Vec<f32>, size: usize) {
     values.clear();
     values.resize(size, 0.0);

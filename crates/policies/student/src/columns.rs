@@ -1,5 +1,5 @@
-//! Columns of a convolution, one per place of its result, each holding the inputs at that
-//! place: a convolution becomes a matrix product.
+//! im2col: turns a convolution into a matrix product. Each column holds the inputs of one
+//! position of the output.
 
 use std::ops::Range;
 
@@ -8,24 +8,24 @@ use crate::product::Matrix;
 /// Square planes of numbers, one per channel.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Planes<'a> {
-    /// Channel after channel, row after row.
+    /// Values by channel, then in row-major order.
     pub(crate) values: &'a [f32],
-    /// Places along a side.
+    /// Length of a side.
     pub(crate) side: usize,
 }
 
-/// Rows of the matrix that each channel fills: the places of a 3 x 3 window.
+/// Number of matrix rows per channel: the positions in a 3 x 3 window.
 pub(crate) const WINDOW: usize = 9;
-/// The window's row that is its middle.
+/// Matrix row of the centre of the window.
 const MIDDLE: usize = 4;
-/// Places that are gathered at a time.
+/// Number of output positions gathered at a time.
 const PLACES: usize = 256;
-/// Channels that are gathered at a time: with [`PLACES`] few enough for columns to
-/// stay in a cache of the second level. The bits depend on it, as each time is a
-/// product's run.
+/// Number of channels gathered at a time; with [`PLACES`] small enough for the columns to fit
+/// in the level-2 cache. The bits of the result depend on it, because each gathering is a run
+/// of the product.
 const CHANNELS: usize = 16;
 
-/// Columns of some places of a convolution's result, for some of its channels.
+/// Columns of a range of output positions, for a range of input channels.
 #[derive(Debug)]
 pub(crate) struct Part<'a> {
     columns: &'a [f32],
@@ -33,7 +33,7 @@ pub(crate) struct Part<'a> {
     places: Range<usize>,
 }
 
-/// Rows of columns, for a convolution to add up.
+/// Block of the column matrix, to be multiplied by a convolution's weights.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rows<'a> {
     pub(crate) columns: Matrix<'a>,
@@ -44,7 +44,7 @@ pub(crate) struct Rows<'a> {
 }
 
 impl Part<'_> {
-    /// Rows for windows of 3 x 3: one for each channel and place of the window.
+    /// Returns the rows for a 3 x 3 convolution: one per channel and position in the window.
     pub(crate) fn windows(&self) -> Rows<'_> {
         let inputs = self.channels.len() * WINDOW;
         Rows {
@@ -54,7 +54,7 @@ impl Part<'_> {
         }
     }
 
-    /// Rows for windows of 1 x 1, which are the middles of the others: one for each
+    /// Returns the rows for a 1 x 1 convolution, which are the centres of the windows: one per
     /// channel.
     pub(crate) fn middles(&self) -> Rows<'_> {
         let places = self.places.len();
@@ -68,16 +68,15 @@ impl Part<'_> {
     }
 }
 
-/// Scratch memory in which columns are gathered, used again from convolution to
-/// convolution.
+/// Scratch memory for gathered columns, reused by all convolutions.
 #[derive(Debug, Default)]
 pub(crate) struct Room {
     columns: Vec<f32>,
     phases: Vec<f32>,
 }
 
-/// Hands out the columns of a convolution's whole result, part by part: of each place
-/// the channels from the first to the last.
+/// Calls `each` with all columns of a convolution, part by part. For each position, the
+/// channels come in ascending order.
 pub(crate) fn each_part(
     planes: Planes<'_>,
     stride: usize,
@@ -109,20 +108,20 @@ pub(crate) fn each_part(
     }
 }
 
-/// All numbers below `end`, so many at a time.
+/// Splits 0..`end` into ranges of length `step`; the last may be shorter.
 fn ranges(end: usize, step: usize) -> impl Iterator<Item = Range<usize>> {
     let range = move |first| first..end.min(first + step);
     (0..end).step_by(step).map(range)
 }
 
-/// Planes, each taken apart into as many as a window moves past in a step: of
-/// stride 2, those of even rows and even columns, of even rows and odd columns, of
-/// odd rows and even columns, and of odd rows and odd columns. What one place of a
-/// moving window sees is then one of them, moved by a row or a column at most.
+/// Planes split into stride² phases: for stride 2, even rows and even columns, even rows and
+/// odd columns, odd rows and even columns, odd rows and odd columns. The inputs at one
+/// position of the sliding window are then a single phase, shifted by at most one row or
+/// column.
 #[derive(Debug, Clone, Copy)]
 struct Phases<'a> {
     values: &'a [f32],
-    /// Side of a phase, which is the result's.
+    /// Side of a phase, equal to that of the output.
     side: usize,
     stride: usize,
 }
@@ -137,7 +136,7 @@ impl<'a> Phases<'a> {
     fn seen(&self, channel: usize, y: usize, x: usize) -> (&'a [f32], isize, isize) {
         let stride = self.stride;
         let divide = |at: usize| {
-            // The window's first row and column lie one before its middle.
+            // The window's first row and column are one before its centre.
             let at = at as isize - 1;
             let phase = at.rem_euclid(stride as isize) as usize;
             (phase, at.div_euclid(stride as isize))
@@ -149,7 +148,7 @@ impl<'a> Phases<'a> {
     }
 }
 
-/// Takes `planes` apart into phases.
+/// Splits `planes` into phases.
 fn split(planes: Planes<'_>, stride: usize, phases: &mut Vec<f32>) {
     let side = planes.side / stride;
     let size = side * side;
@@ -169,9 +168,9 @@ fn split(planes: Planes<'_>, stride: usize, phases: &mut Vec<f32>) {
     }
 }
 
-/// Fills `columns` for some channels and the places in `rows` of the result, each of a
-/// side's width. Of each channel nine rows, `3 * y + x`, hold place after place what
-/// the window's row `y` and column `x` see; beyond the border that is zero.
+/// Fills `columns` for a range of channels and the positions in `rows` of the output. For each
+/// channel, matrix row `3 * y + x` of nine holds the inputs at the window's row `y` and column
+/// `x` for every position; zero beyond the border.
 fn gather(phases: Phases<'_>, channels: Range<usize>, rows: Range<usize>, columns: &mut Vec<f32>) {
     let places = rows.len() * phases.side;
     columns.resize(channels.len() * WINDOW * places, 0.0);
@@ -183,11 +182,11 @@ fn gather(phases: Phases<'_>, channels: Range<usize>, rows: Range<usize>, column
     }
 }
 
-/// Fills `seen` with the rows of `phase` from `first + down` on, moved to the left by
-/// `right` columns; zeros come in from beyond the border.
+/// Fills `seen` with the rows of `phase` from `first + down` on, shifted left by `right`
+/// columns, with zeros beyond the border.
 fn shift(phase: &[f32], side: usize, first: usize, down: isize, right: isize, seen: &mut [f32]) {
-    // All rows at once. At an edge, this sees a place of the next row or of the
-    // one before, or none.
+    // Copies all rows at once. This leaves a value of an adjacent row at the left or right
+    // edge, which is overwritten below.
     let from = (first as isize + down) * side as isize + right;
     let before = usize::try_from(-from).unwrap_or(0).min(seen.len());
     let from = usize::try_from(from).unwrap_or(0).min(phase.len());
@@ -209,7 +208,7 @@ fn shift(phase: &[f32], side: usize, first: usize, down: isize, right: isize, se
 mod tests {
     use super::*;
 
-    /// By the definition: with a border of zeros all around.
+    /// Reference implementation by definition, with zero padding.
     fn expected(planes: Planes<'_>, channels: usize, stride: usize) -> Vec<f32> {
         let (side, out) = (planes.side as isize, planes.side / stride);
         let mut columns = Vec::new();
@@ -248,7 +247,7 @@ mod tests {
                 side,
                 stride,
             };
-            // Left over from something else.
+            // Stale contents from an earlier use.
             let mut found = vec![9.0; 1000];
             gather(phases, 0..3, 0..side, &mut found);
             assert_eq!(found, whole, "stride {stride}");

@@ -1,4 +1,4 @@
-//! Convolutions: 3 x 3 with a border of zeros, and 1 x 1.
+//! Convolutions: 3 x 3 with zero padding, and 1 x 1.
 
 use crate::columns::{Rows, WINDOW};
 use crate::error::WeightsError;
@@ -9,14 +9,14 @@ use crate::weights::Tensors;
 /// A convolution as a matrix, to be multiplied by the columns of its input windows.
 #[derive(Debug)]
 pub(crate) struct Convolution {
-    /// Inputs x outputs: as products read it fastest. The inputs of a 3 x 3
-    /// convolution are channel after channel, row after row of the window.
+    /// Inputs x outputs, the layout that products read fastest. The inputs of a 3 x 3
+    /// convolution are ordered by channel, then by row of the window.
     weight: Vec<f32>,
     outputs: usize,
 }
 
 impl Convolution {
-    /// Takes `name.weight`, a convolution of 3 x 3.
+    /// Reads `name.weight`, a 3 x 3 convolution.
     pub(crate) fn read_3x3(
         tensors: &mut Tensors<'_>,
         name: &str,
@@ -27,7 +27,7 @@ impl Convolution {
         Self::read(tensors, name, &shape, channels * WINDOW)
     }
 
-    /// Takes `name.weight`, a convolution of 1 x 1.
+    /// Reads `name.weight`, a 1 x 1 convolution.
     pub(crate) fn read_1x1(
         tensors: &mut Tensors<'_>,
         name: &str,
@@ -50,12 +50,12 @@ impl Convolution {
         })
     }
 
-    /// Channels of the result.
+    /// Number of output channels.
     pub(crate) fn outputs(&self) -> usize {
         self.outputs
     }
 
-    /// Adds what `rows` give to `planes`, which has a plane for each output.
+    /// Adds the contribution of `rows` to `planes`, which has a plane per output channel.
     pub(crate) fn add(&self, products: Products, rows: Rows<'_>, planes: &mut [f32]) {
         let Rows {
             columns,

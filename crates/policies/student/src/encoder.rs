@@ -1,4 +1,4 @@
-//! Encoder: from a picture to 320 numbers, modulated by the text.
+//! Encoder: maps a picture to 320 features, modulated by the text.
 
 use crate::block::{Block, Shape, Workspace, zeros};
 use crate::columns::{self, Planes, Rows};
@@ -31,7 +31,7 @@ const BLOCKS: [Shape; 3] = [
 ];
 /// Channels of the last block.
 const FEATURES: usize = 128;
-/// Numbers that a picture becomes.
+/// Number of features of a picture.
 pub(crate) const WIDTH: usize = 3 * POINTS + FEATURES;
 
 /// Encoder of one camera's pictures.
@@ -42,8 +42,8 @@ pub(crate) struct Encoder {
     blocks: [Block; 3],
     points: Convolution,
     points_bias: Vec<f32>,
-    /// Layer that adds scores from the first block's planes, twice as fine, to the
-    /// points' scores.
+    /// Layer that adds scores from the first block's planes, which have twice the resolution,
+    /// to the points' scores.
     fine: Option<Convolution>,
 }
 
@@ -51,7 +51,7 @@ pub(crate) struct Encoder {
 #[derive(Debug)]
 pub(crate) struct Films([Vec<f32>; 3]);
 
-/// Scratch memory for a picture and its planes, used again from query to query.
+/// Scratch memory for a picture and its planes, reused by all queries.
 #[derive(Debug, Default)]
 pub(crate) struct Scratch {
     picture: Vec<f32>,
@@ -62,8 +62,7 @@ pub(crate) struct Scratch {
 }
 
 impl Encoder {
-    /// Takes the tensors whose names start with `camera`. `text` is the text's
-    /// width.
+    /// Reads the tensors with the prefix `camera`. `text` is the width of the text embedding.
     pub(crate) fn read(
         tensors: &mut Tensors<'_>,
         camera: &str,
@@ -101,8 +100,8 @@ impl Encoder {
         Films(self.blocks.each_ref().map(films))
     }
 
-    /// Fills `encoded` for the picture `rgb` of the query numbered `query`: expected
-    /// columns, expected rows and peaks of the points, means of the features.
+    /// Fills `encoded` for the picture `rgb` of query number `query`: expected columns,
+    /// expected rows and peaks of the points, then means of the features.
     pub(crate) fn encode(
         &self,
         products: Products,
@@ -149,8 +148,8 @@ impl Encoder {
         }
     }
 
-    /// Locates the points by the planes of the last features, and by those of the first
-    /// block if `fine` is present; `scores` is scratch memory.
+    /// Locates the points in the last features and, if `self.fine` is present, in the first
+    /// block's planes too; `scores` is scratch memory.
     fn locate(
         &self,
         products: Products,

@@ -1,9 +1,9 @@
 //! Errors of weights files and queries.
 
-/// Reason why a file is not the weights of a student.
+/// Reason why a weights file is invalid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum WeightsError {
-    /// File that is no complete safetensors container.
+    /// The file is not a complete safetensors container.
     #[error(
         "the weights file, {bytes} bytes, is no safetensors file or is not whole: export it or \
          copy it again"
@@ -12,7 +12,7 @@ pub enum WeightsError {
         /// Length of the file, bytes.
         bytes: usize,
     },
-    /// Weights of another kind or version of network.
+    /// The weights are for a different kind or version of network.
     #[error(
         "the weights file's metadata gives {} as its format; this program reads {expected:?}: give \
          weights that were exported for it",
@@ -24,10 +24,10 @@ pub enum WeightsError {
         /// Format that this program reads.
         expected: &'static str,
     },
-    /// Metadata without a name.
+    /// The metadata has no name.
     #[error("the weights file's metadata has no name: export it with \"name\" in the metadata")]
     Name,
-    /// Missing tensor.
+    /// A tensor is missing.
     #[error(
         "the weights file has no tensor {tensor}, which must be {expected:?} of {kind}: export \
          the whole network"
@@ -40,7 +40,7 @@ pub enum WeightsError {
         /// Type of its numbers.
         kind: &'static str,
     },
-    /// Tensor of another shape.
+    /// A tensor has the wrong shape.
     #[error(
         "tensor {tensor} of the weights file has the shape {found:?}; expected is {expected:?}: \
          give weights of this network"
@@ -53,7 +53,7 @@ pub enum WeightsError {
         /// Shape that the network needs.
         expected: Vec<usize>,
     },
-    /// Tensor of another type.
+    /// A tensor has the wrong type.
     #[error(
         "tensor {tensor} of the weights file is of type {found}; expected is {expected}: export it \
          as {expected}"
@@ -66,7 +66,7 @@ pub enum WeightsError {
         /// Type that the network needs.
         expected: &'static str,
     },
-    /// Tensor with a number that is not finite.
+    /// A tensor has a number that is not finite.
     #[error(
         "tensor {tensor} of the weights file holds {value} at place {place}, where a finite \
          number is expected: training has diverged, export an earlier state"
@@ -79,7 +79,7 @@ pub enum WeightsError {
         /// Number in the file: `NaN`, `inf` or `-inf`.
         value: String,
     },
-    /// Divisor that is not positive.
+    /// A divisor is not positive.
     #[error(
         "tensor {tensor} of the weights file holds {value} at place {place}, where a number above \
          0 is expected: export a spread of at least a rounding error for numbers that never vary"
@@ -92,7 +92,7 @@ pub enum WeightsError {
         /// Number in the file.
         value: String,
     },
-    /// Tensor that no layer takes.
+    /// No layer uses the tensor.
     #[error(
         "the weights file has a tensor {tensor}, which this network does not: give weights of \
          this network"
@@ -106,7 +106,7 @@ pub enum WeightsError {
 /// Reason why a query cannot be answered.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum QueryError {
-    /// Picture of another size.
+    /// A picture has the wrong size.
     #[error(
         "query {query}: the picture of {camera} has {found} bytes; expected are {expected}, 256 × \
          256 pixels of 3 bytes: ask the camera for that size"
@@ -121,7 +121,7 @@ pub enum QueryError {
         /// Length that is expected, bytes.
         expected: usize,
     },
-    /// Reading that is not finite.
+    /// A robot reading is not finite.
     #[error(
         "query {query}: number {place} of {reading} is {value}, which is not finite: look for what \
          the simulator or the client sent"
@@ -136,7 +136,7 @@ pub enum QueryError {
         /// Value of the number.
         value: String,
     },
-    /// Answer that is not finite.
+    /// The network's output is not finite.
     #[error(
         "query {query}: the network's answer is not finite: give readings in metres as the \
          network was trained on, or weights that do not overflow"

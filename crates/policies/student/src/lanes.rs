@@ -1,10 +1,12 @@
-//! Sums in sixteen lanes: an order that is the same for every vector width.
+//! Sums in sixteen lanes, an order of summation that does not depend on the vector width.
 
 const LANES: usize = 16;
 
-/// The sum of `of(value)` over all values. Lane `j` sums places `j`, `j + 16`, …
-/// from the first on; the lanes are then added in halves. The number of values is a
-/// multiple of sixteen.
+/// Sums `of(value)` over all values. Lane `j` sums indices `j`, `j + 16`, … in ascending
+/// order; the lanes are then added by halving.
+///
+/// # Panics
+/// If the number of values is not a multiple of sixteen.
 #[inline]
 pub(crate) fn sum(values: &[f32], of: impl Fn(f32) -> f32) -> f32 {
     let (rows, rest) = values.as_chunks::<LANES>();
@@ -40,8 +42,8 @@ mod tests {
 
     #[test]
     fn lanes_are_summed_down_and_then_in_halves() {
-        // A large number in lane 0 swallows the small one that is added to it
-        // first, and not the one of another lane.
+        // A large number in lane 0 absorbs a small one of the same lane, but not the sum of
+        // small ones in other lanes.
         let mut values = [0.0; 32];
         values[0] = 1.0e8;
         values[16] = 1.0;

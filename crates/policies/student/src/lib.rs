@@ -1,7 +1,6 @@
-//! The student: a small policy network that turns two pictures, the robot's
-//! state and an instruction into a chunk of 8 actions. It has no memory and no
-//! randomness. This crate reads its weights and computes it; training is
-//! elsewhere.
+//! The student: a small policy network that maps two pictures, the robot's
+//! state and an instruction to a chunk of 8 actions. It is stateless and
+//! deterministic. This crate loads weights and runs inference; it does not train.
 //!
 //! ```text
 //! instruction ─▶ text ─▶ t ────────────┬───────────────────┐
@@ -13,53 +12,52 @@
 //!                                        arm 8 x 6, gripper 8
 //! ```
 //!
-//! # The same bits
+//! # Reproducibility
 //!
-//! Equal weights and equal queries give equal bits on every x86-64 machine,
-//! whatever its caches and vector widths, and whatever else is in the batch.
-//! All arithmetic is IEEE 754's, in binary32, in a stated order:
+//! The same weights and query give the same bits on every x86-64 machine,
+//! independent of caches, vector widths, and the other queries in the batch.
+//! All arithmetic is IEEE 754 binary32 in a fixed order:
 //!
 //! - A matrix product adds `A B` to `C`, which starts as zero or as the bias.
 //!   The inner dimension is cut into runs of 256. Each run is summed from zero
 //!   upwards with fused multiply-adds; then the run's sum is added to `C`.
 //!   The order depends on nothing but the inner dimension.
-//! - A convolution is such a product, whose inner dimension is channels by places of
-//!   the window. It is handed on 16 channels at a time, so that its runs are of 144.
-//! - Other sums are taken in 16 lanes (lane `j` sums places `j`, `j + 16`, …),
-//!   which are then added in halves, or one by one where few are added.
-//! - Exponentials are `libm`'s, which are computed in Rust, without a look at the
-//!   processor.
-//! - What is left is element by element: no order to keep. Rust never fuses
-//!   a product and a sum by itself.
+//! - A convolution is such a product, whose inner dimension is channels by positions in
+//!   the window. It processes 16 channels at a time, so that its runs have length 144.
+//! - Other sums are taken in 16 lanes (lane `j` sums indices `j`, `j + 16`, …),
+//!   which are then added by halving, or sequentially if there are few addends.
+//! - Exponentials are those of the crate `libm`, which is pure Rust and does not
+//!   dispatch on the processor.
+//! - All other operations are element-wise, without an order of summation. Rust never
+//!   fuses a product and a sum implicitly.
 //!
-//! `matrixmultiply` computes the products. Of its kernels, those for AVX-512, for
-//! AVX2 with FMA, and for NEON compute exactly the sums above. Its kernels for
-//! older processors round every product first, so they are never used: where AVX2 or
-//! FMA is missing, a plain loop of [`f32::mul_add`] computes the same bits
-//! ([`Products`]). Intel's processors have both since Haswell (2013), AMD's since
-//! Excavator (2015). On older ones, which need a build without `.cargo/config.toml`'s
-//! instructions, a query takes seconds instead of milliseconds.
+//! `matrixmultiply` computes the products. Its kernels for AVX-512, for AVX2 with FMA,
+//! and for NEON compute exactly the sums above. Its kernels for older processors round
+//! every product first and are never used: without AVX2 or FMA, a plain loop of
+//! [`f32::mul_add`] computes the same bits ([`Products`]). Intel's processors have both
+//! since Haswell (2013), AMD's since Excavator (2015). On older ones, which need a build
+//! without the target features of `.cargo/config.toml`, a query takes seconds instead of
+//! milliseconds.
 //!
-//! Tests hold the product against the plain loop on whatever machine they run, and a
-//! whole network against fixed bits (`tests/bits.rs`).
+//! Tests compare the product with the plain loop on the machine they run on, and a
+//! whole network with fixed bits (`tests/bits.rs`).
 //!
-//! Two things are taken for granted: the thread computes as threads do when they
-//! start (rounding to nearest, tiny numbers not flushed to zero), and the build sets
-//! none of `matrixmultiply`'s own variables (`MATMUL_SGEMM_KC`). Beyond x86-64,
-//! 64-bit ARM computes the same sums by the same reasoning, but no test has run there.
+//! Two assumptions are not checked: the thread has the default floating-point
+//! environment (rounding to nearest, subnormals not flushed to zero), and the build sets
+//! none of `matrixmultiply`'s variables (`MATMUL_SGEMM_KC`). Beyond x86-64, 64-bit ARM
+//! should compute the same sums by the same reasoning, but is untested.
 //!
-//! # Why this library
+//! # Choice of the library
 //!
-//! - candle multiplies with `gemm`. Version 0.19 computes the run of the inner
+//! - candle multiplies with `gemm`. Version 0.19 derives the run of the inner
 //!   dimension from size and associativity of the level-1 cache: with AVX2, a product
-//!   of depth 1152 is cut into three runs where that cache is 8-way (32 KB), into two
-//!   where it is 12-way (48 KB). A product with one row or one column takes another
-//!   path, so a batch of one would differ from a batch of two.
-//! - tract 0.23 chooses kernels by the processor's features and by its maker, with a
-//!   cost model for each; that all of them sum alike would have to be shown anew for
-//!   each version. It brings about 30 crates that this workspace does not have, candle
-//!   about 60.
-//! - `matrixmultiply` is in the workspace already, cuts every product at 256,
+//!   of depth 1152 is cut into three runs if that cache is 8-way (32 KB), into two
+//!   if it is 12-way (48 KB). A product with one row or one column takes another
+//!   path, so that a batch of one would differ from a batch of two.
+//! - tract 0.23 selects kernels by the processor's features and vendor, with a cost
+//!   model for each; their equivalence would have to be verified again for each
+//!   version. It adds about 30 crates to the workspace, candle about 60.
+//! - `matrixmultiply` is already in the workspace, cuts every product at 256,
 //!   and has one path for all sizes.
 
 #![deny(unsafe_op_in_unsafe_fn)]
@@ -80,11 +78,11 @@ mod query;
 mod text;
 mod weights;
 
-/// Weights that were taught on LIBERO's own assets, in unperturbed scenes, as safetensors.
+/// Weights trained on LIBERO's own assets in unperturbed scenes, as safetensors.
 pub const LIBERO: &[u8] = include_bytes!("../weights/student.safetensors");
-/// Weights that were taught on the built-in boxes, in unperturbed scenes.
+/// Weights trained on the built-in boxes in unperturbed scenes.
 pub const BOXES: &[u8] = include_bytes!("../weights/student-boxes.safetensors");
-/// Weights that were taught on the built-in boxes, in randomly perturbed scenes.
+/// Weights trained on the built-in boxes in randomly perturbed scenes.
 pub const BOXES_RANDOMISED: &[u8] =
     include_bytes!("../weights/student-boxes-randomised.safetensors");
 

@@ -1,4 +1,4 @@
-//! Layers that connect everything with everything.
+//! Fully connected layers.
 
 use crate::error::WeightsError;
 use crate::product::{Matrix, MatrixMut, Products};
@@ -7,7 +7,7 @@ use crate::weights::Tensors;
 /// `y = W x + b`.
 #[derive(Debug)]
 pub(crate) struct Linear {
-    /// Inputs x outputs: as products read it fastest.
+    /// Inputs x outputs, the layout that products read fastest.
     weight: Vec<f32>,
     bias: Vec<f32>,
     inputs: usize,
@@ -15,7 +15,7 @@ pub(crate) struct Linear {
 }
 
 impl Linear {
-    /// Takes `name.weight` and `name.bias`.
+    /// Reads `name.weight` and `name.bias`.
     pub(crate) fn read(
         tensors: &mut Tensors<'_>,
         name: &str,
@@ -31,7 +31,7 @@ impl Linear {
         })
     }
 
-    /// Returns a row of outputs for each row of `inputs` (as many rows as queries).
+    /// Returns a row of outputs for each row of `inputs`; there is a row per query.
     pub(crate) fn apply(&self, products: Products, inputs: &[f32]) -> Vec<f32> {
         let rows = inputs.len() / self.inputs;
         let mut outputs = self.bias.repeat(rows);
@@ -43,7 +43,7 @@ impl Linear {
         outputs
     }
 
-    /// As `apply`, and negative numbers become zero.
+    /// Applies the layer followed by ReLU.
     pub(crate) fn apply_relu(&self, products: Products, inputs: &[f32]) -> Vec<f32> {
         let mut outputs = self.apply(products, inputs);
         for value in &mut outputs {
@@ -53,13 +53,13 @@ impl Linear {
     }
 }
 
-/// Zero for what is below zero. NaN stays, so that an answer shows it.
+/// Clamps negative numbers to zero. NaN is preserved, so that it reaches the output.
 #[inline]
 pub(crate) fn relu(value: f32) -> f32 {
     if value < 0.0 { 0.0 } else { value }
 }
 
-/// A matrix of `rows` x `columns`, column after column.
+/// Transposes a row-major matrix of `rows` x `columns`.
 pub(crate) fn transposed(values: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     let column = |j: usize| (0..rows).map(move |i| values[i * columns + j]);
     (0..columns).flat_map(column).collect()

@@ -1,4 +1,4 @@
-//! The whole network.
+//! The student network: loading of weights, and inference.
 
 use sha2::{Digest, Sha256};
 
@@ -10,18 +10,19 @@ use crate::query::{ACTIONS, ARM, Chunk, Output, Query, STATE};
 use crate::text;
 use crate::weights::Tensors;
 
-/// Numbers that an instruction becomes.
+/// Width of the text embedding.
 const TEXT: usize = 128;
-/// Numbers that the robot's state becomes.
+/// Width of the embedding of the robot's state.
 const STATE_WIDTH: usize = 64;
 /// Width of the head's input: both cameras, the robot's state and the instruction.
 const WIDTH: usize = 2 * encoder::WIDTH + STATE_WIDTH + TEXT;
 const HEAD: usize = 384;
-/// Width of the head's hidden layers in format `rollout-student/2`: points on 32 x 32 places.
+/// Width of the head's hidden layers in format `rollout-student/2`, whose points are located
+/// on a grid of 32 x 32.
 const WIDE_HEAD: usize = 512;
 
-/// A student with its weights, ready to be asked. It keeps nothing from one query
-/// to the next, and may be asked from several threads at once.
+/// A student with its weights. It is stateless and may be queried from several threads at
+/// once.
 #[derive(Debug)]
 pub struct Network {
     name: String,
@@ -43,13 +44,14 @@ pub struct Network {
 }
 
 impl Network {
-    /// Reads a weights file: safetensors of the format `rollout-student/2`, or of
-    /// `rollout-student/1`, whose points lie on 16 x 16 places and whose head is narrower.
+    /// Loads a weights file: safetensors of the format `rollout-student/2`, or of
+    /// `rollout-student/1`, whose points are located on a grid of 16 x 16 and whose head is
+    /// narrower.
     ///
     /// # Errors
     ///
-    /// If the file is not whole, is of another format, or has other tensors than this
-    /// network, or if it holds a number that is not finite or a deviation that is not positive.
+    /// If the file is incomplete or of another format, its tensors do not match this network,
+    /// a number is not finite, or a standard deviation is not positive.
     pub fn from_safetensors(bytes: &[u8]) -> Result<Self, WeightsError> {
         let mut tensors = Tensors::open(bytes)?;
         let file = &mut tensors;
@@ -113,24 +115,23 @@ impl Network {
         }
     }
 
-    /// Returns a chunk of actions for each query. The answer to a query does not depend
-    /// on the others. One thread computes; memory is a few megabytes, and a few kilobytes
-    /// for each query.
+    /// Returns a chunk of actions for each query. Queries do not affect each other. Runs on
+    /// the calling thread and uses a few megabytes, plus a few kilobytes per query.
     ///
     /// # Errors
     ///
-    /// If a picture has another size than [`PICTURE_BYTES`](crate::PICTURE_BYTES), or
-    /// if a reading or an answer is not finite. Then no query is answered.
+    /// If the size of a picture is not [`PICTURE_BYTES`](crate::PICTURE_BYTES), or if a
+    /// reading or an output is not finite. No query is answered then.
     pub fn act(&self, queries: &[Query<'_>]) -> Result<Vec<Chunk>, QueryError> {
         let outputs = self.outputs(queries)?;
         Ok(outputs.iter().map(Output::chunk).collect())
     }
 
-    /// As [`Self::act`], before numbers become actions.
+    /// Returns the raw outputs of the network, from which [`Self::act`] computes actions.
     ///
     /// # Errors
     ///
-    /// As [`Self::act`].
+    /// As for [`Self::act`].
     pub fn outputs(&self, queries: &[Query<'_>]) -> Result<Vec<Output>, QueryError> {
         for (index, query) in queries.iter().enumerate() {
             query.check(index)?;
@@ -145,7 +146,7 @@ impl Network {
         }
     }
 
-    /// Input of the head: a row for each query.
+    /// Computes the input of the head: a row per query.
     fn sense(&self, queries: &[Query<'_>]) -> Vec<f32> {
         let texts = self.texts(queries);
         let states = self.states(queries);

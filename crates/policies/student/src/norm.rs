@@ -1,4 +1,5 @@
-//! Group norm, with what follows it: modulation by the text, the skip, and ReLU.
+//! Group normalisation fused with the following operations: FiLM, the skip connection, and
+//! ReLU.
 
 use crate::error::WeightsError;
 use crate::lanes;
@@ -8,7 +9,7 @@ use crate::weights::Tensors;
 const GROUPS: usize = 8;
 const EPSILON: f32 = 1e-5;
 
-/// Brings each group of channels to mean 0 and variance 1, then scales and shifts each
+/// Normalises each group of channels to mean 0 and variance 1, then scales and shifts each
 /// channel.
 #[derive(Debug)]
 pub(crate) struct GroupNorm {
@@ -16,13 +17,13 @@ pub(crate) struct GroupNorm {
     bias: Vec<f32>,
 }
 
-/// Modulation of channels by the text: first a factor less one for each, then a shift for
+/// Modulation of channels by the text: first factor − 1 for each channel, then a shift for
 /// each.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Film<'a>(pub(crate) &'a [f32]);
 
 impl GroupNorm {
-    /// Takes `name.weight` and `name.bias`.
+    /// Reads `name.weight` and `name.bias`.
     pub(crate) fn read(
         tensors: &mut Tensors<'_>,
         name: &str,
@@ -34,7 +35,7 @@ impl GroupNorm {
         })
     }
 
-    /// Norm, then ReLU, in place. `values` are planes, one per channel.
+    /// Applies norm, then ReLU, in place. `values` are planes, one per channel.
     pub(crate) fn relu(&self, values: &mut [f32]) {
         self.each_channel(values, |_, plane, scale, shift| {
             for value in plane {
@@ -43,7 +44,7 @@ impl GroupNorm {
         });
     }
 
-    /// Norm, then `film`, then ReLU, in place.
+    /// Applies norm, then `film`, then ReLU, in place.
     pub(crate) fn film_relu(&self, values: &mut [f32], film: Film<'_>) {
         let (gamma, beta) = film.0.split_at(self.weight.len());
         self.each_channel(values, |channel, plane, scale, shift| {
@@ -56,7 +57,7 @@ impl GroupNorm {
         });
     }
 
-    /// Norm, then the sum with `skip`, then ReLU, in place. `skip` is laid out as
+    /// Applies norm, adds `skip`, then applies ReLU, in place. `skip` has the layout of
     /// `values`.
     pub(crate) fn add_relu(&self, values: &mut [f32], skip: &[f32]) {
         let size = values.len() / self.weight.len();
@@ -68,7 +69,7 @@ impl GroupNorm {
         });
     }
 
-    /// Hands out each channel: its number, its plane, and the factor and shift that
+    /// Calls `each` for each channel with its number, its plane, and the factor and shift that
     /// normalise it.
     fn each_channel(&self, values: &mut [f32], mut each: impl FnMut(usize, &mut [f32], f32, f32)) {
         let channels = self.weight.len();
@@ -136,7 +137,7 @@ mod tests {
         let mut values = values();
         let skip: Vec<f32> = (0..256).map(|place| place as f32).collect();
         norm().add_relu(&mut values, &skip);
-        // Channel 15, its last two places.
+        // The last two values of channel 15.
         close(values[254], -2.0 + 15.0 + 254.0);
         close(values[255], 2.0 + 15.0 + 255.0);
         assert_eq!(values[0], 0.0);

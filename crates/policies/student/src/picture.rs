@@ -1,11 +1,11 @@
-//! Input picture of the network: half as large, three planes of numbers.
+//! Preprocessing of pictures: halves the resolution and splits it into three planes.
 
 use crate::query::PICTURE_SIDE;
 
 /// Pixels along a side of the network's input.
 pub(crate) const SIDE: usize = PICTURE_SIDE / 2;
 
-/// Value of each byte: -1 for 0, 1 for 255.
+/// Network input for each byte: -1 for 0, 1 for 255.
 const VALUES: [f32; 256] = {
     let mut values = [0.0; 256];
     let mut byte = 0;
@@ -16,9 +16,8 @@ const VALUES: [f32; 256] = {
     values
 };
 
-/// Turns `rgb` (256 x 256 pixels, row 0 at the bottom) into red, green and blue
-/// planes of 128 x 128 numbers, row 0 at the top. Each byte is the rounded mean of
-/// four.
+/// Converts `rgb` (256 x 256 pixels, row 0 at the bottom) to red, green and blue planes of
+/// 128 x 128 numbers, row 0 at the top. Each is the rounded mean of four bytes.
 pub(crate) fn planes(rgb: &[u8], planes: &mut Vec<f32>) {
     const WIDTH: usize = PICTURE_SIDE * 3;
     planes.resize(3 * SIDE * SIDE, 0.0);

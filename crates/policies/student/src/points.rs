@@ -1,13 +1,12 @@
-//! Spatial softmax: where in the picture each channel looks, and how strongly.
+//! Spatial softmax: the expected position and the peak score of each channel.
 
-/// Channels that look for a point.
+/// Number of channels that locate a point.
 pub(crate) const POINTS: usize = 64;
-/// Places along a side of the last features.
+/// Side of the planes of the last features.
 pub(crate) const SIDE: usize = 16;
 
-/// Writes of each channel of `scores` (planes of `SIDE` x `SIDE`) the expected column, the
-/// expected row, from -1 to 1, and the highest score: first all columns, then
-/// all rows, then all scores.
+/// Writes the expected column and row, from -1 to 1, and the highest score of each channel of
+/// `scores` (planes of `SIDE` x `SIDE`): first all columns, then all rows, then all scores.
 pub(crate) fn locate<const SIDE: usize>(scores: &[f32], found: &mut [f32]) {
     let (columns, rest) = found.split_at_mut(POINTS);
     let (rows, peaks) = rest.split_at_mut(POINTS);
@@ -31,7 +30,7 @@ pub(crate) fn locate<const SIDE: usize>(scores: &[f32], found: &mut [f32]) {
     }
 }
 
-/// Planes of [`SIDE`] x [`SIDE`], each number of which becomes four: twice the side.
+/// Upsamples planes of [`SIDE`] x [`SIDE`] to twice the side by nearest neighbour.
 pub(crate) fn enlarged(planes: &[f32]) -> Vec<f32> {
     let mut large = Vec::with_capacity(4 * planes.len());
     let (lines, _) = planes.as_chunks::<SIDE>();
@@ -43,12 +42,13 @@ pub(crate) fn enlarged(planes: &[f32]) -> Vec<f32> {
     large
 }
 
-/// The higher of two scores; of zeros of either sign the first.
+/// Returns the higher of two scores; the first if they are equal, also for zeros of different
+/// signs.
 fn higher(one: f32, other: f32) -> f32 {
     if other > one { other } else { one }
 }
 
-/// The sum of weights times coordinates.
+/// Returns the sum of weights times coordinates, which range from -1 to 1.
 fn centre<const SIDE: usize>(weights: &[f32; SIDE]) -> f32 {
     let mut sum = 0.0;
     for (place, weight) in weights.iter().enumerate() {

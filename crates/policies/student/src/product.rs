@@ -1,31 +1,33 @@
-//! Matrix products, with the same bits on every machine.
+//! Matrix products with the same bits on every machine.
 //!
-//! `C` becomes `C + A B`. Each element of `C` is computed by itself:
+//! `C` becomes `C + A B`. Each element of `C` is computed independently:
 //!
-//! 1. The inner dimension is cut into runs of [`RUN`], the last one shorter.
-//! 2. A run is summed from +0, place after place, each step a fused multiply-add.
+//! 1. The inner dimension is cut into runs of [`RUN`]; the last one may be shorter.
+//! 2. A run is summed from +0 in ascending order, each step a fused multiply-add.
 //! 3. The run's sum is added to the element.
 //!
-//! `C` is added to and never overwritten: where `C` is overwritten, the library's kernel
-//! for AVX-512 keeps a sum of -0, which products that underflow can leave, and its kernel
-//! for AVX2 makes it +0. Added to an element that is not -0, both vanish.
+//! Products are always added to `C`, which never holds -0. When overwriting `C`, the
+//! library's AVX-512 kernel would keep a sum of -0, which underflowing products can
+//! leave, while its AVX2 kernel returns +0. Adding either to an element other than -0
+//! gives the same result.
 
-/// Places of the inner dimension that are summed before `C` is touched. It is the
-/// library's own number; the tests below fail should it change.
+/// Length of the runs of the inner dimension that are summed before `C` is updated. The
+/// value is the library's own; the tests below fail if it changes.
 const RUN: usize = 256;
 
-/// Implementation of a network's matrix products. The bits are the same.
+/// Implementation of a network's matrix products. All give the same bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Products {
     /// `matrixmultiply`, with the processor's fused multiply-adds.
     Library,
-    /// A plain loop of [`f32::mul_add`]: right everywhere, and slow, most of all
-    /// where the processor has no such instruction.
+    /// A plain loop of [`f32::mul_add`]: correct on every machine, but slow, especially on
+    /// processors without fused multiply-add.
     Plain,
 }
 
 impl Products {
-    /// The library, if its kernel for this processor fuses.
+    /// Returns `Library` if its kernel for this processor uses fused multiply-adds, otherwise
+    /// `Plain`.
     pub(crate) fn of_this_machine() -> Self {
         #[cfg(target_arch = "x86_64")]
         let fused = is_x86_feature_detected!("fma") && is_x86_feature_detected!("avx2");
@@ -47,7 +49,7 @@ impl Products {
     }
 }
 
-/// A matrix to read, somewhere in a slice.
+/// A strided read-only view of a matrix.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Matrix<'a> {
     values: &'a [f32],
@@ -63,7 +65,7 @@ impl<'a> Matrix<'a> {
         Self::with_strides(values, [rows, columns], [columns, 1])
     }
 
-    /// `size` and `strides` are of rows and columns.
+    /// Creates a view; `size` and `strides` are for rows and columns.
     pub(crate) fn with_strides(values: &'a [f32], size: [usize; 2], strides: [usize; 2]) -> Self {
         let [rows, columns] = size;
         let [row_stride, column_stride] = strides;
@@ -91,7 +93,7 @@ impl<'a> Matrix<'a> {
         self.columns
     }
 
-    /// Rows as columns.
+    /// Returns the transposed view.
     pub(crate) fn transposed(self) -> Self {
         Self {
             rows: self.columns,
@@ -107,7 +109,7 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// A matrix to add to, its rows some way apart in a slice.
+/// A mutable view of a matrix with strided rows.
 #[derive(Debug)]
 pub(crate) struct MatrixMut<'a> {
     values: &'a mut [f32],
@@ -122,7 +124,7 @@ impl<'a> MatrixMut<'a> {
         Self::with_stride(values, [rows, columns], columns)
     }
 
-    /// `size` is of rows and columns, `row_stride` from row to row.
+    /// Creates a view of `size` rows and columns; rows are `row_stride` elements apart.
     pub(crate) fn with_stride(values: &'a mut [f32], size: [usize; 2], row_stride: usize) -> Self {
         let [rows, columns] = size;
         assert!(rows > 0 && columns > 0, "an empty matrix: {size:?}");
@@ -143,10 +145,10 @@ impl<'a> MatrixMut<'a> {
 
 #[allow(unsafe_code)]
 fn add_with_library(a: Matrix<'_>, b: Matrix<'_>, c: &mut MatrixMut<'_>) {
-    // SAFETY: the matrices' constructors have checked that every element from the
-    // first to the last lies in its slice; `Products::add` that the sizes fit; `c`
-    // is borrowed alone, and no two of its elements share a place, since its rows do
-    // not overlap. Slices are at most isize::MAX bytes long, and so are strides.
+    // SAFETY: the constructors of the matrices check that every element lies in its
+    // slice, and `Products::add` checks that the sizes match. `c` is borrowed exclusively,
+    // and its elements do not alias, since its rows do not overlap. Slices are at most
+    // isize::MAX bytes long, and so are strides.
     unsafe {
         matrixmultiply::sgemm(
             a.rows,
@@ -192,7 +194,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn numbers(seed: u64, count: usize) -> Vec<f32> {
-        // SplitMix64; exponents are spread, so that orders of summation show.
+        // SplitMix64; exponents vary, so that the order of summation affects the bits.
         let mut state = seed;
         let mut next = move || {
             state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
@@ -212,7 +214,7 @@ mod tests {
         values.iter().map(|value| value.to_bits()).collect()
     }
 
-    /// By the definition at the top of this file, element by element.
+    /// Computes an element by the definition in the module documentation.
     fn by_definition(a: Matrix<'_>, b: Matrix<'_>, c: f32, row: usize, column: usize) -> f32 {
         let places: Vec<usize> = (0..a.columns).collect();
         places.chunks(256).fold(c, |element, run| {
@@ -227,7 +229,7 @@ mod tests {
         let left = numbers(seed, rows * depth);
         let right = numbers(seed + 1, depth * columns);
         let bias = numbers(seed + 2, rows);
-        // +0 in place of -0, as the network's own biases.
+        // Replaces -0 by +0, as the network does for its biases.
         let start: Vec<f32> = bias
             .iter()
             .flat_map(|bias| vec![bias + 0.0; columns])
@@ -262,7 +264,7 @@ mod tests {
             check(48, depth, 40, at as u64, true);
             check(3, depth, 384, 100 + at as u64, false);
         }
-        // More than the library's blocks of 64 rows and 1024 columns.
+        // Exceeds the library's blocks of 64 rows and 1024 columns.
         check(130, 300, 1030, 7, true);
     }
 

@@ -1,23 +1,23 @@
-//! Queries to the network, and its answers.
+//! Queries to the network, and its outputs.
 
 use crate::error::QueryError;
 
-/// Pixels along a side of a picture.
+/// Side of a picture, pixels.
 pub const PICTURE_SIDE: usize = 256;
-/// Bytes of a picture: red, green and blue of each pixel.
+/// Size of a picture, bytes: red, green and blue of each pixel.
 pub const PICTURE_BYTES: usize = PICTURE_SIDE * PICTURE_SIDE * 3;
-/// Actions of a chunk.
+/// Number of actions in a chunk.
 pub const ACTIONS: usize = 8;
-/// Numbers of an action that move the arm.
+/// Number of action components for the arm.
 pub(crate) const ARM: usize = 6;
-/// Numbers of the robot's state.
+/// Number of components of the robot's state.
 pub(crate) const STATE: usize = 14;
 
-/// Answer to a query, action after action: three numbers that shift the hand, three that
-/// turn it, all from -1 to 1, and the gripper: 1 closes it, -1 opens it.
+/// Chunk of actions: for each, translation (3) and rotation (3) of the hand, from -1 to 1,
+/// and the gripper: 1 closes it, -1 opens it.
 pub type Chunk = [[f32; ARM + 1]; ACTIONS];
 
-/// Observation at one moment, to be answered by a [`Chunk`].
+/// Observation of one control step, for which the network returns a [`Chunk`].
 #[derive(Debug, Clone, Copy)]
 pub struct Query<'a> {
     /// Picture of the scene's camera: [`PICTURE_BYTES`] bytes, RGB, row after row, row 0
@@ -36,8 +36,7 @@ pub struct Query<'a> {
 }
 
 impl Query<'_> {
-    /// Checks that the query can be answered. `query` is its index among others, for the
-    /// error.
+    /// Validates the query. `query` is its index in the batch, for the error.
     pub(crate) fn check(&self, query: usize) -> Result<(), QueryError> {
         for (camera, picture) in [("agentview", self.agentview), ("wrist", self.wrist)] {
             if picture.len() != PICTURE_BYTES {
@@ -55,7 +54,7 @@ impl Query<'_> {
             ("gripper_pos", &self.gripper_pos),
         ];
         for (reading, values) in readings {
-            // As the network sees them: a finite f64 may be infinite as f32.
+            // Checked after conversion: a finite f64 may be infinite as f32.
             let wrong = values.iter().position(|value| !(*value as f32).is_finite());
             if let Some(place) = wrong {
                 return Err(QueryError::State {
@@ -69,7 +68,7 @@ impl Query<'_> {
         Ok(())
     }
 
-    /// The robot's state in the network's order, each number rounded to f32.
+    /// Returns the robot's state in the network's order, rounded to f32.
     pub(crate) fn state(&self) -> [f32; STATE] {
         let mut state = [0.0; STATE];
         let readings = self.eef_pos.iter().chain(&self.eef_rotation);
@@ -80,17 +79,17 @@ impl Query<'_> {
     }
 }
 
-/// Output of the network before it becomes actions.
+/// Raw output of the network.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Output {
-    /// Six numbers of the arm per action, not yet limited to -1..1.
+    /// Arm components of each action, not clamped to -1..1.
     pub arm: [[f32; ARM]; ACTIONS],
     /// Score per action for a closed gripper; above 0 it closes.
     pub gripper_logits: [f32; ACTIONS],
 }
 
 impl Output {
-    /// The actions that these numbers stand for.
+    /// Converts the raw output to actions.
     pub fn chunk(&self) -> Chunk {
         std::array::from_fn(|k| {
             let mut action = [0.0; ARM + 1];

@@ -1,13 +1,12 @@
-//! The instruction as a vector: its words and pairs of neighbouring words, hashed
-//! into a table.
+//! Text embedding: words and bigrams of the instruction, hashed into a table.
 
-/// Rows of the table.
+/// Number of rows of the table.
 pub(crate) const BUCKETS: usize = 4096;
-/// Numbers of a row.
+/// Width of a row.
 pub(crate) const WIDTH: usize = 48;
 
-/// Adds up the table's rows of all words and pairs of `instruction`, in the order of
-/// the text: a word, then the pair that it ends.
+/// Sums the table's rows of all words and bigrams of `instruction` in the order of the text:
+/// a word, then the bigram that it ends.
 pub(crate) fn embed(table: &[f32], instruction: &str) -> [f32; WIDTH] {
     let mut vector = [0.0; WIDTH];
     let mut add = |bucket: usize| {
@@ -28,7 +27,7 @@ pub(crate) fn embed(table: &[f32], instruction: &str) -> [f32; WIDTH] {
     vector
 }
 
-/// Runs of ASCII letters and digits, in lower case; everything else separates.
+/// Splits a text into runs of ASCII letters and digits, in lower case.
 fn words(instruction: &str) -> impl Iterator<Item = String> {
     instruction
         .split(|sign: char| !sign.is_ascii_alphanumeric())
@@ -36,7 +35,7 @@ fn words(instruction: &str) -> impl Iterator<Item = String> {
         .map(str::to_ascii_lowercase)
 }
 
-/// FNV-1a of 32 bits, modulo the table's rows.
+/// Returns the 32-bit FNV-1a hash modulo the number of rows.
 fn bucket(bytes: impl Iterator<Item = u8>) -> usize {
     let hash = bytes.fold(0x811c_9dc5_u32, |hash, byte| {
         (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193)

@@ -1,4 +1,4 @@
-//! Weights file: reads its tensors, and checks that they are the network's.
+//! Weights file: reads its tensors and checks that they match the network.
 
 use std::collections::BTreeSet;
 
@@ -7,24 +7,24 @@ use safetensors::{Dtype, SafeTensors};
 
 use crate::error::WeightsError;
 
-/// Values of `format` in the metadata: of networks that locate points on 16 x 16 places,
-/// and of those that do on 32 x 32, with a wider head.
+/// Values of `format` in the metadata: for networks that locate points on a grid of 16 x 16,
+/// and for those with a grid of 32 x 32 and a wider head.
 const COARSE: &str = "rollout-student/1";
 const FINE: &str = "rollout-student/2";
 
-/// A file's tensors, each of which some layer takes.
+/// Tensors of a file, to be taken by the layers; each must be taken by one.
 #[derive(Debug)]
 pub(crate) struct Tensors<'a> {
     file: SafeTensors<'a>,
     name: String,
     is_fine: bool,
-    /// Names of the tensors that no layer has taken.
+    /// Names of the tensors not taken so far.
     left: BTreeSet<String>,
     parameters: usize,
 }
 
 impl<'a> Tensors<'a> {
-    /// Reads what the file has, and checks its format.
+    /// Parses the header of the file and checks its format.
     pub(crate) fn open(bytes: &'a [u8]) -> Result<Self, WeightsError> {
         let unreadable = |_| WeightsError::Unreadable { bytes: bytes.len() };
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable)?;
@@ -55,17 +55,17 @@ impl<'a> Tensors<'a> {
         &self.name
     }
 
-    /// True if points are located on 32 x 32 places and the head is wide.
+    /// Returns true for a grid of 32 x 32 and a wide head.
     pub(crate) fn is_fine(&self) -> bool {
         self.is_fine
     }
 
-    /// Count of the numbers that [`Self::half`] has handed out.
+    /// Number of parameters returned by [`Self::half`] so far.
     pub(crate) fn parameters(&self) -> usize {
         self.parameters
     }
 
-    /// Takes a trained tensor, which is stored in halves.
+    /// Takes a trained tensor, which is stored in half precision.
     pub(crate) fn half(&mut self, tensor: &str, shape: &[usize]) -> Result<Vec<f32>, WeightsError> {
         let data = self.take(tensor, shape, Dtype::F16, "F16")?;
         let (halves, _) = data.as_chunks();
@@ -75,7 +75,7 @@ impl<'a> Tensors<'a> {
         Ok(values)
     }
 
-    /// Takes a tensor that is stored in single precision.
+    /// Takes a tensor stored in single precision.
     pub(crate) fn single(
         &mut self,
         tensor: &str,
@@ -86,7 +86,7 @@ impl<'a> Tensors<'a> {
         finite(tensor, singles.iter().copied().map(f32::from_le_bytes))
     }
 
-    /// Fails if a tensor is left.
+    /// Checks that all tensors were taken.
     pub(crate) fn finish(self) -> Result<(), WeightsError> {
         match self.left.into_iter().next() {
             Some(tensor) => Err(WeightsError::Unknown { tensor }),
@@ -126,7 +126,8 @@ impl<'a> Tensors<'a> {
     }
 }
 
-/// All values, if they are finite. -0 becomes +0, which products start from.
+/// Collects values and checks that they are finite. Replaces -0 by +0, because products must
+/// not start from -0.
 fn finite(
     tensor: &str,
     values: impl ExactSizeIterator<Item = f32>,

@@ -1,6 +1,6 @@
-//! From a campaign's specification to the rows of the job table: which jobs,
-//! under which digest. What the manifest rows contain, and their paired-unit
-//! order, is the protocol's business.
+//! Expansion of a campaign's specification into the rows of the job table, and the digest of the
+//! specification. The contents of manifest rows and their paired-unit order are defined by the
+//! protocol crate.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,35 +17,34 @@ use crate::ids::{CampaignName, NameError};
 /// A campaign ready to be stored.
 #[derive(Clone, Debug)]
 pub struct NewCampaign {
-    /// Its name.
+    /// Name of the campaign.
     pub name: CampaignName,
-    /// Its specification, JSON.
+    /// Specification, JSON.
     pub spec: String,
     /// SHA-256 of the specification, hex.
     pub spec_digest: String,
-    /// Its policy's name at the endpoint.
+    /// Name of the policy at its endpoint.
     pub policy: String,
-    /// Its policy's endpoint.
+    /// Endpoint of the policy.
     pub policy_endpoint: String,
     /// "matched" or "reference".
     pub realisation: String,
     /// Text of its execution model.
     pub execution: String,
-    /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
+    /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
     pub record: &'static str,
-    /// Requirements on its workers.
+    /// Requirements on the workers.
     pub wanted: Wanted,
-    /// Source of its jobs, if they follow from another campaign's outcomes.
+    /// Rollouts that this campaign derives from another campaign's outcomes, if it does.
     pub derived: Option<Rollouts>,
-    /// Its configurations, if it may end early; its jobs are then in the order that
-    /// is drawn of them.
+    /// Number of configurations, if the campaign may stop early; its jobs then follow the drawn
+    /// order of the configurations.
     pub stops_among: Option<usize>,
-    /// Its jobs, in paired-unit order; none yet where they follow from outcomes.
+    /// Jobs in paired-unit order; empty at first if they derive from outcomes.
     pub jobs: Vec<NewJob>,
-    /// Control steps of all its rollouts, if none reaches its goal.
+    /// Control steps of all rollouts if none reaches its goal.
     pub step_budget: u64,
-    /// Its priority, one of [`PRIORITIES`](crate::rules::campaign::PRIORITIES); 0
-    /// unless it is set.
+    /// Priority, one of [`PRIORITIES`](crate::rules::campaign::PRIORITIES); 0 by default.
     pub priority: i32,
 }
 
@@ -69,14 +68,14 @@ pub struct NewJob {
 }
 
 impl NewJob {
-    /// Whether it is of the placebo level.
+    /// Returns true if the job is of the placebo level.
     pub fn is_placebo(&self) -> bool {
         self.rollout_id
             .parse::<RolloutId>()
             .is_ok_and(|id| id.is_placebo())
     }
 
-    /// The job of a row, at a place in paired-unit order.
+    /// Creates the job of a manifest row, at a place in paired-unit order.
     ///
     /// # Errors
     /// If the row cannot be written as JSON.
@@ -97,16 +96,16 @@ impl NewJob {
     }
 }
 
-/// A specification of which no campaign can be made.
+/// A specification that cannot be expanded into a campaign.
 #[derive(Debug, thiserror::Error)]
 pub enum ExpandError {
-    /// Its content.
+    /// The specification is invalid.
     #[error(transparent)]
     Spec(#[from] SpecError),
-    /// Its name, which also names a folder.
+    /// The name, which also names a folder, is invalid.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// It cannot be written as JSON.
+    /// The manifest rows cannot be written as JSON.
     #[error("write a campaign's manifest rows as JSON")]
     Json(#[from] JsonError),
 }
@@ -115,16 +114,16 @@ impl NewCampaign {
     /// Reads a specification and expands it.
     ///
     /// # Errors
-    /// Names what is wrong with it and what would be right.
+    /// If the specification is invalid; the message names the fault and its remedy.
     pub fn from_json(spec: &str) -> Result<NewCampaign, ExpandError> {
         NewCampaign::from_spec(&CampaignSpec::from_json(spec)?)
     }
 
-    /// Expands a specification: its rows in paired-unit order, once per
-    /// replicate. A replicate starts when the one before it is through.
+    /// Expands a specification into its rows in paired-unit order, once per replicate. All rows of
+    /// a replicate come before those of the next.
     ///
     /// # Errors
-    /// Names what is wrong with it and what would be right.
+    /// If the specification is invalid; the message names the fault and its remedy.
     pub fn from_spec(spec: &CampaignSpec) -> Result<NewCampaign, ExpandError> {
         let name = CampaignName::parse(&spec.name)?;
         let mut rows = spec.expand()?;
@@ -164,15 +163,14 @@ impl NewCampaign {
         })
     }
 
-    /// The tasks that its jobs belong to.
+    /// Returns the tasks of the jobs.
     pub fn tasks(&self) -> BTreeSet<&str> {
         self.jobs.iter().map(|job| job.task.as_str()).collect()
     }
 }
 
-/// Brings rows into the drawn order of their configurations, each with its nominal
-/// rollout; other nominal rollouts come last. Returns how many configurations there
-/// are.
+/// Sorts rows into the drawn order of their configurations, each with its nominal rollout; the
+/// remaining nominal rollouts come last. Returns the number of configurations.
 fn draw(rows: &mut [ManifestRow], stop: &Stop) -> usize {
     let unit = |row: &ManifestRow| -> Option<Unit> { Some((row.id.task(), row.id.config()?)) };
     let order = drawn_order(stop, rows.iter().filter_map(unit));
@@ -195,7 +193,7 @@ fn draw(rows: &mut [ManifestRow], stop: &Stop) -> usize {
     places.len()
 }
 
-/// A stored specification after a change, and its digest.
+/// Returns a stored specification after a change, and its digest.
 ///
 /// # Errors
 /// If the changed specification is invalid.
@@ -211,7 +209,7 @@ pub(crate) fn altered(
     Ok((text, digest))
 }
 
-/// The names of the fields in which two specifications differ, for people.
+/// Returns the names of the fields in which two specifications differ, for messages.
 pub fn differing_fields(one: &str, other: &str) -> String {
     let fields = |text: &str| match serde_json::from_str(text) {
         Ok(Value::Object(fields)) => fields,

@@ -1,7 +1,6 @@
-//! The words that the coordinator, the workers and the report share: an attempt
-//! at a rollout, what it came to, where that came from, and how long to wait
-//! before the next one. Pure data: storage, wire and report convert at their
-//! own edges.
+//! Data types shared by the coordinator, the workers and the report: ids, results and provenance of
+//! attempts at a rollout, and retry back-off. Storage, wire protocol and report convert from and to
+//! them at their own boundaries.
 
 #![forbid(unsafe_code)]
 

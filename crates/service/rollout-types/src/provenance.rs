@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// Prefix of the version names of this project's renderer.
 pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
 
-/// Name of the setting in which a policy says on which asset pack it was taught.
+/// Name of the setting that holds the asset pack on which a policy was trained.
 pub const TAUGHT_ON: &str = "taught on";
 
 /// Name of the setting with the execution model, where it is not [`WAIT`].
@@ -18,9 +18,9 @@ pub const EXECUTION: &str = "execution model";
 /// The execution model of results that name none.
 const WAIT: &str = "wait";
 
-/// Asset pack, simulator and renderer of a worker. A campaign is pinned to one
-/// combination: results of two asset packs, simulators or renderers are two benchmarks,
-/// never pooled.
+/// Asset pack, simulator and renderer of a worker. A campaign is pinned to one combination: results
+/// of different asset packs, simulators or renderers belong to different benchmarks and are never
+/// pooled.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Pin {
     /// Name of the asset pack.
@@ -29,16 +29,16 @@ pub struct Pin {
     pub asset_pack_digest: String,
     /// Version of the simulator.
     pub mujoco_version: String,
-    /// The renderer's own name. Empty in a campaign that database schema 1
-    /// pinned, until the next lease decides it.
+    /// Name of the renderer. Empty in a campaign that database schema 1 pinned, until the next
+    /// lease sets it.
     #[serde(alias = "gl_renderer")]
     pub renderer: String,
 }
 
-/// Provenance of a result, as far as many results share it.
+/// The part of a result's origin that many results share.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Provenance {
-    /// The machine's name.
+    /// Name of the machine.
     pub host: String,
     /// The worker's asset pack, simulator and renderer.
     #[serde(flatten)]
@@ -49,58 +49,58 @@ pub struct Provenance {
     pub fingerprint: String,
     /// "matched" or "reference".
     pub realisation: String,
-    /// The policy's own name.
+    /// Name that the policy reports.
     pub policy_name: String,
-    /// Checkpoint of the policy, as the publisher writes it.
+    /// Checkpoint of the policy, as its publisher names it.
     pub policy_checkpoint: String,
-    /// Digest of its weights, as the policy gives it.
+    /// Digest of the weights, as the policy reports it.
     pub policy_checkpoint_digest: String,
-    /// True if it saw the simulator's own state.
+    /// True if the policy received the simulator's state.
     pub policy_privileged: bool,
-    /// True if it got the canonical instruction under every condition.
+    /// True if the policy received the canonical instruction under every condition.
     #[serde(default)]
     pub policy_canonical_only: bool,
-    /// Settings that its server resolved and its actions depend on, by name: chunk and
-    /// executed actions, image slots, statistics, revision. Empty in results of database
-    /// schema 3 and before.
+    /// Settings that the policy's server resolved and that affect its actions, by name: chunk
+    /// length, executed actions, image slots, statistics, revision. Empty in results of database
+    /// schema 3 and earlier.
     #[serde(default)]
     pub policy_settings: BTreeMap<String, String>,
-    /// Batch mode in which a gateway asked it.
+    /// Batch mode in which a gateway queried the policy.
     pub batch_mode: String,
     /// Version of the worker's program.
     pub program_version: String,
 }
 
-/// Digests that two rollouts of one initial state must share, SHA-256 in hex.
+/// Digests that two rollouts of one initial state must share, SHA-256, hex.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Digests {
     /// Digest of the composed MJCF.
     pub scene: String,
     /// Digest of the initial state's bytes, before any perturbation.
     pub init_state: String,
-    /// Digest of the first frames that the policy saw; empty if it looks at none.
+    /// Digest of the first frames that the policy received; empty if it uses none.
     pub first_frame: String,
 }
 
 /// Mix of fingerprints among the results of a campaign.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fingerprints {
-    /// Results of each fingerprint.
+    /// Number of results of each fingerprint.
     pub results: BTreeMap<String, u64>,
-    /// Tasks and initial states whose results have several.
+    /// Tasks and initial states whose results have several fingerprints.
     pub mixed: Vec<String>,
 }
 
 impl Pin {
-    /// Returns true if a campaign that is pinned to this takes results of a worker that
-    /// runs on the other.
+    /// Returns true if a campaign pinned to `self` accepts results of a worker with the pin
+    /// `worker`.
     pub fn takes(&self, worker: &Pin) -> bool {
         self.asset_pack_digest == worker.asset_pack_digest
             && self.mujoco_version == worker.mujoco_version
             && (self.renderer.is_empty() || self.renderer == worker.renderer)
     }
 
-    /// Returns true if a worker that runs on this meets a campaign's requirements.
+    /// Returns true if a worker with this pin meets a campaign's requirements.
     pub fn suits(&self, wanted: &Wanted) -> bool {
         let has_pack = |name: &String| {
             self.asset_pack == *name || self.asset_pack_digest.starts_with(name.as_str())
@@ -112,8 +112,7 @@ impl Pin {
 }
 
 impl Provenance {
-    /// Returns the policy's settings in words: `execute 8, horizon 50`; empty where
-    /// there are none.
+    /// Formats the policy's settings, such as `execute 8, horizon 50`; empty if there are none.
     pub fn policy_settings_in_words(&self) -> String {
         let settings = self.policy_settings.iter();
         let settings: Vec<String> = settings
@@ -129,8 +128,8 @@ impl Provenance {
             .map_or(WAIT, String::as_str)
     }
 
-    /// Returns the asset pack that the policy says it was taught on, where that is
-    /// another than the one that it was measured on.
+    /// Returns the asset pack that the policy reports to be trained on, if it differs from the one
+    /// that the policy was measured on.
     pub fn taught_elsewhere(&self) -> Option<&str> {
         let taught_on = self.policy_settings.get(TAUGHT_ON)?.as_str();
         let Pin {
@@ -141,9 +140,9 @@ impl Provenance {
         (taught_on != asset_pack && taught_on != asset_pack_digest).then_some(taught_on)
     }
 
-    /// Returns a difference between the policies of two results in words; none where
-    /// they are one. The results are of one campaign and suite. What a policy was taught
-    /// on decides no action: a server that begins to say it is the same policy.
+    /// Describes the first difference between the policies of two results of one campaign and
+    /// suite; `None` if they are the same. The reported training assets are ignored: they affect no
+    /// action, and a server may start to report them.
     pub fn other_policy(&self, pinned: &Provenance) -> Option<String> {
         let differs = |what: &str, here: &str, there: &str| {
             (here != there).then(|| format!("{what} is `{here}` now and was `{there}`"))
@@ -157,7 +156,7 @@ impl Provenance {
             })
             .or_else(|| differs("digest of the weights", digests[0], digests[1]))
             .or_else(|| {
-                // Every commit comes here, and almost all agree.
+                // Fast path: this runs for every commit, and nearly all settings are equal.
                 if &self.policy_settings == settings {
                     return None;
                 }

@@ -1,4 +1,4 @@
-//! From an idle slot to a rollout under way.
+//! Claims jobs for idle slots and starts their rollouts.
 
 use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
 use rollout_types::AttemptId;
@@ -18,7 +18,7 @@ use crate::supervise::event::Event;
 use crate::supervise::slot_state::{Mode, ProcessState, Work};
 
 impl Supervisor {
-    /// Asks the coordinator for a job for an idle slot.
+    /// Claims a job for an idle slot.
     pub(super) fn claim(&mut self, slot: usize) {
         let Some(registration) = self.registration.clone() else {
             return;
@@ -37,7 +37,7 @@ impl Supervisor {
         self.calls.spawn(async move {
             let mut answer = link.claim(request.clone()).await;
             if matches!(&answer, Err(status) if status.code() == Code::NotFound) {
-                // A coordinator with a new data folder knows no worker yet.
+                // A coordinator with a new data folder does not know this worker yet.
                 answer = match link.register(registration).await {
                     Ok(_) => link.claim(request).await,
                     Err(status) => Err(status),
@@ -47,7 +47,7 @@ impl Supervisor {
         });
     }
 
-    /// Starts the job that a slot got, or releases it.
+    /// Starts the job that was granted to a slot, or releases it.
     pub(super) fn claimed(
         &mut self,
         slot: usize,
@@ -93,7 +93,7 @@ impl Supervisor {
         self.send_delivery(slot, attempt, label, ending);
     }
 
-    /// Sees that the files of a job's task are there before it starts.
+    /// Fetches the files of a job's task before the job starts.
     fn prepare(&mut self, slot: usize, assignment: Assignment, campaign: String, now: Instant) {
         let task = assignment.row.id.task();
         let last = self.slots[slot].assignment.as_ref();
@@ -116,8 +116,8 @@ impl Supervisor {
         });
     }
 
-    /// Starts the job whose files are there, or gives it back: nobody is to blame for a
-    /// network.
+    /// Starts a job whose files were fetched. If the fetch failed, gives the job back uncharged,
+    /// because the network is not the job's fault.
     pub(super) fn provided(
         &mut self,
         slot: usize,
@@ -126,7 +126,7 @@ impl Supervisor {
         now: Instant,
     ) {
         if self.slots[slot].state.work != (Work::Preparing { attempt }) {
-            // Its lease was lost meanwhile, or it was given back.
+            // The lease was lost meanwhile, or the job was given back.
             return;
         }
         let Some((assignment, campaign)) = self.slots[slot].preparing.take() else {
@@ -161,7 +161,7 @@ impl Supervisor {
         );
     }
 
-    /// Says once why there is nothing to do although jobs wait.
+    /// Logs once why the coordinator grants no job although jobs wait.
     pub(super) fn tell_idle(&mut self, reason: String) {
         if reason != self.idle_reason {
             if !reason.is_empty() {
@@ -171,8 +171,7 @@ impl Supervisor {
         }
     }
 
-    /// Builds a slot's assignment from a lease. The error reads after "failed
-    /// to …".
+    /// Builds a slot's assignment from a lease. The error reads after "failed to …".
     fn assignment(&self, attempt: AttemptId, lease: Lease) -> Result<Assignment, String> {
         let row: libero_ctrl::ManifestRow =
             serde_json::from_str(&lease.manifest_row).map_err(|error| {
@@ -202,7 +201,7 @@ impl Supervisor {
             policy: lease.policy,
             policy_endpoint: endpoint.unwrap_or(lease.policy_endpoint),
             policy_seed: lease.policy_seed,
-            // A policy that hangs is to be blamed before its slot is.
+            // A policy that hangs must time out before its slot does.
             policy_deadline: POLICY_CALL_DEADLINE.min(self.timing.progress_timeout / 2),
             video: lease.record_video.then_some(video),
             keep_actions: lease.keep_actions,

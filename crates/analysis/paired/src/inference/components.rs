@@ -1,5 +1,5 @@
-//! Variance components of simultaneous success, from replicates: tasks, configurations
-//! within tasks, or chance.
+//! Variance components of simultaneous success, from replicates: between tasks, between
+//! configurations of a task, and chance.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -25,9 +25,9 @@ pub struct Components {
     pub configurations: f64,
     /// Variance between replicates of a configuration: chance.
     pub replicate: f64,
-    /// Variance of the rate over that of as many independent outcomes.
+    /// Design effect: variance of the rate, relative to that of as many independent outcomes.
     pub design_effect: Option<f64>,
-    /// Standard error as measured.
+    /// Standard error of the design as run.
     pub standard_error: f64,
     /// Standard error with one more replicate of every configuration.
     pub one_more_replicate: f64,
@@ -36,12 +36,12 @@ pub struct Components {
 }
 
 impl Components {
-    /// Of each level with at least two replicates, two tasks, and two configurations of
-    /// some task.
+    /// Computes the components of each level with at least two replicates, two tasks, and a
+    /// task with two configurations.
     ///
-    /// The nested analysis of variance, σ²_e = MS_e, σ²_c = (MS_c − MS_e)/k and
-    /// σ²_t = (MS_t − MS_c)/(k·m), none below 0, for k replicates of m configurations of
-    /// each task, on average. The variance of the rate is
+    /// Nested analysis of variance: σ²_e = MS_e, σ²_c = (MS_c − MS_e)/k and
+    /// σ²_t = (MS_t − MS_c)/(k·m), clamped at 0, for k replicates of on average m
+    /// configurations per task. The variance of the rate is
     /// σ²_t/T + σ²_c/(T·m) + σ²_e/(T·m·k).
     ///
     /// Source: S. R. Searle, G. Casella and C. E. McCulloch, Variance Components (1992),

@@ -1,5 +1,5 @@
-//! Test of success depending on the direction: all tasks share configuration c's
-//! direction, so that ten directions, not four hundred, stand for all others.
+//! Test whether success depends on the direction. All tasks share the direction of
+//! configuration c, so that a campaign samples only ten directions, not four hundred.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::bootstrap::Bootstrap;
 use crate::outcomes::Matched;
 
-/// Permutations that are drawn; the smallest p-value is 1 / (this + 1).
+/// Number of random permutations; the smallest p-value is 1 / (`PERMUTATIONS` + 1).
 const PERMUTATIONS: u32 = 1999;
 
 /// Simultaneous success by direction.
@@ -19,16 +19,16 @@ const PERMUTATIONS: u32 = 1999;
 pub struct DirectionTest {
     /// Simultaneous success under each direction, over all tasks.
     pub rates: BTreeMap<u16, f64>,
-    /// p-value of all directions being alike: the share of permutations of outcomes within
-    /// tasks that spread the directions' rates at least as far.
+    /// p-value of the hypothesis that all directions are alike: the share of permutations of
+    /// outcomes within tasks that spread the directions' rates at least as far.
     pub p: f64,
 }
 
 impl DirectionTest {
-    /// The permutation form of Cochran's Q: the statistic is Σ_c n_c (s̄_c − s̄)², and
-    /// outcomes are permuted within each task, which leaves tasks as hard as they are. The
-    /// seed is fixed. None with fewer than two directions or tasks, or where directions
-    /// are not shared.
+    /// Runs the permutation form of Cochran's Q: the statistic is Σ_c n_c (s̄_c − s̄)², and
+    /// outcomes are permuted within each task, which preserves each task's difficulty. The
+    /// seed is fixed. `None` with fewer than two directions or tasks, or if directions are
+    /// not shared.
     ///
     /// Source: W. G. Cochran, The comparison of percentages in matched samples, Biometrika
     /// 37 (1950), 256–266.
@@ -56,7 +56,7 @@ impl DirectionTest {
         let rarer = 2 * successes.count() <= trials;
         let mut sizes = vec![0.0; numbers.len()];
         let mut rare = vec![0.0; numbers.len()];
-        // Per task, the places of its directions, and how many have the rarer outcome.
+        // Per task, the indices of its directions and the number of rarer outcomes.
         let mut places: Vec<(Vec<usize>, usize)> = Vec::new();
         for outcomes in tasks.values() {
             let of_task = outcomes.iter().map(|(number, _)| place(*number));
@@ -99,7 +99,7 @@ impl DirectionTest {
         Some(Self { rates, p })
     }
 
-    /// The lowest and the highest rate.
+    /// Returns the lowest and the highest rate.
     pub fn range(&self) -> [f64; 2] {
         let rates = self.rates.values().copied();
         [
@@ -109,7 +109,7 @@ impl DirectionTest {
     }
 }
 
-/// Uniform in 0..`end`.
+/// Draws an integer uniformly from 0..`end`.
 fn below(end: usize, rng: &mut ChaCha12Rng) -> usize {
     ((u64::from(rng.next_u32()) * end as u64) >> 32) as usize
 }

@@ -1,16 +1,16 @@
-//! Equivalence: two rates certainly differ by less than a margin. A difference that is not
-//! significant says only that the data are too few.
+//! Equivalence test: shows that two rates differ by less than a margin, which a merely
+//! non-significant difference does not.
 
 use crate::inference::estimate::Estimate;
 use crate::inference::student_t::upper_tail;
 
-/// Differences of less than this are said to be none, a fraction: 5 points, as the
-/// reproduction gate tolerates.
+/// Largest difference that counts as equivalent, a fraction: 5 points, the tolerance of the
+/// reproduction gate.
 pub const EQUIVALENCE_MARGIN: f64 = 0.05;
 
-/// p-value of the two one-sided tests that a difference lies beyond
+/// Returns the p-value of the two one-sided tests (TOST) that a difference lies beyond
 /// ±[`EQUIVALENCE_MARGIN`], for new tasks: the greater of P(T > (Δ + v)/s) and
-/// P(T > (Δ − v)/s). Absent without a standard error.
+/// P(T > (Δ − v)/s). `None` without a standard error.
 ///
 /// Source: D. J. Schuirmann, A comparison of the two one-sided tests procedure and the
 /// power approach for assessing the equivalence of average bioavailability, Journal of

@@ -1,4 +1,4 @@
-//! A figure with an interval for each target of inference.
+//! A point estimate with an interval for each target of inference.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,49 +6,48 @@ use crate::bootstrap::Interval;
 use crate::inference::sample::{NO_VARIANCE, Sample, Variance};
 use crate::inference::student_t::{two_sided_quantile, two_sided_tail};
 
-/// Fewest tasks that give an interval by Student's t. The command
-/// `cargo run --release -p paired --example coverage` prints how often intervals of so
-/// many tasks hold the truth.
+/// Smallest number of tasks that gives an interval by Student's t. The command
+/// `cargo run --release -p paired --example coverage` prints the coverage of intervals with
+/// so few tasks.
 pub const FEWEST_TASKS: usize = 5;
 
 /// Error probability of an interval.
 const ALPHA: f64 = 0.05;
 
-/// A figure, a fraction, and its 95 % intervals, one for each population that it can be
-/// about. Each is absent where the data do not allow it: fewer than [`FEWEST_TASKS`]
-/// tasks, a task with one configuration, or no spread at all.
+/// A point estimate, a fraction, with a 95 % interval for each target population. An interval
+/// is absent if the data do not allow it: fewer than [`FEWEST_TASKS`] tasks, a task with one
+/// configuration, or no variance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
-    /// The figure.
+    /// The point estimate.
     pub value: f64,
-    /// About these tasks and these directions: what other initial states and the chance
-    /// of rollouts would change.
+    /// Interval for these tasks and these directions, over other initial states and the
+    /// chance of rollouts.
     pub these_tasks: Option<Interval>,
-    /// About new tasks of the same suites under these directions.
+    /// Interval for new tasks of the same suites under these directions.
     pub new_tasks: Option<Interval>,
-    /// About new tasks of the same suites and new directions.
+    /// Interval for new tasks of the same suites and new directions.
     pub new_tasks_and_directions: Option<Interval>,
-    /// Standard error for new tasks; absent as their interval.
+    /// Standard error for new tasks; absent if `new_tasks` is.
     pub standard_error: Option<f64>,
-    /// Degrees of freedom of it.
+    /// Degrees of freedom of `standard_error`.
     pub df: Option<f64>,
 }
 
-/// Scale on which an interval is computed from a figure and its variance.
+/// Scale on which an interval is computed from an estimate and its variance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Scale {
-    /// A share, by Wilson's score interval of as many independent outcomes as have this
-    /// variance.
+    /// A share: Wilson's score interval with the effective number of outcomes.
     Share,
-    /// A product of shares, ± t standard errors of the logarithm of −ln of it: that is a sum
-    /// over the shares, and skewed as they are, near 0 and near 1.
+    /// A product of shares: ± t standard errors on the complementary log-log scale, because a
+    /// product is skewed near 0 and near 1.
     Product,
-    /// A difference, ± t standard errors.
+    /// A difference: ± t standard errors.
     Difference,
 }
 
 impl Estimate {
-    /// A statistic of some rows, a function of their sums; none where it is undefined.
+    /// Estimates a statistic, a function of the rows' sums; `None` if it is undefined.
     pub(crate) fn of(
         sample: &Sample,
         scale: Scale,
@@ -84,7 +83,7 @@ impl Estimate {
         })
     }
 
-    /// The same of the figure with the other sign.
+    /// Returns the estimate of the negated value.
     pub(crate) fn negated(&self) -> Self {
         let flip = |interval: Option<Interval>| interval.map(|[low, high]| [-high, -low]);
         Self {
@@ -96,15 +95,15 @@ impl Estimate {
         }
     }
 
-    /// Two-sided p-value, for new tasks, of the figure being 0; absent without a standard
-    /// error.
+    /// Returns the two-sided p-value, for new tasks, of the hypothesis that the value is 0;
+    /// `None` without a standard error.
     pub fn p(&self) -> Option<f64> {
         let (error, df) = (self.standard_error?, self.df?);
         Some(two_sided_tail(self.value / error, df))
     }
 }
 
-/// value ± t·√V; none without spread.
+/// Returns value ± t·√V; `None` without variance.
 fn around(
     value: f64,
     Variance {
@@ -139,9 +138,9 @@ fn around_product(
     Some([half, -half].map(|half| value.powf(half.exp())))
 }
 
-/// Wilson's score interval of a share with the effective number of outcomes
-/// n = p(1 − p)/V and Student's quantile. A share of 0 or 1 has no variance; it counts as
-/// one outcome of each of `units`.
+/// Returns Wilson's score interval of a share with the effective number of outcomes
+/// n = p(1 − p)/V and Student's quantile. A share of 0 or 1 has no variance; each of `units`
+/// then counts as one outcome.
 ///
 /// Sources: E. B. Wilson, Journal of the American Statistical Association 22 (1927),
 /// 209–212; effective numbers under clustering: E. L. Korn and B. I. Graubard, Survey
@@ -168,12 +167,12 @@ fn wilson(
     Some([(centre - half).max(0.0), (centre + half).min(1.0)])
 }
 
-/// A share: column `part` of column `whole`.
+/// Returns the statistic column `part` / column `whole`.
 pub(crate) fn share(part: usize, whole: usize) -> impl Fn(&[f64]) -> f64 {
     move |sums| sums[part] / sums[whole]
 }
 
-/// An estimate that is defined because the rows are not empty.
+/// Unwraps an estimate that is defined because the rows are not empty.
 pub(crate) fn defined(estimate: Option<Estimate>) -> Estimate {
     estimate.expect("a share of at least one configuration is defined")
 }

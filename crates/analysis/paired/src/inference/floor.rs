@@ -1,9 +1,9 @@
-//! The noise floor: what the measures come to where nothing was done, and what exceeds
-//! that at a level.
+//! The noise floor: the values that the measures take without any perturbation, and a
+//! level's excess over them.
 //!
 //! S_conj is a minimum over several outcomes and S_sim is one outcome, so that I and R_d
-//! are positive for a policy whose rollouts end by chance and no axis does anything. A
-//! placebo level, with a radius so small that no policy should care, measures this.
+//! are positive for a policy with random outcomes even if no axis has an effect. A placebo
+//! level, with a radius too small to affect any policy, measures this.
 
 use std::collections::BTreeMap;
 
@@ -14,41 +14,41 @@ use crate::inference::estimate::{Estimate, Scale, share};
 use crate::inference::sample::{Row, Sample};
 use crate::outcomes::Matched;
 
-/// The four measures that simultaneity is judged by.
+/// The four measures of simultaneity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Simultaneity {
     /// Share of emergent failures.
     pub r_e: Estimate,
     /// Share of compensated successes.
     pub r_c: Estimate,
-    /// Sum of both.
+    /// `r_e` + `r_c`.
     pub r_d: Estimate,
     /// `r_c` − `r_e`.
     pub i: Estimate,
 }
 
-/// The noise floor and what a level has beyond it, tasks paired.
+/// The noise floor and a level's excess over it, paired by task.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Excess {
     /// Complete configurations of the level.
     pub n: u64,
     /// Complete configurations of the placebo.
     pub placebo: u64,
-    /// The placebo's measures, averaged over which of a configuration's rollouts is taken
-    /// for the simultaneous one.
+    /// The placebo's measures, averaged over the choice of the rollout of a configuration
+    /// that takes the role of the simultaneous one.
     pub floor: Simultaneity,
-    /// The level's measures less the floor.
+    /// The level's measures minus the floor.
     pub excess: Simultaneity,
 }
 
-/// Columns: complete at the level, emergent, compensated; complete in the placebo, and
-/// both expected under it.
+/// Columns of a row: complete at the level, emergent, compensated; then complete in the
+/// placebo and the expected values of both there.
 const LEVEL: [usize; 3] = [0, 1, 2];
 const PLACEBO: [usize; 3] = [3, 4, 5];
 
 impl Excess {
-    /// Over the complete configurations of each. None where one has none, or where they
-    /// have different axes.
+    /// Computes the excess over the complete configurations of the level and the placebo.
+    /// `None` if either has none or if their axes differ.
     pub(crate) fn of(
         matched: &[Matched],
         placebo: &[Matched],
@@ -117,14 +117,14 @@ impl Excess {
     }
 }
 
-/// How often a configuration of `rollouts` rollouts of which `successes` succeed is an
-/// emergent failure and a compensated success, if each of the rollouts is equally likely
-/// to be the simultaneous one.
+/// Returns the probabilities that a configuration with `successes` among `rollouts` is an
+/// emergent failure and a compensated success, if each rollout is equally likely to be the
+/// simultaneous one.
 ///
-/// Nothing is done in any rollout of a placebo, so that they are exchangeable; the average
-/// has the same expectation as the measure itself and a smaller variance (D. Blackwell,
-/// Annals of Mathematical Statistics 18 (1947), 105–110). A lone failure is emergent where
-/// it falls to the simultaneous rollout. A success beside any failure is compensated.
+/// No rollout of a placebo is perturbed, so that they are exchangeable; the average has the
+/// same expectation as the measure itself and a smaller variance (D. Blackwell, Annals of
+/// Mathematical Statistics 18 (1947), 105–110). A lone failure is emergent if it is the
+/// simultaneous rollout. A simultaneous success beside any failure is compensated.
 fn expected(successes: usize, rollouts: usize) -> (f64, f64) {
     let part = |count: usize| count as f64 / rollouts as f64;
     let failures = rollouts - successes;
@@ -133,12 +133,12 @@ fn expected(successes: usize, rollouts: usize) -> (f64, f64) {
     (emergent, compensated)
 }
 
-/// The most that chance alone can make of R_d and of I, given how often two rollouts that
-/// nothing distinguishes end differently: (k + 1)/2 and (k − 1)/2 times that share, for k
+/// Returns upper bounds of R_d and I by chance alone, given the share `flips` of pairs of
+/// identical rollouts that end differently: (k + 1)/2 and (k − 1)/2 times that share, for k
 /// axes.
 ///
 /// A configuration that succeeds with probability p, independently under each of k axes
-/// and simultaneously, ends two rollouts differently with probability f = 2p(1 − p), has
+/// and simultaneously, has two different outcomes with probability f = 2p(1 − p), has
 /// I = p − p^k = f·(1 + p + … + p^(k−2))/2 ≤ f·(k − 1)/2, and
 /// R_d = p − p^k + 2p^k(1 − p) ≤ f·(k + 1)/2. Configurations may differ in p.
 pub fn chance_bounds(flips: f64, axes: usize) -> [f64; 2] {

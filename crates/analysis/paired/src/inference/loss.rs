@@ -1,5 +1,5 @@
-//! Success lost under each condition, against the nominal rollouts of the same initial
-//! states.
+//! Loss of success under each condition, relative to the nominal rollouts of the same
+//! initial states.
 
 use std::collections::BTreeMap;
 
@@ -16,15 +16,15 @@ use crate::outcomes::Matched;
 /// The loss under each condition.
 pub type Losses = BTreeMap<Condition, Loss>;
 
-/// Nominal success less success under a condition, over the configurations with both
-/// outcomes. Every condition of a level rests on the same initial states.
+/// Nominal success minus success under a condition, over the configurations with both
+/// outcomes. Every condition of a level uses the same initial states.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Loss {
     /// Configurations with both outcomes.
     pub n: u64,
-    /// Nominal success over these.
+    /// Nominal success over these configurations.
     pub nominal: Estimate,
-    /// Success under the condition over these.
+    /// Success under the condition over these configurations.
     pub success: Estimate,
     /// `nominal` − `success`.
     pub loss: Estimate,
@@ -34,10 +34,10 @@ pub struct Loss {
     pub condition_only: u64,
     /// Exact two-sided sign-flip p-value of the loss over tasks.
     pub sign_flip_p: f64,
-    /// The same after Holm's correction for the conditions of the level.
+    /// `sign_flip_p` after Holm's correction for the conditions of the level.
     pub holm_p: f64,
-    /// p-value of the loss lying outside of ±[`EQUIVALENCE_MARGIN`]; small where it
-    /// certainly lies within. Absent without a standard error.
+    /// Equivalence p-value of the hypothesis that the loss lies outside
+    /// ±[`EQUIVALENCE_MARGIN`]. Absent without a standard error.
     ///
     /// [`EQUIVALENCE_MARGIN`]: crate::EQUIVALENCE_MARGIN
     pub equivalence_p: Option<f64>,
@@ -49,7 +49,7 @@ const NOMINAL: usize = 1;
 const SUCCESS: usize = 2;
 
 impl Loss {
-    /// Of every condition that has an outcome beside a nominal one.
+    /// Computes the loss under every condition that has a configuration with both outcomes.
     pub(crate) fn of_each(matched: &[Matched], directions: Directions) -> Losses {
         let axes = matched.iter().flat_map(|matched| matched.alone.keys());
         let conditions = axes.map(|&axis| Condition::Single(axis));

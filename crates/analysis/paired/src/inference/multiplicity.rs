@@ -1,13 +1,13 @@
-//! Several tests and intervals at once: Holm's correction and max-t intervals.
+//! Multiple testing: Holm's correction and simultaneous max-t intervals.
 
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::bootstrap::{Bootstrap, quantile};
 
-/// p-values that may be read together: under 5 %, all that are reported to be below it
-/// are right at once with a probability of 95 %. The j-th smallest of m becomes
-/// max_{i ≤ j} min(1, (m − i + 1)·p_(i)).
+/// Adjusts p-values for multiple testing: rejecting all hypotheses with an adjusted value
+/// below 5 % makes any false rejection with a probability of at most 5 %. The j-th smallest of
+/// m becomes max_{i ≤ j} min(1, (m − i + 1)·p_(i)).
 ///
 /// Source: S. Holm, A simple sequentially rejective multiple test procedure,
 /// Scandinavian Journal of Statistics 6 (1979), 65–70.
@@ -24,10 +24,10 @@ pub fn holm(p_values: &[f64]) -> Vec<f64> {
     adjusted
 }
 
-/// How many standard errors wide simultaneous 95 % intervals of several statistics of the
-/// same tasks are: the 95th percentile of max_k |Σ_g w_g u_gk| / s*_k over random signs w,
-/// with u the jackknife's pseudo-values of task g and statistic k and s* the standard
-/// error under the same signs. None with fewer than two tasks or without a spread.
+/// Returns the half-width, in standard errors, of simultaneous 95 % intervals of several
+/// statistics of the same tasks: the 95th percentile of max_k |Σ_g w_g u_gk| / s*_k over
+/// random signs w, with u the jackknife's pseudo-values of task g and statistic k and s* the
+/// standard error under the same signs. `None` with fewer than two tasks or without variance.
 ///
 /// Sources: J. P. Romano and M. Wolf, Exact and approximate stepdown methods for multiple
 /// hypothesis testing, JASA 100 (2005), 94–108; signs of whole clusters: A. C. Cameron,

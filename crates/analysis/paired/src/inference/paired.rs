@@ -34,32 +34,33 @@ pub struct PairedEstimates {
     pub r_d: Estimate,
 }
 
-/// Rates among the configurations that can change: how many these are depends on the
-/// level, so that R_e and R_c of two levels do not compare.
+/// Rates among the configurations that can change. Their number depends on the level, so
+/// that R_e and R_c of two levels are not comparable.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Eligible {
-    /// b / (n·S_conj): of configurations that succeed under every axis alone, those that
-    /// fail simultaneously. Absent where none does.
+    /// b / (n·S_conj): share of simultaneous failures among the configurations that succeed
+    /// under every axis alone. Absent if no configuration does.
     pub emergent: Option<Estimate>,
-    /// c / (n·(1 − S_conj)): of the others, those that succeed simultaneously. Absent
-    /// where there is none.
+    /// c / (n·(1 − S_conj)): share of simultaneous successes among all other configurations.
+    /// Absent if there are none.
     pub compensated: Option<Estimate>,
 }
 
-/// Simultaneous success against what independent axes would leave of nominal success.
+/// Simultaneous success against the prediction for independent axes relative to nominal
+/// success.
 ///
 /// S_indep multiplies the axes' success rates, and so counts nominal failures once per
 /// axis. Relative to nominal success N the prediction is N · Π_a (S_a / N), which is exact
-/// where each axis keeps a share of what succeeds nominally, independently of the others.
+/// if each axis preserves a share of the nominal successes independently of the others.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Relative {
     /// Complete configurations with a nominal outcome.
     pub n: u64,
-    /// N, over these.
+    /// N, over these configurations.
     pub nominal: Estimate,
     /// N · Π_a (S_a / N).
     pub prediction: Estimate,
-    /// S_sim less that.
+    /// S_sim − `prediction`.
     pub difference: Estimate,
 }
 
@@ -101,7 +102,7 @@ fn product(sums: &[f64]) -> f64 {
 }
 
 impl PairedEstimates {
-    /// Returns none where no configuration is complete.
+    /// Returns `None` if no configuration is complete.
     pub(crate) fn of(matched: &[Matched], directions: Directions) -> Option<Self> {
         let rows = complete(matched);
         let sample = Sample::new(&rows, directions)?;
@@ -162,7 +163,7 @@ impl Relative {
     }
 }
 
-/// The sign-flip p-value of I, tasks as clusters.
+/// Returns the sign-flip p-value of I, with tasks as clusters.
 pub(crate) fn i_sign_flip_p(matched: &[Matched]) -> f64 {
     let mut net: BTreeMap<TaskRef, i64> = BTreeMap::new();
     for configuration in matched.iter().filter_map(Matched::configuration) {

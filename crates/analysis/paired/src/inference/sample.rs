@@ -1,18 +1,17 @@
-//! Configurations as rows of numbers, and the grouped jackknife over them: how far a
-//! statistic would move with other tasks, other directions or other rollouts.
+//! Configurations as rows of numbers, and the grouped jackknife over them, which estimates
+//! a statistic's variance over tasks, directions and rollouts.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use libero_ctrl::{Directions, Suite, TaskRef};
 
-/// One configuration: what is added up of it.
+/// One configuration as a row of addends.
 #[derive(Clone, Debug)]
 pub(crate) struct Row {
-    /// Its task.
     pub(crate) task: TaskRef,
-    /// Its number, which is the direction's that all tasks share.
+    /// Number of the configuration, which is also the number of the shared direction.
     pub(crate) direction: u16,
-    /// Numbers, the same for every row. A statistic is a function of their sums.
+    /// Addends; every row has the same columns. A statistic is a function of their sums.
     pub(crate) values: Vec<f64>,
 }
 
@@ -32,12 +31,12 @@ pub(crate) struct Sample {
     by_direction: Stratum,
 }
 
-/// Groups of which one at a time is left out.
+/// Groups that the jackknife leaves out one at a time.
 #[derive(Clone, Debug)]
 struct Stratum {
     /// The sums of each group.
     groups: Vec<Vec<f64>>,
-    /// The sums of all.
+    /// The sums over all groups.
     whole: Vec<f64>,
 }
 
@@ -57,8 +56,8 @@ pub(crate) struct Variance {
     pub(crate) df: f64,
 }
 
-/// The variances of a statistic for each target of inference; absent where the rows
-/// cannot tell.
+/// The variances of a statistic for each target of inference; `None` if the rows do not
+/// determine one.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Variances {
     pub(crate) these_tasks: Option<Variance>,
@@ -67,7 +66,7 @@ pub(crate) struct Variances {
 }
 
 impl Sample {
-    /// Returns none if there are no rows.
+    /// Returns `None` if there are no rows.
     pub(crate) fn new(rows: &[Row], directions: Directions) -> Option<Self> {
         if rows.is_empty() {
             return None;
@@ -112,15 +111,15 @@ impl Sample {
         self.rows
     }
 
-    /// The variances of a statistic: a function of sums that does not change when all of
-    /// them are multiplied by one number.
+    /// Returns the variances of a statistic, which must be a function of sums that is
+    /// invariant under scaling all of them by the same factor.
     ///
     /// V_T and V_TD leave out a task and a configuration at a time, within strata of
-    /// suites, V_D a direction at a time. Of new tasks the variance is V_T; of new tasks
+    /// suites, V_D a direction at a time. The variance for new tasks is V_T; for new tasks
     /// and new directions it is V_T + V_D − V_TD, at least the greater of V_T and V_D,
-    /// with Satterthwaite's degrees of freedom. Of these tasks, configurations are left
-    /// out within their tasks; that counts what directions do within a task as chance,
-    /// so that it is never too small.
+    /// with Satterthwaite's degrees of freedom. For these tasks, configurations are left
+    /// out within their tasks; this counts effects of directions within a task as chance,
+    /// so that the variance is never too small.
     ///
     /// Sources: J. N. K. Rao and J. Shao, Jackknife variance estimation with survey data,
     /// Biometrika 79 (1992), 811–822 (strata); A. C. Cameron, J. B. Gelbach and
@@ -146,8 +145,8 @@ impl Sample {
         }
     }
 
-    /// Σ_h (G_h − 1)/G_h · Σ_i (θ_(hi) − θ̄_h)², G_h groups in stratum h, with
-    /// Σ_h (G_h − 1) degrees of freedom. None where a stratum has one group.
+    /// Returns Σ_h (G_h − 1)/G_h · Σ_i (θ_(hi) − θ̄_h)² for G_h groups in stratum h, with
+    /// Σ_h (G_h − 1) degrees of freedom. `None` if a stratum has fewer than two groups.
     fn jackknife(&self, statistic: &dyn Fn(&[f64]) -> f64, strata: &[Stratum]) -> Option<Variance> {
         let (mut value, mut df) = (0.0, 0.0);
         for stratum in strata {
@@ -164,8 +163,8 @@ impl Sample {
         value.is_finite().then_some(Variance { value, df })
     }
 
-    /// The statistic without each group of a stratum; the others of that stratum stand in
-    /// for it, so that strata keep their weights.
+    /// Returns the statistic without each group of a stratum in turn. The other groups of
+    /// the stratum are scaled up, so that strata keep their weights.
     fn without_each(&self, statistic: &dyn Fn(&[f64]) -> f64, stratum: &Stratum) -> Vec<f64> {
         let groups = stratum.groups.len() as f64;
         let stand_in = groups / (groups - 1.0);
@@ -181,7 +180,7 @@ impl Sample {
     }
 }
 
-/// V_T + V_D − V_TD, at least the greater of V_T and V_D.
+/// Returns the two-way clustered variance V_T + V_D − V_TD, at least max(V_T, V_D).
 fn crossed(tasks: Variance, directions: Variance, cells: Variance) -> Variance {
     let value = (tasks.value + directions.value - cells.value)
         .max(tasks.value)
@@ -194,7 +193,8 @@ fn crossed(tasks: Variance, directions: Variance, cells: Variance) -> Variance {
     Variance { value, df }
 }
 
-/// The rows of tasks, in strata of suites; in one stratum where a suite has a single task.
+/// Groups rows by task in strata of suites, or in a single stratum if any suite has only one
+/// task.
 fn tasks_in_suites(rows: &[Row]) -> Vec<Vec<Vec<&Row>>> {
     let mut suites: BTreeMap<Suite, BTreeMap<TaskRef, Vec<&Row>>> = BTreeMap::new();
     for row in rows {

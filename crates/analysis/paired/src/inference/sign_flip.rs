@@ -1,12 +1,12 @@
-//! The sign-flip test of clustered differences, exactly.
+//! Exact sign-flip test of clustered differences.
 
-/// Two-sided exact p-value of the tasks' net changes under the hypothesis that either
-/// sign of each task's change is equally likely: the share of the 2^G assignments of
-/// signs whose sum is at least as far from 0 as the one observed. It respects that
-/// rollouts of a task resemble one another, which McNemar's test does not.
+/// Returns the two-sided exact p-value of the tasks' net changes under the hypothesis that
+/// both signs of each task's change are equally likely: the share of the 2^G assignments of
+/// signs whose sum is at least as far from 0 as the observed one. Unlike McNemar's test, it
+/// accounts for the correlation of rollouts of a task.
 ///
-/// The distribution of the sum is found by adding one task after the other, so that no
-/// assignment is enumerated or drawn.
+/// The distribution of the sum is computed by convolution, one task after the other, without
+/// enumerating or sampling assignments.
 ///
 /// Source: R. A. Fisher, The Design of Experiments (1935), section 21; for clusters:
 /// I. A. Canay, J. P. Romano and A. M. Shaikh, Econometrica 85 (2017), 1013–1030.

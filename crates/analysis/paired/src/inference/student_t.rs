@@ -1,8 +1,8 @@
 //! Student's t distribution: quantiles for intervals, tails for tests.
 
-/// Steps of Newton's method, at most: few are taken, except with one degree of freedom.
+/// Largest number of Newton steps; few are needed, except with one degree of freedom.
 const MOST_STEPS: u32 = 100;
-/// Terms of the continued fraction, at most.
+/// Largest number of terms of the continued fraction.
 const TERMS: u32 = 500;
 /// Relative error at which the continued fraction is taken to have converged.
 const PRECISION: f64 = 1e-15;
@@ -25,8 +25,8 @@ pub(crate) fn upper_tail(t: f64, df: f64) -> f64 {
     if t >= 0.0 { half } else { 1.0 - half }
 }
 
-/// The t that |T| exceeds with probability `alpha`, by Newton's method from 0: the tail is
-/// convex there, so that every step stays below the root.
+/// Returns the t that |T| exceeds with probability `alpha`, by Newton's method from 0. The
+/// tail is convex for t ≥ 0, so that every step stays below the root.
 pub(crate) fn two_sided_quantile(alpha: f64, df: f64) -> f64 {
     let ln_constant =
         ln_gamma((df + 1.0) / 2.0) - ln_gamma(df / 2.0) - 0.5 * (df * std::f64::consts::PI).ln();
@@ -42,8 +42,8 @@ pub(crate) fn two_sided_quantile(alpha: f64, df: f64) -> f64 {
     t
 }
 
-/// I_x(a, b), by Lentz's evaluation of its continued fraction, on the side of the mean
-/// on which that converges fast.
+/// Returns I_x(a, b) by Lentz's method for its continued fraction, on the side of the mean
+/// where the fraction converges fast.
 ///
 /// Source: Abramowitz and Stegun, 26.5.8; W. J. Lentz, Applied Optics 15 (1976),
 /// 668–671.
@@ -110,7 +110,7 @@ fn ln_gamma(z: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// SciPy's `stats.t`.
+    /// Expected values are from SciPy's `stats.t`.
     #[test]
     fn quantiles_and_tails_are_those_of_the_tables() {
         for (df, expected) in [

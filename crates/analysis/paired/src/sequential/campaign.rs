@@ -1,4 +1,4 @@
-//! A campaign that may end early: what is known of it, level by level.
+//! Looks at a campaign that may end early: its confidence sequences by level.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,30 +10,29 @@ use crate::sequential::measures::SequentialMeasures;
 use crate::sequential::new_tasks::NewTasks;
 use crate::sequential::order::Order;
 
-/// The intervals of a level, or of a comparison, ever miss with a probability of at
-/// most this.
+/// Largest probability that an interval of a level, or of a comparison, ever misses.
 pub const SEQUENTIAL_ALPHA: f64 = 0.05;
 
 /// A configuration: its task and its number.
 pub type Unit = (TaskRef, u16);
 
 /// A look at a campaign that may end early. All levels rest on the same
-/// configurations: the drawn order up to the first that is not complete.
+/// configurations: the drawn order up to the first incomplete one.
 ///
-/// One is complete when all its rollouts have ended, at all levels and under all
-/// conditions, and its nominal rollout too where the campaign has it: those that the
-/// intervals are not about count in other figures.
+/// A configuration is complete when all its rollouts have ended, at all levels and under
+/// all conditions, including its nominal rollout if the campaign runs one. Rollouts that
+/// the intervals do not use count in other figures.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CampaignLook {
-    /// The configurations that it rests on, in the drawn order.
+    /// Configurations that the look rests on, in the drawn order.
     pub used: Vec<Unit>,
-    /// Configurations of the campaign.
+    /// Number of configurations of the campaign.
     pub units: usize,
     /// The look at each level.
     pub levels: BTreeMap<Level, Look>,
 }
 
-/// The order in which a campaign runs its configurations.
+/// Returns the order in which a campaign runs its configurations.
 pub fn drawn_order(stop: &Stop, units: impl IntoIterator<Item = Unit>) -> Order<Unit> {
     match stop.strata {
         Strata::Suites => Order::new(stop.seed, units, |(task, _)| task.suite()),
@@ -90,7 +89,7 @@ impl Sequences {
 }
 
 impl CampaignLook {
-    /// Returns the look at the current outcomes; none of a campaign without configurations.
+    /// Returns the look at the current outcomes; `None` if the campaign has no configurations.
     pub fn now(records: &Records, stop: &Stop) -> Option<Self> {
         Walk::begin(records, stop).map(|mut walk| {
             while walk.step() {}
@@ -98,9 +97,9 @@ impl CampaignLook {
         })
     }
 
-    /// The first look at which the rule holds at every level, if that is before the
-    /// last configuration. A function of the outcomes: those that lie beyond that
-    /// look in the drawn order do not change it.
+    /// Returns the first look at which the rule holds at every level; `None` if that is not
+    /// before the last configuration. Outcomes beyond that look in the drawn order do not
+    /// affect it.
     pub fn when_met(records: &Records, stop: &Stop) -> Option<Self> {
         let mut walk = Walk::begin(records, stop)?;
         while walk.step() {
@@ -112,10 +111,10 @@ impl CampaignLook {
         None
     }
 
-    /// Of the records of a campaign that stopped early, those of the configurations that
-    /// its last look rests on, with their nominal rollouts: which of the others came to an
-    /// end depends on how long they took, and so on how they ended. None if its rule is
-    /// not met.
+    /// Returns the records that count in a campaign that stopped early: those of the
+    /// configurations that its last look rests on, with their nominal rollouts. The others
+    /// would bias figures, because whether one finished depends on its duration and
+    /// therefore on its outcome. `None` if the rule is not met.
     pub fn counted_when_met(records: &[Record], stop: &Stop) -> Option<Vec<Record>> {
         let matched = Records::new(records).ok()?;
         Some(Self::when_met(&matched, stop)?.counted(records))
@@ -135,7 +134,7 @@ fn unit(id: RolloutId) -> Option<Unit> {
     Some((id.task(), id.config()?))
 }
 
-/// The nominal rollout of a record's configuration.
+/// Returns the nominal rollout of a record's configuration.
 fn nominal(record: &Record) -> RolloutId {
     RolloutId::clean(record.id.task(), record.init_id)
 }
@@ -144,14 +143,14 @@ fn nominal(record: &Record) -> RolloutId {
 struct Walk<'a> {
     order: Vec<Unit>,
     configurations: BTreeMap<(Level, Unit), &'a Matched>,
-    /// Configurations of which some rollout has not ended.
+    /// Configurations with a rollout that has not ended.
     open: BTreeSet<Unit>,
     sequences: BTreeMap<Level, Sequences>,
     look: CampaignLook,
 }
 
 impl<'a> Walk<'a> {
-    /// Before the first configuration.
+    /// Starts the walk before the first configuration.
     fn begin(records: &'a Records, stop: &Stop) -> Option<Self> {
         let of_first_replicate = records.configurations().iter();
         let of_first_replicate = of_first_replicate.filter(|it| it.replicate == 0);
@@ -162,7 +161,7 @@ impl<'a> Walk<'a> {
         if units.is_empty() {
             return None;
         }
-        // The placebo level is the floor of the others, and may be run in few configurations.
+        // The placebo level only serves as the noise floor and may have few configurations.
         let levels = configurations.keys().map(|(level, _)| *level);
         let levels: BTreeSet<Level> = levels.filter(|level| *level != Level::L0).collect();
         if levels.is_empty() {
@@ -186,7 +185,7 @@ impl<'a> Walk<'a> {
         })
     }
 
-    /// Takes the next configuration. False if there is none, or it is not complete.
+    /// Takes the next configuration. Returns false if there is none or it is incomplete.
     fn step(&mut self) -> bool {
         let Some(&unit) = self.order.get(self.look.used.len()) else {
             return false;

@@ -1,5 +1,5 @@
-//! Two campaigns that run their configurations in the same drawn order, compared
-//! while they run.
+//! Sequential comparison of two campaigns that run their configurations in the same drawn
+//! order.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,23 +17,22 @@ pub struct ComparedLook {
     pub level: Level,
     /// The condition.
     pub condition: Condition,
-    /// The interval, after the configurations that both have.
+    /// The interval over the configurations that both campaigns have completed.
     pub look: Look,
     /// Number of configurations after which the rule was first met, if it was.
     pub met_after: Option<usize>,
 }
 
-/// Two campaigns with different configurations: their orders differ.
+/// Error: the campaigns have different configurations, so that their orders differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotInOneOrder;
 
-/// Looks at the difference under every condition at every perturbed level, in the
-/// first replicate; `order` is the drawn order of both campaigns. A condition is left
-/// out if one of them lacks it in any configuration, or if any of its rollouts is
-/// `unpaired`.
+/// Returns the looks at the difference under every condition at every perturbed level, in
+/// the first replicate; `order` is the drawn order of both campaigns. A condition is skipped
+/// if either campaign lacks it in any configuration or if any of its rollouts is `unpaired`.
 ///
 /// # Errors
-/// If one campaign has a configuration that the other has not.
+/// If one campaign has a configuration that the other lacks.
 pub fn compared_looks(
     [a, b]: [&[Record]; 2],
     unpaired: &BTreeSet<RolloutId>,

@@ -13,14 +13,14 @@ use crate::sequential::together::Together;
 /// The confidence sequence of success rate A − success rate B over the same
 /// rollouts: those of one condition at one level, in strata of tasks.
 ///
-/// Rollouts may be given in any order, and are used in the drawn order, as
-/// [`SequentialMeasures`](crate::SequentialMeasures) uses configurations.
+/// Rollouts may complete in any order and are used in the drawn order, like the
+/// configurations of [`SequentialMeasures`](crate::SequentialMeasures).
 #[derive(Clone, Debug)]
 pub struct SequentialDifference<U>(Together<U, 1>);
 
 impl<U: Ord + Clone + fmt::Debug> SequentialDifference<U> {
-    /// Before the first rollout. The interval holds at all looks with a
-    /// probability of at least 1 − `alpha`; the protocol's is 0.05.
+    /// Creates the sequence before the first rollout. The interval holds at all looks with a
+    /// probability of at least 1 − `alpha`; the protocol's `alpha` is 0.05.
     ///
     /// # Panics
     /// If `alpha` is not between 0 and 1, or the order has no unit.
@@ -29,9 +29,9 @@ impl<U: Ord + Clone + fmt::Debug> SequentialDifference<U> {
         Self(Together::new(order, measures, alpha))
     }
 
-    /// Takes a rollout's outcomes under A and under B. While one of them is
-    /// missing, nothing is taken. Where one is in quarantine, the interval holds
-    /// whichever it would have been. The first outcomes of a rollout count.
+    /// Adds a rollout's outcomes under A and under B; ignored while either is missing. If one
+    /// is quarantined, the interval is valid for both of its possible outcomes. Only the
+    /// first outcomes given for a rollout count.
     ///
     /// # Errors
     /// If the rollout is not in the order.
@@ -42,7 +42,7 @@ impl<U: Ord + Clone + fmt::Debug> SequentialDifference<U> {
         self.0.complete(unit, [[a[0] - b[1], a[1] - b[0]]])
     }
 
-    /// The interval now.
+    /// Returns the current interval.
     pub fn look(&self) -> Look {
         self.0.look()
     }

@@ -1,28 +1,28 @@
-//! Evidence of the draws so far against each candidate for the population's total.
-//! The proof is in `sequential`.
+//! E-process: evidence of the draws so far against each candidate for the population's
+//! total. The proof is in `sequential`.
 
-/// Sizes of bets, for and against: relative to the values' unit, and made
-/// larger as a stratum runs out ([`Stratum::stake`]). Each is about best for one
-/// width of the interval, from that of a fifth of the population to that of nine
-/// tenths; the average of all is never far from the best.
+/// Sizes of the bets in both directions, relative to the values' unit; they grow
+/// as a stratum runs out ([`Stratum::stake`]). Each is nearly optimal for one
+/// width of the interval, from the width after a fifth of the population to that after
+/// nine tenths; the average of all is never far from the best.
 const SIZES: [f64; 4] = [0.15, 0.25, 0.4, 0.7];
 
-/// Most of the capital that a bet may lose on one draw.
+/// Largest share of the capital that a bet may lose on one draw.
 const MOST_LOST: f64 = 0.9;
 
-/// Draws of value halfway between least and greatest, as which the centre counts
-/// what it knows before the first draw.
+/// Weight of the prior of the centre: a number of virtual draws with the middle value of
+/// the range.
 const PRIOR_DRAWS: f64 = 2.0;
 
-/// As how many draws of a stratum the mean over all strata counts in its centre.
-/// The centre decides only how narrow intervals are, not whether they hold.
+/// Weight of the mean over all strata in a stratum's centre, in draws of the stratum.
+/// The centre affects only the width of intervals, not their validity.
 const POOLED_DRAWS: f64 = 10.0;
 
-/// Log e-values of the candidates for the total of a finite population in
-/// strata, whose units have whole values between a least and a greatest one.
+/// Log e-values of the candidates for the total of a stratified finite population
+/// with bounded integer values.
 ///
-/// Units whose value is known only as a range are allowed: for every bet, the
-/// value is taken that makes its e-value least.
+/// The value of a unit may be known only as a range; each bet then uses the value that
+/// minimises its e-value.
 #[derive(Clone, Debug)]
 pub(crate) struct EProcess {
     /// Least and greatest value of a unit.
@@ -34,21 +34,20 @@ pub(crate) struct EProcess {
 
 /// E-values by candidate.
 pub(crate) struct EValues {
-    /// For each bet, the logs: from the least total that is still possible to the
-    /// greatest.
+    /// Log e-values of each bet, from the least possible total to the greatest.
     logs: Vec<Vec<f64>>,
 }
 
 impl EValues {
-    /// The e-value of the candidate that is `above` the least total that is still
-    /// possible: the average over the bets.
+    /// Returns the e-value of the candidate `above` units over the least possible total: the
+    /// average over the bets.
     pub(crate) fn at(&self, above: usize) -> f64 {
         let sum: f64 = self.logs.iter().map(|log| log[above].exp()).sum();
         sum / self.logs.len() as f64
     }
 }
 
-/// Units of a stratum, drawn and remaining.
+/// Counts of the drawn and remaining units of a stratum.
 #[derive(Clone, Debug)]
 struct Stratum {
     remaining: i64,
@@ -63,8 +62,8 @@ struct Bet {
     size: f64,
     /// Log of the product of the numerators.
     gains: f64,
-    /// For each stratum, minus the log of the product of the denominators, by
-    /// the stratum's total less the least one that it could have at first.
+    /// For each stratum, minus the log of the product of the denominators, indexed by
+    /// the stratum's total minus its initial least total.
     costs: Vec<Vec<f64>>,
 }
 
@@ -77,13 +76,13 @@ impl Stratum {
         ]
     }
 
-    /// The mean of its drawn units, drawn towards that of all strata.
+    /// Returns the mean of the drawn units, shrunk towards that of all strata.
     fn centre(&self, pooled: f64) -> f64 {
         (middle(self.seen) + POOLED_DRAWS * pooled) / (self.drawn as f64 + POOLED_DRAWS)
     }
 
-    /// Returns the stake of a bet on the next draw. The fewer units remain, the
-    /// further a wrong total moves the expectation of the next.
+    /// Returns the stake of a bet on the next draw. It grows as fewer units remain, because
+    /// a wrong total then shifts the expectation of the next unit further.
     fn stake(&self, size: f64, mean_size: f64, centre: f64, [least, greatest]: [i64; 2]) -> f64 {
         let stake = size * mean_size / self.remaining as f64;
         let most = MOST_LOST / (centre - least as f64);
@@ -93,7 +92,8 @@ impl Stratum {
 }
 
 impl EProcess {
-    /// Before the first draw, with the numbers of units of the strata.
+    /// Creates the process before the first draw; `sizes` are the numbers of units of the
+    /// strata.
     pub(crate) fn new(sizes: &[usize], range: [i64; 2]) -> Self {
         let strata = sizes.iter().map(|&size| Stratum {
             remaining: size as i64,
@@ -114,8 +114,8 @@ impl EProcess {
         }
     }
 
-    /// Takes a round: strata, each at most once, and the least and greatest value
-    /// that their unit can have.
+    /// Adds a round: strata, each at most once, with the least and greatest possible value
+    /// of the drawn unit.
     pub(crate) fn draw_round(&mut self, round: &[(usize, [i64; 2])]) {
         let pooled = self.pooled();
         for &(stratum, value) in round {
@@ -137,8 +137,8 @@ impl EProcess {
         let first = self.range[0] * (stratum.drawn + stratum.remaining);
         for bet in &mut self.bets {
             let stake = stratum.stake(bet.size, self.mean_size, centre, self.range);
-            // The least e-value is that of the least value if the bet is on great
-            // ones, and of the greatest otherwise, now and in all earlier draws.
+            // The e-value is smallest at the least value if the bet is on large values and
+            // at the greatest otherwise, for this draw and all earlier ones.
             let worst = usize::from(stake < 0.0);
             bet.gains += (stake * (value[worst] as f64 - centre)).ln_1p();
             for total in lowest..=highest {
@@ -161,12 +161,12 @@ impl EProcess {
         }
     }
 
-    /// The log of one bet's capital, by candidate, for the strata's totals that
-    /// make it least.
+    /// Returns the log of one bet's capital, by candidate, minimised over the strata's
+    /// totals.
     ///
-    /// Costs are convex in each stratum's total. So the best totals for a
-    /// candidate are those for the candidate before, with one more where that is
-    /// cheapest: the steps of all strata, in ascending order. Source: T. Ibaraki
+    /// Costs are convex in each stratum's total. The best totals for a candidate are
+    /// therefore those of the previous candidate with one more in the cheapest
+    /// stratum: the steps of all strata in ascending order. Source: T. Ibaraki
     /// and N. Katoh, Resource Allocation Problems (1988), section 4.2.
     fn least(&self, bet: &Bet) -> Vec<f64> {
         let mut log = bet.gains;
@@ -177,7 +177,7 @@ impl EProcess {
             log += costs[lowest];
             steps.extend(costs[lowest..=highest].windows(2).map(|it| it[1] - it[0]));
         }
-        // The steps of each stratum are in order already, which a stable sort uses.
+        // The steps of each stratum are already sorted, which makes the stable sort fast.
         steps.sort_by(f64::total_cmp);
         let mut logs = vec![log];
         for step in steps {

@@ -1,4 +1,4 @@
-//! Looks of a sequential analysis: intervals after some units.
+//! Looks of a sequential analysis: the intervals after a number of units.
 
 use std::collections::BTreeMap;
 
@@ -40,14 +40,14 @@ impl RateInterval {
     }
 }
 
-/// Intervals after some units. All of them hold together, at all looks, with a
+/// Intervals after a number of units. All of them hold simultaneously, at all looks, with a
 /// probability of 1 − α.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Look {
-    /// Units that the intervals rest on: the drawn order up to its first
+    /// Number of units that the intervals rest on: the drawn order up to its first
     /// incomplete unit.
     pub used: usize,
-    /// Units that are complete and not used, because an earlier one is not.
+    /// Number of complete units that are not used because an earlier one is incomplete.
     pub waiting: usize,
     /// Units of the population.
     pub units: usize,
@@ -56,8 +56,8 @@ pub struct Look {
 }
 
 impl Look {
-    /// Returns true if all clauses of a rule hold. An interval that the look does
-    /// not have meets none: see [`StopRule::check`].
+    /// Returns true if all clauses of a rule hold. A clause about a measure that the look
+    /// lacks does not hold, see [`StopRule::check`].
     pub fn meets(&self, rule: &StopRule) -> bool {
         rule.clauses().iter().all(|clause| self.holds(clause))
     }

@@ -13,17 +13,17 @@ use crate::sequential::together::Together;
 /// Confidence sequences of `S_sim`, `R_e`, `R_c`, `R_d` and `I` over the
 /// configurations of one level.
 ///
-/// Configurations may be given as they complete, in any order. They are used in
-/// the drawn order, up to the first that is not complete. Those beyond it wait:
-/// a rollout that succeeds ends sooner than one that runs out of steps, so that
-/// the configurations that happen to be complete are not a random sample, and
-/// their intervals would be about the quick ones.
+/// Configurations may be added as they complete, in any order. They are used in
+/// the drawn order, up to the first incomplete one; later ones wait. A successful
+/// rollout ends sooner than one that runs out of steps, so that the configurations
+/// that happen to be complete are biased towards quick ones.
 #[derive(Clone, Debug)]
 pub struct SequentialMeasures<U>(Together<U, 5>);
 
 impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
-    /// Before the first configuration. The five intervals hold together, at all
-    /// looks, with a probability of at least 1 − `alpha`; the protocol's is 0.05.
+    /// Creates the sequences before the first configuration. The five intervals hold
+    /// simultaneously, at all looks, with a probability of at least 1 − `alpha`; the
+    /// protocol's `alpha` is 0.05.
     ///
     /// # Panics
     /// If `alpha` is not between 0 and 1, or the order has no unit.
@@ -32,11 +32,10 @@ impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
         Self(Together::new(order, measures, alpha))
     }
 
-    /// Takes a complete configuration: every transition that it can have. That is
-    /// one; several where a rollout is in quarantine, so that its outcome will
-    /// never be known ([`Matched::possible_transitions`]). Intervals then hold
-    /// whichever it would have been. The first that is given of a configuration
-    /// counts.
+    /// Adds a complete configuration with its possible transitions: exactly one, or several
+    /// if a rollout is quarantined and its outcome will never be known
+    /// ([`Matched::possible_transitions`]). The intervals are then valid for each of them.
+    /// Only the first call for a configuration counts.
     ///
     /// # Errors
     /// If the configuration is not in the order.
@@ -50,13 +49,13 @@ impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
         self.0.complete(unit, ranges)
     }
 
-    /// The intervals now.
+    /// Returns the current intervals.
     pub fn look(&self) -> Look {
         self.0.look()
     }
 }
 
-/// The value of a measure of one configuration; the measure itself is the mean.
+/// Value of a measure for one configuration; the measure is the mean of the values.
 pub(crate) fn value(measure: Measure, transition: Transition) -> i64 {
     let is = |of: Transition| i64::from(transition == of);
     let [emergent, compensated] = [Transition::Emergent, Transition::Compensated].map(is);

@@ -1,13 +1,12 @@
-//! The order in which a campaign's units are drawn.
+//! Random order in which a campaign runs its units.
 
 use std::collections::BTreeMap;
 
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Units of a population, such as configurations, in the order in which they are
-/// to be run: in rounds, each of which has one unit of every stratum that has
-/// any left.
+/// Units of a population, such as configurations, in the order in which they run: in rounds,
+/// each with one unit of every stratum that has units left.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Order<U> {
     rounds: Vec<Vec<Drawn<U>>>,
@@ -24,16 +23,14 @@ pub struct Drawn<U> {
 }
 
 impl<U: Ord> Order<U> {
-    /// Draws an order: within a stratum, and within a round, every order is
-    /// equally likely. The order is a function of the seed and of the set of
-    /// units; the sequence in which they are given does not matter, and a unit
-    /// given twice counts once.
+    /// Draws an order. Within a stratum and within a round, every order is equally likely.
+    /// The order depends on the seed and the set of units only; duplicates and the sequence
+    /// of `units` do not matter.
     ///
-    /// `stratum` says which stratum a unit belongs to: the task for a stratified
-    /// order, the same for all units for simple random sampling.
+    /// `stratum` returns the stratum of a unit: the task for a stratified
+    /// order, a constant for simple random sampling.
     ///
-    /// Record the seed with the campaign, and choose it before anything is
-    /// known of the outcomes.
+    /// The seed must be recorded with the campaign and chosen before any outcome is known.
     pub fn new<S: Ord>(
         seed: u64,
         units: impl IntoIterator<Item = U>,
@@ -78,7 +75,7 @@ impl<U: Ord> Order<U> {
         Order { rounds, sizes }
     }
 
-    /// The rounds, from the first that is run.
+    /// Returns the rounds in the order in which they run.
     pub fn rounds(&self) -> &[Vec<Drawn<U>>] {
         &self.rounds
     }
@@ -105,7 +102,7 @@ fn shuffle<T>(rng: &mut impl Rng, items: &mut [T]) {
 /// A uniform integer in 0..n. Source: D. Lemire, Fast random integer generation
 /// in an interval, ACM Transactions on Modeling and Computer Simulation 29 (2019).
 fn below(rng: &mut impl Rng, n: u64) -> u64 {
-    // Draws whose lower half is below this are one too many for some integers.
+    // Rejects draws whose lower half is below this threshold; they would bias some integers.
     let surplus = n.wrapping_neg() % n;
     loop {
         let wide = u128::from(rng.next_u64()) * u128::from(n);

@@ -1,11 +1,11 @@
-//! Orders units that complete at any time into the drawn order without gaps.
+//! Reorder buffer: releases units, which complete in any order, in the drawn order.
 
 use std::collections::BTreeMap;
 use std::fmt;
 
 use crate::sequential::order::{Drawn, Order};
 
-/// A unit that is not among those of the order.
+/// Error: the unit is not in the drawn order.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("take the outcome of {unit}: it is not in the drawn order of {units} configurations")]
 pub struct NotInOrder {
@@ -15,7 +15,7 @@ pub struct NotInOrder {
     pub units: usize,
 }
 
-/// Values of units, used as far as the drawn order has no gap.
+/// Values of units, released up to the first gap in the drawn order.
 #[derive(Clone, Debug)]
 pub(crate) struct Prefix<U, V> {
     order: Vec<Drawn<U>>,
@@ -39,7 +39,7 @@ impl<U: Ord + Clone + fmt::Debug, V: Copy> Prefix<U, V> {
         }
     }
 
-    /// Takes the value of a unit. The first value of a unit stays.
+    /// Stores the value of a unit. Later values for the same unit are ignored.
     pub(crate) fn arrive(&mut self, unit: &U, value: V) -> Result<(), NotInOrder> {
         let place = self.places.get(unit).ok_or_else(|| NotInOrder {
             unit: format!("{unit:?}"),
@@ -53,25 +53,24 @@ impl<U: Ord + Clone + fmt::Debug, V: Copy> Prefix<U, V> {
         Ok(())
     }
 
-    /// The stratum and value of the next unit of the drawn order, once it is
-    /// there.
+    /// Returns the stratum and value of the next unit of the drawn order, if it has arrived.
     pub(crate) fn next(&mut self) -> Option<(usize, V)> {
         let value = (*self.values.get(self.used)?)?;
         self.used += 1;
         Some((self.order[self.used - 1].stratum, value))
     }
 
-    /// Units that were used.
+    /// Returns the number of released units.
     pub(crate) fn used(&self) -> usize {
         self.used
     }
 
-    /// Units that have arrived and wait for an earlier one.
+    /// Returns the number of units that have arrived and wait for an earlier one.
     pub(crate) fn waiting(&self) -> usize {
         self.arrived - self.used
     }
 
-    /// Units of the order.
+    /// Returns the number of units in the order.
     pub(crate) fn units(&self) -> usize {
         self.order.len()
     }

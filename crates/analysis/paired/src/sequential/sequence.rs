@@ -2,25 +2,24 @@
 
 use crate::sequential::e_process::EProcess;
 
-/// Totals that are not ruled out, at the look after each draw.
+/// Range of totals that are not ruled out, updated after each draw.
 #[derive(Clone, Debug)]
 pub(crate) struct ConfidenceSequence {
     process: EProcess,
     alpha: f64,
-    /// Least and greatest total that neither the e-process has ever rejected nor
-    /// the drawn values exclude.
+    /// Least and greatest total that neither the e-process (at any look) nor the drawn
+    /// values rule out.
     totals: [i64; 2],
     /// Least and greatest total that the drawn values allow.
     possible: [i64; 2],
     range: [i64; 2],
-    /// Draws of the round that is not complete yet.
+    /// Draws of the current, incomplete round.
     round: Vec<(usize, [i64; 2])>,
 }
 
 impl ConfidenceSequence {
-    /// Confidence sequence of a population with strata of `sizes`, whose values
-    /// are in `range`, such that the total is ever missed with a probability of
-    /// at most `alpha`.
+    /// Creates the sequence of a population with strata of `sizes` and values in `range`. The
+    /// probability that it ever misses the total is at most `alpha`.
     pub(crate) fn new(sizes: &[usize], range: [i64; 2], alpha: f64) -> Self {
         let units = sizes.iter().sum::<usize>() as i64;
         let possible = range.map(|end| end * units);
@@ -34,8 +33,7 @@ impl ConfidenceSequence {
         }
     }
 
-    /// Takes the next unit: its stratum, and the least and greatest value that it
-    /// can have.
+    /// Adds the next unit: its stratum, and its least and greatest possible value.
     pub(crate) fn draw(&mut self, stratum: usize, value: [i64; 2]) {
         self.round.push((stratum, value));
         for end in [0, 1] {
@@ -44,17 +42,17 @@ impl ConfidenceSequence {
         self.keep_possible();
     }
 
-    /// Ends a round. The e-process looks only then. It might look after every
-    /// draw, but a candidate's total can hide in the strata that the round has
-    /// not come to, so that a part of a round says little.
+    /// Ends a round and updates the totals from the e-process. Updating after every draw
+    /// would be valid too, but a partial round says little about a candidate, whose total may
+    /// lie in the strata that the round has not reached.
     pub(crate) fn end_round(&mut self) {
         self.process.draw_round(&std::mem::take(&mut self.round));
         let e_values = self.process.e_values();
         let least = self.possible[0];
         let is_kept = |total: &i64| e_values.at((total - least) as usize) * self.alpha < 1.0;
         let [low, high] = self.totals;
-        // E-values are convex in the total, so that what is kept has no gaps. If
-        // nothing is kept, the total was missed before, and the interval stays.
+        // E-values are convex in the total, so that the kept totals have no gaps. If none is
+        // kept, the interval had already missed the total and stays unchanged.
         if let Some(low) = (low..=high).find(is_kept) {
             let high = (low..=high).rev().find(is_kept).unwrap_or(low);
             self.totals = [low, high];
@@ -76,7 +74,7 @@ impl ConfidenceSequence {
 mod tests {
     use super::*;
 
-    /// A unit: its value, and the range in which one is told that it is.
+    /// A unit: its true value and the range reported for it.
     type Unit = (i64, [i64; 2]);
 
     /// The units of the strata.
@@ -114,7 +112,7 @@ mod tests {
         all
     }
 
-    /// One of the choices for each stratum, in all combinations.
+    /// Returns the Cartesian product of the choices for each stratum.
     fn combinations(choices: &[Vec<Vec<Unit>>]) -> Vec<Strata> {
         let mut all = vec![Vec::new()];
         for choices in choices {
@@ -177,10 +175,10 @@ mod tests {
 
     const ALPHAS: [f64; 4] = [0.2, 0.4, 0.6, 0.8];
 
-    /// Exactly, by enumeration of every population of some kinds of units and of
-    /// its orders: the e-value of the true total has an expectation of at most 1
-    /// after each round, and the total is ever missed with a probability of at
-    /// most α. Returns the greatest probability at the greatest α.
+    /// Enumerates every population of some kinds of units and all its orders, and asserts
+    /// that the e-value of the true total has an expectation of at most 1 after each round
+    /// and that the total is ever missed with a probability of at most α. Returns the
+    /// greatest probability at the greatest α.
     fn check(range: [i64; 2], kinds: &[Unit], sizes: &[usize]) -> f64 {
         let mut greatest: f64 = 0.0;
         let strata: Vec<_> = sizes.iter().map(|&size| multisets(kinds, size)).collect();

@@ -1,4 +1,4 @@
-//! Confidence sequences of several measures of the same units.
+//! Simultaneous confidence sequences of several measures of the same units.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use crate::sequential::order::Order;
 use crate::sequential::prefix::{NotInOrder, Prefix};
 use crate::sequential::sequence::ConfidenceSequence;
 
-/// Confidence sequences of `N` measures, which hold together, at all looks, with
+/// Confidence sequences of `N` measures, which hold simultaneously, at all looks, with
 /// a probability of at least 1 − α.
 #[derive(Clone, Debug)]
 pub(crate) struct Together<U, const N: usize> {
@@ -20,8 +20,8 @@ pub(crate) struct Together<U, const N: usize> {
 }
 
 impl<U: Ord + Clone + fmt::Debug, const N: usize> Together<U, N> {
-    /// Confidence sequences of measures, each with the range of a unit's values.
-    /// They share α equally (Bonferroni).
+    /// Creates the sequences; each measure comes with the range of a unit's values. They
+    /// share α equally (Bonferroni).
     pub(crate) fn new(order: &Order<U>, measures: [(Measure, [i64; 2]); N], alpha: f64) -> Self {
         assert!(alpha > 0.0 && alpha < 1.0, "α is between 0 and 1");
         assert!(!order.sizes().is_empty(), "the order has units");
@@ -39,7 +39,7 @@ impl<U: Ord + Clone + fmt::Debug, const N: usize> Together<U, N> {
         }
     }
 
-    /// Takes a unit: for each measure, the range in which its value is.
+    /// Adds a unit with the range of its value for each measure.
     pub(crate) fn complete(&mut self, unit: &U, values: [[i64; 2]; N]) -> Result<(), NotInOrder> {
         self.prefix.arrive(unit, values)?;
         while let Some((stratum, values)) = self.prefix.next() {

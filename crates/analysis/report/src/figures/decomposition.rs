@@ -1,5 +1,6 @@
-//! From what independent axes would give to what happens: S_indep → S_conj by
-//! D, S_conj → S_sim by I. The paper's Figure 3 A, C and E, one panel per level.
+//! Decomposition of simultaneous success from the prediction for independent axes:
+//! S_indep → S_conj by D, S_conj → S_sim by I. The paper's Figure 3 A, C and E, one panel
+//! per level.
 
 use libero_ctrl::Level;
 use maud::{Markup, html};
@@ -15,7 +16,7 @@ use crate::words;
 const LEGEND: f64 = 20.0;
 const ROW: f64 = 66.0;
 
-/// The panel of a level; none where no policy has a complete configuration.
+/// Draws the panel of a level; `None` if no policy has a complete configuration.
 pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
     let rows = document.paired(level);
     if rows.is_empty() {

@@ -15,12 +15,12 @@ use crate::words;
 const LABELS: f64 = 96.0;
 const ROW: f64 = 18.0;
 const GAP: f64 = 10.0;
-/// Steps of the axis, in fractions; the first that gives few enough ticks.
+/// Candidate distances of ticks, fractions; the first with at most [`MOST_TICKS`] is used.
 const STEPS: [f64; 5] = [0.02, 0.05, 0.1, 0.25, 0.5];
 const MOST_TICKS: f64 = 3.0;
 
-/// The panel of two policies, replicate 0; none while no rollout has an outcome
-/// of both.
+/// Draws the panel of two policies, replicate 0; `None` if no rollout has an outcome for
+/// both.
 pub fn differences(comparison: &Comparison) -> Option<Figure> {
     let cells = comparison.statistics.cells.iter();
     let cells = cells.filter(|cell| cell.replicate == 0);

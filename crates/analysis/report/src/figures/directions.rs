@@ -1,6 +1,5 @@
-//! In which direction outcomes change: emergent failures to the left,
-//! compensated successes to the right. The paper's Figure 3 B, D and F, one
-//! panel per level.
+//! Direction of outcome changes: emergent failures to the left, compensated successes to
+//! the right. The paper's Figure 3 B, D and F, one panel per level.
 
 use libero_ctrl::Level;
 use maud::{Markup, html};
@@ -15,12 +14,12 @@ use crate::words;
 const LEGEND: f64 = 20.0;
 const ROW: f64 = 54.0;
 const BAR: f64 = 14.0;
-/// Steps of the axis, in fractions; its end is a multiple of the first that
-/// gives few enough ticks.
+/// Candidate distances of ticks, fractions; the first with at most [`MOST_TICKS`] is used,
+/// and the axis ends at a multiple of it.
 const STEPS: [f64; 4] = [0.02, 0.05, 0.1, 0.25];
 const MOST_TICKS: f64 = 4.0;
 
-/// The panel of a level; none where no policy has a complete configuration.
+/// Draws the panel of a level; `None` if no policy has a complete configuration.
 pub fn directions(document: &Document, level: Level) -> Option<Figure> {
     let rows = document.paired(level);
     if rows.is_empty() {
@@ -54,7 +53,8 @@ pub fn directions(document: &Document, level: Level) -> Option<Figure> {
     ))
 }
 
-/// The largest end of an interval of R_e or R_c: all panels have one scale.
+/// Returns the largest upper bound of R_e and R_c in the document; all panels share one
+/// scale.
 fn largest_rate(document: &Document) -> f64 {
     let cells = document.analyses.iter().flat_map(Analysis::cells);
     let measures = cells.filter_map(|cell| cell.paired.as_ref());

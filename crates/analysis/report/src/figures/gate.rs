@@ -11,10 +11,10 @@ use crate::words;
 
 const LEGEND: f64 = 20.0;
 const ROW: f64 = 46.0;
-/// The axis begins at a multiple of this.
+/// Distance of ticks, fraction; the axis begins at a multiple of it.
 const STEP: f64 = 0.1;
 
-/// The panel; none where no published figure is known.
+/// Draws the panel; `None` if no published success rate is known.
 pub fn gate(document: &Document) -> Option<Figure> {
     let rows: Vec<(String, &Gate)> = document
         .analyses

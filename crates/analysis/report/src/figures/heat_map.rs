@@ -17,7 +17,7 @@ const ROW: f64 = 28.0;
 /// Height of the slanted names below the columns.
 const NAMES: f64 = 78.0;
 const LEGEND: f64 = 52.0;
-/// Pieces that the colour scale is drawn in.
+/// Number of rectangles that draw the colour scale.
 const LEGEND_STEPS: u32 = 40;
 /// ColorBrewer's YlGnBu in nine classes, from no success to full success.
 const COLOURS: [[u8; 3]; 9] = [
@@ -31,10 +31,10 @@ const COLOURS: [[u8; 3]; 9] = [
     [37, 52, 148],
     [8, 29, 88],
 ];
-/// Above this rate, numbers are white.
+/// Success rate above which a cell's number is white.
 const DARK_ABOVE: f64 = 0.55;
 
-/// The panel of a level; none where no policy has it.
+/// Draws the panel of a level; `None` if no policy has results at it.
 pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
     let rows: Vec<(&str, &Cell)> = document
         .analyses
@@ -83,7 +83,7 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
     Some(Figure::new(&name, title, bottom + NAMES + LEGEND, body))
 }
 
-/// The results under a condition; none where the campaign has it not.
+/// Returns the results under a condition; `None` if the campaign does not run it.
 fn count(cell: &Cell, condition: Condition) -> Option<Count> {
     match condition {
         Condition::Clean | Condition::Subset(_) => None,
@@ -92,7 +92,7 @@ fn count(cell: &Cell, condition: Condition) -> Option<Count> {
     }
 }
 
-/// A column's name, ending at a place.
+/// Draws a column's name at 45 degrees; the text ends at `[x, y]`.
 fn slanted([x, y]: [f64; 2], condition: Condition) -> Markup {
     let turned = format!("translate({} {}) rotate(-45)", number(x), number(y));
     html! { text class="small end" transform=(turned) { (condition.label()) } }
@@ -142,7 +142,7 @@ fn legend(top: f64, counts: &str) -> Markup {
     }
 }
 
-/// Between the nine classes, linearly.
+/// Interpolates linearly between the nine [`COLOURS`].
 fn colour(rate: f64) -> String {
     let position = rate.clamp(0.0, 1.0) * (COLOURS.len() - 1) as f64;
     let (below, above) = (position.floor() as usize, position.ceil() as usize);

@@ -1,5 +1,5 @@
-//! Interactions of the axes at one level: a matrix of shares and pairs, and the way
-//! from nominal to simultaneous success, which adds up.
+//! Interactions of the axes at one level: a matrix of Shapley values and pair interactions,
+//! and the additive decomposition from nominal to simultaneous success.
 
 use lattice::Estimate;
 use libero_ctrl::{Axis, AxisSet};
@@ -12,19 +12,20 @@ use crate::interactions::LevelInteractions;
 use crate::words::{percent, points, points_interval};
 
 const LABELS: f64 = 78.0;
-/// Height of the heading, with what is shown below it.
+/// Height of the heading and of the line below it.
 const TOP: f64 = HEAD + 22.0;
 const ROW: f64 = 32.0;
 /// Height of the slanted names below the columns.
 const NAMES: f64 = 66.0;
-/// Share of a cell's colour above which its number is white.
+/// Opacity of a cell's colour above which its number is white.
 const DARK_ABOVE: f64 = 0.6;
 const STEP_LABELS: f64 = 132.0;
 /// Width of the column of numbers.
 const NUMBERS: f64 = 58.0;
 const STEP: f64 = 26.0;
 
-/// Each axis's share on the diagonal, and below it what each pair does together.
+/// Draws the matrix: the Shapley value of each axis on the diagonal, the interaction of
+/// each pair below it.
 pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Figure {
     let found = &level.interactions;
     let axes: Vec<Axis> = found.full.axes().collect();
@@ -76,7 +77,8 @@ fn heading(analysis: &Analysis, level: &LevelInteractions) -> String {
     format!("{}, {}", shortened(&analysis.label, 30), level.level)
 }
 
-/// A square whose colour says in which direction, and how far of the largest.
+/// Draws a square: the colour shows the sign of the estimate, the opacity its size
+/// relative to `largest`.
 fn cell(what: &str, it: &Estimate, largest: f64, [x, y]: [f64; 2], side: f64) -> Markup {
     let share = it.value.abs() / largest;
     let class = if it.value < 0.0 {
@@ -112,8 +114,8 @@ fn rect_outline([x, y]: [f64; 2], side: f64) -> Markup {
     }
 }
 
-/// From nominal success, by what single axes, pairs, triples, … add, to simultaneous
-/// success.
+/// Draws the steps from nominal to simultaneous success: the sums that single axes, pairs,
+/// triples, … add.
 pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
     let found = &level.interactions;
     let [nominal, simultaneous] = level.ends();
@@ -189,7 +191,7 @@ fn step_name(axes: usize) -> String {
     }
 }
 
-/// Ticks in percent. Sums on the way can be below nought, and above one.
+/// Returns ticks in percent. Partial sums can be negative or exceed 100 %.
 fn ticks(domain: [f64; 2], grain: f64) -> Vec<(f64, String)> {
     let ticks = percent_ticks(domain, grain, false).into_iter();
     let signed = |(value, label): (f64, String)| match value < 0.0 {

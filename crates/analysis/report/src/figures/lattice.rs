@@ -1,5 +1,5 @@
-//! One configuration under every subset of the axes: the nominal rollout on top, all
-//! axes at the bottom, a line wherever one axis is added.
+//! Lattice diagram of one configuration under every subset of the axes: the nominal
+//! rollout on top, all axes at the bottom, a line for each added axis.
 
 use std::collections::BTreeMap;
 
@@ -18,11 +18,11 @@ const RING: f64 = 11.0;
 /// Distance from a node to the words below it.
 const WORDS: f64 = 26.0;
 
-/// Address of the rollout under a subset.
+/// Maps a subset of the axes to the URL of its rollout.
 pub type SubsetLink<'a> = &'a dyn Fn(AxisSet) -> Option<String>;
 
-/// The picture of a configuration, named by its simultaneous rollout, of a campaign of
-/// the axes `full`. Minimal subsets have a ring, if it has an explanation.
+/// Draws the lattice of a configuration, identified by its simultaneous rollout, in a
+/// campaign of the axes `full`. With an explanation, minimal subsets have a ring.
 pub fn lattice(
     configuration: RolloutId,
     full: AxisSet,
@@ -79,7 +79,7 @@ pub fn lattice(
     figure
 }
 
-/// Layers by number of axes, each in the middle.
+/// Returns the position of each subset: one centred row per number of axes.
 fn places(full: AxisSet, subsets: &[AxisSet]) -> BTreeMap<AxisSet, [f64; 2]> {
     let mut places = BTreeMap::new();
     for size in 0..=full.len() {
@@ -106,7 +106,7 @@ fn node(set: AxisSet, full: AxisSet, verdict: Verdict, is_minimal: bool, at: [f6
     }
 }
 
-/// An outcome by shape and colour.
+/// Draws an outcome as a node with its own shape and colour.
 fn shape(verdict: Verdict, [x, y]: [f64; 2]) -> Markup {
     let circle = |class: &str, radius: f64| {
         html! { circle class=(class) cx=(number(x)) cy=(number(y)) r=(number(radius)) {} }
@@ -138,8 +138,8 @@ fn name(set: AxisSet, full: AxisSet) -> &'static str {
     }
 }
 
-/// Label below a node: names where there is room, their first letters where there is
-/// not.
+/// Returns the label below a node: the names of the axes, or their first letters if the
+/// row is too crowded.
 fn label(set: AxisSet, full: AxisSet) -> String {
     match set.len() {
         1 => name(set, full).to_owned(),

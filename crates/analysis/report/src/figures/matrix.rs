@@ -1,5 +1,5 @@
-//! The outcome matrix of a cell: forty tasks × their configurations, each
-//! marked with what simultaneous perturbation did to its outcome.
+//! The outcome matrix of a cell: forty tasks × their configurations, each marked with the
+//! transition that simultaneous perturbation caused.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use super::svg::{HEAD, number, rect, text};
 use super::{Figure, Link, WIDTH};
 use crate::analysis::Analysis;
 
-/// Most configurations of a task that fit; more are counted in words.
+/// Largest number of configurations drawn per task; the rest are counted in words.
 const MAX_COLUMNS: usize = 10;
 const SQUARE: f64 = 14.0;
 const LABELS: f64 = 26.0;
@@ -20,9 +20,8 @@ const BLOCK_WIDTH: f64 = WIDTH / 2.0 + 6.0;
 const BLOCK_HEAD: f64 = 36.0;
 const LEGEND: f64 = 58.0;
 
-/// The matrix of a level in replicate 0, its squares leading to where `link`
-/// says, if there is one; none where the policy has no such cell, or combines
-/// nothing.
+/// Draws the matrix of a level in replicate 0, with its squares linked by `link` if given;
+/// `None` if the policy has no such cell or no simultaneous rollouts.
 pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<Figure> {
     analysis.cell(level)?.simultaneous?;
     let mut tasks: BTreeMap<TaskRef, Vec<&Matched>> = BTreeMap::new();
@@ -108,7 +107,7 @@ fn legend(top: f64) -> Markup {
     }
 }
 
-/// One suite: tasks downwards, configurations to the right.
+/// Draws the block of one suite: a row per task, a column per configuration.
 fn block(
     suite: Suite,
     tasks: &BTreeMap<TaskRef, Vec<&Matched>>,
@@ -144,7 +143,7 @@ fn block(
     }
 }
 
-/// A configuration: its mark, what is said of it, and where it leads.
+/// Draws a configuration: its mark, with a tooltip and a link.
 fn square(matched: &Matched, link: Option<Link>, place: [f64; 2]) -> Markup {
     let content = html! {
         title { (said(matched)) }
@@ -158,7 +157,7 @@ fn square(matched: &Matched, link: Option<Link>, place: [f64; 2]) -> Markup {
     }
 }
 
-/// The rollout that a configuration is called by: the simultaneous one.
+/// Returns the simultaneous rollout, which identifies a configuration in links.
 fn shown_first(matched: &Matched) -> RolloutId {
     RolloutId::perturbed(
         matched.task,
@@ -169,8 +168,8 @@ fn shown_first(matched: &Matched) -> RolloutId {
     .unwrap_or_else(|_| RolloutId::clean(matched.task, matched.init_id))
 }
 
-/// A square, and in it a cross for a failure that emerges or a plus for a
-/// success that is compensated.
+/// Draws a square with a cross for an emergent failure or a plus for a compensated
+/// success.
 fn mark([x, y]: [f64; 2], transition: Option<Transition>) -> Markup {
     let side = SQUARE - 2.0;
     let class = match transition {
@@ -198,7 +197,7 @@ fn mark([x, y]: [f64; 2], transition: Option<Transition>) -> Markup {
     }
 }
 
-/// A configuration in words.
+/// Returns the tooltip of a configuration: its outcomes in words.
 fn said(matched: &Matched) -> String {
     let named = |outcome: Outcome| -> Vec<&str> {
         let axes = Axis::ALL.into_iter().map(Condition::Single);

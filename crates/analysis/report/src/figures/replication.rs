@@ -1,5 +1,5 @@
-//! Replication: the net effect in every replicate, and how often a rollout's
-//! outcome is another when the policy's seed is.
+//! Replication: the net effect in every replicate, and the share of rollouts whose outcome
+//! changes with the policy's seed.
 
 use std::collections::BTreeMap;
 
@@ -19,7 +19,7 @@ const REPLICATE: f64 = 20.0;
 const GAP: f64 = 12.0;
 const BAR_ROW: f64 = 24.0;
 
-/// I of every replicate and level with its interval; none where there is one
+/// Draws I with its interval for every replicate and level; `None` if there is only one
 /// replicate.
 pub fn replicates(analysis: &Analysis) -> Option<Figure> {
     let mut levels: BTreeMap<Level, Vec<&Cell>> = BTreeMap::new();
@@ -86,8 +86,8 @@ fn replicate(scale: &Scale, cell: &Cell, y: f64) -> Markup {
     }
 }
 
-/// Share of rollouts whose outcome differs from that of replicate 0, by
-/// condition, over all further replicates; none where there is one replicate.
+/// Draws the share of rollouts whose outcome differs from that of replicate 0, by
+/// condition, over all other replicates; `None` if there is only one replicate.
 pub fn flips(analysis: &Analysis) -> Option<Figure> {
     let mut conditions: BTreeMap<Condition, Flips> = BTreeMap::new();
     for replication in &analysis.report.replication {

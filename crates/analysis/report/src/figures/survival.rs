@@ -1,5 +1,5 @@
-//! Configurations that still succeed at each radius: one panel per condition, with the
-//! protocol's levels on the axis, and the radius at which half of them still do.
+//! Survival curves: the share of configurations that still succeed at each radius. One
+//! panel per condition, with the protocol's levels and the median radius on the axis.
 
 use libero_ctrl::Level;
 use maud::{Markup, html};
@@ -15,11 +15,11 @@ const PLOT: f64 = 190.0;
 /// Height of the row that names the protocol's levels.
 const LEVELS: f64 = 18.0;
 const LEGEND: f64 = 36.0;
-/// Least space between two numbers on an axis.
+/// Smallest distance between two numbers on an axis.
 const APART: f64 = 20.0;
 const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 
-/// The panel of a condition; none where nothing is known.
+/// Draws the panel of a condition; `None` if the curve has no points.
 pub fn survival(curve: &Curve) -> Option<Figure> {
     if curve.points.is_empty() {
         return None;
@@ -65,7 +65,7 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
     ))
 }
 
-/// Words for the radius at which half of the configurations still succeed, with its
+/// Describes the radius at which half of the configurations still succeed, with its
 /// interval or the reason why it has none.
 fn half(curve: &Curve) -> String {
     let share = |point: Option<&Point>| point.map_or(0.0, |point| point.survival);
@@ -98,14 +98,15 @@ impl Place {
     }
 }
 
-/// The radii of the grid, as far as there is room for their numbers.
+/// Returns the radii of the grid whose labels fit on the axis.
 fn ticks(scale: &Scale, curve: &Curve) -> Vec<(f64, String)> {
     let radii = [0.0].into_iter().chain(curve.grid.iter().copied());
     let label = |radius: f64| (radius, number(radius));
     apart(scale, radii).into_iter().map(label).collect()
 }
 
-/// The protocol's levels, with the curve's point there, as far as there is room.
+/// Returns the protocol's levels whose labels fit on the axis, with the curve's point at
+/// each.
 fn levels<'a>(scale: &Scale, curve: &'a Curve) -> Vec<(Level, &'a Point)> {
     let named = curve.points.iter().filter_map(|it| Some((it.level?, it)));
     let room = apart(scale, named.clone().map(|(level, _)| level.radius()));
@@ -114,7 +115,7 @@ fn levels<'a>(scale: &Scale, curve: &'a Curve) -> Vec<(Level, &'a Point)> {
         .collect()
 }
 
-/// Values without those that come too close to a larger one.
+/// Drops each value that is closer than [`APART`] to the next larger kept value.
 fn apart(scale: &Scale, values: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = values.collect();
     values.reverse();
@@ -129,7 +130,8 @@ fn apart(scale: &Scale, values: impl Iterator<Item = f64>) -> Vec<f64> {
     kept
 }
 
-/// The intervals of the curve, as a band; without one, it is as narrow as the curve.
+/// Draws the curve's confidence intervals as a band, which has no width at points without
+/// an interval.
 fn intervals(place: &Place, points: &[Point]) -> Markup {
     let ends = |it: &Point| it.ci95.unwrap_or([it.survival; 2]);
     let low = points.iter().map(|it| place.of(it.radius, ends(it)[0]));
@@ -140,11 +142,10 @@ fn intervals(place: &Place, points: &[Point]) -> Markup {
     html! { path class="band" d={ (path(low.chain(high))) "Z" } {} }
 }
 
-/// Range that the brackets allow: steps below and above the curve.
+/// Draws the range that the brackets allow: a step function below the curve and one above.
 fn brackets(place: &Place, points: &[Point]) -> Markup {
     let pairs = || points.iter().zip(points.iter().skip(1));
-    // A configuration that fails somewhere in a bracket may fail at once, or only at its
-    // end.
+    // A configuration that fails within a bracket may fail at its start or only at its end.
     let low = pairs().flat_map(|(a, b)| [(a.radius, b.band[0]), (b.radius, b.band[0])]);
     let high = pairs().flat_map(|(a, b)| [(a.radius, a.band[1]), (b.radius, a.band[1])]);
     let to_path = |steps: Vec<(f64, f64)>| {

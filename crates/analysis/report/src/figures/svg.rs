@@ -3,18 +3,18 @@
 use maud::{Markup, html};
 use paired::{Interval, NoInterval};
 
-/// Width of every panel, in its own units: pixels, where it is not scaled.
+/// Width of every panel in user units: pixels, if it is not scaled.
 pub const WIDTH: f64 = 380.0;
-/// Width of a figure that is a panel of its own.
+/// Width of a figure that fills a page.
 pub(super) const WIDE: f64 = 1140.0;
-/// Space left and right of what is drawn to a scale.
+/// Space to the left and to the right of a scale.
 pub(super) const MARGIN: f64 = 14.0;
 /// Height of a panel's heading.
 pub(super) const HEAD: f64 = 26.0;
 /// Height of an axis with its numbers and its title.
 pub(super) const AXIS: f64 = 40.0;
 
-/// A coordinate, as short as it can be written.
+/// Formats a coordinate to two decimals without trailing zeros.
 pub(super) fn number(value: f64) -> String {
     let text = format!("{value:.2}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
@@ -28,7 +28,7 @@ pub(super) struct Scale {
 }
 
 impl Scale {
-    /// Over a panel's width.
+    /// Maps `domain` onto the width of a panel without its margins.
     pub(super) fn over(domain: [f64; 2]) -> Self {
         Self::between(domain, [MARGIN, WIDTH - MARGIN])
     }
@@ -44,8 +44,8 @@ impl Scale {
         left + share * (right - left)
     }
 
-    /// Vertical lines at some values between two heights, their numbers below
-    /// and what they are in the middle.
+    /// Draws an axis: a vertical line per tick from `top` to `bottom`, its label below, and
+    /// a centred title.
     pub(super) fn axis(
         &self,
         [top, bottom]: [f64; 2],
@@ -64,7 +64,7 @@ impl Scale {
     }
 }
 
-/// Ticks at every `step`, in percent of a fraction.
+/// Returns ticks at every multiple of `step`, a fraction, with labels in percent.
 pub(super) fn percent_ticks([from, to]: [f64; 2], step: f64, signed: bool) -> Vec<(f64, String)> {
     let first = (from / step - 1e-9).ceil() as i64;
     let last = (to / step + 1e-9).floor() as i64;
@@ -81,7 +81,7 @@ pub(super) fn text(x: f64, y: f64, class: &str, content: &str) -> Markup {
     html! { text x=(number(x)) y=(number(y)) class=(class) { (content) } }
 }
 
-/// An interval as a line with ends.
+/// Draws an interval as a horizontal line with end caps.
 pub(super) fn whisker(scale: &Scale, [low, high]: Interval, y: f64) -> Markup {
     let (low, high) = (number(scale.at(low)), number(scale.at(high)));
     let (top, middle, bottom) = (number(y - 4.0), number(y), number(y + 4.0));
@@ -92,8 +92,7 @@ pub(super) fn whisker(scale: &Scale, [low, high]: Interval, y: f64) -> Markup {
     }
 }
 
-/// Beside a value without an interval: why it has none. On the side on which
-/// there is room.
+/// Writes the reason why a value has no interval beside it, on the side with more room.
 pub(super) fn withheld(scale: &Scale, value: f64, why: Option<NoInterval>, y: f64) -> Markup {
     let x = scale.at(value);
     let is_right = x > f64::midpoint(scale.range[0], scale.range[1]) + 1.0;
@@ -134,7 +133,7 @@ pub(super) fn line(class: &str, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) -> Marku
     }
 }
 
-/// A name of at most `most` characters, the last of them an ellipsis if it was cut.
+/// Truncates a name to `most` characters, with an ellipsis as the last.
 pub(super) fn shortened(name: &str, most: usize) -> String {
     match name.chars().count() > most {
         true => name.chars().take(most - 1).chain(['…']).collect(),

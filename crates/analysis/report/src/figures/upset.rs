@@ -1,7 +1,7 @@
 //! UpSet plot of the minimal subsets that explain a campaign's transitions (A. Lex et
 //! al., IEEE Transactions on Visualization and Computer Graphics 20, 2014). Axes are
-//! rows, each minimal subset is a column of dots, and above it stands in how many
-//! configurations it was found.
+//! rows, each minimal subset is a column of dots, and a bar above it counts the
+//! configurations that it was found in.
 
 use lattice::Occurrence;
 use libero_ctrl::{Axis, AxisSet};
@@ -15,15 +15,15 @@ use crate::explanation::{Findings, subset};
 const LABELS: f64 = 100.0;
 const COLUMN: f64 = 23.0;
 const ROW: f64 = 22.0;
-/// Height of the tallest bar, and what its number needs above it.
+/// Height of the tallest bar, without the number above it.
 const BARS: f64 = 96.0;
 const NUMBERS: f64 = 18.0;
 const DOT: f64 = 6.0;
 const LEGEND: f64 = 46.0;
-/// Columns that fit; further subsets are counted in words.
+/// Largest number of columns; further subsets are counted in words.
 const MOST: usize = ((WIDTH - LABELS) / COLUMN) as usize;
 
-/// The panel of one transition; none where nothing was found of it.
+/// Draws the panel of one transition; `None` if no minimal subset of it was found.
 pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
     let all: Vec<&Occurrence> = findings
         .subsets
@@ -74,8 +74,8 @@ pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
     Some(Figure::new(&name, title, bottom + LEGEND, body))
 }
 
-/// A bar, and below it a dot for each axis: filled for those of the subset, a ring for
-/// the axis that fails alone.
+/// Draws a bar and below it a dot for each axis: filled for the axes of the subset, a ring
+/// for the axis that fails alone.
 fn column(it: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f64; 3]) -> Markup {
     let height = |count: u64| BARS * count as f64 / most as f64;
     let (all, established) = (height(it.configurations), height(it.established));

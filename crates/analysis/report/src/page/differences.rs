@@ -1,5 +1,5 @@
-//! Differences of policies, pair by pair: a figure and a table of each, or the
-//! reason why they cannot be compared.
+//! Differences between policies: a figure and a table for each pair, or the reason why
+//! the pair cannot be compared.
 
 use maud::{Markup, html};
 use paired::{ComparedCell, Difference};
@@ -12,7 +12,7 @@ use crate::comparison::{Comparison, Unpairable};
 use crate::figures;
 use crate::words::{self, percent, points};
 
-/// Every pair of policies.
+/// Renders the section with every pair of policies.
 pub(super) fn of_pairs(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
     let panels: Vec<_> = pairs
         .iter()
@@ -41,7 +41,7 @@ pub(super) fn of_pairs(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
     }
 }
 
-/// Two policies alone, for a page of their own.
+/// Renders one comparison, for a page of its own.
 pub(super) fn of_one(comparison: &Comparison) -> Markup {
     let said: Vec<&String> = comparison
         .warnings
@@ -124,7 +124,7 @@ fn row(cell: &ComparedCell) -> Vec<Markup> {
     ]
 }
 
-/// The range of the difference over every outcome of quarantined rollouts.
+/// Formats the range of the difference over all possible outcomes of quarantined rollouts.
 fn bounds(cell: &ComparedCell) -> Option<String> {
     let [low, high] = cell.bounds.as_ref()?.difference.map(points);
     Some(format!("{low} to {high}"))

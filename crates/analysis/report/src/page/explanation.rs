@@ -16,7 +16,7 @@ use crate::interactions::{AxisInteractions, LevelInteractions};
 use crate::subject::things;
 use crate::words::{percent, rate_interval};
 
-/// The findings of every campaign among the subjects that explains another.
+/// Renders the findings of every subject that explains another campaign.
 pub(super) fn findings(document: &Document, link: Option<Link>) -> Markup {
     let found = document.analyses.iter();
     let found = found.filter_map(|analysis| analysis.findings.as_ref());
@@ -108,7 +108,7 @@ fn in_words(found: &Findings, transition: Transition) -> Markup {
     }
 }
 
-/// Table of larger subsets that undo the change of smaller ones.
+/// Renders the table of larger subsets that undo the change of smaller ones.
 fn non_monotone(found: &Findings) -> Markup {
     let pairs = |it: &Explained| {
         let answers = it.explanation.answers.iter();

@@ -75,7 +75,7 @@ pub(super) fn warnings(document: &Document) -> Markup {
     }
 }
 
-/// A warning as a sentence, names between backticks as code.
+/// Renders a warning as a sentence, with names between backticks as code.
 pub(super) fn sentence(warning: &str) -> Markup {
     let mut letters = warning.chars();
     let first = letters.next().map(|c| c.to_uppercase().to_string());
@@ -94,8 +94,7 @@ fn in_code(text: &str) -> Markup {
     }
 }
 
-/// The findings of each policy: three sentences first, those about the last level, then
-/// all others.
+/// Renders the findings of each policy: first those about the last level, then all others.
 pub(super) fn in_words(document: &Document) -> Markup {
     let said = document.analyses.iter().map(|analysis| {
         let findings = &analysis.report.findings;
@@ -122,7 +121,7 @@ pub(super) fn in_words(document: &Document) -> Markup {
     }
 }
 
-/// A claim of an effect is bold.
+/// Renders a finding, in bold if it claims an effect.
 fn finding_in_words(finding: &Finding) -> Markup {
     let sentence = words::minus_signs(&finding.sentence);
     html! {

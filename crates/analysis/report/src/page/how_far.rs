@@ -1,5 +1,5 @@
-//! How far: the survival curves of a campaign that measures thresholds, and what they are
-//! over.
+//! Sections on thresholds: the survival curves of each measuring campaign and the numbers
+//! of configurations behind them.
 
 use maud::{Markup, html};
 use thresholds::Curve;
@@ -64,7 +64,7 @@ fn half_success(curves: &[Curve]) -> Markup {
     table("Half-success radius", &heads, known.map(row).collect())
 }
 
-/// Table of the thresholds that succeed again beyond a failure, by name.
+/// Renders the table of configurations that succeed again beyond a failure.
 fn not_monotone(thresholds: &[Measured]) -> Markup {
     let heads = [
         "task.",

@@ -1,5 +1,5 @@
-//! Inference about the figures: intervals for each target, what exceeds the noise floor,
-//! and losses against matched nominal rollouts.
+//! Statistical inference: intervals for each target, effects against the noise floor, and
+//! losses against matched nominal rollouts.
 
 use maud::{Markup, html};
 use paired::{Cell, Estimate, Inference};
@@ -8,7 +8,7 @@ use crate::document::Document;
 use crate::page::tables::table;
 use crate::words::{p_value, percent, points};
 
-/// The tables; nothing without a complete configuration.
+/// Renders the tables; empty if no configuration is complete.
 pub(super) fn tables(document: &Document) -> Markup {
     let cells: Vec<(&str, &Cell, &Inference)> = document
         .analyses
@@ -32,7 +32,7 @@ pub(super) fn tables(document: &Document) -> Markup {
 
 type Cells<'a> = [(&'a str, &'a Cell, &'a Inference)];
 
-/// A measure with an interval for each target.
+/// Renders the table of measures with an interval for each target.
 fn targets(cells: &Cells<'_>) -> Markup {
     let heads = [
         "policy",
@@ -87,7 +87,7 @@ fn targets(cells: &Cells<'_>) -> Markup {
     }
 }
 
-/// The noise floor and what exceeds it.
+/// Renders the table of noise floors and the effects that exceed them.
 fn floor(cells: &Cells<'_>) -> Markup {
     let heads = [
         "policy",
@@ -131,7 +131,7 @@ fn floor(cells: &Cells<'_>) -> Markup {
     }
 }
 
-/// Table of the success lost under each condition.
+/// Renders the table of the success lost under each condition.
 fn losses(cells: &Cells<'_>) -> Markup {
     let heads = [
         "policy",

@@ -1,5 +1,5 @@
-//! Methods behind the figures: versions, digests, modes, and the statistics, so
-//! that others can reproduce them.
+//! Methods section: versions, digests, realisation modes and statistics, so that others
+//! can reproduce the figures.
 
 use std::collections::BTreeSet;
 
@@ -132,7 +132,8 @@ fn of_policy(analysis: &Analysis) -> Markup {
     }
 }
 
-/// Actions that were clipped: a bound on the effect of clipping before or after the actuation axis.
+/// Describes how many actions were clipped, which bounds the effect of clipping before or
+/// after the actuation axis.
 fn beyond(of: BeyondRange, realisation: Option<Realisation>) -> String {
     let BeyondRange {
         actions,

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use crate::figures::Figure;
 
-/// Panels with one caption; nothing where there is no panel.
+/// Renders panels with one caption; empty without a panel.
 pub(super) fn figure(caption: &str, panels: Vec<Figure>) -> Markup {
     html! {
         @if !panels.is_empty() {

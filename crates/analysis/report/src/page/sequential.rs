@@ -1,4 +1,4 @@
-//! Confidence sequences: of campaigns that may end early, and of two of them.
+//! Confidence sequences of campaigns that may end early, and of the difference of two.
 
 use libero_ctrl::Measure;
 use maud::{Markup, html};
@@ -9,7 +9,7 @@ use crate::comparison::Comparison;
 use crate::document::Document;
 use crate::sequential::percent_text;
 
-/// The section; nothing where no campaign may end early.
+/// Renders the section; empty if no campaign may end early.
 pub(super) fn of_campaigns(document: &Document) -> Markup {
     let analyses = document.analyses.iter();
     let all = analyses.filter_map(|it| Some((it.label.as_str(), it.sequential.as_ref()?)));
@@ -45,7 +45,7 @@ pub(super) fn of_campaigns(document: &Document) -> Markup {
     }
 }
 
-/// The table of two policies; nothing where they have no drawn order in common.
+/// Renders the table of two policies; empty if they did not run in the same drawn order.
 pub(super) fn of_two(comparison: &Comparison) -> Markup {
     let heads = ["rollouts", "configurations", "A − B points"];
     html! {

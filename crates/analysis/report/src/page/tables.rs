@@ -1,4 +1,4 @@
-//! The tables. Each scrolls by itself where it is wider than the page.
+//! Tables of the page. A table wider than the page scrolls in its own box.
 
 use std::fmt::Display;
 
@@ -12,7 +12,7 @@ use crate::analysis::Analysis;
 use crate::document::Document;
 use crate::words::{self, percent, points, points_interval, rate_interval};
 
-/// A cell and what it is of.
+/// A row of a table: a policy and one of its cells.
 #[derive(Clone, Copy)]
 struct Row<'a> {
     policy: &'a str,
@@ -26,8 +26,8 @@ fn rows(document: &Document) -> impl Iterator<Item = Row<'_>> {
     })
 }
 
-/// A table in a box that scrolls, reachable by keyboard. A column whose head
-/// ends with a stop holds words, the others numbers. Nothing without rows.
+/// Renders a table in a scrolling box that the keyboard reaches; empty without rows. A
+/// column whose head ends with a full stop is aligned as text, the others as numbers.
 pub(super) fn table(name: &str, heads: &[&str], rows: Vec<Vec<Markup>>) -> Markup {
     let is_words = |column: usize| heads[column].ends_with('.').then_some("words");
     html! {
@@ -63,12 +63,12 @@ pub(super) fn plain(value: impl Display) -> Markup {
     html! { (value.to_string()) }
 }
 
-/// A value, or a dash.
+/// Renders a value, or a dash for `None`.
 pub(super) fn or_dash(value: Option<impl Render>) -> Markup {
     html! { @if let Some(value) = value { (value) } @else { span.muted { "–" } } }
 }
 
-/// A value with something smaller below it.
+/// Renders a value with a smaller line below it.
 pub(super) fn with(value: impl Display, below: &str) -> Markup {
     html! { (value.to_string()) @if !below.is_empty() { small { (below.trim_start()) } } }
 }
@@ -104,7 +104,7 @@ const PAIRED: [Column; 12] = [
     ("McNemar p", |m| plain(words::p_value(m.mcnemar_p))),
 ];
 
-/// The paired measures of every policy and level.
+/// Renders the table of paired measures by policy and level.
 pub(super) fn paired(document: &Document) -> Markup {
     let mut heads = vec!["policy", "level", "n"];
     heads.extend(PAIRED.map(|(head, _)| head));
@@ -138,7 +138,7 @@ pub(super) fn paired(document: &Document) -> Markup {
     }
 }
 
-/// Nominal success, and how the gate came out.
+/// Renders the table of nominal success with the verdict of the reproduction gate.
 pub(super) fn nominal(document: &Document) -> Markup {
     let values = |analysis: &Analysis| {
         let nominal = analysis.report.nominal.iter().find(|n| n.replicate == 0)?;
@@ -181,7 +181,7 @@ fn gap_words(gap: &Gap) -> Option<String> {
     }
 }
 
-/// Success under each axis alone, with counts, losses and gaps.
+/// Renders the table of success under each single axis, with counts, losses and gaps.
 pub(super) fn single_axes(document: &Document) -> Markup {
     let has = |axis: &Axis| rows(document).any(|row| row.cell.alone.contains_key(axis));
     let axes: Vec<Axis> = Axis::ALL.into_iter().filter(has).collect();
@@ -215,7 +215,8 @@ pub(super) fn single_axes(document: &Document) -> Markup {
     }
 }
 
-/// Success under several axes but not all, where a campaign has that.
+/// Renders the table of success under proper subsets of the axes, for campaigns that run
+/// them.
 pub(super) fn subsets(document: &Document) -> Markup {
     let of_cell = |Row { policy, cell }: Row| {
         let subsets = cell.subsets.iter();
@@ -261,7 +262,7 @@ fn success(cell: &Cell, condition: Condition, count: Option<Count>, loss: Option
     }
 }
 
-/// Table of the changes by another policy seed.
+/// Renders the table of changes between replicates, which differ in the policy's seed.
 pub(super) fn replication(analysis: &Analysis) -> Markup {
     let heads = [
         "replicate",
@@ -309,7 +310,7 @@ pub(super) fn replication(analysis: &Analysis) -> Markup {
     }
 }
 
-/// The measures over configurations that were solvable to begin with.
+/// Renders the table of measures over solvable configurations only.
 pub(super) fn solvable(document: &Document) -> Markup {
     let values = |Row { policy, cell }: Row| {
         let m = cell.solvable.as_ref()?;
@@ -348,7 +349,7 @@ pub(super) fn solvable(document: &Document) -> Markup {
     }
 }
 
-/// The range of each measure over every outcome of the quarantined rollouts.
+/// Renders the range of each measure over all possible outcomes of quarantined rollouts.
 pub(super) fn bounds(document: &Document) -> Markup {
     let range = |[low, high]: [f64; 2]| plain(format!("{} to {}", percent(low), percent(high)));
     let of_bounds = |policy: &str, cell: &Cell, bounds: &Bounds| {
@@ -384,7 +385,7 @@ pub(super) fn bounds(document: &Document) -> Markup {
     }
 }
 
-/// Every quarantined rollout, with its error.
+/// Renders the table of quarantined rollouts with their last errors.
 pub(super) fn quarantine(document: &Document) -> Markup {
     let of_policy = |analysis: &Analysis| -> Vec<Vec<Markup>> {
         let errors = analysis.subject.errors.iter();

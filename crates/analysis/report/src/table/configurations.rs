@@ -1,6 +1,6 @@
 //! A row per policy, replicate, level, task and configuration, with all its outcomes.
 //!
-//! An outcome is true, false, or empty where there is none: `unresolved` says
+//! An outcome is true, false or empty; for an empty one, the column `unresolved` says
 //! whether it is missing or quarantined.
 
 use libero_ctrl::{Axis, Condition};
@@ -66,7 +66,7 @@ fn alone(matched: &Matched, axis: Axis) -> Value {
     Value::Bool(matched.outcome(Condition::Single(axis)).success())
 }
 
-/// The conditions without an outcome, of those that the campaign has.
+/// Lists the campaign's conditions without an outcome.
 fn unresolved(matched: &Matched) -> Value {
     let alone = matched.alone.keys().copied().map(Condition::Single);
     let named = alone

@@ -1,4 +1,4 @@
-//! A row per configuration that was explained and minimal subset that was found.
+//! A row per explained configuration and minimal subset.
 
 use lattice::{Answer, Explained, MinimalSubset};
 
@@ -75,7 +75,7 @@ fn columns<'a>() -> [Column<Row<'a>>; 15] {
     ]
 }
 
-/// The smallest supersets that do not flip the outcome; absent without any.
+/// Returns the smallest supersets that do not flip the outcome; absent if there are none.
 fn undone_by(row: &Row) -> Value {
     let pairs = row.answer.non_monotone.iter();
     let pairs = pairs.filter(|pair| pair.minimal == row.minimal.set);

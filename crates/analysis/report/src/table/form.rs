@@ -1,7 +1,6 @@
-//! Form of a table, and its writers for CSV and Parquet.
+//! Columns and values of a table, and its writers for CSV and Parquet.
 //!
-//! Parquet's columns have types: booleans, integers, numbers, and strings for names and
-//! enumerations.
+//! Parquet columns are booleans, integers, doubles, or strings for names and enumerations.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -16,7 +15,7 @@ use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
 use serde_json::{Value as Json, json};
 
-/// A table that cannot be written.
+/// Failure to write a table.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
     /// The table cannot be written as CSV.
@@ -25,7 +24,7 @@ pub enum TableError {
     /// The table cannot be written as Parquet.
     #[error("write the table as Parquet")]
     Parquet(#[from] ParquetError),
-    /// The end of the file.
+    /// The output could not be flushed.
     #[error("write the end of the table")]
     Flush(#[from] std::io::Error),
 }
@@ -44,14 +43,14 @@ pub(super) enum Value {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Number,
-    /// A number that may be absent.
+    /// Nullable integer.
     Integer,
     Real,
     Text,
     Bool,
 }
 
-/// A column: its name, what it holds, and the value of a row.
+/// A column: its name, its type, and a function that returns a row's value.
 pub(super) type Column<R> = (&'static str, Kind, fn(&R) -> Value);
 
 /// A table: the name of its rows, its columns and its rows.
@@ -75,8 +74,8 @@ impl<R> Table<R> {
         Ok(csv.flush()?)
     }
 
-    /// Writes the table as one row group without compression; its footer has what
-    /// pandas needs to read nullable columns as what they are, see [`for_pandas`].
+    /// Writes the table as one row group without compression. Its footer holds pandas
+    /// metadata that preserves the types of nullable columns, see [`for_pandas`].
     pub(super) fn parquet(&self, out: impl Write + Send) -> Result<(), TableError> {
         let fields = self.columns.iter();
         let fields = fields.map(|(name, kind, _)| field(name, *kind).map(Arc::new));
@@ -127,9 +126,9 @@ impl<R> Table<R> {
     }
 }
 
-/// The footer's entry `pandas`: without it, pandas makes a column of booleans or
-/// texts with gaps a column of `object`, in which `None` stands between them.
-/// Its form: <https://pandas.pydata.org/docs/development/developer.html>.
+/// Returns the footer's entry `pandas`. Without it, pandas reads nullable booleans and strings
+/// as columns of type `object` with `None` for absent values.
+/// Format: <https://pandas.pydata.org/docs/development/developer.html>.
 fn for_pandas<R>(columns: &[Column<R>]) -> Json {
     let column = |(name, kind, _): &Column<R>| {
         let (pandas_type, numpy_type) = match kind {
@@ -156,7 +155,8 @@ fn for_pandas<R>(columns: &[Column<R>]) -> Json {
     })
 }
 
-/// The schema of a column: only numbers are never absent.
+/// Returns the Parquet type of a column. Only [`Kind::Number`] is required; all other kinds
+/// are nullable.
 fn field(name: &str, kind: Kind) -> Result<Type, ParquetError> {
     let (physical, repetition, logical) = match kind {
         Kind::Number => (Physical::INT64, Repetition::REQUIRED, None),

@@ -1,4 +1,4 @@
-//! A row per committed rollout, from the rows that `coordinator export` writes as JSON.
+//! A row per committed rollout, read from the JSON rows of `coordinator export`.
 
 use std::io::Write;
 
@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::form::{Column, Kind, Table, TableError, Value, text};
 
-/// A result row. What it does not say is absent.
+/// A result row; fields that the JSON lacks are absent.
 #[derive(Debug, Deserialize)]
 pub struct ResultRow {
     rollout_id: String,
@@ -31,10 +31,10 @@ pub struct ResultRow {
 }
 
 impl ResultRow {
-    /// Reads a line of an export.
+    /// Parses a line of an export.
     ///
     /// # Errors
-    /// If it is no result row.
+    /// If the line is not a valid result row.
     pub fn from_json(line: &str) -> Result<Self, JsonError> {
         Ok(serde_json::from_str(line)?)
     }

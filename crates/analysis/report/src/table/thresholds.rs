@@ -1,4 +1,4 @@
-//! A row per threshold that is looked for: where success turns to failure.
+//! A row per threshold searched for: the radius at which success turns to failure.
 
 use super::form::{Column, Kind, Table, Value, text};
 use crate::document::Document;

@@ -7,8 +7,8 @@ use super::ziggurat::standard_normal;
 const PCG_MULTIPLIER: u128 = 0x2360_ed05_1fc6_5da4_4385_df64_9fcc_f645;
 const POOL_WORDS: usize = 4;
 
-/// NumPy's present generator. Equal seeds give equal sequences of calls the
-/// same values as `numpy.random.default_rng(seed)`.
+/// NumPy's current generator. The same seed and sequence of calls give the same values as
+/// `numpy.random.default_rng(seed)`.
 #[derive(Clone)]
 pub struct DefaultRng {
     state: u128,
@@ -68,7 +68,7 @@ fn join(high: u64, low: u64) -> u128 {
     u128::from(high) << 64 | u128::from(low)
 }
 
-/// The hash whose constant changes with every word that it digests.
+/// Hash of `SeedSequence`, whose constant changes with every word.
 struct WordHash {
     constant: u32,
     multiplier: u32,
@@ -94,8 +94,8 @@ fn seed_words(seed: u128) -> [u64; 4] {
     std::array::from_fn(|i| next(2 * i) | next(2 * i + 1) << 32)
 }
 
-/// Mixes the seed's 32-bit words into a pool of four. A seed of up to 128 bits
-/// fills the pool and leaves nothing over.
+/// Mixes the seed's 32-bit words into a pool of four words, which a seed of up to 128 bits
+/// does not overflow.
 fn entropy_pool(seed: u128) -> [u32; POOL_WORDS] {
     let mut input = WordHash {
         constant: 0x43b0_d7e5,
@@ -131,7 +131,7 @@ mod tests {
         assert_eq!(normals, six_normals, "seed {seed}");
         assert_eq!(rng.uniform(0.0, std::f64::consts::PI), angle, "seed {seed}");
 
-        // NumPy adds pairwise, this adds in order: equal to rounding.
+        // NumPy sums pairwise, this test sequentially; the sums agree up to rounding.
         let mut rng = DefaultRng::seed(seed);
         let sum: f64 = (0..100_000).map(|_| rng.standard_normal()).sum();
         assert!((sum - sum_of_100_000).abs() < 1e-9, "seed {seed}: {sum}");

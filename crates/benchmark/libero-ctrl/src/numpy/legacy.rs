@@ -1,12 +1,12 @@
 //! `numpy.random.RandomState`: the Mersenne Twister MT19937 and the legacy
-//! distributions on top of it, whose order of draws NumPy has frozen.
+//! distributions on top of it, whose output NumPy has frozen.
 
 /// Words of the Mersenne Twister's state.
 pub const STATE_WORDS: usize = 624;
 const SHIFT_WORDS: usize = 397;
 
-/// NumPy's legacy generator. Equal seeds give equal sequences of calls the
-/// same values as `numpy.random.RandomState(seed)`.
+/// NumPy's legacy generator. The same seed and sequence of calls give the same values as
+/// `numpy.random.RandomState(seed)`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LegacyRng(LegacyState);
 
@@ -17,7 +17,7 @@ pub struct LegacyRng(LegacyState);
 pub struct LegacyState {
     /// The Mersenne Twister's words.
     pub words: [u32; STATE_WORDS],
-    /// The word to be read next; [`STATE_WORDS`] once all have been.
+    /// Index of the next word; [`STATE_WORDS`] if all words are used.
     pub position: usize,
     /// True if `randn` returns `gauss` next.
     pub has_gauss: bool,
@@ -26,13 +26,13 @@ pub struct LegacyState {
 }
 
 impl LegacyRng {
-    /// A generator in a given state, as after `set_state`. None if the position
-    /// is beyond [`STATE_WORDS`].
+    /// Creates a generator in a given state, like `set_state`. `None` if the position
+    /// exceeds [`STATE_WORDS`].
     pub fn from_state(state: LegacyState) -> Option<Self> {
         (state.position <= STATE_WORDS).then_some(Self(state))
     }
 
-    /// The state that it is in, as `get_state(legacy=True)` returns it.
+    /// Returns the current state, like `get_state(legacy=True)`.
     pub fn state(&self) -> &LegacyState {
         &self.0
     }
@@ -62,8 +62,8 @@ impl LegacyRng {
         ((upper << 26) | lower) as f64 / 9_007_199_254_740_992.0
     }
 
-    /// `uniform(low, high)` = `low + (high - low) * random_sample()`, also
-    /// where `high < low`, which LIBERO's regions rely on.
+    /// `uniform(low, high)` = `low + (high - low) * random_sample()`. `high < low` is
+    /// allowed; LIBERO's regions rely on it.
     pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.random_sample()
     }
@@ -88,10 +88,10 @@ impl LegacyRng {
     }
 
     /// `randint(n)`: uniform in `0..n`, by rejection from the smallest bit
-    /// mask that covers it. `randint(1)` is 0 and consumes nothing.
+    /// mask that covers the range. `randint(1)` is 0 and consumes nothing.
     ///
     /// # Panics
-    /// If `n` is 0, as there is then nothing to choose from.
+    /// If `n` is 0.
     pub fn randint(&mut self, n: u32) -> u32 {
         assert!(n > 0, "randint needs a non-empty range");
         let largest = n - 1;
@@ -221,8 +221,8 @@ mod tests {
         assert_eq!(summary(&rng), (words, sum, 624, false, 0.0));
     }
 
-    /// Values of NumPy 2.4.6 after `set_state`. A normal that is marked as used
-    /// up stays in the state until the next pair, as in NumPy.
+    /// Values of NumPy 2.4.6 after `set_state`. As in NumPy, a consumed normal stays in the
+    /// state until the next pair.
     #[test]
     fn a_generator_goes_on_from_the_state_that_it_was_given() {
         let mut rng = LegacyRng::from_state(made_up(623, false, 1.25)).unwrap();

@@ -4,7 +4,7 @@
 use super::unit_from_bits;
 use super::ziggurat_tables::{ACCEPT_BELOW, DENSITY, INV_RIGHT_EDGE, RIGHT_EDGE, WIDTH};
 
-/// One standard normal; 98.8 % of them take one word.
+/// Draws a standard normal; 98.8 % of draws take one word.
 pub(crate) fn standard_normal(mut next_word: impl FnMut() -> u64) -> f64 {
     loop {
         let bits = next_word();
@@ -17,8 +17,8 @@ pub(crate) fn standard_normal(mut next_word: impl FnMut() -> u64) -> f64 {
             return x;
         }
         if layer == 0 {
-            // The sign of the tail comes from a bit of the magnitude, not from
-            // the sign bit: so does NumPy's.
+            // Like NumPy, takes the sign of the tail from a bit of the magnitude, not from
+            // the sign bit.
             let distance = tail(&mut next_word);
             let negative = (magnitude >> 8) & 1 == 1;
             return if negative { -distance } else { distance };
@@ -31,7 +31,7 @@ pub(crate) fn standard_normal(mut next_word: impl FnMut() -> u64) -> f64 {
     }
 }
 
-/// A distance beyond the ziggurat's right edge.
+/// Draws a value beyond the ziggurat's right edge.
 fn tail(next_word: &mut impl FnMut() -> u64) -> f64 {
     loop {
         let x = -INV_RIGHT_EDGE * (-unit_from_bits(next_word())).ln_1p();

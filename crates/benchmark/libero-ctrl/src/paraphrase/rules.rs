@@ -1,5 +1,4 @@
-//! The words, structures, frames and tasks of `data/paraphrases.json`, as the file
-//! is written.
+//! Serialised form of `data/paraphrases.json`: words, structures, frames and tasks.
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
@@ -13,8 +12,8 @@ use crate::suite::TaskRef;
 /// Variants per task and level: one for each configuration.
 pub(super) const VARIANTS: usize = PRESETS as usize;
 
-/// The file, parsed once. Tests ensure that the embedded file parses and names only
-/// what it has.
+/// Returns the embedded file, parsed once. Tests ensure that it parses and that all names
+/// in it are defined.
 pub(super) fn rules() -> &'static Rules {
     static RULES: LazyLock<Rules> = LazyLock::new(|| {
         serde_json::from_str(include_str!("../../data/paraphrases.json"))
@@ -23,7 +22,7 @@ pub(super) fn rules() -> &'static Rules {
     &RULES
 }
 
-/// The file as it is written.
+/// Root object of the file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Rules {
@@ -38,8 +37,8 @@ pub(super) struct Rules {
     pub(super) tasks: BTreeMap<TaskRef, Task>,
 }
 
-/// Words that a sentence of L3 puts around a structure: they come before the
-/// structure's body, and after its lead where it has one.
+/// Frame of a sentence at L3: words before the structure's body and after its lead, if it
+/// has one.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Frame {
@@ -47,7 +46,7 @@ pub(super) struct Frame {
     pub(super) form: Form,
 }
 
-/// Grammatical number of the thing that a task is about.
+/// Grammatical number of the object of a task.
 #[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Number {
@@ -56,16 +55,16 @@ pub(super) enum Number {
     Plural,
 }
 
-/// A way in which an instruction is built.
+/// A grammatical construction of instructions.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Construction {
-    /// Slots of tasks that do not fill them.
+    /// Default values of slots that a task does not fill.
     #[serde(default)]
     pub(super) defaults: BTreeMap<String, String>,
     /// The canonical word order.
     pub(super) plain: String,
-    /// The orders of L2, by variant: a body, or a lead, `|` and a body.
+    /// Structures of L2 by variant: a body, or a lead, `|` and a body.
     pub(super) structures: [String; VARIANTS],
 }
 
@@ -93,7 +92,7 @@ pub(super) struct Task {
     pub(super) construction: String,
     #[serde(default)]
     pub(super) number: Number,
-    /// Name of the list of verbs for `<put>`: it depends on the destination.
+    /// Name of the list of verbs for `<put>`, which depends on the destination.
     pub(super) put: Option<String>,
     pub(super) slots: BTreeMap<String, String>,
 }

@@ -1,9 +1,8 @@
-//! Turns a template into words for one task and variant. Knows how templates
-//! are written, and nothing about levels.
+//! Renders templates into sentences for one task and variant, independent of levels.
 
 use super::rules::{Form, Rules, Task};
 
-/// Speaks about one task in the words of one variant.
+/// Renders templates for one task with the words of one variant.
 pub(super) struct Speaker<'r> {
     rules: &'r Rules,
     task: &'r Task,
@@ -19,10 +18,10 @@ impl<'r> Speaker<'r> {
         }
     }
 
-    /// The words of a template. Verbs whose form it leaves open take `form`.
+    /// Renders a template. Verbs without a fixed form take `form`.
     ///
     /// # Panics
-    /// If the template names what the file does not have.
+    /// If the template uses an undefined name.
     pub(super) fn say(&self, template: &str, form: Form) -> String {
         let mut text = String::new();
         let mut rest = template;
@@ -41,7 +40,8 @@ impl<'r> Speaker<'r> {
         text + rest
     }
 
-    /// A slot of the task, of its construction or of its number, or a word.
+    /// Renders a name: a slot of the task, of its construction or of its grammatical number,
+    /// or a word.
     fn name(&self, name: &str, form: Form) -> String {
         let Self { rules, task, .. } = self;
         let construction = &rules.constructions[&task.construction];
@@ -60,7 +60,8 @@ impl<'r> Speaker<'r> {
         words.of(self.variant).to_owned()
     }
 
-    /// A verb: `name`, `+` and a fixed form, a space and its object.
+    /// Renders a verb: `name`, optionally `+` and a fixed form, optionally a space and the
+    /// object.
     fn verb(&self, mark: &str, form: Form) -> String {
         let (name, rest) = self.verb_name(mark);
         let (fixed, object) = rest.split_once(' ').unwrap_or((rest, ""));
@@ -91,8 +92,8 @@ impl<'r> Speaker<'r> {
         }
     }
 
-    /// Splits a mark into the name of a list of verbs and the rest. `put` is
-    /// the task's own.
+    /// Splits a mark into the name of a list of verbs and the rest. `put` stands for the
+    /// list that the task names.
     fn verb_name<'m>(&self, mark: &'m str) -> (&'m str, &'m str)
     where
         'r: 'm,
@@ -100,7 +101,7 @@ impl<'r> Speaker<'r> {
         if let (Some(put), Some(rest)) = (&self.task.put, mark.strip_prefix("put")) {
             return (put, rest);
         }
-        // A name may have spaces, so the list decides where it ends.
+        // Names may contain spaces, so the longest known name that matches wins.
         let names = self.rules.verbs.keys();
         let name = names
             .filter_map(|name| Some((name.as_str(), mark.strip_prefix(name.as_str())?)))

@@ -1,17 +1,18 @@
-//! eˣ rounded correctly, for filters whose last bit shows. The libraries that the original
-//! calls round these values so; libm's own function misses some by one unit.
+//! Correctly rounded eˣ, for filters whose output depends on the last bit. The libraries that
+//! the original calls round these values correctly; libm's `exp` is off by one unit for some.
 
-/// The argument is divided by two to this power, exactly, and the result squared as often.
+/// Number of exact halvings of the argument; the result is squared as many times.
 const HALVINGS: i32 = 10;
-/// Terms of the series of a small argument.
+/// Number of terms of the Taylor series of the reduced argument.
 const TERMS: u32 = 9;
 
-/// A number as the sum of two, the second less than half a unit of the first.
+/// Double-double number: the sum of two, the second at most half a unit in the last place of
+/// the first.
 #[derive(Clone, Copy)]
 struct Double(f64, f64);
 
 impl Double {
-    /// The sum of two numbers of which the first is not the smaller one.
+    /// Returns the exact sum of two numbers with |`large`| ≥ |`small`| (Fast2Sum).
     fn of(large: f64, small: f64) -> Self {
         let sum = large + small;
         Self(sum, small - (sum - large))

@@ -4,11 +4,11 @@ use libero_ctrl::numpy::LegacyRng;
 
 use super::picture::{CHANNELS, Picture, truncated, unit};
 
-/// Side of the map.
+/// Side of the fog's map, pixels.
 pub(super) const SIDE: usize = 256;
-/// Half range of the coarsest values.
+/// Initial range of the fractal's random values.
 const COARSEST: f64 = 100.0;
-/// Density, and divisor of the range from one level to the next, of each severity.
+/// Density of the fog, and divisor of the range from one level to the next, by severity.
 const SEVERITIES: [(f64, f64); 10] = [
     (0.5, 3.0),
     (1.0, 2.8),
@@ -39,14 +39,14 @@ pub(super) fn cover(picture: &mut Picture<'_>, severity: usize, rng: &mut Legacy
     }
 }
 
-/// Draws what a picture takes.
+/// Advances the generator as if a picture were corrupted.
 pub(super) fn skip(rng: &mut LegacyRng) {
     for _ in 1..SIDE * SIDE {
         rng.random_sample();
     }
 }
 
-/// A map of numbers in [0, 1]. Every place but the corner is drawn once.
+/// Draws a map of numbers in [0, 1]. Every point except the corner takes one draw.
 fn plasma(decay: f64, rng: &mut LegacyRng) -> Vec<f64> {
     let mut map = vec![0.0; SIDE * SIDE];
     let mut step = SIDE;

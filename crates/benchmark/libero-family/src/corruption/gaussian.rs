@@ -1,12 +1,12 @@
-//! `skimage.filters.gaussian` and what is made of it: SciPy's separable filter, whose sums
-//! are repeated in its order, since truncation to bytes shows the last bit.
+//! Gaussian blur as `skimage.filters.gaussian`: SciPy's separable filter, with sums in the
+//! same order because truncation to bytes exposes the last bit.
 
 use super::exponential::exp;
 use super::picture::{CHANNELS, Picture, truncated, unit};
 
-/// Widths of the ten severities, pixels.
+/// Standard deviations by severity, pixels.
 const SIGMAS: [f64; 10] = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0];
-/// The filter ends at this many widths.
+/// Radius of the filter, in standard deviations.
 const TRUNCATE: f64 = 4.0;
 
 /// Corrupts a picture.
@@ -22,7 +22,8 @@ pub(super) fn blur_picture(picture: &mut Picture<'_>, severity: usize) {
     }
 }
 
-/// The Gaussian filter over rows and columns of three channels, edges continued.
+/// Applies the Gaussian filter to the columns and rows of three channels, with edge values
+/// repeated.
 pub(super) fn blur(values: Vec<f64>, height: usize, width: usize, sigma: f64) -> Vec<f64> {
     let weights = weights(sigma);
     let row = width * CHANNELS;
@@ -32,7 +33,8 @@ pub(super) fn blur(values: Vec<f64>, height: usize, width: usize, sigma: f64) ->
     })
 }
 
-/// Filters `lines` lines of `length` values each; `place` says where a line's value is.
+/// Filters `lines` lines of `length` values each; `place` maps a line and a position in it to
+/// an index.
 fn along(
     values: &[f64],
     weights: &[f64],
@@ -72,7 +74,7 @@ fn weights(sigma: f64) -> Vec<f64> {
     half.map(|weight| weight / sum).collect()
 }
 
-/// NumPy's sum of fewer than 129 numbers: in eight parts, which are added in pairs.
+/// Sums at most 128 numbers like NumPy: in eight partial sums, which are added pairwise.
 fn pairwise_sum(values: &[f64]) -> f64 {
     debug_assert!(values.len() <= 128);
     let (blocks, rest) = values.as_chunks::<8>();

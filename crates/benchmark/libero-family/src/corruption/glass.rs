@@ -1,12 +1,13 @@
-//! Frosted glass: pixels copied from nearby. The released code means to swap two pixels,
-//! and only copies one over the other.
+//! Frosted glass: pixels copied from nearby. The released code intends to swap two pixels
+//! but only copies one over the other; this is reproduced.
 
 use libero_ctrl::numpy::LegacyRng;
 
 use super::gaussian;
 use super::picture::{CHANNELS, Picture, truncated, unit};
 
-/// Width of the blur in pixels, farthest offset in pixels, and rounds, of each severity.
+/// Standard deviation of the blur in pixels, largest offset in pixels, and number of rounds,
+/// by severity.
 const SEVERITIES: [(f64, u32, u32); 10] = [
     (0.5, 1, 3),
     (0.7, 1, 3),
@@ -40,13 +41,13 @@ pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyR
     }
 }
 
-/// Draws what a picture takes.
+/// Advances the generator as if a picture were corrupted.
 pub(super) fn skip(height: usize, width: usize, severity: usize, rng: &mut LegacyRng) {
     let (_, reach, rounds) = SEVERITIES[severity];
     displace(height, width, reach, rounds, rng, |_, _| {});
 }
 
-/// Draws which pixels are copied over which, and has them copied.
+/// Draws the pairs of pixels and calls the closure to copy each.
 fn displace(
     height: usize,
     width: usize,

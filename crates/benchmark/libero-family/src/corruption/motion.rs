@@ -1,12 +1,12 @@
-//! ImageMagick's motion blur, as `MagickMotionBlurImage` of 6.9.11-60 with 16 bits a
-//! channel computes it from a picture of 8 bits, and writes it to one.
+//! ImageMagick's motion blur: `MagickMotionBlurImage` of 6.9.11-60 with 16 bits per channel,
+//! applied to a picture with 8 bits per channel.
 
 use libero_ctrl::numpy::LegacyRng;
 
 use super::exponential::exp;
 use super::picture::{CHANNELS, Picture};
 
-/// Radius and width of the one-sided filter, pixels, of each severity.
+/// Radius and standard deviation of the one-sided filter, pixels, by severity.
 const SEVERITIES: [(f64, f64); 10] = [
     (5.0, 2.0),
     (8.0, 3.0),
@@ -19,9 +19,9 @@ const SEVERITIES: [(f64, f64); 10] = [
     (30.0, 15.0),
     (35.0, 20.0),
 ];
-/// Angles are drawn between this to either side, degrees.
+/// Largest magnitude of the angle, degrees.
 const MAX_ANGLE: f64 = 45.0;
-/// 16 bits for each step of 8.
+/// Factor between 8-bit and 16-bit channel values.
 const QUANTA: u32 = 257;
 
 /// Corrupts a picture.
@@ -53,7 +53,7 @@ pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyR
     }
 }
 
-/// Draws what a picture takes.
+/// Advances the generator as if a picture were corrupted.
 pub(super) fn skip(rng: &mut LegacyRng) {
     draw_angle(rng);
 }
@@ -66,7 +66,7 @@ fn quantum(byte: u8) -> f64 {
     f64::from(u32::from(byte) * QUANTA)
 }
 
-/// The filter from the pixel itself on.
+/// Returns the weights of the one-sided filter, starting at the pixel itself.
 fn weights(length: usize, sigma: f64) -> Vec<f64> {
     let scale = (2.0 * std::f64::consts::PI).sqrt() * sigma;
     let bell = |index: usize| {
@@ -78,7 +78,7 @@ fn weights(length: usize, sigma: f64) -> Vec<f64> {
     bells.iter().map(|bell| bell / sum).collect()
 }
 
-/// Steps to the right and down that lead to each pixel of the filter.
+/// Returns the offset of each pixel of the filter, to the right and down.
 fn offsets(length: usize, angle: f64) -> Vec<(isize, isize)> {
     let (sin, cos) = libm::sincos(angle.to_radians());
     let (across, along) = (length as f64 * sin, length as f64 * cos);

@@ -1,9 +1,9 @@
-//! A picture, and its numbers.
+//! A picture and conversions of its channel values.
 
 /// Channels of a pixel.
 pub(super) const CHANNELS: usize = 3;
 
-/// A picture: rows of pixels of three bytes, in the order in which they are given.
+/// A picture: rows of pixels of three bytes. Corruptions do not depend on the order of rows.
 #[derive(Debug)]
 pub struct Picture<'a> {
     /// Rows.
@@ -14,12 +14,12 @@ pub struct Picture<'a> {
     pub rgb: &'a mut [u8],
 }
 
-/// A byte as NumPy makes one of a number in 0..=255 and a little more: by truncation.
+/// Converts a number to a byte by truncation, like NumPy's `astype(uint8)`.
 pub(super) fn truncated(value: f64) -> u8 {
     value as u8
 }
 
-/// The picture in [0, 1].
+/// Returns the channel values scaled to [0, 1].
 pub(super) fn unit(picture: &Picture<'_>) -> Vec<f64> {
     let bytes = picture.rgb.iter();
     bytes.map(|byte| f64::from(*byte) / 255.0).collect()

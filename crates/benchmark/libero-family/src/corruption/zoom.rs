@@ -1,10 +1,10 @@
-//! Zoom blur: the mean of the picture and of its middle, magnified step by step, in single
-//! precision as `scipy.ndimage.zoom` of order 1 does it.
+//! Zoom blur: the mean of the picture and of magnifications of its centre by increasing
+//! factors, in single precision like `scipy.ndimage.zoom` of order 1.
 
 use super::picture::{CHANNELS, Picture};
 
-/// End and step of the factors of each severity. The end is a factor where rounding says
-/// so, as in `numpy.arange`.
+/// End and step of the factors, by severity. As in `numpy.arange`, rounding decides whether
+/// the end is included.
 const SEVERITIES: [(f64, f64); 10] = [
     (1.11, 0.01),
     (1.16, 0.01),
@@ -46,14 +46,14 @@ fn factors(severity: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Adds the middle of a picture, magnified to its whole.
+/// Adds the centre of a picture, magnified to the full size.
 fn add_magnified(sum: &mut [f32], values: &[f32], side: usize, factor: f64) {
     let cropped = (side as f64 / factor).ceil() as usize;
     let margin = (side - cropped) / 2;
     let magnified = (cropped as f64 * factor).round_ties_even() as usize;
     let trimmed = magnified.saturating_sub(side) / 2;
     let scale = (cropped - 1) as f64 / (magnified - 1) as f64;
-    // First of two neighbours, the second, and the second's weight.
+    // For each output pixel: the two neighbours and the weight of the second.
     let sources: Vec<(usize, usize, f64)> = (0..side)
         .map(|index| {
             let at = (index + trimmed) as f64 * scale;

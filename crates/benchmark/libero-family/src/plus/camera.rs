@@ -1,39 +1,39 @@
-//! Pose of `agentview` in LIBERO-Plus: turned about a point over the table, scaled away
-//! from it, and turned in place, rounded to four decimals after every step. Every variant
-//! goes through it, so that none has exactly LIBERO's camera.
+//! Pose of `agentview` in LIBERO-Plus: rotated about a point over the table, scaled away
+//! from it, and rotated in place, rounded to four decimals after every step. Every variant is
+//! processed and therefore rounded, so that none has exactly LIBERO's camera.
 
 use std::fmt;
 
-/// Height of the point that the camera moves about, m. It is the table's, and is used where
-/// there is no table, too.
+/// Height of the point that the camera rotates about, m: that of the table, also used in
+/// scenes without one.
 const PIVOT_HEIGHT: f64 = 0.8;
 
 /// Pose of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraPose {
-    /// World frame, m.
+    /// Position, world frame, m.
     pub pos: [f64; 3],
-    /// w x y z; of length one to four decimals.
+    /// Orientation, w x y z; normalised only to four decimals.
     pub quat: [f64; 4],
 }
 
-/// The five whole numbers of a name: `H_V_S_R_T`. Angles are degrees.
+/// View of a variant: the five integers `H_V_S_R_T` of its name. Angles are in degrees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct View {
-    /// About the world's vertical axis.
+    /// Rotation about the vertical axis through the pivot.
     pub horizontal: u16,
-    /// Upwards, about a horizontal axis through the pivot.
+    /// Upward rotation about a horizontal axis through the pivot.
     pub vertical: u16,
     /// Distance from the pivot, percent.
     pub scale: u16,
-    /// In place, about the vertical axis.
+    /// Rotation in place about the world's vertical axis.
     pub pan: u16,
-    /// In place, about the world's second axis.
+    /// Rotation in place about the world's y axis.
     pub tilt: u16,
 }
 
 impl View {
-    /// LIBERO's view, but for the rounding.
+    /// LIBERO's view, except for rounding.
     pub const NOMINAL: Self = Self {
         horizontal: 0,
         vertical: 0,
@@ -42,12 +42,12 @@ impl View {
         tilt: 0,
     };
 
-    /// True if nothing but the rounding changes.
+    /// Returns true if the view changes nothing except for rounding.
     pub fn is_nominal(&self) -> bool {
         *self == Self::NOMINAL
     }
 
-    /// Reads the five numbers of a name.
+    /// Creates a view from the five numbers of a name; `None` if they are invalid.
     pub(crate) fn from_numbers(numbers: &[u16]) -> Option<Self> {
         let [horizontal, vertical, scale, pan, tilt] = *numbers else {
             return None;
@@ -62,7 +62,7 @@ impl View {
         })
     }
 
-    /// The pose that it makes of LIBERO's.
+    /// Applies the view to LIBERO's pose.
     pub fn apply(&self, nominal: CameraPose) -> CameraPose {
         let mut pose = nominal;
         if self.vertical != 0 {
@@ -127,7 +127,7 @@ impl CameraPose {
         }
     }
 
-    /// Rounded to four decimals, as Python rounds.
+    /// Rounds the pose to four decimals, like Python.
     fn rounded(self) -> Self {
         Self {
             pos: self.pos.map(round4),
@@ -136,7 +136,7 @@ impl CameraPose {
     }
 }
 
-/// Turns an orientation, brought to length one first, about an axis of the world: 1 is x.
+/// Normalises an orientation and rotates it about an axis of the world; axis 1 is x.
 fn turn(degrees: f64, axis: usize, quat: [f64; 4]) -> [f64; 4] {
     let length = quat.iter().map(|part| part * part).sum::<f64>().sqrt();
     let [w, x, y, z] = quat.map(|part| part / length);
@@ -152,7 +152,7 @@ fn turn(degrees: f64, axis: usize, quat: [f64; 4]) -> [f64; 4] {
     ]
 }
 
-/// The nearest number of four decimals to a number's exact value.
+/// Rounds the exact binary value to four decimals.
 fn round4(value: f64) -> f64 {
     let text = format!("{value:.4}");
     text.parse().expect("a number that was just written")

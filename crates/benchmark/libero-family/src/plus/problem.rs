@@ -1,21 +1,21 @@
-//! Problem classes of LIBERO-Plus: 1,919 names that its BDDL files use beside LIBERO's
-//! five. Each is one of the five with another scene file or other textures, and its name
-//! says which.
+//! Problem classes of LIBERO-Plus: 1,919 names in its BDDL files in addition to LIBERO's
+//! five. Each is one of the five with a different scene file or different textures, which
+//! its name encodes.
 
 use std::fmt;
 
-/// Files that a variant needs beside its BDDL file and states.
+/// Files that a variant needs in addition to its BDDL file and states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Assets {
     /// LIBERO's own, 585 files.
     Libero,
-    /// Thirteen further objects of LIBERO-Plus' archive.
+    /// Thirteen additional objects in LIBERO-Plus' archive.
     NewObjects,
-    /// 998 scenes with other lights.
+    /// 998 scenes with different lights.
     Lights,
     /// 148 textures for floors and walls.
     FloorTextures,
-    /// 508 scenes with other tables and backgrounds, and their textures.
+    /// 508 scenes with different tables and backgrounds, and their textures.
     Scenes,
 }
 
@@ -29,7 +29,7 @@ impl Assets {
         Self::Scenes,
     ];
 
-    /// In words, for counts and refusals.
+    /// Returns a description for counts and error messages.
     pub const fn words(self) -> &'static str {
         match self {
             Self::Libero => "LIBERO's own files",
@@ -52,7 +52,7 @@ impl fmt::Display for Assets {
 pub struct Style {
     /// File in the textures' folder.
     pub file: String,
-    /// True if it is one of LIBERO's.
+    /// True if the texture is one of LIBERO's.
     pub is_liberos: bool,
 }
 
@@ -61,11 +61,11 @@ pub struct Style {
 pub struct ProblemClass {
     /// LIBERO's class, in lower case.
     pub parent: &'static str,
-    /// Scene file in place of the class's, below the assets' folder.
+    /// Scene file that replaces the parent's, relative to the assets' folder.
     pub scene: Option<String>,
-    /// Texture of the floor in place of the class's.
+    /// Floor texture that replaces the parent's.
     pub floor: Option<Style>,
-    /// Texture of the walls in place of the class's.
+    /// Wall texture that replaces the parent's.
     pub wall: Option<Style>,
 }
 
@@ -78,7 +78,7 @@ const PARENTS: [(&str, &str); 5] = [
     ("libero_floor_manipulation", "floor"),
 ];
 
-/// Floors whose file is not called as the style is; the first twelve are LIBERO's.
+/// Floor styles whose file has a different name; the first twelve are LIBERO's.
 const FLOORS: [(&str, &str); 25] = [
     ("dark", "dark_floor_texture.png"),
     ("rustic", "rustic_floor.png"),
@@ -104,7 +104,7 @@ const FLOORS: [(&str, &str); 25] = [
     ("brick_col", "Bricks02_COL_VAR1_6K.png"),
     ("cliffde_col", "CliffDesert006_COL_VAR1_HIRES.png"),
     ("cliffde_nrm", "CliffDesert006_NRM_HIRES.png"),
-    // The space is the released table's.
+    // The space is in the released table.
     ("cobble01_disp", "Cobblestone01_DISP_6K copy.png"),
     ("marble_gloss", "Marble01_GLOSS_3K.png"),
     ("woodfine01_g", "WoodFine001_GLOSS_6K.png"),
@@ -130,26 +130,26 @@ const WALLS: [(&str, &str); 18] = [
     ("gray_ceramic", "gray_ceramic_tile.png"),
     ("kona", "kona_gotham.png"),
     ("light_grey", "light_grey_plaster.png"),
-    // LIBERO has cream-plaster.png, which is another file.
+    // LIBERO's cream-plaster.png is a different file.
     ("cream", "cream_plaster.png"),
     ("brick_disp", "Bricks02_DISP_6K.png"),
 ];
 const LIBEROS_WALLS: usize = 16;
 
-/// Beginnings of the textures whose scenes lie in `scenes/`; those of all others lie in a
-/// folder of 250.
+/// Prefixes of the textures whose scenes are directly in `scenes/`; all others are in a
+/// folder of 250 scenes.
 const FIRST_TEXTURES: [&str; 6] = ["bricks", "cliff", "cobble", "marble", "tiles", "woodfine"];
 
-/// No class of LIBERO-Plus is called so.
+/// Error: LIBERO-Plus has no problem class of this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("read problem class `{0}`: neither LIBERO nor LIBERO-Plus has it")]
 pub struct ProblemError(String);
 
 impl ProblemClass {
-    /// Reads a class's name, as BDDL files write it.
+    /// Parses a class's name, as written in BDDL files.
     ///
     /// # Errors
-    /// If it is no class of LIBERO or LIBERO-Plus.
+    /// If neither LIBERO nor LIBERO-Plus has the class.
     pub fn parse(name: &str) -> Result<Self, ProblemError> {
         let lower = name.to_lowercase();
         let unknown = || ProblemError(name.to_owned());
@@ -180,7 +180,7 @@ impl ProblemClass {
         }
     }
 
-    /// Files that it needs.
+    /// Returns the files that the class needs.
     pub fn assets(&self) -> Assets {
         let styles = [&self.floor, &self.wall];
         let all_liberos = styles.into_iter().flatten().all(|style| style.is_liberos);
@@ -193,7 +193,7 @@ impl ProblemClass {
     }
 }
 
-/// `FloorSTYLE` or `Combined_FloorSTYLE_WallSTYLE`.
+/// Parses `FloorSTYLE` or `Combined_FloorSTYLE_WallSTYLE`.
 fn of_floor(rest: &str) -> Option<ProblemClass> {
     let (floor, wall) = match strip(rest, "combined_floor") {
         Some(styles) => {
@@ -209,7 +209,7 @@ fn of_floor(rest: &str) -> Option<ProblemClass> {
     })
 }
 
-/// `PREFIX_light_sync_modified_N` or `PREFIX_table_TEXTURE`, the latter with
+/// Parses `PREFIX_light_sync_modified_N`, or `PREFIX_table_TEXTURE` with optional
 /// `_bg_TEXTURE` or `_Wall_STYLE`.
 fn of_scene(prefix: &str, rest: &str) -> Option<ProblemClass> {
     let kind = strip(rest, prefix)?;
@@ -254,7 +254,7 @@ fn style(name: &str, known: &[(&str, &str)], liberos: usize) -> Style {
     }
 }
 
-/// What follows a beginning, in whatever case; both are ASCII or do not match.
+/// Strips an ASCII prefix, ignoring case.
 fn strip<'a>(text: &'a str, beginning: &str) -> Option<&'a str> {
     let head = text.get(..beginning.len())?;
     head.eq_ignore_ascii_case(beginning)

@@ -1,5 +1,5 @@
-//! The sentence that a policy is told. LIBERO-Plus makes it of the file's name, and so
-//! tells the policy what was changed; harnesses that mend this do so in different ways.
+//! Prompt of the policy. LIBERO-Plus derives it from the file's name, which reveals the
+//! change to the policy; harnesses correct this in different ways.
 
 use std::fmt;
 use std::str::FromStr;
@@ -11,10 +11,10 @@ use super::variant::{Change, Variant};
 /// Source of the prompt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Prompt {
-    /// As the released code: the file's name, what was changed included, except where the
-    /// sentence itself is what was changed.
+    /// Like the released code: the file's name including the description of the change, or
+    /// the BDDL file's sentence for language variants.
     Released,
-    /// The same without what was changed: the prompts that policies of LIBERO know.
+    /// The file's name without the description of the change: LIBERO's own prompts.
     Stripped,
     /// The BDDL file's sentence.
     Bddl,
@@ -33,7 +33,7 @@ impl Prompt {
         }
     }
 
-    /// A variant's prompt; `sentence` is what its BDDL file says, in lower case.
+    /// Returns a variant's prompt; `sentence` is that of its BDDL file, in lower case.
     pub fn of(self, variant: &Variant, sentence: &str) -> String {
         if self == Self::Bddl || matches!(variant.change, Change::Language(_)) {
             return sentence.to_owned();
@@ -49,7 +49,7 @@ impl Prompt {
         }
     }
 
-    /// A nominal task's prompt; `sentence` as above.
+    /// Returns a nominal task's prompt; `sentence` is that of its BDDL file, in lower case.
     pub fn of_task(self, task: TaskRef, sentence: &str) -> String {
         match self {
             Self::Bddl => sentence.to_owned(),
@@ -75,7 +75,7 @@ impl FromStr for Prompt {
     }
 }
 
-/// No source of a prompt is called so.
+/// Error: there is no prompt source of this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("read prompt `{0}`: valid are released, stripped, bddl")]
 pub struct UnknownPrompt(String);

@@ -1,6 +1,6 @@
-//! Postures of the arm at a reset: LIBERO-Plus has a robot class for each. Rule that
-//! reproduces all 500: a random direction in joint space from NumPy's generator with seed
-//! 42, as long as the number's hundred says.
+//! Postures of the arm at a reset; LIBERO-Plus has a robot class for each. All 500 are
+//! reproduced by a rule: a displacement in a random direction in joint space, drawn from
+//! NumPy's generator with seed 42, whose length grows with each hundred of numbers.
 
 use std::sync::OnceLock;
 
@@ -12,7 +12,8 @@ pub const ROBOTS: u16 = 500;
 const JOINTS: usize = 7;
 /// Seed of the directions.
 const SEED: u32 = 42;
-/// Length of the first hundred's displacements, rad; of the second twice that, and so on.
+/// Length of the first hundred's displacements, rad; it grows by the same amount with each
+/// hundred.
 const RADIUS_STEP: f64 = 0.1;
 /// LIBERO's posture at a reset, rad.
 const HOME: [f64; JOINTS] = [
@@ -25,7 +26,8 @@ const HOME: [f64; JOINTS] = [
     std::f64::consts::FRAC_PI_4,
 ];
 
-/// Angles of the arm's joints at the reset of robot `number`, 1 to 500, rad.
+/// Returns the joint angles at the reset of robot `number`, 1 to 500, rad; `None` for other
+/// numbers.
 pub fn start_posture(number: u16) -> Option<[f64; JOINTS]> {
     static POSTURES: OnceLock<Vec<[f64; JOINTS]>> = OnceLock::new();
     let postures = POSTURES.get_or_init(|| {
@@ -43,7 +45,7 @@ fn posture(number: u16, rng: &mut LegacyRng) -> [f64; JOINTS] {
     let radius = RADIUS_STEP * f64::from(number.div_ceil(100));
     std::array::from_fn(|joint| {
         let angle = HOME[joint] + radius * direction[joint] / length;
-        // The classes have them as text.
+        // The released classes contain the angles as text with eight decimals.
         let text = format!("{angle:.8}");
         text.parse().expect("a number that was just written")
     })

@@ -1,4 +1,4 @@
-//! Names of the variants, and which files of the benchmark each name stands for.
+//! Names of the variants, and the benchmark's files for each name.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,12 +8,12 @@ use libero_ctrl::{Suite, TaskRef};
 use super::camera::View;
 use super::start::ROBOTS;
 
-/// Corruptions of the picture: five kinds of ten severities.
+/// Number of picture corruptions: five kinds of ten severities.
 const CORRUPTIONS: u8 = 50;
-/// Sentences of a task.
+/// Number of sentences of a task.
 const SENTENCES: u8 = 50;
 
-/// Dimension of robustness, as LIBERO-Plus divides its variants.
+/// Dimension of robustness, by which LIBERO-Plus groups its variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Dimension {
     /// Textures of table, floor and walls.
@@ -26,7 +26,7 @@ pub enum Dimension {
     Language,
     /// Corruption of `agentview`'s pictures.
     Noise,
-    /// Places of the objects, and further objects.
+    /// Positions of the objects, and additional objects.
     Layout,
     /// Lights.
     Light,
@@ -91,33 +91,33 @@ impl FromStr for Dimension {
 /// The one thing that a variant changes. Numbers are those of its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Change {
-    /// Another camera.
+    /// Camera pose.
     Camera(View),
-    /// Another posture at the reset, of 500.
+    /// Posture at the reset, one of 500.
     Robot(u16),
-    /// A corruption, of 50.
+    /// Picture corruption, one of 50.
     Noise(u8),
-    /// Another sentence.
+    /// Sentence.
     Language(u8),
-    /// Other lights.
+    /// Lights.
     Light(u8),
-    /// Another texture of the table, or of the floor where there is no table.
+    /// Texture of the table, or of the floor in scenes without a table.
     Table(u8),
-    /// Other textures of table and background, or of floor and wall.
+    /// Textures of table and background, or of floor and wall.
     TableAndBackground(u8),
-    /// Further objects, a sixth of the number rounded up.
+    /// Additional objects: a sixth of the number, rounded up.
     Added(u8),
-    /// Objects elsewhere.
+    /// Positions of objects.
     Level {
-        /// How far, 1 to 5.
+        /// Size of the displacement, 1 to 5.
         level: u8,
-        /// Which sample of it.
+        /// Number of the sample.
         sample: u8,
     },
 }
 
 impl Change {
-    /// Dimension that it belongs to.
+    /// Returns the dimension that the change belongs to.
     pub const fn dimension(self) -> Dimension {
         match self {
             Self::Camera(_) => Dimension::Camera,
@@ -130,7 +130,7 @@ impl Change {
         }
     }
 
-    /// Reads what follows the task in a name, without the first underscore.
+    /// Parses the part of a name after the task and an underscore.
     fn parse(suffix: &str, suite: Suite) -> Option<Self> {
         let numbers = |text: &str| text.split('_').map(number).collect::<Option<Vec<u16>>>();
         let small = |text: &str| u8::try_from(number(text)?).ok();
@@ -181,14 +181,14 @@ impl Change {
     }
 }
 
-/// A number as names have it: digits, no leading zero.
+/// Parses a number in a name: digits without a leading zero.
 fn number(text: &str) -> Option<u16> {
     let canonical = text.bytes().all(|byte| byte.is_ascii_digit());
     let canonical = canonical && (text == "0" || !text.starts_with('0'));
     canonical.then(|| text.parse().ok()).flatten()
 }
 
-/// Reads `levelL_sampleS`.
+/// Parses `levelL_sampleS`.
 fn level(text: &str) -> Option<Change> {
     let (level, sample) = text.strip_prefix("level")?.split_once("_sample")?;
     let small = |text: &str| u8::try_from(number(text)?).ok();
@@ -207,8 +207,8 @@ pub struct Variant {
 }
 
 impl Variant {
-    /// Stem of its BDDL file in the folder of its suite. Camera, robot and noise have none
-    /// of their own: theirs is LIBERO's.
+    /// Returns the stem of the BDDL file in the folder of the suite. Camera, robot and noise
+    /// variants use LIBERO's.
     pub fn bddl_stem(&self) -> String {
         match self.change {
             Change::Camera(_) | Change::Robot(_) | Change::Noise(_) => self.task.name().to_owned(),
@@ -217,7 +217,7 @@ impl Variant {
         }
     }
 
-    /// File of its initial states, below `init_files`.
+    /// Returns the path of the file of initial states, relative to `init_files`.
     pub fn states_file(&self) -> String {
         let suite = self.task.suite();
         match self.has_one_state() {
@@ -226,13 +226,14 @@ impl Variant {
         }
     }
 
-    /// True if its file holds one state as a vector; the others are LIBERO's own files, of
-    /// fifty states.
+    /// Returns true if the file of initial states holds a single state as a vector. All other
+    /// variants use LIBERO's files of fifty states.
     pub fn has_one_state(&self) -> bool {
         matches!(self.change, Change::Added(_) | Change::Level { .. })
     }
 
-    /// Pose of `agentview`. Every variant has it computed, and so rounded.
+    /// Returns the view of `agentview`. The pose of every variant is computed and therefore
+    /// rounded.
     pub fn view(&self) -> View {
         match self.change {
             Change::Camera(view) => view,
@@ -245,7 +246,7 @@ impl Variant {
         self.change.dimension()
     }
 
-    /// Posture of the arm at the reset; none: at home.
+    /// Returns the number of the posture at the reset; `None` for LIBERO's.
     pub fn robot(&self) -> Option<u16> {
         match self.change {
             Change::Robot(robot) => Some(robot),
@@ -291,8 +292,8 @@ impl fmt::Display for Variant {
 impl FromStr for Variant {
     type Err = UnknownVariant;
 
-    /// Reads a name. A name without a suffix is an unperturbed task, which LIBERO-Plus
-    /// cannot load either.
+    /// Parses a name. A name without a suffix, which would be an unperturbed task, is an
+    /// error; LIBERO-Plus cannot load it either.
     fn from_str(name: &str) -> Result<Self, UnknownVariant> {
         let task = TaskRef::all()
             .filter(|task| name.starts_with(task.name()))
@@ -310,16 +311,16 @@ impl FromStr for Variant {
     }
 }
 
-/// A name that LIBERO-Plus does not have.
+/// Error: LIBERO-Plus has no variant or dimension of this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum UnknownVariant {
-    /// It begins with no task.
+    /// The name does not start with a task.
     #[error(
         "read variant `{0}`: it begins with none of LIBERO's forty tasks; give a name of LIBERO-Plus' \
          task map"
     )]
     Task(String),
-    /// No change ends so.
+    /// The suffix is not a change.
     #[error(
         "read variant `{name}`: it ends in `{suffix}`, which is no change; valid are _view_H_V_S_R_T_initstate_N, \
          …_noise_K, _language_L_view_0_0_100_0_0_initstate_0, _light_G, _table_T, _tb_T, _add_A, \
@@ -331,7 +332,7 @@ pub enum UnknownVariant {
         /// Its end.
         suffix: String,
     },
-    /// No such dimension.
+    /// There is no such dimension.
     #[error(
         "read dimension `{0}`: valid are background, robot, camera, language, noise, layout, light"
     )]

@@ -23,21 +23,20 @@ use crate::store::{
 /// Result of creating a campaign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Created {
-    /// Jobs added: all of them, or none if the campaign was there.
+    /// Jobs added: all of them, or 0 if the campaign already existed.
     pub jobs_added: u64,
-    /// Jobs that it has.
+    /// Jobs of the campaign.
     pub jobs_total: u64,
-    /// Its priority: one that was there keeps its own.
+    /// Priority of the campaign; a campaign that already existed keeps its own.
     pub priority: i32,
 }
 
 impl Queue {
-    /// Stores a campaign and its jobs. The same specification twice adds
-    /// nothing.
+    /// Stores a campaign and its jobs. Creating the same specification again adds nothing.
     ///
     /// # Errors
-    /// When another specification has the name, it follows from a campaign that is not
-    /// there, measures another policy or cannot be gone on with so, or the database fails.
+    /// If another specification has the name, the campaign derives from one that does not exist,
+    /// measures another policy or cannot be derived from, or the database fails.
     pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
         let _alone = self.campaigns.lock().await;
         let shared = &*self.shared;
@@ -59,7 +58,8 @@ impl Queue {
         }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
         if new.jobs.len() > PIECE {
-            // It follows from no other campaign: such a one has no jobs yet.
+            // Only a campaign that derives from no other is inserted here: a derived one has no
+            // jobs yet.
             drop(context);
             moves::insert(shared, new, &folder).await?;
             return Ok(created(shared, new));
@@ -77,13 +77,12 @@ impl Queue {
         Ok(created(shared, new))
     }
 
-    /// Pauses, resumes or cancels a campaign. Resuming also lets its policy be tried at
-    /// once, if that waits for the end of a back-off. Cancelling takes its leases back
-    /// without a charge; their workers learn of it with their next heartbeat.
+    /// Pauses, resumes or cancels a campaign. Resuming also ends the back-off of its policy, which
+    /// may be probed at once. Cancelling revokes the campaign's leases without a charge; their
+    /// workers are told in the answer to their next heartbeat.
     ///
     /// # Errors
-    /// When there is no such campaign, it is cancelled or stopped already, or the
-    /// database fails.
+    /// If there is no such campaign, it is already cancelled or stopped, or the database fails.
     pub async fn change_campaign(
         &self,
         name: &CampaignName,
@@ -113,14 +112,12 @@ impl Queue {
         Ok(after)
     }
 
-    /// Deletes a campaign with its jobs, results and files. Returns how many
-    /// there were.
+    /// Deletes a campaign with its jobs, results and files. Returns the numbers of deleted jobs.
     ///
     /// # Errors
-    /// When there is no such campaign, some of its rollouts are leased, another
-    /// campaign follows from it, or the database fails. Files that cannot be removed now
-    /// are removed at the next start; those that are kept elsewhere, by
-    /// [`finish_removals`](Self::finish_removals).
+    /// If there is no such campaign, some of its rollouts are leased, another campaign derives from
+    /// it, or the database fails. Local files that cannot be removed now are removed at the next
+    /// start; remote ones by [`finish_removals`](Self::finish_removals).
     pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
         let _alone = self.campaigns.lock().await;
         let shared = &*self.shared;
@@ -161,7 +158,7 @@ impl Queue {
     }
 }
 
-/// Tells of a campaign that has come with its jobs.
+/// Wakes waiting claims and logs a campaign that was added with its jobs.
 fn created(shared: &Shared, new: &NewCampaign) -> Created {
     let jobs = new.jobs.len() as u64;
     tracing::info!(campaign = %new.name, jobs, "campaign created");
@@ -173,7 +170,7 @@ fn created(shared: &Shared, new: &NewCampaign) -> Created {
     }
 }
 
-/// Why a campaign that is cancelled or stopped is not changed.
+/// Returns the error for changing a campaign that is cancelled or stopped.
 fn ended(campaign: &Campaign) -> QueueError {
     let name = campaign.name.clone();
     match campaign.state {
@@ -191,7 +188,7 @@ pub(super) fn going_on(campaign: &Campaign) -> Result<(), QueueError> {
 }
 
 impl Context<'_> {
-    /// The campaign that a new one follows from, if it does.
+    /// Returns the campaign that a new one derives from, if any.
     async fn source_of(&mut self, new: &NewCampaign) -> Result<Option<CampaignId>, QueueError> {
         let Some(derived) = &new.derived else {
             return Ok(None);
@@ -248,8 +245,9 @@ impl Context<'_> {
         }
     }
 
-    /// Takes a campaign's leases back without a charge, also those of workers that were cut
-    /// off and may come back; their workers learn of it with their next heartbeat. Returns how many there were.
+    /// Revokes a campaign's leases without a charge, including those of workers that were cut off
+    /// and may come back; workers are told in the answer to their next heartbeat. Returns the
+    /// number of leases.
     pub(super) async fn take_back(
         &mut self,
         campaign: CampaignId,

@@ -1,6 +1,5 @@
-//! Granting leases. All claims that arrive together are served by the same
-//! statements: those that are repeated get the lease that they got before, the
-//! others what they can have now.
+//! Granting of leases. All claims that arrive together are served by the same statements: repeated
+//! claims get their earlier lease, the others a waiting job.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -20,7 +19,7 @@ use crate::store::{StoreError, policies, workers};
 
 pub use super::choose::ClaimRequest;
 
-/// Longest wait of a claim.
+/// Longest time that a claim waits for a job.
 pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
 
 /// Answer to a claim.
@@ -28,7 +27,7 @@ pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
 pub struct Claimed {
     /// A job, and the lease on it.
     pub job: Option<Assigned>,
-    /// Without a lease: why, if jobs wait that this worker cannot have.
+    /// Reason why waiting jobs cannot go to this worker, if no lease was granted.
     pub idle_reason: String,
 }
 
@@ -37,15 +36,15 @@ pub struct Claimed {
 pub struct Assigned {
     /// The attempt that was granted.
     pub attempt: AttemptId,
-    /// Its job.
+    /// Job of the attempt.
     pub job: JobId,
     /// Number of the attempt within the job, from 1.
     pub number: AttemptNumber,
-    /// Its campaign.
+    /// Campaign of the job.
     pub campaign: CampaignName,
     /// Number of the replicate.
     pub replicate: u32,
-    /// One manifest row, JSON.
+    /// Manifest row, JSON.
     pub manifest_row: String,
     /// Seed for the policy.
     pub policy_seed: u64,
@@ -57,13 +56,13 @@ pub struct Assigned {
     pub realisation: String,
     /// Text of the execution model.
     pub execution: String,
-    /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
+    /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
     pub record: String,
 }
 
 impl Context<'_> {
-    /// Answers claims of workers that ask at the same time. `is_new` says of each whether it has
-    /// just come, and not only been woken: only then does it show that its worker is alive.
+    /// Answers claims that arrive at the same time. `is_new` is false for a claim that was only
+    /// woken while it waited: it does not show that its worker is alive.
     pub(super) async fn claim(
         &mut self,
         requests: &[(&ClaimRequest, bool)],
@@ -125,7 +124,7 @@ impl Context<'_> {
         Ok(answers)
     }
 
-    /// The standings of the workers that ask; notes that they are alive.
+    /// Returns the standings of the claiming workers and notes that they are alive.
     async fn standings(
         &mut self,
         requests: &[(&ClaimRequest, bool)],
@@ -140,7 +139,7 @@ impl Context<'_> {
         Ok(standings)
     }
 
-    /// The leases that some of these claims got before.
+    /// Returns the leases that repeated claims got earlier.
     async fn repeated(
         &mut self,
         requests: &[(&ClaimRequest, bool)],
@@ -151,20 +150,20 @@ impl Context<'_> {
         Ok(by_claim.collect())
     }
 
-    /// Leases to workers that run on `pin`, in the order of `choose_campaign`.
-    /// Claims that are met are taken out of `wanting`.
+    /// Grants leases to workers with the pin `pin`, in the order of `choose_campaign`. Removes
+    /// served claims from `wanting`.
     async fn lease_to(
         &mut self,
         pin: &Pin,
         wanting: &mut Vec<Wanting<'_>>,
     ) -> Result<Vec<(usize, Assigned)>, StoreError> {
         let mut assigned = Vec::new();
-        // Campaigns that have nothing more for those that are left.
+        // Campaigns with no more jobs for the remaining claims.
         let mut done: BTreeSet<CampaignId> = BTreeSet::new();
         let mut leased: Option<BTreeMap<CampaignId, u32>> = None;
         while !wanting.is_empty() {
-            // Looked at again after every campaign: a lease may be the probe that
-            // the policy's other campaigns wait for.
+            // Read again after every campaign: a lease may be the probe that other campaigns of the
+            // policy wait for.
             let waiting = self.cache.waiting(&mut self.tx).await?;
             let now = self.now;
             let suits = |it: &&Campaign| {
@@ -212,8 +211,8 @@ impl Context<'_> {
         Ok(assigned)
     }
 
-    /// Leases jobs that have lost their policy again and again, each alone with its policy.
-    /// Claims that are met are taken out of `wanting`.
+    /// Leases jobs that have repeatedly lost their policy, each as the policy's only lease. Removes
+    /// served claims from `wanting`.
     async fn lease_alone_to(
         &mut self,
         pin: &Pin,
@@ -300,7 +299,7 @@ impl Context<'_> {
         Ok(handed_out.collect())
     }
 
-    /// Why jobs wait that a worker on `pin` does not get; empty if none do.
+    /// Returns the reason why waiting jobs cannot go to a worker with this pin; empty if none wait.
     pub(super) async fn idle_reason(&mut self, pin: &Pin) -> Result<String, StoreError> {
         let mut reasons = Vec::new();
         for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
@@ -329,7 +328,7 @@ impl Context<'_> {
     }
 }
 
-/// The standing of a worker that may lease.
+/// Returns the standing of a worker that may lease.
 fn may_claim<'a>(
     standings: &'a BTreeMap<WorkerId, Standing>,
     worker: &WorkerId,

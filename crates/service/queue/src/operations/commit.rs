@@ -1,6 +1,5 @@
-//! How an attempt ends that brought a result. All results that arrive together
-//! are judged one after the other, and those that are accepted are stored by the
-//! same statements.
+//! End of an attempt with a result. Results that arrive together are judged one after the other;
+//! the accepted ones are stored by the same statements.
 
 use rollout_types::{AttemptId, Digests, Motion, Provenance, Realised, RolloutResult};
 
@@ -34,14 +33,14 @@ pub struct CommitReport {
 pub enum CommitVerdict {
     /// Stored.
     Accepted,
-    /// Stored before with this outcome.
+    /// The same outcome of the attempt is already stored.
     Duplicate,
-    /// The attempt does not hold the lease any more: refused and counted.
+    /// Refused and counted, because the attempt no longer holds the lease.
     Stale,
-    /// Stored before with another outcome: kept apart.
+    /// Another outcome of the attempt is stored: this one is recorded separately.
     Divergent,
-    /// Disagrees with its configuration's siblings, and is charged, or with what
-    /// its campaign is pinned to meanwhile: refused.
+    /// Refused: the result disagrees with its configuration's siblings, which is charged, or with
+    /// the pin that its campaign has received since the lease.
     Unpaired,
 }
 
@@ -55,7 +54,7 @@ pub struct CommitReply {
 }
 
 impl Context<'_> {
-    /// Stores results that were reported at the same time, and answers each.
+    /// Stores results that were reported at the same time, and answers each report.
     pub(super) async fn store_results(
         &mut self,
         reports: &[&CommitReport],
@@ -77,8 +76,7 @@ impl Context<'_> {
                 attempt.job.state = JobState::Leased(lease);
             }
             let reply = self.judge(attempt, report, &mut accepted).await?;
-            // Of two reports of one attempt, the second finds the first one's
-            // result.
+            // The second of two reports of one attempt must find the result of the first.
             if reply.verdict == CommitVerdict::Accepted {
                 attempt.stored = Some(key(&report.result));
                 attempt.job.state = JobState::Committed;
@@ -96,7 +94,7 @@ impl Context<'_> {
         Ok(replies)
     }
 
-    /// Judges one result; if it is to be stored, it joins `accepted`.
+    /// Judges one result and appends it to `accepted` if it is to be stored.
     async fn judge<'r>(
         &mut self,
         attempt: &NamedAttempt,
@@ -128,8 +126,8 @@ impl Context<'_> {
         )
     }
 
-    /// The attempt holds the lease: its result is stored, unless it disagrees
-    /// with its siblings.
+    /// Accepts the result of an attempt that holds the lease, unless the result disagrees with its
+    /// siblings.
     async fn accept<'r>(
         &mut self,
         attempt: &NamedAttempt,
@@ -141,8 +139,7 @@ impl Context<'_> {
         if !campaign.takes(from) {
             let (name, demand) = (&campaign.name, campaign.demand());
             let detail = format!("campaign `{name}` {demand} and this result is of {from}");
-            // It was leased in good faith if another result pinned the campaign
-            // since then.
+            // Not charged if another result pinned the campaign after this lease was granted.
             let lease = attempt.job.lease_of(attempt.id.0);
             let reason = match lease.is_some_and(|it| campaign.pinned_ms >= Some(it.granted)) {
                 true => FailureReason::Unsuited,
@@ -193,7 +190,7 @@ impl Context<'_> {
             campaigns::pin(&mut self.tx, campaign.id, from, self.now).await?;
             self.cache.forget_campaigns();
         }
-        // From now on others are compared with it.
+        // Later results are compared with this one.
         self.cache.add_measured(campaign.id, suite, &result.origin);
         self.cache.add_sibling(&attempt.of, result);
         let after = campaign.health.after_commit(attempt.id.0, self.now);
@@ -216,7 +213,7 @@ impl Context<'_> {
         })
     }
 
-    /// Ends an attempt whose result cannot stand beside the campaign's others.
+    /// Ends an attempt whose result is inconsistent with the campaign's others.
     async fn refuse(
         &mut self,
         attempt: &NamedAttempt,

@@ -20,68 +20,69 @@ const JOBS_PER_INSERT: usize = 1_000;
 /// A campaign and the policy that it measures.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct Campaign {
-    /// Its number.
+    /// Row number.
     pub id: CampaignId,
-    /// Its name.
+    /// Name of the campaign.
     pub name: CampaignName,
-    /// SHA-256 of its specification, hex.
+    /// SHA-256 of the specification, hex.
     pub spec_digest: String,
-    /// Its policy's number.
+    /// Row number of the policy.
     pub policy_id: PolicyId,
-    /// Its policy's name at the endpoint.
+    /// Name of the policy at its endpoint.
     pub policy: String,
-    /// Its policy's endpoint.
+    /// Endpoint of the policy.
     pub endpoint: String,
-    /// Its policy's health.
+    /// Health of the policy.
     #[sqlx(json)]
     pub health: PolicyHealth,
-    /// Source of its perturbations' random elements: "matched" or "reference".
+    /// Source of random values in perturbations: "matched" or "reference".
     pub realisation: String,
     /// Text of its execution model: the robot's conduct while an answer is under way.
     pub execution: String,
-    /// Rollouts that are filmed: "none", "failures", "transitions" or "all".
+    /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
     pub record: String,
     /// State that its operator set.
     #[sqlx(json)]
     pub state: CampaignState,
-    /// Whether its configurations run in a drawn order: it may end early.
+    /// True if configurations run in a drawn order, so that the campaign may stop early.
     pub is_drawn: bool,
-    /// Requirements on its workers.
+    /// Requirements on the workers.
     #[sqlx(json)]
     pub wanted: Wanted,
-    /// Jobs of a higher priority are leased first.
+    /// Priority: jobs of a higher one are leased first.
     pub priority: i32,
     /// Instant of its creation.
     pub created_ms: UnixMillis,
-    /// The folder of its files, below the folder of all artifacts: its first
-    /// name, or one like it where another campaign has that folder.
+    /// Folder of the campaign's files below the artifacts folder: its first name, or a variant if
+    /// another campaign has that folder.
     pub(crate) folder: String,
-    /// When its first result came.
+    /// Instant of the first result.
     pub pinned_ms: Option<UnixMillis>,
-    /// Its pin since then; before, the pin of its source, if it follows from another campaign.
+    /// Pin: of the first result, or before that of the source campaign, if this one is derived.
     #[sqlx(json(nullable))]
     pub pin: Option<Pin>,
 }
 
 impl Campaign {
-    /// Returns the source of its perturbations' random elements.
+    /// Returns the realisation mode.
     pub(crate) fn mode(&self) -> Result<Realisation, StoreError> {
         let mode = self.realisation.parse().map_err(undecodable);
         mode.doing("read a campaign's realisation mode")
     }
 
-    /// Whether a result has decided everything that it is pinned to.
+    /// Returns true if a result has completed the pin.
     pub(crate) fn is_pinned(&self) -> bool {
         let pin = self.pin.as_ref().filter(|_| self.pinned_ms.is_some());
         pin.is_some_and(|pin| !pin.renderer.is_empty())
     }
 
-    /// Whether it takes results of a worker that runs on `worker`.
+    /// Returns true if the campaign accepts results of a worker with this pin.
     pub(crate) fn takes(&self, worker: &Pin) -> bool {
         worker.suits(&self.wanted) && self.pin.as_ref().is_none_or(|pin| pin.takes(worker))
     }
 
-    /// Describes the workers that it requires, to be read after its name; empty if it takes any.
+    /// Describes the required workers, as a continuation of the campaign's name; empty if any
+    /// worker suits.
     pub(crate) fn demand(&self) -> String {
         match &self.pin {
             Some(pin) => format!("is pinned to {pin}"),
@@ -91,7 +92,7 @@ impl Campaign {
     }
 }
 
-/// [`Campaign`]s, under a condition.
+/// Query for [`Campaign`]s that meet a condition.
 macro_rules! campaigns_where {
     ($condition:literal) => {
         concat!(
@@ -115,7 +116,7 @@ macro_rules! campaigns_where {
     };
 }
 
-/// A campaign by its name.
+/// Finds a campaign by its name.
 pub(crate) async fn by_name(
     tx: &mut SqliteConnection,
     name: &CampaignName,
@@ -127,7 +128,7 @@ pub(crate) async fn by_name(
         .doing("look up a campaign")
 }
 
-/// A campaign by its number.
+/// Finds a campaign by its row number.
 pub(crate) async fn by_id(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -139,7 +140,7 @@ pub(crate) async fn by_id(
         .doing("look up a campaign")
 }
 
-/// All campaigns, oldest first.
+/// Returns all campaigns, oldest first.
 pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
     sqlx::query_as(campaigns_where!(
         "c.id NOT IN (SELECT campaign_id FROM passage)"
@@ -149,8 +150,7 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, Stor
     .doing("list campaigns")
 }
 
-/// The campaigns of which jobs wait, oldest first; those that are cancelled or
-/// stopped are left out.
+/// Returns the campaigns with waiting jobs, oldest first, except cancelled and stopped ones.
 pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
     sqlx::query_as(campaigns_where!(
         "c.state <> 'cancelled' AND s.stopped_ms IS NULL
@@ -162,7 +162,7 @@ pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, 
     .doing("list campaigns with waiting jobs")
 }
 
-/// A campaign's specification, JSON.
+/// Returns a campaign's specification, JSON.
 pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<String, StoreError> {
     sqlx::query_scalar("SELECT spec FROM campaign WHERE id = ?")
         .bind(id)
@@ -171,9 +171,9 @@ pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<St
         .doing("read a campaign's specification")
 }
 
-/// A folder that no campaign has, for the files of a new one: its name, unless a
-/// renamed campaign has kept that one, or files of a deleted one are still to be removed from
-/// it. What follows the `~` is in no name.
+/// Returns an unused folder for a new campaign's files: its name, unless a renamed campaign keeps
+/// that folder or files of a deleted one are still to be removed from it. A `~` cannot occur in a
+/// name, so a suffix that starts with it is unique.
 pub(crate) async fn free_folder(
     tx: &mut SqliteConnection,
     name: &CampaignName,
@@ -195,7 +195,7 @@ pub(crate) async fn free_folder(
     Ok(folder)
 }
 
-/// Stores a campaign and all its jobs; its files go into a folder of its own.
+/// Stores a campaign and all its jobs. Its files get their own folder.
 pub(crate) async fn insert(
     tx: &mut SqliteConnection,
     campaign: &NewCampaign,
@@ -208,7 +208,7 @@ pub(crate) async fn insert(
     Ok(id)
 }
 
-/// Stores a campaign, which is said to have its jobs.
+/// Stores a campaign as having its jobs, which are inserted separately.
 pub(crate) async fn insert_without_jobs(
     tx: &mut SqliteConnection,
     campaign: &NewCampaign,
@@ -283,8 +283,8 @@ async fn insert_some_jobs(
     Ok(())
 }
 
-/// Pins a campaign to what its first result came from; what it is pinned to
-/// stays as it is.
+/// Pins a campaign to the asset pack, simulator and renderer of its first result; fields that are
+/// already pinned stay.
 pub(crate) async fn pin(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -310,7 +310,7 @@ pub(crate) async fn pin(
     .map(drop)
 }
 
-/// Stores where a campaign stands with its operator.
+/// Stores the state of a campaign.
 pub(crate) async fn set_state(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -358,7 +358,7 @@ pub(crate) async fn set_spec(
         .map(drop)
 }
 
-/// Stores which policy a campaign measures.
+/// Stores the policy that a campaign measures.
 pub(crate) async fn set_policy(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -373,8 +373,8 @@ pub(crate) async fn set_policy(
         .map(drop)
 }
 
-/// Renames a campaign. Its files stay where they are, and who asks for the former
-/// name can be told.
+/// Renames a campaign. Its files stay in their folder, and its former name is kept for error
+/// messages.
 pub(crate) async fn rename(
     tx: &mut SqliteConnection,
     campaign: &Campaign,
@@ -397,7 +397,7 @@ pub(crate) async fn rename(
         .map(drop)
 }
 
-/// Returns the present name of the campaign that last had a name, if it was renamed.
+/// Returns the current name of the campaign that last had this name, if it was renamed.
 pub(crate) async fn renamed(
     tx: &mut SqliteConnection,
     name: &CampaignName,
@@ -412,7 +412,7 @@ pub(crate) async fn renamed(
     .doing("look for a campaign's former name")
 }
 
-/// A name is a campaign's own from now on, and no other's former one.
+/// Gives a name to a campaign, so that it no longer counts as another one's former name.
 pub(crate) async fn take_name(
     tx: &mut SqliteConnection,
     name: &CampaignName,
@@ -425,9 +425,9 @@ pub(crate) async fn take_name(
         .map(drop)
 }
 
-/// Removes a campaign with its jobs and their results.
+/// Deletes a campaign with its jobs and their results.
 pub(crate) async fn delete(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
-    // Jobs first: each row of `campaign_task` would look for its own.
+    // Jobs first, since deleting a row of `campaign_task` checks for jobs that refer to it.
     for statement in [
         "DELETE FROM job WHERE campaign_id = ?",
         "DELETE FROM campaign WHERE id = ?",
