@@ -10,8 +10,9 @@ use sim::{ActionFrame, RobotState};
 
 use crate::action::{self, Numbers, WIDTH};
 use crate::guarded::{Guarded, closed};
-use crate::simulation::{Simulation, Snapshot, State, action_frame, picture_size, shaped};
+use crate::simulation::{Simulation, action_frame};
 use crate::start::Start;
+use crate::state::{Snapshot, State, picture_size, shaped};
 
 /// Numbers of a reading: see [`READINGS`].
 const READING_WIDTH: usize = 28;

@@ -15,6 +15,7 @@ mod pack;
 mod scene;
 mod simulation;
 mod start;
+mod state;
 mod tasks;
 
 use pyo3::prelude::*;
@@ -32,9 +33,11 @@ mod _native {
     #[pymodule_export]
     use super::scene::Scene;
     #[pymodule_export]
-    use super::simulation::{Simulation, Snapshot};
+    use super::simulation::Simulation;
     #[pymodule_export]
     use super::start::perturbed_axes;
+    #[pymodule_export]
+    use super::state::Snapshot;
     #[pymodule_export]
     use super::tasks::{configuration_row, nominal_row, task};
 

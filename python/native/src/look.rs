@@ -8,7 +8,7 @@ use sim::{CompiledScene, Environment, Renderer, SimError};
 
 use crate::error::simulation;
 use crate::guarded::Guarded;
-use crate::simulation::{State, pairs, picture_size, shaped, with_drawer};
+use crate::state::{State, pairs, picture_size, shaped, with_drawer};
 
 /// What cameras see at an instant of observation.
 #[pyclass(frozen, module = "rollout_libero._native")]

@@ -1,6 +1,5 @@
 //! One environment.
 
-use std::cell::RefCell;
 use std::sync::Arc;
 
 use expert::Expert;
@@ -9,10 +8,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sim::mujoco::{Model, OwnArray, Values};
-use sim::{
-    ActionFrame, CompiledScene, Conditions, Drawer, Environment, Frame, ObjectKind, ReadyScene,
-    Renderer, Reset,
-};
+use sim::{ActionFrame, Environment, ObjectKind, Renderer, Reset};
 
 use crate::action::{Numbers, WIDTH, actions};
 use crate::error::simulation;
@@ -21,14 +17,7 @@ use crate::guarded::Guarded;
 use crate::look::Look;
 use crate::scene::Scene;
 use crate::start::{Start, check_width};
-
-/// Pixels of a picture's longest side.
-const LARGEST_SIDE: u32 = 4096;
-
-thread_local! {
-    /// OpenGL belongs to the thread that opened it.
-    static OPENGL: RefCell<Vec<(Renderer, Drawer)>> = const { RefCell::new(Vec::new()) };
-}
+use crate::state::{Snapshot, State, pairs, picture_size, shaped, with_drawer};
 
 /// One environment of a scene.
 #[pyclass(frozen, module = "rollout_libero._native")]
@@ -37,112 +26,6 @@ pub(crate) struct Simulation {
     scene: Py<Scene>,
     renderer: Renderer,
     pub(crate) state: Guarded<State>,
-}
-
-/// State that one thread at a time computes with.
-pub(crate) struct State {
-    pub(crate) environment: Environment,
-    /// Conditions of the rollout, if it was begun as one.
-    pub(crate) conditions: Option<Conditions>,
-    /// Asked at every step since the rollout began, if it is asked at all.
-    expert: Expert,
-    pub(crate) ready: Option<Arc<ReadyScene>>,
-    pub(crate) renderer: Renderer,
-}
-
-impl State {
-    /// Draws a frame, its sensor's corruption included.
-    pub(crate) fn frame(&mut self, camera: &str, size: [u32; 2]) -> PyResult<Frame> {
-        let environment = &mut self.environment;
-        let mut frame = with_drawer(self.renderer, |drawer| {
-            environment.draw(drawer, camera, size[0], size[1])
-        })?;
-        if let Some(conditions) = &mut self.conditions {
-            conditions.see(&mut frame);
-        }
-        Ok(frame)
-    }
-
-    /// Ends the rollout: nothing is perturbed, and the expert remembers nothing.
-    fn forget(&mut self) {
-        self.conditions = None;
-        self.expert = Expert::default();
-    }
-
-    /// Begins a rollout.
-    pub(crate) fn begin(&mut self, start: &Start) -> PyResult<()> {
-        self.forget();
-        self.conditions = start.begin(self.ready.as_deref(), &mut self.environment)?;
-        Ok(())
-    }
-
-    /// Checks that a snapshot is of this environment's scene.
-    ///
-    /// # Errors
-    /// `ValueError`, if it is of another one.
-    pub(crate) fn check_scene(&self, snapshot: &Snapshot) -> PyResult<()> {
-        if Arc::ptr_eq(self.environment.compiled(), &snapshot.compiled) {
-            return Ok(());
-        }
-        Err(PyValueError::new_err(
-            "restore a snapshot: it is of another scene; take one of an environment of the same \
-             task, assets and process",
-        ))
-    }
-
-    /// Goes back to a snapshot whose scene was checked.
-    pub(crate) fn restore(&mut self, snapshot: &Snapshot) {
-        self.environment.restore(&snapshot.environment);
-        self.conditions.clone_from(&snapshot.conditions);
-        self.expert.clone_from(&snapshot.expert);
-    }
-
-    /// Action of the scripted expert in the current state. It remembers its queries of a
-    /// rollout, and answers well if it is asked at every control step.
-    pub(crate) fn expert_action(&mut self) -> PyResult<[f64; WIDTH]> {
-        let seen = self.environment.privileged().map_err(simulation)?;
-        let action = self
-            .expert
-            .act(&seen)
-            .map_err(|problem| PyValueError::new_err(format!("ask the expert: {problem}")))?;
-        Ok(action.map(f64::from))
-    }
-
-    /// Says that the expert's last action was not what the robot did.
-    pub(crate) fn expert_is_interrupted(&mut self) {
-        self.expert.interrupt();
-    }
-
-    /// One control step, as a campaign takes it; true if the goal holds after it.
-    pub(crate) fn step(&mut self, action: &[f64; WIDTH], of: ActionFrame) -> PyResult<bool> {
-        let environment = &mut self.environment;
-        let stepped = match &mut self.conditions {
-            Some(conditions) => conditions.step(environment, action, of),
-            None => environment.step_in(action, of),
-        };
-        stepped.map_err(simulation)
-    }
-}
-
-/// Draws on this thread.
-pub(crate) fn with_drawer<T>(
-    renderer: Renderer,
-    draw: impl FnOnce(&Drawer) -> Result<T, sim::SimError>,
-) -> PyResult<T> {
-    if renderer == Renderer::Software {
-        return draw(&Drawer::Software).map_err(simulation);
-    }
-    OPENGL.with_borrow_mut(|opened| {
-        let at = match opened.iter().position(|(known, _)| *known == renderer) {
-            Some(at) => at,
-            None => {
-                let drawer = Drawer::open(renderer).map_err(simulation)?;
-                opened.push((renderer, drawer));
-                opened.len() - 1
-            }
-        };
-        draw(&opened[at].1).map_err(simulation)
-    })
 }
 
 #[pymethods]
@@ -499,15 +382,6 @@ impl Simulation {
     }
 }
 
-/// Everything that an environment's next step depends on, its scripted expert included.
-#[pyclass(frozen, module = "rollout_libero._native")]
-pub(crate) struct Snapshot {
-    environment: sim::Snapshot,
-    conditions: Option<Conditions>,
-    expert: Expert,
-    compiled: Arc<CompiledScene>,
-}
-
 type Pose<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>);
 
 fn numbers(given: &Numbers<'_>) -> Vec<f64> {
@@ -519,16 +393,6 @@ pub(crate) fn action_frame(absolute: bool) -> ActionFrame {
     match absolute {
         true => ActionFrame::Absolute,
         false => ActionFrame::Relative,
-    }
-}
-
-/// Checks a picture's size, pixels.
-pub(crate) fn picture_size(width: u32, height: u32) -> PyResult<[u32; 2]> {
-    match (1..=LARGEST_SIDE).contains(&width) && (1..=LARGEST_SIDE).contains(&height) {
-        true => Ok([width, height]),
-        false => Err(PyValueError::new_err(format!(
-            "draw {width} × {height} pixels: each side may have 1 to {LARGEST_SIDE}"
-        ))),
     }
 }
 
@@ -590,23 +454,6 @@ fn data_array(state: &State, name: &str) -> PyResult<(Vec<f64>, usize)> {
         }
     };
     Ok((values.to_vec(), rows))
-}
-
-/// Kind and id of each pixel's object, -1 where there is none.
-pub(crate) fn pairs(segments: Vec<Option<sim::Segment>>) -> Vec<i32> {
-    segments
-        .into_iter()
-        .flat_map(|segment| segment.map_or([-1, -1], |segment| [segment.kind, segment.id]))
-        .collect()
-}
-
-/// An array that takes the values over.
-pub(crate) fn shaped<'py, T: numpy::Element>(
-    py: Python<'py>,
-    values: Vec<T>,
-    shape: &[usize],
-) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
-    PyArray1::from_vec(py, values).reshape(shape)
 }
 
 /// A copy with so many rows. Nobody can write to it, so that nobody does so in vain.
