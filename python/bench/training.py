@@ -107,7 +107,8 @@ def alone(given: argparse.Namespace) -> tuple[list[float], list[float]]:
     """Seconds of the resets and of the chunks of each round of rollouts."""
     bddl, states = files(given.task)
     context = multiprocessing.get_context("spawn")
-    barrier = context.Barrier(given.environments + 1)
+    # Whoever fails has the others end too.
+    barrier = context.Barrier(given.environments + 1, timeout=900)
     started = [
         context.Process(
             target=roll_out, args=(given, bddl, states[at], actions(given)[at], barrier)
