@@ -28,7 +28,7 @@ impl fmt::Display for Clock {
 }
 
 impl Clock {
-    /// Name of the clock in a word or two, for reports in JSON.
+    /// Short name of the clock, for JSON reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::ThreadCpu => "processor time of the thread",

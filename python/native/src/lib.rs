@@ -1,8 +1,8 @@
-//! `rollout_libero._native`: the simulator for Python. Its types mirror those of `sim`;
-//! what Python users see is made of them by the package in `python/`.
+//! `rollout_libero._native`: Python bindings of the simulator. Its types mirror those of
+//! `sim`; the package in `python/` builds the public interface on them.
 //!
-//! Every method lets go of the interpreter while it computes. What one thread is
-//! computing with, another may not touch meanwhile: it gets `BusyError`.
+//! Every method releases the interpreter while it computes. Using an object that another
+//! thread is computing with raises `BusyError`.
 
 mod action;
 mod batch;
@@ -43,7 +43,7 @@ mod _native {
 
     use super::*;
 
-    /// Version of the MuJoCo library that is loaded.
+    /// Version of the loaded MuJoCo library.
     #[pyfunction]
     fn mujoco_version() -> String {
         sim::Simulator::mujoco_version()

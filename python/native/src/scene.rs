@@ -100,12 +100,12 @@ impl Scene {
             .map_or(0, |ready| ready.states().count())
     }
 
-    /// The name of an instance's outermost body.
+    /// Returns the name of an instance's root body.
     fn root_body(&self, instance: &str) -> PyResult<&str> {
         Ok(&self.instance(instance)?.root_body)
     }
 
-    /// The names of an instance's joints; an object's free joint is the last.
+    /// Returns the names of an instance's joints; an object's free joint is the last.
     fn joints(&self, instance: &str) -> PyResult<Vec<String>> {
         Ok(self.instance(instance)?.joints.clone())
     }

@@ -1,4 +1,4 @@
-//! What one thread at a time computes with, and what is drawn of it.
+//! State of an environment, its snapshots, and rendering from it.
 
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -15,27 +15,27 @@ use crate::action::WIDTH;
 use crate::error::simulation;
 use crate::start::Start;
 
-/// Pixels of a picture's longest side.
+/// Largest side of a picture, pixels.
 const LARGEST_SIDE: u32 = 4096;
 
 thread_local! {
-    /// OpenGL belongs to the thread that opened it.
+    /// OpenGL drawers of this thread; a context belongs to the thread that opened it.
     static OPENGL: RefCell<Vec<(Renderer, Drawer)>> = const { RefCell::new(Vec::new()) };
 }
 
-/// State that one thread at a time computes with.
+/// State of an environment, used by one thread at a time.
 pub(crate) struct State {
     pub(crate) environment: Environment,
-    /// Conditions of the rollout, if it was begun as one.
+    /// Conditions of the current rollout, if one was started.
     pub(crate) conditions: Option<Conditions>,
-    /// Asked at every step since the rollout began, if it is asked at all.
+    /// Scripted expert; if used, it must be queried at every step of the rollout.
     pub(crate) expert: Expert,
     pub(crate) ready: Option<Arc<ReadyScene>>,
     pub(crate) renderer: Renderer,
 }
 
 impl State {
-    /// Draws a frame, its sensor's corruption included.
+    /// Renders a frame, including the corruption of the sensor axis.
     pub(crate) fn frame(&mut self, camera: &str, size: [u32; 2]) -> PyResult<Frame> {
         let environment = &mut self.environment;
         let mut frame = with_drawer(self.renderer, |drawer| {
@@ -47,23 +47,23 @@ impl State {
         Ok(frame)
     }
 
-    /// Ends the rollout: nothing is perturbed, and the expert remembers nothing.
+    /// Ends the rollout: removes perturbations and resets the expert.
     pub(crate) fn forget(&mut self) {
         self.conditions = None;
         self.expert = Expert::default();
     }
 
-    /// Begins a rollout.
+    /// Starts a rollout.
     pub(crate) fn begin(&mut self, start: &Start) -> PyResult<()> {
         self.forget();
         self.conditions = start.begin(self.ready.as_deref(), &mut self.environment)?;
         Ok(())
     }
 
-    /// Checks that a snapshot is of this environment's scene.
+    /// Checks that a snapshot belongs to this environment's scene.
     ///
     /// # Errors
-    /// `ValueError`, if it is of another one.
+    /// `ValueError` if it belongs to another scene.
     pub(crate) fn check_scene(&self, snapshot: &Snapshot) -> PyResult<()> {
         if Arc::ptr_eq(self.environment.compiled(), &snapshot.compiled) {
             return Ok(());
@@ -74,15 +74,15 @@ impl State {
         ))
     }
 
-    /// Goes back to a snapshot whose scene was checked.
+    /// Restores a snapshot; the caller has checked its scene.
     pub(crate) fn restore(&mut self, snapshot: &Snapshot) {
         self.environment.restore(&snapshot.environment);
         self.conditions.clone_from(&snapshot.conditions);
         self.expert.clone_from(&snapshot.expert);
     }
 
-    /// Action of the scripted expert in the current state. It remembers its queries of a
-    /// rollout, and answers well if it is asked at every control step.
+    /// Returns the action of the scripted expert in the current state. The expert is
+    /// stateful and should be queried at every control step of a rollout.
     pub(crate) fn expert_action(&mut self) -> PyResult<[f64; WIDTH]> {
         let seen = self.environment.privileged().map_err(simulation)?;
         let action = self
@@ -92,12 +92,12 @@ impl State {
         Ok(action.map(f64::from))
     }
 
-    /// Says that the expert's last action was not what the robot did.
+    /// Tells the expert that the robot did not execute its last action.
     pub(crate) fn expert_is_interrupted(&mut self) {
         self.expert.interrupt();
     }
 
-    /// One control step, as a campaign takes it; true if the goal holds after it.
+    /// Executes one control step like a campaign. Returns true if the goal holds after it.
     pub(crate) fn step(&mut self, action: &[f64; WIDTH], of: ActionFrame) -> PyResult<bool> {
         let environment = &mut self.environment;
         let stepped = match &mut self.conditions {
@@ -108,7 +108,7 @@ impl State {
     }
 }
 
-/// Draws on this thread.
+/// Calls `draw` with a drawer of this thread.
 pub(crate) fn with_drawer<T>(
     renderer: Renderer,
     draw: impl FnOnce(&Drawer) -> Result<T, sim::SimError>,
@@ -129,7 +129,7 @@ pub(crate) fn with_drawer<T>(
     })
 }
 
-/// Everything that an environment's next step depends on, its scripted expert included.
+/// Everything that an environment's next step depends on, including its scripted expert.
 #[pyclass(frozen, module = "rollout_libero._native")]
 pub(crate) struct Snapshot {
     pub(crate) environment: sim::Snapshot,
@@ -148,7 +148,7 @@ pub(crate) fn picture_size(width: u32, height: u32) -> PyResult<[u32; 2]> {
     }
 }
 
-/// Kind and id of each pixel's object, -1 where there is none.
+/// Flattens segments to the kind and id of each pixel's object, -1 for the background.
 pub(crate) fn pairs(segments: Vec<Option<sim::Segment>>) -> Vec<i32> {
     segments
         .into_iter()
@@ -156,7 +156,7 @@ pub(crate) fn pairs(segments: Vec<Option<sim::Segment>>) -> Vec<i32> {
         .collect()
 }
 
-/// An array that takes the values over.
+/// Creates an array of the given shape that takes ownership of the values.
 pub(crate) fn shaped<'py, T: numpy::Element>(
     py: Python<'py>,
     values: Vec<T>,

@@ -191,7 +191,7 @@ fn look(episode: &mut Episode<'_>, camera: &str, side: u32) -> Result<Frame, Sim
     Ok(episode.observe(&request)?.frames.remove(0))
 }
 
-/// Both renderers, each with a simulator of its own.
+/// Both renderers, each with its own simulator.
 struct Bench {
     ours: Simulator,
     /// The OpenGL renderer; `None` with `--alone`.

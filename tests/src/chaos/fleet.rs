@@ -230,7 +230,7 @@ impl Fleet {
         lines[lines.len().saturating_sub(LAST_LINES)..].join("\n")
     }
 
-    /// The coordinator's data folder.
+    /// Returns the path of the coordinator's data folder.
     pub fn data(&self) -> PathBuf {
         self.folder.path().join("data")
     }

@@ -10,8 +10,8 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 const FAULTS: u64 = 3;
 /// Largest number of faults in a schedule that are charged to a rollout because a slot
 /// exits under its worker. A third charged attempt would correctly quarantine the rollout,
-/// which is tested elsewhere. Faults of the network, the disk, the coordinator and whole
-/// workers are never charged and therefore not limited.
+/// which is not the subject of these tests. Faults of the network, the disk, the coordinator
+/// and whole workers are never charged and therefore not limited.
 const MAX_CHARGED_FAULTS: usize = 2;
 /// Latest start of the last fault, milliseconds; the campaign is still running then.
 const LAST_BEGINNING_MS: u64 = 2_500;
@@ -79,7 +79,7 @@ pub struct Schedule {
 
 impl Schedule {
     /// Draws the schedule of a seed. Consecutive seeds start with different kinds of
-    /// faults, so that [`KINDS`] of them cover every kind.
+    /// faults, so that as many seeds as there are kinds cover every kind.
     pub fn new(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut faults = vec![draw(&mut rng, seed % KINDS)];

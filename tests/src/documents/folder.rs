@@ -175,7 +175,7 @@ impl Folder {
         self.root.path().join("rollout")
     }
 
-    /// The folder for what commands print.
+    /// Returns the folder for the outputs of commands.
     pub fn outputs(&self) -> PathBuf {
         self.root.path().join("outputs")
     }
@@ -202,7 +202,7 @@ impl Folder {
     }
 }
 
-/// The checkout that the test was built from.
+/// Returns the checkout that the test was built from.
 pub fn checkout() -> PathBuf {
     let dir = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
     dir.expect("the package is in the workspace").to_owned()
@@ -214,7 +214,7 @@ fn programs() -> PathBuf {
     dir.canonicalize().expect("the folder of the programs")
 }
 
-/// Copies a folder without installed packages and build output.
+/// Copies a folder; installed packages and build output become symbolic links.
 fn copy(from: &Path, to: &Path) -> std::io::Result<()> {
     fs::create_dir(to)?;
     for entry in fs::read_dir(from)? {

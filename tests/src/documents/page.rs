@@ -55,7 +55,7 @@ pub enum Action {
 /// A command of a block: one line, or several continued lines.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Command {
-    /// The line of the page where it begins, from 1.
+    /// Line of the page where the command begins, from 1.
     pub line: usize,
     /// Its text, several lines included.
     pub text: String,

@@ -119,12 +119,12 @@ impl ReferenceTask {
         format!("{}/{}", self.suite, self.index)
     }
 
-    /// The BDDL file, relative to the LIBERO package.
+    /// Returns the path of the BDDL file, relative to the LIBERO package.
     pub(crate) fn bddl(&self) -> &str {
         self.meta["bddl"].as_str().unwrap_or_default()
     }
 
-    /// Names of one kind, in id order.
+    /// Returns the names of one kind of object, in order of ids.
     pub(crate) fn names(&self, key: &str) -> Result<Vec<Option<String>>> {
         let names = self.meta[key]
             .as_array()

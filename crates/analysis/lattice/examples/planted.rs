@@ -15,7 +15,7 @@ use planted::{Found, Kind, Rule, search_noisy, search_rule, seeded};
 
 const RULES: usize = 2000;
 const NOISY_RULES: usize = 400;
-/// Subsets that a campaign does not run by itself.
+/// Number of subsets that an ordinary campaign does not run.
 const FURTHER: f64 = 56.0;
 
 #[derive(Default)]

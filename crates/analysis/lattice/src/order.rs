@@ -11,7 +11,7 @@ pub(crate) fn minimal(sets: &[AxisSet]) -> Vec<AxisSet> {
         .collect()
 }
 
-/// The sets without a proper superset among the others.
+/// Returns the sets without a proper superset among the others.
 pub(crate) fn maximal(sets: &[AxisSet]) -> Vec<AxisSet> {
     let has_larger = |set: &AxisSet| sets.iter().any(|other| set.is_proper_subset(*other));
     sets.iter()

@@ -16,7 +16,7 @@ const CONFIGS: u16 = 10;
 /// Number of timed repetitions; the reported spread is over these.
 const REPETITIONS: usize = 9;
 
-/// The ids and initial states of LIBERO-CTRL v0.1.
+/// Returns the ids and initial states of LIBERO-CTRL v0.1.
 fn design() -> Vec<(RolloutId, u16)> {
     let mut ids = Vec::new();
     for task in TaskRef::all() {

@@ -1,12 +1,13 @@
-//! Error rates and savings of rules about new tasks, over simulated campaigns of 40 tasks
-//! with ten configurations each.
+//! Error rates and savings of stop rules about new tasks, over simulated campaigns of 40
+//! tasks with ten configurations each.
 //!
 //! `cargo run --release -p paired --example new_tasks [CAMPAIGNS [SEED]]`
 //!
-//! Tasks are drawn anew for every campaign. An end is wrong where the mean over all tasks is 0,
-//! or of the other sign. `I excludes 0` is a rule about the campaign's own configurations: how
-//! often it ends is no saving on this target, and only shows that it must not be read so. The
-//! last column is the same target with one look, at the end: the t interval for new tasks.
+//! New tasks are drawn for every campaign. An early end is wrong if the mean over all tasks is
+//! 0 or has the other sign. `I excludes 0` is a rule about the campaign's own configurations:
+//! its early ends are not savings for this target, but show that the rule must not be
+//! interpreted in this way. The last column is for the same target with a single look at the
+//! end: the t interval for new tasks.
 
 use libero_ctrl::{Level, Measure, Stop, Strata};
 use paired::{Bootstrap, CampaignLook, Cell, Options, Records, report};
@@ -18,7 +19,7 @@ mod simulated;
 
 use simulated::{Chance, NetEffect};
 
-/// Campaigns of each kind, unless another number is given.
+/// Default number of campaigns of each kind.
 const CAMPAIGNS: u64 = 1000;
 const KINDS: [(&str, NetEffect); 6] = [
     ("none, tasks alike", effect(0.0, 0.0, 0.0)),
@@ -52,7 +53,7 @@ fn main() {
         ("I excludes 0 for new tasks", Strata::WholeTasks),
         ("I excludes 0", Strata::Suites),
     ];
-    // The paper's percentiles are not looked at.
+    // The bootstrap intervals are not used, so that two replicates suffice.
     let options = Options {
         bootstrap: Bootstrap {
             replicates: 2,

@@ -163,7 +163,7 @@ impl Matched {
         })
     }
 
-    /// The transition, if all outcomes are known.
+    /// Returns the transition; `None` if an outcome is unknown.
     pub fn transition(&self) -> Option<Transition> {
         let configuration = self.configuration()?;
         let conjunction = configuration.conjunction();
@@ -190,7 +190,7 @@ impl Matched {
         Some(possible)
     }
 
-    /// The outcome under one of the campaign's conditions.
+    /// Returns the outcome under one of the campaign's conditions.
     pub fn outcome(&self, condition: Condition) -> Outcome {
         match condition {
             Condition::Clean => self.nominal,

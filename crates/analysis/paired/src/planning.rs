@@ -46,7 +46,7 @@ pub struct Planned {
 /// The measure that `R_d` is compared with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Against {
-    /// The same measure of another policy, in as many configurations.
+    /// The `R_d` of another policy, over the same number of configurations.
     AnotherPolicy,
     /// The `R_d` of the placebo level.
     Floor {

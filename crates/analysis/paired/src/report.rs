@@ -95,8 +95,8 @@ pub struct Cell {
     /// Success under each single axis over all results, including those of incomplete
     /// configurations.
     pub alone: BTreeMap<Axis, SingleAxis>,
-    /// Success under several axes but not all, over all results; empty where the
-    /// campaign has none.
+    /// Success under proper subsets of two or more axes, over all results; empty if the
+    /// campaign runs none.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub subsets: BTreeMap<AxisSet, Count>,
     /// Success of the simultaneous rollouts over all their results; absent where

@@ -42,7 +42,7 @@
 //! `cargo run --release -p paired --example sequential` compares them.
 //!
 //! # New tasks
-//! A rule may be about new tasks instead: the file `new_tasks`.
+//! A rule may be about new tasks instead, see the file `new_tasks`.
 //!
 //! # Sources
 //! I. Waudby-Smith and A. Ramdas, Confidence sequences for sampling without

@@ -95,18 +95,18 @@ pub(crate) fn push_legend(text: &mut String, entries: &[(&str, String)]) {
     }
 }
 
-/// A rate in percent, two decimals: `87.50`.
+/// Formats a rate in percent with two decimals: `87.50`.
 pub(crate) fn rate(value: f64) -> String {
     format!("{:.2}", 100.0 * value)
 }
 
-/// A rate in percent, one decimal: `87.5`.
+/// Formats a rate in percent with one decimal, `87.5`, or a mark for `None`.
 pub(crate) fn percent(value: Option<f64>) -> String {
     let text = value.map(|value| format!("{:.1}", 100.0 * value));
     text.unwrap_or_else(|| NOTHING.to_owned())
 }
 
-/// A difference in points, two decimals: `+0.25`.
+/// Formats a difference in percentage points with two decimals: `+0.25`.
 pub(crate) fn points(value: f64) -> String {
     format!("{:+.2}", 100.0 * value)
 }
@@ -133,7 +133,7 @@ fn interval_of(
     }
 }
 
-/// A p-value: `0.003`, `5.1e-9`.
+/// Formats a p-value: `0.003`, `5.1e-9`.
 pub(crate) fn p_value(p: f64) -> String {
     match p < 1e-3 {
         true => format!("{p:.1e}"),

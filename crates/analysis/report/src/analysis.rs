@@ -123,12 +123,12 @@ impl Analysis {
         .collect()
     }
 
-    /// The cells of replicate 0, by level.
+    /// Returns the cells of replicate 0, by level.
     pub fn cells(&self) -> impl Iterator<Item = &Cell> {
         self.report.cells.iter().filter(|cell| cell.replicate == 0)
     }
 
-    /// The cell of a level in replicate 0.
+    /// Returns the cell of a level in replicate 0.
     pub fn cell(&self, level: Level) -> Option<&Cell> {
         self.cells().find(|cell| cell.level == level)
     }

@@ -31,7 +31,7 @@ pub struct Comparison {
     pub sequential: Option<SequentialComparison>,
     /// Settings of the intervals.
     pub bootstrap: Bootstrap,
-    /// Fewest tasks that give an interval.
+    /// Smallest number of tasks that gives an interval.
     pub min_tasks: usize,
 }
 

@@ -49,7 +49,7 @@ pub enum DocumentError {
 #[derive(Serialize)]
 struct JsonForm<'a> {
     warnings: &'a [String],
-    /// Measures of replicate 0; null where no configuration is complete.
+    /// Measures of replicate 0; null if no configuration is complete.
     paired: BTreeMap<&'a str, BTreeMap<Level, Option<&'a Measures>>>,
     reports: Vec<JsonReport<'a>>,
 }
@@ -114,7 +114,7 @@ impl Document {
         policies.collect()
     }
 
-    /// The report as JSON, several lines.
+    /// Writes the report as JSON, several lines.
     ///
     /// # Errors
     /// If serde cannot write it, which is a defect.
@@ -174,7 +174,7 @@ impl Document {
         text
     }
 
-    /// The whole report for a terminal of 80 columns.
+    /// Writes the whole report for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
         for warning in &self.warnings {
@@ -232,7 +232,7 @@ fn labels(subjects: &[Subject]) -> Vec<String> {
     labels
 }
 
-/// The campaign or file and the policy, in one line.
+/// Returns a heading with the campaign or file and the policy.
 fn title(subject: &Subject) -> String {
     let mut text = String::new();
     let line = match &subject.origin {
@@ -292,7 +292,7 @@ fn push_found(text: &mut String, analysis: &Analysis) {
     }
 }
 
-/// The last error of each quarantined rollout, one per line.
+/// Lists the last error of each quarantined rollout, one per line.
 fn tail(subject: &Subject) -> String {
     let mut text = String::new();
     if !subject.errors.is_empty() {

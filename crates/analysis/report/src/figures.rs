@@ -130,19 +130,19 @@ impl Figure {
     }
 }
 
-/// The levels of a document, by radius.
+/// Returns the levels of a document, by radius.
 pub fn levels(document: &Document) -> Vec<Level> {
     let cells = document.analyses.iter().flat_map(Analysis::cells);
     let levels: BTreeSet<Level> = cells.map(|cell| cell.level).collect();
     levels.into_iter().collect()
 }
 
-/// The survival curves of a campaign that measures thresholds.
+/// Draws the survival curves of a campaign that measures thresholds.
 pub fn of_thresholds(found: &HowFar) -> Vec<Figure> {
     found.curves.iter().filter_map(survival).collect()
 }
 
-/// All figures of a document, in the page's order.
+/// Draws all figures of a document, in the page's order.
 pub fn all(document: &Document) -> Vec<Figure> {
     let mut figures = Vec::new();
     figures.extend(gate(document));

@@ -55,12 +55,12 @@ pub struct Measured {
     pub task: TaskRef,
     /// The configuration's number.
     pub config: u16,
-    /// Kind of the threshold, as far as it is known.
+    /// Kind of the threshold, as far as known.
     pub threshold: Kind,
-    /// The largest radius below `fails_at` at which it succeeds, 0 for the nominal
-    /// rollout; without a failure, the largest at which it succeeds.
+    /// Largest radius below `fails_at` at which the configuration succeeds, 0 for the nominal
+    /// rollout; without a failure, the largest successful radius.
     pub succeeds_at: Option<f64>,
-    /// The smallest radius at which it fails, 0 for the nominal rollout.
+    /// Smallest radius at which the configuration fails, 0 for the nominal rollout.
     pub fails_at: Option<f64>,
     /// Radii above `fails_at` at which the configuration succeeds again, so that success is
     /// not monotone.
@@ -71,7 +71,7 @@ pub struct Measured {
     pub outcomes: Vec<AtRadius>,
 }
 
-/// Kind of a threshold, as far as it is known.
+/// Kind of a threshold, as far as known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {

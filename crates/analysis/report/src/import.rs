@@ -22,7 +22,7 @@ use crate::subject::{Origin, Setups, Subject};
 const ROWS: &str = "rollouts.jsonl";
 /// Name of the metadata file in a folder.
 const ABOUT: &str = "about.json";
-/// Longest line that is read, bytes.
+/// Largest length of a line, bytes.
 const MAX_LINE_BYTES: u64 = 64 << 10;
 /// Largest `about.json` that is read, bytes.
 const MAX_ABOUT_BYTES: u64 = 64 << 10;
@@ -55,13 +55,13 @@ pub enum ImportError {
         /// First of the bad lines.
         named: Vec<BadLine>,
     },
-    /// The file has more than [`MAX_FILE_ROWS`] rows.
+    /// The file has more rows than ten replicates of the largest design.
     #[error("import {path}: it has more than {MAX_FILE_ROWS} rows: divide it")]
     TooLong {
         /// Path of the file.
         path: PathBuf,
     },
-    /// The file is larger than [`MAX_FILE_BYTES`].
+    /// The file exceeds the size limit.
     #[error("import {path}: it is larger than {} GiB; divide it", MAX_FILE_BYTES >> 30)]
     TooLarge {
         /// Path of the file.

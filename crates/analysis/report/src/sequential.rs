@@ -36,8 +36,8 @@ pub struct Sequential {
     pub saved: usize,
     /// Interval by level and measure, fractions.
     pub levels: BTreeMap<Level, BTreeMap<Measure, [f64; 2]>>,
-    /// Estimates, which weigh strata as the campaign has them and lie within the ends; of
-    /// levels with a known outcome in every stratum.
+    /// Point estimates by level and measure, with strata weighted by their share of the
+    /// campaign; only for levels with a known outcome in every stratum.
     pub estimates: BTreeMap<Level, BTreeMap<Measure, f64>>,
 }
 
@@ -121,7 +121,7 @@ impl Sequential {
         levels.collect()
     }
 
-    /// What was shown of new tasks, at each level.
+    /// Returns the findings about new tasks, by level.
     fn findings_of_new_tasks(&self) -> Vec<Finding> {
         let of_level = |(&level, measures): (&Level, &BTreeMap<Measure, [f64; 2]>)| {
             let intervals = measures
@@ -167,14 +167,15 @@ impl Sequential {
         })
     }
 
-    /// Whether the campaign ended because a measure lies far from a value.
+    /// Returns true if the campaign stopped because the interval of a measure excludes a value,
+    /// so that its estimate tends to be too extreme.
     fn is_overstated(&self, measure: Measure) -> bool {
         let mut clauses = self.rule.clauses().iter();
         self.has_stopped
             && clauses.any(|it| it.measure() == measure && !matches!(it, Clause::Width(..)))
     }
 
-    /// An estimate, percent or points, with a star if the end overstates it.
+    /// Formats an estimate, percent or points, with a star if the early stop overstates it.
     pub(crate) fn estimate_text(&self, level: Level, measure: Measure) -> String {
         let estimate = self.estimates.get(&level).and_then(|of| of.get(&measure));
         let Some(estimate) = estimate.map(|it| 100.0 * it) else {
@@ -187,7 +188,7 @@ impl Sequential {
         }
     }
 
-    /// The warning beside starred estimates; empty without any.
+    /// Returns the explanation of the star; empty if no estimate has one.
     fn star_in_words(&self) -> &'static str {
         let measures = self.levels.values().flat_map(BTreeMap::keys);
         match measures.copied().any(|it| self.is_overstated(it)) {

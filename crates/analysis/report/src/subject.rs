@@ -56,7 +56,7 @@ pub struct Subject {
     pub early_stop: Option<EarlyStop>,
 }
 
-/// Purpose of a campaign that follows from another one, and that campaign's rollouts.
+/// Purpose of a campaign that follows from another one, and the rollouts of the latter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Derived {
     /// Purpose, with the campaign that it follows from.

@@ -114,7 +114,7 @@ impl Measurement {
         sampled.map(|((task, _), most)| (*task, *most))
     }
 
-    /// Returns a ray's threshold as far as it is known.
+    /// Returns a ray's threshold, as far as known.
     pub fn found(&self, ray: Ray, known: &Known) -> Found {
         found(known, &self.searches[&ray.condition])
     }

@@ -52,7 +52,7 @@ pub struct CampaignSpec {
     pub wanted: Wanted,
     /// Rule for stopping early; without one the campaign runs to its end.
     pub stop: Option<Stop>,
-    /// The robot's conduct while an answer of its policy is under way.
+    /// Behaviour of the robot while a response of its policy is pending.
     pub execution: Execution,
 }
 

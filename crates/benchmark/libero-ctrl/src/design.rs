@@ -345,7 +345,7 @@ impl DesignVersion {
         ))
     }
 
-    /// The version of a campaign that explains another.
+    /// Returns the version of a campaign that explains another.
     pub fn of_explanation(explanation: &Explanation) -> Self {
         Self::of_derived(EXPLAINS, explanation)
     }
@@ -355,7 +355,8 @@ impl DesignVersion {
         Self::of_derived(THRESHOLDS, thresholds)
     }
 
-    /// The version of the same rollouts under an execution model: of each but `wait`, another one.
+    /// Returns the version of the same rollouts under an execution model, which differs for every
+    /// model except `wait`.
     pub(crate) fn under(self, execution: &Execution) -> Self {
         if execution.is_wait() {
             return self;

@@ -141,8 +141,8 @@ mod tests {
         assert_ne!(shared(Axis::Camera, 10, 1), shared(Axis::Camera, 10, 2));
     }
 
-    /// Pins the draws: a change here changes what the configurations of every
-    /// custom design mean and needs a new [`VERSION`].
+    /// Pins the draws: a change here changes the configurations of every
+    /// custom design and needs a new [`VERSION`].
     #[test]
     fn the_configurations_of_a_seed_never_change() {
         let task: TaskRef = "libero_goal/3".parse().expect("a task");

@@ -1,7 +1,7 @@
-//! Execution model of a campaign: the robot's conduct while its policy's answer is under
-//! way. The delay is counted in control steps, never in wall time, so that a campaign has the
-//! same outcomes however fast its policy's server is. Which command is executed at which step
-//! is `schedule`'s business.
+//! Execution model of a campaign: behaviour of the robot during the latency of its policy.
+//! Latency is counted in control steps, never in wall time, so that a campaign has the same
+//! outcomes regardless of the speed of its policy's server. `schedule` selects the command of
+//! each step.
 
 use std::fmt;
 use std::str::FromStr;
@@ -16,42 +16,42 @@ use crate::suite::TaskRef;
 pub const CONTROL_HZ: u32 = 20;
 /// Longest delay, control steps: ten seconds.
 pub const MAX_DELAY: u16 = 200;
-/// Most different delays of a distribution.
+/// Largest number of distinct delays of a distribution.
 const MAX_DISTINCT_DELAYS: usize = 32;
 /// Largest weight of one delay.
 const MAX_WEIGHT: u32 = 1000;
-/// Part of the key of drawn delays: a change of what is drawn must change it.
+/// Part of the key of drawn delays; it must change whenever the drawn values change.
 const STREAM_VERSION: &str = "libero-ctrl/v0.1/latency/1";
 
-/// The robot's conduct while an answer is under way.
+/// Behaviour of the robot while a response is pending.
 ///
-/// Its text is `wait`, `hold:N`, `overlap:N` or `overlap:N,rtc`, with a number of control steps
-/// for N, or a distribution `3*812+4*188`: three steps with weight 812, four with 188.
+/// Written as `wait`, `hold:N`, `overlap:N` or `overlap:N,rtc`, where N is a number of control
+/// steps or a distribution such as `3*812+4*188`: three steps with weight 812, four with 188.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Execution {
-    /// The world stands still, which is what a simulator does and no robot.
+    /// The simulation pauses, which is impossible on a real robot.
     #[default]
     Wait,
-    /// The arm holds still, then executes the answer from its first action.
+    /// The arm holds still, then executes the response from its first action.
     Hold(Delays),
-    /// The arm goes on with the last answer. Action i of the answer to step t belongs to step
-    /// t + i, so that as many actions are dropped as the answer is late.
+    /// The arm continues with the previous response. Action i of the response to step t belongs
+    /// to step t + i, so that the response loses one action per step of delay.
     Overlap {
-        /// Lateness of an answer.
+        /// Delay of a response.
         delays: Delays,
-        /// Real-time chunking: the policy is told what is executed meanwhile.
+        /// Real-time chunking: the policy receives the commands executed meanwhile.
         rtc: bool,
     },
 }
 
-/// Delays of answers, control steps: one, or a distribution from which each is drawn.
+/// Delays of responses, control steps: a constant, or a distribution from which each is drawn.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Delays {
-    /// Steps and weight, in order of the steps; at least one.
+    /// Pairs of steps and weight, sorted by steps; not empty.
     weighted: Vec<(u16, u32)>,
 }
 
-/// A text that is no execution model.
+/// Error: the text is not a valid execution model.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "read execution model `{given}`: {problem}; write wait, hold:N, overlap:N or overlap:N,rtc \
@@ -64,7 +64,7 @@ pub struct ExecutionError {
     problem: String,
 }
 
-/// A file of measured latencies from which nothing can be drawn.
+/// Error: the file of measured latencies is invalid.
 #[derive(Debug, thiserror::Error)]
 #[error("read measured latencies: {problem}; `policy-gateway check --latency FILE` writes them")]
 pub struct LatencyFileError {
@@ -72,7 +72,7 @@ pub struct LatencyFileError {
     problem: String,
 }
 
-/// An execution model under which no action of a policy would ever be executed.
+/// Error: under the execution model, no action of the policy would ever be executed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "execution model `{execution}` drops at least {dropped} actions of each answer, and an answer \
@@ -82,24 +82,24 @@ pub struct LatencyFileError {
 pub struct TooLate {
     /// The model.
     pub execution: Execution,
-    /// Actions that are dropped at least.
+    /// Smallest number of actions dropped per response.
     pub dropped: u16,
-    /// Actions of an answer at most.
+    /// Largest number of actions per response.
     pub horizon: usize,
 }
 
 impl Execution {
-    /// Returns true if the robot waits, which earlier releases always did.
+    /// Returns true for [`Self::Wait`], the behaviour of earlier releases.
     pub fn is_wait(&self) -> bool {
         *self == Self::Wait
     }
 
-    /// Returns true if the policy is to be told what is executed meanwhile.
+    /// Returns true if the policy must receive the commands executed meanwhile.
     pub fn is_rtc(&self) -> bool {
         matches!(self, Self::Overlap { rtc: true, .. })
     }
 
-    /// Returns its delays; none if the world waits.
+    /// Returns the delays; `None` for [`Self::Wait`].
     pub fn delays(&self) -> Option<&Delays> {
         match self {
             Self::Wait => None,
@@ -107,10 +107,11 @@ impl Execution {
         }
     }
 
-    /// Checks that a policy whose answers have `horizon` actions at most is executed at all.
+    /// Checks that actions of a policy whose responses have at most `horizon` actions can be
+    /// executed.
     ///
     /// # Errors
-    /// If every answer would come after its last action.
+    /// If every response would arrive after its last action.
     pub fn check(&self, horizon: usize) -> Result<(), TooLate> {
         match self {
             Self::Overlap { delays, .. } if usize::from(delays.shortest()) >= horizon => {
@@ -126,12 +127,12 @@ impl Execution {
 }
 
 impl Delays {
-    /// The same delay of every answer; none if it is beyond [`MAX_DELAY`].
+    /// Returns a constant delay; `None` if it exceeds [`MAX_DELAY`].
     pub fn fixed(steps: u16) -> Option<Self> {
         Self::weighted([(steps, 1)]).ok()
     }
 
-    /// A distribution; weights of the same delay are added. The error is a clause.
+    /// Creates a distribution; weights of the same delay are added. The error is a clause.
     fn weighted(given: impl IntoIterator<Item = (u16, u32)>) -> Result<Self, String> {
         let mut weighted = std::collections::BTreeMap::<u16, u32>::new();
         for (steps, weight) in given {
@@ -157,11 +158,11 @@ impl Delays {
         }
     }
 
-    /// The distribution of measured latencies, of which `counts` says how many took so many
-    /// control steps. Weights are thousandths, and at least one.
+    /// Creates the distribution of measured latencies from pairs of control steps and counts.
+    /// Weights are in thousandths, at least one.
     ///
     /// # Errors
-    /// If there is none, one is too long, or there are too many different ones.
+    /// If there is no latency, one is too long, or there are too many distinct ones.
     pub fn measured(
         counts: impl IntoIterator<Item = (u16, u64)>,
     ) -> Result<Self, LatencyFileError> {
@@ -175,11 +176,11 @@ impl Delays {
             .map_err(|problem| LatencyFileError { problem })
     }
 
-    /// Reads a file of measured latencies: JSON with the number of answers by their delay in
-    /// control steps, `{"delay_steps": {"3": 812, "4": 188}}`. Other fields are for people.
+    /// Parses a file of measured latencies: JSON with the number of responses by delay in
+    /// control steps, `{"delay_steps": {"3": 812, "4": 188}}`. Other fields are ignored.
     ///
     /// # Errors
-    /// If it is no such file, or nothing can be drawn from it.
+    /// If the JSON does not have this form, or as for [`Self::measured`].
     pub fn from_json(text: &str) -> Result<Self, LatencyFileError> {
         #[derive(Deserialize)]
         struct File {
@@ -191,18 +192,18 @@ impl Delays {
         Self::measured(file.delay_steps)
     }
 
-    /// Returns the shortest of them.
+    /// Returns the shortest delay.
     pub fn shortest(&self) -> u16 {
         self.weighted[0].0
     }
 
-    /// Returns the longest of them.
+    /// Returns the longest delay.
     pub fn longest(&self) -> u16 {
         self.weighted[self.weighted.len() - 1].0
     }
 
-    /// Returns the delay of the answer to a query. The same for every rollout of a task from
-    /// one initial state, whatever is perturbed: matched pairs differ in nothing else.
+    /// Returns the delay of the response to a query. It is the same for all rollouts of a task
+    /// from the same initial state, whatever is perturbed, so that delays are matched too.
     pub fn of_query(&self, task: TaskRef, init_id: u16, query: u32) -> u16 {
         if let [(only, _)] = self.weighted[..] {
             return only;
@@ -289,7 +290,7 @@ impl FromStr for Execution {
 
 fn delays(text: &str) -> Result<Delays, String> {
     let number = |text: &str| -> Result<u32, String> {
-        // Without signs and spaces: one text for one model.
+        // Rejects signs and spaces, so that each model has only one text.
         let digits = Some(text).filter(|it| it.bytes().all(|byte| byte.is_ascii_digit()));
         let read = digits.and_then(|it| it.parse().ok());
         read.ok_or_else(|| format!("`{text}` is no number"))

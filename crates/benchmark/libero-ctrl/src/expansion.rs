@@ -101,7 +101,7 @@ impl Design {
         Ok(self.perturbed_row(task, condition, level, config))
     }
 
-    /// The row of one perturbed rollout of a checked design.
+    /// Returns the row of one perturbed rollout of a validated design.
     pub(crate) fn perturbed_row(
         &self,
         task: TaskRef,

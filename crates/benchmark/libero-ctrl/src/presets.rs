@@ -122,7 +122,7 @@ impl Suite {
 }
 
 impl TaskRef {
-    /// The initial states of configurations 0 to 9.
+    /// Returns the initial states of configurations 0 to 9.
     pub fn eval_init_ids(self) -> [u16; 10] {
         self.suite().presets().eval_init_ids[usize::from(self.index())]
     }

@@ -27,7 +27,7 @@ pub struct RolloutId {
 }
 
 impl RolloutId {
-    /// The nominal rollout of a task from initial state `init_id`.
+    /// Creates the id of the nominal rollout of a task from initial state `init_id`.
     pub const fn clean(task: TaskRef, init_id: u16) -> Self {
         Self {
             task,
@@ -37,7 +37,7 @@ impl RolloutId {
         }
     }
 
-    /// A perturbed rollout.
+    /// Creates the id of a perturbed rollout.
     ///
     /// # Errors
     /// If the condition is clean, see [`Self::clean`].

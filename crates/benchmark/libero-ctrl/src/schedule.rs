@@ -1,23 +1,24 @@
-//! Schedule of a rollout: when the policy is asked, and which command is executed at each
-//! control step, under an execution model. Counts control steps and reads no clock.
+//! Schedule of a rollout under an execution model: the steps at which the policy is queried,
+//! and the command of each control step. Counts control steps and reads no clock.
 //!
-//! A query at step t whose answer is N steps late takes effect at step t + N. Under `wait` and
-//! `hold` its first action is executed then, and the next query is due once `execute` actions,
-//! or all, have been. Under `overlap` action i belongs to step t + i, so that the first N are
-//! dropped; the next query is due at t + max(N, min(execute, L − N)) with L actions in the
-//! answer: after `execute` steps as ever, or so much earlier that its answer is there when this
-//! one ends, but one at a time. Wherever no action is left the arm holds still.
+//! The response to a query at step t with a delay of N steps takes effect at step t + N. Under
+//! `wait` and `hold`, its first action is executed then, and the next query is due after
+//! `execute` actions, or after all. Under `overlap`, action i belongs to step t + i, so that the
+//! first N are dropped; with L actions in the response, the next query is due at
+//! t + max(N, min(execute, L − N)): after `execute` steps, or earlier so that its response arrives
+//! before this one ends, but never while a response is pending. Without a remaining action the
+//! arm holds still.
 
 use crate::execution::Execution;
 use crate::suite::TaskRef;
 
-/// Numbers of an action: translation, rotation, gripper.
+/// Number of components of an action: translation (3), rotation (3), gripper.
 pub const ACTION_WIDTH: usize = 7;
 
 /// One control step's action.
 pub type Action = [f64; ACTION_WIDTH];
 
-/// Place of the gripper in an action.
+/// Index of the gripper in an action.
 const GRIPPER: usize = ACTION_WIDTH - 1;
 /// Command that keeps the gripper open, as while the scene settles.
 const OPEN: f64 = -1.0;
@@ -29,15 +30,15 @@ pub struct Schedule {
     execute: u32,
     task: TaskRef,
     init_id: u16,
-    /// The control step to come.
+    /// The next control step.
     step: u32,
-    /// Queries answered so far.
+    /// Number of queries answered so far.
     queries: u32,
     /// Step before which the next query is due.
     next_query: u32,
-    /// The answer in effect.
+    /// The response in effect.
     current: Option<Answer>,
-    /// The answer that is under way.
+    /// The pending response.
     coming: Option<Answer>,
     /// The gripper's last command.
     gripper: f64,
@@ -46,9 +47,9 @@ pub struct Schedule {
 #[derive(Clone, Debug)]
 struct Answer {
     query: u32,
-    /// Step of its first action, which may be dropped.
+    /// Step of the first action, which may be dropped.
     first: u32,
-    /// Step at which it takes effect.
+    /// Step at which the response takes effect.
     from: u32,
     actions: Vec<Action>,
 }
@@ -56,10 +57,10 @@ struct Answer {
 /// A query that is due.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Query {
-    /// Control steps until its answer takes effect.
+    /// Number of control steps until the response takes effect.
     pub delay: u32,
-    /// Commands of the coming steps as they stand: the first `delay` are executed whatever is
-    /// answered, those after them are what is left of the last answer.
+    /// Commands scheduled for the next steps: the first `delay` are executed regardless of the
+    /// response; those after them are the rest of the previous response.
     pub under_way: Vec<Action>,
 }
 
@@ -68,13 +69,13 @@ pub struct Query {
 pub struct Command {
     /// The action.
     pub action: Action,
-    /// Its query and its place in the answer; none if the arm holds still.
+    /// Number of the query, and index in its response; `None` if the arm holds still.
     pub source: Option<(u32, usize)>,
 }
 
 impl Schedule {
-    /// The schedule of a rollout of `task` from an initial state, with a policy of whose
-    /// answers `execute` actions are executed.
+    /// Creates the schedule of a rollout of `task` from an initial state, with a policy that
+    /// executes `execute` actions of each response.
     pub fn new(execution: Execution, execute: usize, task: TaskRef, init_id: u16) -> Self {
         Self {
             execution,
@@ -90,13 +91,13 @@ impl Schedule {
         }
     }
 
-    /// Begins with the gripper commanded so, in place of open.
+    /// Sets the initial gripper command, which is open by default.
     pub fn with_gripper(self, gripper: f64) -> Self {
         Self { gripper, ..self }
     }
 
-    /// Returns the query that is due before the step to come, if one is. It stays due until it
-    /// is answered.
+    /// Returns the query that is due before the next step, if any. It stays due until it is
+    /// answered.
     pub fn due(&self) -> Option<Query> {
         (self.step >= self.next_query).then(|| {
             let delay = self.delay();
@@ -106,7 +107,7 @@ impl Schedule {
             });
             let mut under_way = left.to_vec();
             let gripper = left.last().map_or(self.gripper, |action| action[GRIPPER]);
-            // Beyond the last answer the arm holds still until the next one.
+            // The arm holds still from the end of this response until the next one.
             if under_way.len() < delay as usize {
                 under_way.resize(delay as usize, hold(gripper));
             }
@@ -114,10 +115,10 @@ impl Schedule {
         })
     }
 
-    /// Takes the answer to the query that is due.
+    /// Sets the response to the due query.
     pub fn answer(&mut self, mut actions: Vec<Action>) {
         let (step, delay) = (self.step, self.delay());
-        // An answer has no more actions than fit into a message.
+        // The size of a message limits the number of actions.
         let mut count = actions.len() as u32;
         let (first, next) = match self.execution {
             Execution::Wait | Execution::Hold(_) => {
@@ -143,7 +144,7 @@ impl Schedule {
         self.next_query = step + next.max(1);
     }
 
-    /// Returns the command of the step to come, and goes on to the next step.
+    /// Returns the command of the next step and advances the schedule.
     pub fn advance(&mut self) -> Command {
         let step = self.step;
         if let Some(arrived) = self.coming.take_if(|it| it.from <= step) {
@@ -169,13 +170,13 @@ impl Schedule {
         }
     }
 
-    /// The answer in effect at the step to come.
+    /// Returns the response in effect at the next step.
     fn current(&self) -> Option<&Answer> {
         let arrived = self.coming.as_ref().filter(|it| it.from <= self.step);
         arrived.or(self.current.as_ref())
     }
 
-    /// Delay of the answer to the query to come.
+    /// Returns the delay of the response to the next query.
     fn delay(&self) -> u32 {
         let delays = self.execution.delays();
         delays.map_or(0, |delays| {
@@ -186,7 +187,7 @@ impl Schedule {
     }
 }
 
-/// The arm holds still, the gripper does as last commanded.
+/// Returns the action that holds the arm still with the given gripper command.
 fn hold(gripper: f64) -> Action {
     let mut action = [0.0; ACTION_WIDTH];
     action[GRIPPER] = gripper;

@@ -37,13 +37,13 @@ pub enum Strata {
     Suites,
     /// A stratum per task.
     Tasks,
-    /// Every suite, and of it all configurations of one task together: for rules about new
-    /// tasks, of which a task in part says nothing.
+    /// A stratum per suite, from which whole tasks are drawn: for rules about new tasks, to
+    /// which an incomplete task contributes nothing.
     WholeTasks,
 }
 
 impl Strata {
-    /// Those that go with a rule unless others are named.
+    /// Returns the default strata for a rule.
     pub fn usual(rule: &StopRule) -> Self {
         match rule.is_about_new_tasks() {
             true => Self::WholeTasks,
@@ -73,20 +73,20 @@ pub enum StopError {
          or take `stop` out"
     )]
     NotSimultaneous,
-    /// A rule with clauses of both kinds.
+    /// The rule has clauses about new tasks and others.
     #[error(
         "`stop` with clauses for new tasks and others: those need whole tasks one after another, \
          these every task from the start; write clauses of one kind"
     )]
     BothKinds,
-    /// Strata that do not go with the rule.
+    /// The strata do not fit the rule.
     #[error("`stop` with `strata` {given}: `{rule}` needs {needed}; write that")]
     Strata {
         /// The strata given.
         given: &'static str,
         /// The rule.
         rule: String,
-        /// Those that go with it.
+        /// Strata that the rule needs.
         needed: &'static str,
     },
     /// The campaign has several replicates.

@@ -10,7 +10,7 @@ use crate::names::UnknownName;
 /// Separator of two clauses.
 const AND: &str = " and ";
 
-/// End of a clause that is about tasks that nobody has run yet.
+/// Suffix of a clause about new tasks.
 const FOR_NEW_TASKS: &str = " for new tasks";
 
 const VALID: &str = "width(M) < X with X above 0 and up to 2, M excludes X with X from -1 to 1, \
@@ -111,8 +111,8 @@ pub enum Clause {
     Width(Measure, f64),
     /// `M excludes X`: X is outside the interval of M over the campaign's configurations.
     Excludes(Measure, f64),
-    /// `M excludes X for new tasks`: X is outside the interval of M over all tasks that the
-    /// campaign's could have been.
+    /// `M excludes X for new tasks`: X is outside the interval of M over the population that
+    /// the campaign's tasks were drawn from.
     ExcludesForNewTasks(Measure, f64),
 }
 
@@ -134,7 +134,7 @@ impl StopRule {
         }
     }
 
-    /// Whether some clause is about new tasks.
+    /// Returns true if a clause is about new tasks.
     pub fn is_about_new_tasks(&self) -> bool {
         self.clauses.iter().any(Clause::is_about_new_tasks)
     }
@@ -155,7 +155,7 @@ impl Clause {
         }
     }
 
-    /// Whether it is about new tasks, and not about the campaign's configurations.
+    /// Returns true if the clause is about new tasks, not the campaign's configurations.
     pub const fn is_about_new_tasks(&self) -> bool {
         matches!(self, Self::ExcludesForNewTasks(..))
     }
@@ -196,7 +196,7 @@ impl FromStr for Clause {
         let value = value.ok_or_else(unknown)?;
         match new_tasks {
             None => Ok(Self::Excludes(measure, value)),
-            // Two policies are compared over the rollouts that both have.
+            // Comparisons are over the rollouts that both policies have, not about new tasks.
             Some(_) if measure == Measure::Difference => Err(unknown()),
             Some(_) => Ok(Self::ExcludesForNewTasks(measure, value)),
         }

@@ -49,7 +49,7 @@ impl Suite {
         }
     }
 
-    /// The suite's tasks, in the benchmark's order.
+    /// Returns the suite's tasks in the benchmark's order.
     pub fn tasks(self) -> impl Iterator<Item = TaskRef> {
         (0..TASKS_PER_SUITE).map(move |index| TaskRef { suite: self, index })
     }
@@ -98,7 +98,7 @@ impl TaskRef {
         }
     }
 
-    /// The forty tasks, suite by suite.
+    /// Returns the forty tasks by suite.
     pub fn all() -> impl Iterator<Item = Self> {
         Suite::ALL.into_iter().flat_map(Suite::tasks)
     }

@@ -59,7 +59,7 @@ impl Vec3 {
         self.x.max(self.y).max(self.z)
     }
 
-    /// The largest coordinate by magnitude.
+    /// Returns the largest magnitude of a coordinate.
     pub(crate) fn max_abs(self) -> f64 {
         self.x.abs().max(self.y.abs()).max(self.z.abs())
     }

@@ -53,7 +53,7 @@ const TRAIL_STEPS: usize = 16;
 const AT_REST_STEPS: u32 = 2;
 
 /// A pose of the hand: the point between the fingertips, and its orientation
-/// (x: closing direction, z: where the fingers point).
+/// (x: closing direction, z: pointing direction of the fingers).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct HandPose {
     pub(crate) pos: Vec3,

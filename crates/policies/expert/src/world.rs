@@ -148,7 +148,7 @@ impl World {
             .ok_or_else(|| format!("the scene has no joint named '{name}'"))
     }
 
-    /// Names of the joints of the instance `owner`.
+    /// Returns the names of the joints of the instance `owner`.
     pub(crate) fn joints_of(&self, owner: &str) -> impl Iterator<Item = &str> {
         let prefix = format!("{owner}_");
         self.joints
@@ -236,7 +236,7 @@ pub(crate) fn drawer_joint(region: &str) -> Option<String> {
         .map(|drawer| format!("{drawer}_level"))
 }
 
-/// The region on top of `fixture`, by LIBERO's naming.
+/// Returns the name of the region on top of `fixture`, by LIBERO's naming.
 fn top_side(fixture: &str) -> String {
     format!("{fixture}_top_side")
 }

@@ -13,7 +13,7 @@ use thiserror::Error;
 
 /// Numbers in one action: translation (3), rotation (3), gripper.
 pub const ACTION_WIDTH: usize = 7;
-/// Longest chunk that a policy may declare: twice LIBERO's longest episode.
+/// Largest horizon that a policy may declare: twice LIBERO's longest episode.
 pub const MAX_HORIZON: u32 = 1040;
 /// Largest side of a frame that a policy may request, pixels.
 pub const MAX_FRAME_SIDE: u32 = 1024;
@@ -25,7 +25,7 @@ pub const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 /// come from a broken network; clipping them would report its failure as a failed task.
 pub const LARGEST_NUMBER: f32 = 1e3;
 
-/// One action as it is on the wire.
+/// One action in wire format.
 pub type WireAction = [f32; ACTION_WIDTH];
 
 /// Returns the actions of a response if a robot can execute them.
@@ -263,7 +263,7 @@ pub enum DescriptionFault {
     /// The settings cannot be stored in a result.
     #[error("it {problem}")]
     Settings {
-        /// The setting and what is wrong with it; reads after "it".
+        /// Clause about the setting and its problem; follows "it".
         problem: String,
     },
 }

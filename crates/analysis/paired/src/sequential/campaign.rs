@@ -51,11 +51,11 @@ pub fn drawn_order(stop: &Stop, units: impl IntoIterator<Item = Unit>) -> Order<
     }
 }
 
-/// The confidence sequences of one level, about what the rule is about.
+/// The confidence sequences of one level, for the target of the rule.
 enum Sequences {
-    /// The campaign's configurations.
+    /// Sequences about the campaign's configurations.
     These(SequentialMeasures<Unit>),
-    /// New tasks.
+    /// Sequences about new tasks.
     NewTasks(NewTasks),
 }
 
@@ -69,7 +69,7 @@ impl Sequences {
         Self::NewTasks(NewTasks::new(order, measures, SEQUENTIAL_ALPHA))
     }
 
-    /// Takes the next configuration of the order.
+    /// Adds the next configuration of the order.
     fn complete(&mut self, unit: &Unit, possible: &[Transition]) {
         match self {
             Self::These(sequence) => {

@@ -80,7 +80,7 @@ pub fn compared_looks(
 
 type Outcomes = BTreeMap<(Level, Condition), BTreeMap<Unit, Outcome>>;
 
-/// The outcomes of perturbed rollouts.
+/// Groups the outcomes of perturbed rollouts by level and condition.
 fn outcomes(records: &[Record]) -> Outcomes {
     let mut outcomes = Outcomes::new();
     for record in records.iter().filter(|record| record.replicate == 0) {

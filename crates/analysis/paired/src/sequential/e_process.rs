@@ -123,7 +123,7 @@ impl EProcess {
         }
     }
 
-    /// The mean of all drawn units.
+    /// Returns the mean of all drawn units and the virtual prior draws.
     fn pooled(&self) -> f64 {
         let seen: f64 = self.strata.iter().map(|it| middle(it.seen)).sum();
         let drawn: i64 = self.strata.iter().map(|it| it.drawn).sum();
@@ -154,7 +154,7 @@ impl EProcess {
         stratum.seen[1] += value[1];
     }
 
-    /// The e-values of all candidates.
+    /// Returns the e-values of all candidates.
     pub(crate) fn e_values(&self) -> EValues {
         EValues {
             logs: self.bets.iter().map(|bet| self.least(bet)).collect(),

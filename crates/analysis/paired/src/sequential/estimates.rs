@@ -1,4 +1,4 @@
-//! Estimates at a look, which weigh strata as the population has them.
+//! Point estimates at a look, with strata weighted by their share of the population.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,7 +8,8 @@ use crate::outcomes::Records;
 use crate::sequential::campaign::{CampaignLook, Unit};
 use crate::sequential::measures::value;
 
-/// Units of a stratum, and the sums of each measure over those that were drawn and are known.
+/// Number of units of a stratum, and sums of each measure over the drawn units with a known
+/// outcome.
 #[derive(Clone, Default)]
 struct Stratum {
     units: f64,
@@ -17,12 +18,12 @@ struct Stratum {
 }
 
 impl CampaignLook {
-    /// The estimate of each measure of each level: the mean of every stratum, weighed as the
-    /// stratum is in the population that the interval is about, and never beyond the interval.
-    /// Strata are drawn in turn, so that a small one is drawn out of proportion: of suites of
-    /// 100 and 30 configurations, the mean over what was drawn counts both alike.
+    /// Returns the estimate of each measure at each level: the mean over strata, weighted by
+    /// their share of the population that the interval is about, and clamped to the interval.
+    /// Strata are drawn in turn, so that small ones are over-represented: an unweighted mean
+    /// would weight suites of 100 and of 30 configurations equally.
     ///
-    /// Levels of which some stratum has no known outcome yet have none.
+    /// A level is omitted while a stratum has no known outcome.
     pub fn estimates(
         &self,
         records: &Records,

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use libero_ctrl::{Clause, Measure, StopRule};
 use serde::{Deserialize, Serialize};
 
-/// An interval of a rate or a difference of rates over a finite population. Its
-/// ends are whole numbers of units, so that none is rounded; of new tasks, they are
-/// rounded outwards to a two-thousandth.
+/// An interval of a rate or a difference of rates over a finite population. Its ends are
+/// whole numbers of units and therefore exact; for new tasks they are rounded outwards to a
+/// multiple of 1/2000.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RateInterval {
     /// Least total over the population that is not ruled out.
@@ -66,7 +66,7 @@ impl Look {
         let interval = self.intervals.get(&clause.measure());
         interval.is_some_and(|interval| match *clause {
             Clause::Width(_, width) => interval.width() < width,
-            // A look is about one of them: see `Stop`.
+            // A look has a single target, see `Stop`.
             Clause::Excludes(_, value) | Clause::ExcludesForNewTasks(_, value) => {
                 interval.excludes(value)
             }
@@ -82,7 +82,7 @@ mod tests {
         text.parse().expect(text)
     }
 
-    /// A look at intervals of 400 units.
+    /// Creates a look with intervals of 400 units.
     fn look(intervals: &[(Measure, [i64; 2])]) -> Look {
         let interval = |&(measure, [least, greatest]): &(Measure, [i64; 2])| {
             let interval = RateInterval {

@@ -69,7 +69,7 @@ pub(crate) fn value(measure: Measure, transition: Transition) -> i64 {
     }
 }
 
-/// Least and greatest value of a measure over some transitions.
+/// Returns the least and greatest value of a measure over some transitions.
 pub(crate) fn values(measure: Measure, over: &[Transition]) -> [i64; 2] {
     let values = || over.iter().map(|&transition| value(measure, transition));
     let ends = values().min().zip(values().max());

@@ -1,11 +1,11 @@
-//! Confidence sequences about new tasks: about all that the campaign's could have been,
-//! under the directions that it has.
+//! Confidence sequences about new tasks: about the population that the campaign's tasks were
+//! drawn from, under the campaign's directions.
 //!
-//! # What is estimated
+//! # Estimand
 //! The tasks of suite h are independent draws from one population, with the mean μ_h of a
 //! task's own mean. An interval is about the average of μ_h over the suites.
 //!
-//! # Why it holds at all looks
+//! # Proof of validity at all looks
 //! Each round has one task of every suite. For numbers s (a bet) and c (a centre) that
 //! depend on earlier rounds alone, and a task's mean x,
 //! (1 + s·(x − c)) / (1 + s·(μ_h − c)) has the expectation 1, so that the product over all
@@ -13,13 +13,13 @@
 //! Jensen's inequality the product is at least that with every μ_h replaced by their
 //! average m, as s and c are the same for all tasks of a round. By Ville's inequality the
 //! average of the latter over two bets ever reaches 1/α at the true m with a probability
-//! of at most α. Nothing else is assumed of the tasks. Rounds that lack a suite count for
-//! nothing.
+//! of at most α. There are no further assumptions about the tasks. Rounds that lack a suite
+//! are ignored.
 //!
-//! # How much it needs
-//! A task's mean is anywhere from least to greatest, and one that fails in all of its
-//! configurations is possible however many did not. So 40 tasks exclude I = 0 only if |I| is
-//! about 0.15. The command
+//! # Sample size
+//! A task's mean may have any value in the range, and a task that fails in all of its
+//! configurations remains possible regardless of the number of tasks that did not. 40 tasks
+//! therefore exclude I = 0 only if |I| is about 0.15. The command
 //! `cargo run --release -p paired --example new_tasks` prints error rates and savings.
 //!
 //! # Sources
@@ -37,33 +37,33 @@ use crate::sequential::look::{Look, RateInterval};
 use crate::sequential::measures::values;
 use crate::sequential::order::{Drawn, Order};
 
-/// Size of the two bets, for and against, as a share of the largest that cannot lose
-/// everything. The best bet on a difference that few tasks can show is larger than any that
-/// the range of the values allows.
+/// Size of the two bets, for and against, as a share of the largest bet that cannot lose all
+/// capital. For a difference detectable with few tasks, the optimal bet exceeds the largest
+/// that the range of values allows.
 const SIZE: f64 = 0.9;
 
-/// Tasks in the middle of the range, as which the centre counts what it knows before the
-/// first round.
+/// Weight of the prior of the centre: a number of virtual tasks with the middle value of the
+/// range.
 const PRIOR_TASKS: f64 = 1.0;
 
-/// Candidates for a mean, in a range of 1.
+/// Number of candidates for a mean per unit of its range.
 const CANDIDATES: i64 = 2000;
 
-/// Confidence sequences of some measures about new tasks. They hold together, at all looks,
-/// with a probability of at least 1 − α.
+/// Confidence sequences of some measures about new tasks. They hold simultaneously, at all
+/// looks, with a probability of at least 1 − α.
 #[derive(Clone, Debug)]
 pub(crate) struct NewTasks {
-    /// Suites: the tasks of a round that counts.
+    /// Number of suites, which is that of tasks in a counted round.
     suites: usize,
-    /// Configurations of each task.
+    /// Number of configurations of each task.
     sizes: BTreeMap<TaskRef, usize>,
     units: usize,
-    /// Configurations of the rounds that have every suite: the first ones.
+    /// Number of configurations in the rounds that have every suite, which come first.
     counted: usize,
     used: usize,
-    /// Configurations of the present task that are complete.
+    /// Number of complete configurations of the current task.
     of_task: usize,
-    /// Tasks of the present round that are complete.
+    /// Number of complete tasks of the current round.
     of_round: usize,
     means: BTreeMap<Measure, Mean>,
 }
@@ -74,11 +74,11 @@ struct Mean {
     alpha: f64,
     /// Least and greatest value of a configuration.
     range: [i64; 2],
-    /// Least and greatest sum over the present task.
+    /// Least and greatest sum over the current task.
     task: [i64; 2],
-    /// Least and greatest mean of each task of the present round.
+    /// Least and greatest mean of each task of the current round.
     round: Vec<[f64; 2]>,
-    /// Middles of the ranges of all earlier means, and how many they are.
+    /// Sum of the midpoints of all earlier means, and their number.
     seen: [f64; 2],
     bets: [Bet; 2],
     /// Candidates that are not ruled out.
@@ -87,7 +87,7 @@ struct Mean {
 
 #[derive(Clone, Debug)]
 struct Bet {
-    /// Negative against.
+    /// Relative size; negative for the bet against.
     size: f64,
     /// Log of the product of the numerators.
     gains: f64,
@@ -96,7 +96,7 @@ struct Bet {
 }
 
 impl NewTasks {
-    /// Before the first configuration of an order of whole tasks.
+    /// Creates the sequences before the first configuration of an order of whole tasks.
     pub(crate) fn new(order: &Order<Unit>, measures: BTreeSet<Measure>, alpha: f64) -> Self {
         let mut sizes: BTreeMap<TaskRef, usize> = BTreeMap::new();
         for (task, _) in order.units() {
@@ -122,7 +122,7 @@ impl NewTasks {
         }
     }
 
-    /// Takes the next configuration of the order: every transition that it can have.
+    /// Adds the next configuration of the order with its possible transitions.
     pub(crate) fn complete(&mut self, (task, _): &Unit, possible: &[Transition]) {
         self.used += 1;
         if self.used > self.counted {
@@ -202,7 +202,7 @@ impl Mean {
                 true => bet.size / (centre - least).max(f64::MIN_POSITIVE),
                 false => bet.size / (greatest - centre).max(f64::MIN_POSITIVE),
             };
-            // A mean that is known as a range counts as what makes the bet worth least.
+            // A mean known only as a range counts as the value that minimises the bet's gain.
             let worst = usize::from(stake < 0.0);
             let gains = round
                 .iter()
@@ -223,15 +223,15 @@ impl Mean {
         };
         let is_kept = |at: &i64| e_value(*at) * self.alpha < 1.0;
         let [low, high] = self.kept;
-        // E-values are convex in the candidate, so that what is kept has no gaps. If nothing
-        // is kept, the mean was missed before, and the interval stays.
+        // E-values are convex in the candidate, so that the kept candidates have no gaps. If
+        // none is kept, the interval had already missed the mean and stays unchanged.
         if let Some(least) = (low..=high).find(is_kept) {
             let greatest = (least..=high).rev().find(is_kept).unwrap_or(least);
             self.kept = [least, greatest];
         }
     }
 
-    /// The candidates that are kept, and what lies between them and the next.
+    /// Returns the interval of the kept candidates, extended to the next rejected ones.
     fn interval(&self) -> RateInterval {
         let [least, greatest] = self.range.map(|end| end * CANDIDATES);
         RateInterval {
@@ -248,7 +248,7 @@ mod tests {
 
     const ROUNDS: usize = 4;
 
-    /// Tasks of one configuration each, in rounds of two suites.
+    /// Draws an order of tasks with one configuration each, in rounds of two suites.
     fn order() -> Order<Unit> {
         let suites = [0, 10].map(|first| TaskRef::all().skip(first).take(ROUNDS));
         Order::new(1, suites.into_iter().flatten(), |task: &TaskRef| {
@@ -257,8 +257,8 @@ mod tests {
         .of_parts(|task| vec![(*task, 0)])
     }
 
-    /// Exactly, over all outcomes of tasks that succeed with a probability of their suite's:
-    /// how likely it is that the mean is ever missed.
+    /// Computes the exact probability that the mean is ever missed, over all outcomes of tasks
+    /// that succeed with the probability of their suite.
     fn missed(of_suites: [f64; 2], alpha: f64) -> f64 {
         let order = order();
         let drawn: Vec<_> = order.rounds().iter().flatten().collect();

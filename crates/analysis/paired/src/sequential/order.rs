@@ -59,7 +59,7 @@ impl<U: Ord> Order<U> {
         Self { rounds, sizes }
     }
 
-    /// The order in which each unit is replaced by its parts, which follow one another.
+    /// Replaces each unit by its parts, in sequence.
     pub(crate) fn of_parts<P>(self, mut parts: impl FnMut(&U) -> Vec<P>) -> Order<P> {
         let mut sizes = vec![0; self.sizes.len()];
         let mut of_round = |round: Vec<Drawn<U>>| {
@@ -80,12 +80,12 @@ impl<U: Ord> Order<U> {
         &self.rounds
     }
 
-    /// All units in the order in which they are run.
+    /// Returns all units in the order in which they run.
     pub fn units(&self) -> impl Iterator<Item = &U> {
         self.rounds.iter().flatten().map(|drawn| &drawn.unit)
     }
 
-    /// The number of units of each stratum.
+    /// Returns the number of units of each stratum.
     pub(crate) fn sizes(&self) -> &[usize] {
         &self.sizes
     }
@@ -99,7 +99,7 @@ fn shuffle<T>(rng: &mut impl Rng, items: &mut [T]) {
     }
 }
 
-/// A uniform integer in 0..n. Source: D. Lemire, Fast random integer generation
+/// Draws a uniform integer in 0..n. Source: D. Lemire, Fast random integer generation
 /// in an interval, ACM Transactions on Modeling and Computer Simulation 29 (2019).
 fn below(rng: &mut impl Rng, n: u64) -> u64 {
     // Rejects draws whose lower half is below this threshold; they would bias some integers.
@@ -152,7 +152,7 @@ mod tests {
         }
     }
 
-    /// The statistic of Pearson's test that all of `cells` outcomes are equally
+    /// Returns the statistic of Pearson's test that all of `cells` outcomes are equally
     /// likely.
     fn chi_squared(counts: &BTreeMap<Vec<Unit>, u32>, cells: usize) -> f64 {
         let total: u32 = counts.values().sum();

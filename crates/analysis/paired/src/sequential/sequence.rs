@@ -80,7 +80,7 @@ mod tests {
     /// The units of the strata.
     type Strata = Vec<Vec<Unit>>;
 
-    /// Every order of a stratum's units.
+    /// Returns every order of a stratum's units.
     fn permutations(units: &[Unit]) -> Vec<Vec<Unit>> {
         if units.is_empty() {
             return vec![Vec::new()];
@@ -97,7 +97,7 @@ mod tests {
         all
     }
 
-    /// Every multiset of units of some kinds.
+    /// Returns every multiset of `size` units of some kinds.
     fn multisets(kinds: &[Unit], size: usize) -> Vec<Vec<Unit>> {
         if size == 0 {
             return vec![Vec::new()];
@@ -145,7 +145,7 @@ mod tests {
         strata.iter().flatten().map(|(value, _)| value).sum()
     }
 
-    /// The e-value of the true total after each round.
+    /// Returns the e-value of the true total after each round.
     fn true_e_values(strata: &Strata, sizes: &[usize], range: [i64; 2]) -> Vec<f64> {
         let mut process = EProcess::new(sizes, range);
         let mut least = sizes.iter().sum::<usize>() as i64 * range[0];

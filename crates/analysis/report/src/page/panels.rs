@@ -1,4 +1,4 @@
-//! Figures in a page: panels side by side where there is room.
+//! Figures in a page: panels side by side if there is room.
 
 use maud::{Markup, html};
 

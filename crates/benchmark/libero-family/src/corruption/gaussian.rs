@@ -62,7 +62,7 @@ fn along(
     filtered
 }
 
-/// One half of the filter, from the centre outwards.
+/// Returns one half of the symmetric filter, from the centre outwards.
 fn weights(sigma: f64) -> Vec<f64> {
     let radius = (TRUNCATE * sigma + 0.5) as i32;
     let factor = -0.5 / (sigma * sigma);

@@ -3,7 +3,7 @@
 /// Channels of a pixel.
 pub(super) const CHANNELS: usize = 3;
 
-/// A picture: rows of pixels of three bytes. Corruptions do not depend on the order of rows.
+/// A picture: rows of pixels of three bytes, in the order in which corruptions process them.
 #[derive(Debug)]
 pub struct Picture<'a> {
     /// Rows.
