@@ -119,6 +119,7 @@ fn a_task_of_ones_own_is_replayed_and_its_trace_replays_again() {
         let request = Request {
             assignment: &assignment,
             files: Some(task.files()),
+            variant: None,
             draw: false,
             output,
         };
@@ -178,6 +179,7 @@ fn answers_beyond_the_range_reach_the_actuation_axis_as_the_released_code_has_it
         let request = Request {
             assignment: &assignment,
             files: None,
+            variant: None,
             draw: false,
             output: folder.path(),
         };
@@ -216,6 +218,7 @@ fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
     let request = Request {
         assignment: &assignment,
         files: None,
+        variant: None,
         draw: true,
         output: folder.path(),
     };
@@ -312,6 +315,7 @@ fn look(simulator: &mut Simulator, row: &ManifestRow, realisation: Realisation, 
     let request = Request {
         assignment: &assignment,
         files: None,
+        variant: None,
         draw: true,
         output: folder.path(),
     };
