@@ -141,8 +141,8 @@ fn an_arrow_that_points_up_or_sideways_is_found() {
     assert_eq!(
         violations(&layers, &graph),
         [
-            "low uses untrusted-input",
             "low uses top",
+            "low uses untrusted-input",
             "new is not in the diagram",
             "side uses sqlx",
             "top uses side",

@@ -54,7 +54,7 @@ pub fn drawn_order(stop: &Stop, units: impl IntoIterator<Item = Unit>) -> Order<
 /// The confidence sequences of one level, for the target of the rule.
 enum Sequences {
     /// Sequences about the campaign's configurations.
-    These(SequentialMeasures<Unit>),
+    These(Box<SequentialMeasures<Unit>>),
     /// Sequences about new tasks.
     NewTasks(NewTasks),
 }
@@ -62,7 +62,7 @@ enum Sequences {
 impl Sequences {
     fn new(order: &Order<Unit>, stop: &Stop) -> Self {
         if !stop.rule.is_about_new_tasks() {
-            return Self::These(SequentialMeasures::new(order, SEQUENTIAL_ALPHA));
+            return Self::These(Box::new(SequentialMeasures::new(order, SEQUENTIAL_ALPHA)));
         }
         let measures = stop.rule.clauses().iter().map(|clause| clause.measure());
         let measures: BTreeSet<Measure> = measures.collect();
