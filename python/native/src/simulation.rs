@@ -457,12 +457,8 @@ fn data_array(state: &State, name: &str) -> PyResult<(Vec<f64>, usize)> {
     Ok((values.to_vec(), rows))
 }
 
-<<<<<<< HEAD
 /// Creates a read-only array with `rows` rows; writes to a copy would have no effect on the
 /// simulation.
-=======
-/// A copy with so many rows. Nobody can write to it, so that nobody does so in vain.
->>>>>>> 0c4adff06eb4372cd90e4e2f94bc0e29a53e3c37
 fn by_rows<'py, T: numpy::Element>(
     py: Python<'py>,
     values: Vec<T>,

@@ -145,6 +145,7 @@ fn session(policy: &str) -> Vec<u8> {
             privileged: Some(scene()),
             ..wire::Observation::default()
         }),
+        under_way: None,
     };
     let batch = wire::InferBatchRequest {
         queries: vec![infer.clone(), infer.clone()],
