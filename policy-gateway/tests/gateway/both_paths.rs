@@ -143,10 +143,9 @@ fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
         let fault = policy_protocol::actions(&response, HORIZON).err();
         *said.lock().expect("no panic") = response;
         let index = query.replace(query.get() + 1);
-        let [direct, through] = workers
-            .borrow_mut()
-            .each_mut()
-            .map(|worker| worker.infer(ASKED, index, Observation::default(), HORIZON as usize));
+        let [direct, through] = workers.borrow_mut().each_mut().map(|worker| {
+            worker.infer(ASKED, index, Observation::default(), HORIZON as usize, None)
+        });
         for error in [&direct, &through]
             .into_iter()
             .filter_map(|it| it.as_ref().err())

@@ -78,7 +78,7 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
         }
         for index in 0..4 {
             for (client, episode) in clients.iter_mut().zip(&episodes) {
-                let answer = client.infer(episode.asked(), index, Observation::default(), 1);
+                let answer = client.infer(episode.asked(), index, Observation::default(), 1, None);
                 let action = answer.expect("an answer")[0];
                 let expected = [episode.seed as f64, f64::from(index)];
                 assert_eq!(action[..2], expected, "{}", episode.session);
