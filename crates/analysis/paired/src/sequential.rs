@@ -66,10 +66,10 @@ mod prefix;
 mod sequence;
 mod together;
 
-pub use campaign::{CampaignLook, SEQUENTIAL_ALPHA, Unit, drawn_order};
+pub use campaign::{CampaignLook, SEQUENTIAL_ALPHA, drawn_order};
 pub use compared::{ComparedLook, NotInOneOrder, compared_looks};
 pub use difference::SequentialDifference;
 pub use look::{Look, RateInterval};
 pub use measures::SequentialMeasures;
-pub use order::{Drawn, Order};
+pub use order::{Drawn, Order, Unit};
 pub use prefix::NotInOrder;

@@ -8,13 +8,10 @@ use crate::outcomes::{Matched, Record, Records, Transition};
 use crate::sequential::look::Look;
 use crate::sequential::measures::SequentialMeasures;
 use crate::sequential::new_tasks::NewTasks;
-use crate::sequential::order::Order;
+use crate::sequential::order::{Order, Unit};
 
 /// Largest probability that an interval of a level, or of a comparison, ever misses.
 pub const SEQUENTIAL_ALPHA: f64 = 0.05;
-
-/// A configuration: its task and its number.
-pub type Unit = (TaskRef, u16);
 
 /// A look at a campaign that may end early. All levels rest on the same
 /// configurations: the drawn order up to the first incomplete one.

@@ -6,9 +6,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use libero_ctrl::{Condition, Level, RolloutId, Stop, StopRule};
 
 use crate::outcomes::{Outcome, Record};
-use crate::sequential::campaign::{SEQUENTIAL_ALPHA, Unit, drawn_order};
+use crate::sequential::campaign::{SEQUENTIAL_ALPHA, drawn_order};
 use crate::sequential::difference::SequentialDifference;
 use crate::sequential::look::Look;
+use crate::sequential::order::Unit;
 
 /// Look at the difference A − B under one condition at one level.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -5,8 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use libero_ctrl::{Level, Measure, Stop, Strata, Suite, TaskRef};
 
 use crate::outcomes::Records;
-use crate::sequential::campaign::{CampaignLook, Unit};
+use crate::sequential::campaign::CampaignLook;
 use crate::sequential::measures::value;
+use crate::sequential::order::Unit;
 
 /// Number of units of a stratum, and sums of each measure over the drawn units with a known
 /// outcome.

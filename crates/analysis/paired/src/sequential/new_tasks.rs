@@ -32,10 +32,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use libero_ctrl::{Measure, TaskRef};
 
 use crate::outcomes::Transition;
-use crate::sequential::campaign::Unit;
 use crate::sequential::look::{Look, RateInterval};
 use crate::sequential::measures::values;
-use crate::sequential::order::{Drawn, Order};
+use crate::sequential::order::{Drawn, Order, Unit};
 
 /// Size of the two bets, for and against, as a share of the largest bet that cannot lose all
 /// capital. For a difference detectable with few tasks, the optimal bet exceeds the largest

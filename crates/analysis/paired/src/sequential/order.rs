@@ -2,8 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use libero_ctrl::TaskRef;
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+
+/// A configuration: its task and its number.
+pub type Unit = (TaskRef, u16);
 
 /// Units of a population, such as configurations, in the order in which they run: in rounds,
 /// each with one unit of every stratum that has units left.
