@@ -52,6 +52,7 @@ pages! {
     commands_of_the_walkthrough_work: "docs/WALKTHROUGH.md",
     commands_of_why_work: "docs/WHY.md",
     commands_of_the_libero_pack_work: "assets/libero/README.md",
+    commands_of_the_family_files_work: "assets/libero-family/README.md",
     commands_of_the_asset_pack_work: "assets/primitives/README.md",
     commands_of_the_examples_work: "examples/README.md",
     commands_of_fuzzing_work: "fuzz/README.md",
