@@ -1,4 +1,4 @@
-//! What is said beside result rows. The properties are in `untrusted_input`.
+//! Descriptions beside result rows (`about.json`). The properties are in `untrusted_input`.
 
 #![no_main]
 

@@ -51,7 +51,7 @@ struct Arguments {
 
 #[derive(Debug, Args)]
 struct Listen {
-    /// Where to listen; port 0 takes a free one, and the line printed names it
+    /// Listening address; port 0 takes a free one, and the line printed names it
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7412",
         value_parser = terminal::address)]
     listen: SocketAddr,
@@ -88,12 +88,12 @@ struct Serve {
 enum Command {
     /// Checks whether a policy server keeps the policy protocol, point by point
     Check {
-        /// Where it listens: grpc://HOST:PORT, https://HOST:PORT,
+        /// Its address: grpc://HOST:PORT, https://HOST:PORT,
         /// ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT
         #[arg(value_name = "URL")]
         url: String,
 
-        /// Which policy there, if it serves several
+        /// Name of the policy there, if it serves several
         #[arg(long, value_name = "NAME", default_value = "")]
         policy: String,
 

@@ -1,4 +1,4 @@
-"""Which package `libero` a program imports, and what stands in its way.
+"""Finds the package `libero` that a program imports, and the packages that shadow it.
 
 Several distributions install a package of this name, into the same folder, and frameworks put
 checkouts of LIBERO before it on the path: whichever is found first is imported, without a word.
@@ -22,7 +22,7 @@ REINSTALL = f"pip install --force-reinstall --no-deps {SHIM}, from its wheel, as
 
 
 def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
-    """What was found, and what is wrong with it, each with its remedy."""
+    """Findings about the imported package, each fault with its remedy."""
     found, wrong = [], []
     rivals = [name for name in RIVALS if _version(name) is not None]
     installed = _version(SHIM)

@@ -1,13 +1,13 @@
 """RLinf's LIBERO environments in one process: ``export RLINF_EXT_MODULE=rollout_libero.rlinf``.
 
 RLinf imports the module that this variable names in each of its workers and calls
-``register``. Nothing else of a run changes: its ``LiberoEnv`` chooses tasks and initial states,
-rewards, truncates, counts and resets as ever, and only what simulates below it is another: in
-place of a process for each environment, which draws and sends every observation, threads that
-draw the one at the end of each chunk, which is all that the policy is shown.
+``register``. RLinf's ``LiberoEnv`` still chooses tasks and initial states, rewards, truncates,
+counts and resets; only the simulation below it is replaced. RLinf starts a process for each
+environment, which draws and sends every observation. Here threads of the worker simulate, and
+draw the observation at the end of each chunk, the only one that the policy is shown.
 
-A run that saves videos or collects data has every step drawn: set ``save_video: False`` to be
-fast.
+A run that saves videos or collects data has every step drawn, which is slow: set
+``save_video: False`` for training.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _PARAMETERS = {"bddl_file_name", "camera_heights", "camera_widths", "seed"}
 
 
 def register() -> None:
-    """Has RLinf make its LIBERO environments of this module. Again, it changes nothing."""
+    """Replaces RLinf's ``LiberoEnv``. A second call has no effect."""
     if os.environ.get("LIBERO_TYPE", "standard").lower() != "standard":
         print("rollout_libero.rlinf: LIBERO_TYPE is not standard; RLinf's own processes go on")
         return
@@ -46,7 +46,7 @@ def register() -> None:
 
 
 def together(base: Any) -> Any:
-    """RLinf's class, simulated in one process."""
+    """Returns a subclass of RLinf's ``LiberoEnv`` that simulates in one process."""
 
     class LiberoEnv(base):  # type: ignore[misc]
         """RLinf's LIBERO, simulated by ``rollout_libero``."""
@@ -83,7 +83,7 @@ def together(base: Any) -> Any:
 
 
 class Rows:
-    """Environments with what RLinf calls of its ``ReconfigureSubprocEnv``."""
+    """Environments with the methods of ``ReconfigureSubprocEnv`` that RLinf calls."""
 
     is_async = False
 
@@ -103,7 +103,7 @@ class Rows:
         self._pool = ThreadPoolExecutor(threads)
         self._files = [str(one["bddl_file_name"]) for one in parameters]
         self._seeds = [int(one["seed"]) for one in parameters]
-        # How often the original has loaded each one's model.
+        # Model loads of each environment in the original; its samplers draw at each of them.
         self._loads = [1] * self.env_num
         self._chunk: _Chunk | None = None
         self._rows = TrainingEnvironment(
@@ -120,32 +120,32 @@ class Rows:
         return self.env_num
 
     def reconfigure_env_fns(self, env_fns: Sequence[dict[str, Any]], id: Any = None) -> None:
-        """Gives environments tasks, as if they were made anew."""
+        """Assigns tasks and seeds to environments, as constructing them would."""
         for row, one in zip(self._ids(id), env_fns, strict=True):
             self._files[row] = str(one["bddl_file_name"])
             self._seeds[row] = int(one["seed"])
             self._loads[row] = 1
 
     def seed(self, seed: int | Sequence[int]) -> list[None]:
-        """Seeds all environments: consecutively from a number, or each."""
+        """Seeds all environments, with consecutive seeds if one number is given."""
         if isinstance(seed, int | np.integer):
             seed = [int(seed) + row for row in range(self.env_num)]
         self._seeds = [int(one) for one in seed]
         return [None] * self.env_num
 
     def reset(self, id: Any = None) -> NDArray[np.object_]:
-        """Places everything anew in environments."""
+        """Resets environments; the samplers place all objects."""
         rows = self._ids(id)
         for row in rows:
             self._loads[row] += 1
         return self._begin(rows, [None] * len(rows))
 
     def set_init_state(self, init_state: Any, id: Any = None) -> NDArray[np.object_]:
-        """Starts environments that were reset from states."""
+        """Starts environments from initial states, after a reset."""
         return self._begin(self._ids(id), init_state)
 
     def step(self, action: Any, id: Any = None) -> Any:
-        """One control step of environments, or the next of the chunk that was begun."""
+        """Executes one control step, or returns the next one of the chunk that was simulated."""
         if self._chunk is not None and self._chunk.is_left and id is None:
             observations, success = self._chunk.next()
             rows = list(range(self.env_num))
@@ -158,8 +158,8 @@ class Rows:
         return observations, success.astype(np.float64), success.copy(), infos
 
     def chunk(self, actions: NDArray[np.float64]) -> _Chunk:
-        """Within it, steps are those of a chunk, [environments, steps, 7], that is simulated as
-        a whole, each environment at its own pace."""
+        """Simulates a chunk, [environments, steps, 7], as a whole; ``step`` returns its steps
+        within the context."""
         if self._draws_all:
             return _Chunk(self, None)
         stepped = self._rows.step_chunk(actions)
@@ -168,15 +168,15 @@ class Rows:
         return _Chunk(self, (last, stepped.success))
 
     def check_success(self) -> list[bool]:
-        """Whether each one's goal holds."""
+        """Returns for each environment if its goal holds."""
         return [simulation.success() for simulation in self._simulations()]
 
     def get_sim_state(self) -> list[NDArray[np.float64]]:
-        """Each one's state."""
+        """Returns the simulator state of each environment."""
         return [simulation.state() for simulation in self._simulations()]
 
     def close(self) -> None:
-        """Frees them."""
+        """Closes all environments and the threads."""
         self._rows.close()
         self._pool.shutdown()
 
@@ -244,7 +244,7 @@ class _Chunk:
 
 
 class _Instant:
-    """What environments show at one instant, drawn once."""
+    """Observations of environments at one instant, drawn once."""
 
     def __init__(self, looks: list[Any], size: tuple[int, int], together: Callable[..., Any]) -> None:
         self._looks = looks
@@ -263,7 +263,7 @@ class _Instant:
 
 
 class _Seen(dict[str, Any]):
-    """An observation of which frames are drawn when they are read."""
+    """An observation whose frames are drawn when they are first read."""
 
     def __init__(self, readings: dict[str, Any], instant: _Instant, at: int) -> None:
         super().__init__(readings)

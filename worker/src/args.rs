@@ -40,10 +40,10 @@ const MAX_MACHINE_BYTES: usize = 128;
                       worker completions SHELL"
 )]
 pub struct Arguments {
-    /// What else a worker can do.
+    /// A command other than serving a coordinator.
     #[command(subcommand)]
     pub command: Option<Command>,
-    /// What a worker does as a rule: serves a coordinator,
+    /// Without a command, a worker serves a coordinator,
     #[command(flatten)]
     pub serve: Option<ServeArguments>,
     /// getting in like this, at the coordinator and at policies,
@@ -89,7 +89,7 @@ impl Arguments {
     }
 }
 
-/// What else a worker can do.
+/// A command other than serving a coordinator.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Simulates one rollout with a policy, without a coordinator, and writes
@@ -156,7 +156,7 @@ pub struct ServeArguments {
     /// Asks policies here instead of where the campaign says
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub policy_endpoint: Option<String>,
-    /// What its machine is called when failures of one machine are told from those of
+    /// Name of its machine, by which failures of one machine are told from those of
     /// several; workers of one name are on one machine [default: from the kernel's boot id]
     #[arg(long, value_name = "NAME", value_parser = machine_name)]
     pub machine: Option<String>,
@@ -200,7 +200,7 @@ pub struct FilmArguments {
     /// How to get in there.
     #[command(flatten)]
     pub access: ClientArguments,
-    /// What simulates and draws; the pack that the campaign ran on.
+    /// Simulator and renderer, with the pack that the campaign ran on.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
 }
@@ -211,7 +211,7 @@ pub struct SlotArguments {
     /// How to get in at policies.
     #[command(flatten)]
     pub access: ClientArguments,
-    /// What simulates.
+    /// Simulator, assets and renderer.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
 }
@@ -219,7 +219,7 @@ pub struct SlotArguments {
 /// How to measure this machine.
 #[derive(Debug, Args)]
 pub struct BenchArguments {
-    /// What the slots simulate.
+    /// Task that the slots simulate.
     #[command(flatten)]
     pub load: LoadArguments,
     /// Numbers of slots, separated by commas [default: 1, 2, 4, … and as many
@@ -229,7 +229,7 @@ pub struct BenchArguments {
     /// How long each number of slots is measured, seconds
     #[arg(long, value_name = "SECS", default_value = "20", value_parser = seconds(0.1..=3600.0))]
     pub secs: f64,
-    /// What simulates.
+    /// Simulator, assets and renderer.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
 }
@@ -237,15 +237,15 @@ pub struct BenchArguments {
 /// Arguments of a measured slot's process.
 #[derive(Debug, Args)]
 pub struct BenchSlotArguments {
-    /// What it simulates.
+    /// Task that the slots simulate.
     #[command(flatten)]
     pub load: LoadArguments,
-    /// What simulates.
+    /// Simulator, assets and renderer.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
 }
 
-/// What measured slots simulate.
+/// Task that measured slots simulate.
 #[derive(Clone, Copy, Debug, Args)]
 pub struct LoadArguments {
     /// The task, SUITE/N
@@ -268,7 +268,7 @@ impl LoadArguments {
     }
 }
 
-/// What simulates and draws.
+/// Simulator, assets and renderer.
 #[derive(Clone, Debug, Args)]
 pub struct SimulatorArguments {
     /// Models of objects and rooms: `libero` (LIBERO's own, fetched when a task
@@ -284,19 +284,19 @@ pub struct SimulatorArguments {
     /// what `cargo xtask setup` put into the user's cache folder]
     #[arg(long, value_name = "DIR")]
     pub sources: Option<PathBuf>,
-    /// Where compiled scenes are kept, mapped by all slots and processes of this
+    /// Folder of compiled scenes, mapped by all slots and processes of this
     /// machine, or `off`: each process then compiles its own and keeps it in memory
     /// [default: $ROLLOUT_SCENES, else rollout/scenes in the user's cache folder]
     #[arg(long, value_name = "DIR|off")]
     pub scenes: Option<OsString>,
-    /// What draws: `software` (the same pictures on every machine), or `gl`
+    /// Renderer: `software` (the same pictures on every machine), or `gl`
     /// (MuJoCo's own renderer, through OpenGL, on the first graphics device
     /// that works; `gl:N` on the N-th, from 0)
     #[arg(long, value_name = "software|gl|gl:N", default_value_t)]
     pub renderer: Renderer,
 }
 
-/// Which rollout, and what acts in it.
+/// A single rollout and its policy or actions.
 #[derive(Debug, Args)]
 #[command(
     group = ArgGroup::new("case").required(true).multiple(true).args(["id", "bddl"]),
@@ -314,7 +314,7 @@ pub struct RolloutArguments {
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub endpoint: Option<String>,
-    /// Which of the policies there [default: the only one; where there are
+    /// Name of the policy there [default: the only one; where there are
     /// several, one must be named]
     #[arg(long, value_name = "NAME")]
     pub policy: Option<String>,
@@ -325,14 +325,14 @@ pub struct RolloutArguments {
     /// A folder for result.json, trace.npz, video.mp4 and frames/
     #[arg(long, value_name = "DIR")]
     pub output: PathBuf,
-    /// Which repetition: it changes the policy's seed
+    /// Number of the repetition; it changes the policy's seed
     #[arg(long, value_name = "K", default_value = "0", value_parser = number_from(0_u32, ""))]
     pub replicate: u32,
-    /// Where random elements of perturbations come from: `matched` or
+    /// Source of the random elements of perturbations: `matched` or
     /// `reference`
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
-    /// What the robot does while an answer is under way, in control steps of
+    /// Motion of the robot while an answer is under way, in control steps of
     /// 50 ms: `wait`, `hold:4`, `overlap:4` or `overlap:4,rtc`
     #[arg(long, value_name = "MODEL", default_value = "wait")]
     pub execution: Execution,
@@ -343,15 +343,15 @@ pub struct RolloutArguments {
     /// How to get in at the policy.
     #[command(flatten)]
     pub access: ClientArguments,
-    /// What simulates.
+    /// Simulator, assets and renderer.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
 }
 
-/// Which variants, and how they are run.
+/// The chosen variants and their protocol.
 #[derive(Debug, Args)]
 pub struct VariantsArguments {
-    /// Which.
+    /// The choice of variants.
     #[command(flatten)]
     pub choice: Choice,
     /// How.
@@ -360,7 +360,7 @@ pub struct VariantsArguments {
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url, requires = "output")]
     pub endpoint: Option<String>,
-    /// Which of the policies there [default: the only one; where there are
+    /// Name of the policy there [default: the only one; where there are
     /// several, one must be named]
     #[arg(long, value_name = "NAME")]
     pub policy: Option<String>,
@@ -370,12 +370,12 @@ pub struct VariantsArguments {
     /// How to get in at the policy.
     #[command(flatten)]
     pub access: ClientArguments,
-    /// What simulates.
+    /// Simulator, assets and renderer.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
 }
 
-/// Which failing rollout, and what acts in it.
+/// A failing rollout and its policy.
 #[derive(Debug, Args)]
 pub struct RescueArguments {
     /// The rollout, perturbed, for example spatial/t0/combination/L2/c00
@@ -384,24 +384,24 @@ pub struct RescueArguments {
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub endpoint: String,
-    /// Which of the policies there [default: the only one; where there are
+    /// Name of the policy there [default: the only one; where there are
     /// several, one must be named]
     #[arg(long, value_name = "NAME")]
     pub policy: Option<String>,
     /// A folder for rescue.json and rescue.mp4
     #[arg(long, value_name = "DIR")]
     pub output: PathBuf,
-    /// Which repetition: it changes the policy's seed
+    /// Number of the repetition; it changes the policy's seed
     #[arg(long, value_name = "K", default_value = "0", value_parser = number_from(0_u32, ""))]
     pub replicate: u32,
-    /// Where random elements of perturbations come from: `matched` or
+    /// Source of the random elements of perturbations: `matched` or
     /// `reference`
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
     /// How to get in at the policy.
     #[command(flatten)]
     pub access: ClientArguments,
-    /// What simulates.
+    /// Simulator, assets and renderer.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
 }
@@ -415,7 +415,7 @@ pub struct OwnTaskArguments {
     /// Its initial states, as `.pruned_init` file
     #[arg(long, value_name = "FILE", requires = "bddl")]
     pub init: Option<PathBuf>,
-    /// Which of them, from 0 [default: 0]
+    /// Number of the initial state, from 0 [default: 0]
     #[arg(long, value_name = "N", requires = "bddl", value_parser = number_from(0_u16, ""))]
     pub init_id: Option<u16>,
     /// The policy's instruction [default: the BDDL file's own instruction]
@@ -427,10 +427,10 @@ pub struct OwnTaskArguments {
     pub max_steps: Option<u32>,
 }
 
-/// What to do with asset packs.
+/// Commands on asset packs.
 #[derive(Debug, Args)]
 pub struct AssetsArguments {
-    /// Which of it.
+    /// The command.
     #[command(subcommand)]
     pub command: AssetsCommand,
     /// Robot models, task files and initial states [default: $ROLLOUT_SOURCES,
@@ -517,7 +517,7 @@ fn task_choice(text: &str) -> Result<TaskChoice, String> {
     }
 }
 
-/// Which configuration, and how to show it.
+/// A configuration and the form of its preview.
 #[derive(Debug, Args)]
 pub struct PreviewArguments {
     /// The suite, for example libero_goal
@@ -532,14 +532,14 @@ pub struct PreviewArguments {
     /// Severity of the sheets that show all presets of an axis
     #[arg(long, value_name = "LEVEL", default_value = "L2")]
     pub level: Level,
-    /// Where random elements of perturbations come from: `matched` or
+    /// Source of the random elements of perturbations: `matched` or
     /// `reference`
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
     /// A folder for grid.png, presets_AXIS.png and actuation_paths.svg
     #[arg(long, value_name = "DIR")]
     pub output: PathBuf,
-    /// What simulates.
+    /// Simulator, assets and renderer.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
 }

@@ -35,7 +35,7 @@ pub(crate) struct Compare {
     /// median is the round's figure.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
-    /// What draws here: `software` or `gl`. The original draws through OpenGL.
+    /// Renderer of our rollouts: `software` or `gl`. The original draws through OpenGL.
     #[arg(long, default_value = "software")]
     renderer: String,
     /// Folder of the reference data, with its `tools` and `contact`. [default:

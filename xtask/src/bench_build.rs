@@ -43,7 +43,7 @@ impl Wait {
     }
 }
 
-/// Which waits are timed.
+/// Choice of the waits to time.
 #[derive(clap::Args)]
 pub(crate) struct Options {
     /// Waits to time, separated by commas.

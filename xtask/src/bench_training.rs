@@ -91,7 +91,7 @@ const SCENARIOS: [(&str, &[Arm]); 2] = [
         ],
     ),
 ];
-/// What is printed of a run.
+/// Quantities that are printed of a run.
 const MEASURES: [(&str, &str); 3] = [
     ("steps_per_second", "steps/s"),
     ("rollouts_per_second", "rollouts/s"),

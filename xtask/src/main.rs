@@ -110,7 +110,7 @@ enum Bench {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// Where the time of a rollout goes, phase by phase.
+    /// Time of each phase of a rollout.
     Rollout {
         /// Passed on: --task SUITE/N --execute K [--steps N] [--rollouts N]
         /// [--assets PACK_OR_PATH] [--renderer software|gl] [--actions FILE].

@@ -52,7 +52,7 @@ pub(crate) struct Arguments {
     /// Minutes that the jobs are to last: a rollout takes what follows from that.
     #[arg(long, default_value_t = 30.0)]
     minutes: f64,
-    /// Where the figure goes, SVG.
+    /// File of the figure, SVG.
     #[arg(long, default_value = "soak.svg")]
     figure: PathBuf,
 }

@@ -49,7 +49,7 @@ pub(super) struct MoveArguments {
 pub(super) struct RenameArguments {
     /// Name of the campaign.
     campaign: String,
-    /// What it is to be called.
+    /// Its new name.
     name: String,
     #[command(flatten)]
     connection: Connection,

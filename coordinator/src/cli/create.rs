@@ -132,7 +132,7 @@ struct SpecFlags {
     /// design; `-` reads standard input.
     #[arg(long, value_name = "FILE", conflicts_with_all = DESIGN_FLAGS, hide_short_help = true)]
     manifest: Option<PathBuf>,
-    /// Where the perturbations' random elements come from: matched, reference.
+    /// Source of the perturbations' random elements: matched, reference.
     #[arg(long, default_value = "matched", hide_short_help = true)]
     realisation: Realisation,
     /// Times that every rollout runs, each with another policy seed.
@@ -148,7 +148,7 @@ struct SpecFlags {
     /// decides.
     #[arg(long, value_name = "PACK", hide_short_help = true)]
     assets: Option<String>,
-    /// What must draw, likewise: `software` or `gl`.
+    /// Required renderer, likewise: `software` or `gl`.
     #[arg(long, value_parser = one_of::<RendererKind>(RENDERERS), hide_short_help = true)]
     renderer: Option<RendererKind>,
     /// The robot's conduct while an answer is under way, N control steps of 50 ms: `wait`;
@@ -204,7 +204,7 @@ struct StopFlags {
     #[arg(long, value_name = "SEED", requires = "stop", default_value_t = 0, hide_short_help = true,
         value_parser = number_from(0_u64, ""))]
     stop_seed: u64,
-    /// What each round of that order has one configuration of: `suites` or `tasks`; of rules
+    /// Strata of that order, one configuration of each per round: `suites` or `tasks`; of rules
     /// for new tasks it is `whole_tasks`, one whole task of every suite.
     #[arg(long, requires = "stop", value_parser = one_of::<Strata>(STRATA),
         hide_short_help = true)]

@@ -40,7 +40,7 @@ pub(super) struct ExpandArguments {
     /// reads standard input.
     #[arg(long, value_name = "FILE")]
     spec: Option<PathBuf>,
-    /// Which rows: nominal ones, perturbed ones, or all.
+    /// Rows to write: nominal ones, perturbed ones, or all.
     #[arg(long, value_enum, default_value_t = Split::All)]
     split: Split,
     /// File to write; standard output without it.

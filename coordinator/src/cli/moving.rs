@@ -45,7 +45,7 @@ pub(super) struct ArchiveArguments {
 pub(super) struct ImportArguments {
     /// The archive, on this machine or at s3://BUCKET/….
     file: PathBuf,
-    /// What the campaign is called here, if another one has its name.
+    /// Name of the campaign here, if another one has its own.
     #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
     name: Option<CampaignName>,
     #[command(flatten)]
@@ -60,7 +60,7 @@ pub(super) struct MergeArguments {
     /// Archive to write.
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
-    /// What the merged campaign is called; without it, as the first one.
+    /// Name of the merged campaign [default: that of the first one]
     #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
     name: Option<CampaignName>,
 }

@@ -51,7 +51,7 @@ pub(super) struct ServeArguments {
     #[arg(long, value_name = "MIB", default_value_t = DEFAULT_MIN_FREE_MIB,
         value_parser = number(0..=1_u64 << 40, "MiB"))]
     min_free_mib: u64,
-    /// Where films are kept in the end: a folder, or s3://BUCKET/FOLDER of S3-compatible
+    /// Storage of finished films: a folder, or s3://BUCKET/FOLDER of S3-compatible
     /// storage, whose region, credentials and endpoint are those of the usual variables
     /// AWS_…; without it, the data folder.
     #[arg(long, value_name = "PLACE")]

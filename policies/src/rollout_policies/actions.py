@@ -69,7 +69,10 @@ def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
 
 
 def read_under_way(message: pb.InferRequest, description: Description) -> UnderWay | None:
-    """What a query says is under way. Raises UnusableObservation for what is no chunk."""
+    """Returns the chunk that is under way at a query.
+
+    Raises UnusableObservation if its shape is wrong.
+    """
     if not message.HasField("under_way"):
         return None
     sent = message.under_way

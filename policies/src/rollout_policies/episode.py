@@ -40,7 +40,7 @@ class Episode:
 
 @dataclass(frozen=True)
 class UnderWay:
-    """What the robot executes while the answer to a query is under way."""
+    """Actions that the robot executes while the answer to a query is under way."""
 
     #: Commands of the control steps from this observation on, float32 [n, 7], with the
     #: gripper as the description says. The first `delay` are executed whatever is answered;

@@ -20,10 +20,10 @@ const WARM_UP: Duration = Duration::from_secs(2);
 
 #[derive(Args)]
 pub(crate) struct Slots {
-    /// Where the policy server or gateway listens
+    /// Address of the policy server or gateway
     #[arg(long, value_name = "HOST:PORT")]
     address: String,
-    /// Which policy there, if it serves several
+    /// Name of the policy there, if it serves several
     #[arg(long, default_value = "")]
     policy: String,
     /// Slots

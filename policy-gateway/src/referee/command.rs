@@ -20,7 +20,7 @@ use super::{
 };
 use crate::config::{BackendSpec, DEFAULT_ANSWER_WITHIN};
 
-/// What a server is shown.
+/// Situations that servers are shown.
 #[derive(Clone, Debug, Args)]
 struct Shown {
     /// Show what was recorded in this folder by `policy-gateway record`, in place of

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 
 def command(arguments: Sequence[str] | None = None) -> list[str]:
-    """What `python -m rollout_libero` is asked for."""
+    """Returns the arguments for `python -m rollout_libero`."""
     parser = argparse.ArgumentParser(
         prog="libero-download-assets",
         description="Fetches LIBERO's assets: python -m rollout_libero fetch, which has more options.",

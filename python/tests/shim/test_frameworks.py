@@ -1,4 +1,4 @@
-"""What frameworks for reinforcement learning ask of LIBERO beside episodes: the lines of
+"""Calls of frameworks for reinforcement learning to LIBERO beside episodes: the lines of
 theirs that failed, or got something else, in as few words as they can be said in."""
 
 from __future__ import annotations
@@ -251,7 +251,7 @@ def test_time_is_taken_and_videos_have_a_home() -> None:
 
 
 def forked(work: Any) -> Any:
-    """What a forked process computes."""
+    """Returns the result that a forked process computes."""
     context = multiprocessing.get_context("fork")
     queue = context.SimpleQueue()
     process = context.Process(target=lambda: queue.put(work()), daemon=True)

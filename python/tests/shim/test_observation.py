@@ -138,7 +138,7 @@ def test_pictures_read_in_any_order_are_those_drawn_at_once(seed: int, bddl_file
             key = chance.choice(PICTURES)
             np.testing.assert_array_equal(late[key], early[key])
         if chance.random() < 0.2:
-            # What is dropped unseen does no harm.
+            # An observation that is dropped unseen does no harm.
             kept.pop(chance.randrange(len(kept))) if kept else None
             gc.collect()
     chance.shuffle(kept)

@@ -143,7 +143,7 @@ def test_a_group_comes_to_rest_once_and_goes_its_own_ways(
         stepped.observation["agentview"][2], only.observation["agentview"][0]
     )
     assert (stepped.observation["eef_pos"][0] != stepped.observation["eef_pos"][2]).any()
-    # What was settled can be gone back to.
+    # A settled start can be restored.
     before = alone.snapshot(0)
     after = [alone.step_chunk(moves[:1]).observation["eef_pos"] for _ in range(2)]
     alone.restore(0, before)

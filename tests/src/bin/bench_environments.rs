@@ -22,7 +22,7 @@ const SIDE: u32 = 256;
 /// Number of steps before the timing starts.
 const WARM_UP: usize = 3;
 
-/// What to step.
+/// Environments to step.
 #[derive(Parser)]
 struct Arguments {
     /// The task: SUITE/N.

@@ -51,7 +51,7 @@ struct Arguments {
     /// Rollouts that are timed, after one that is not.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
-    /// What draws: `software`, or `gl` for MuJoCo's renderer through OpenGL,
+    /// Renderer: `software`, or `gl` for MuJoCo's renderer through OpenGL,
     /// `gl:N` on the N-th device.
     #[arg(long, default_value_t)]
     renderer: Renderer,

@@ -28,7 +28,7 @@ struct Arguments {
     /// Only these tasks: SUITE/N, separated by commas.
     #[arg(long, value_delimiter = ',')]
     tasks: Vec<String>,
-    /// What draws: `software`, or `gl` for MuJoCo's renderer through OpenGL,
+    /// Renderer: `software`, or `gl` for MuJoCo's renderer through OpenGL,
     /// `gl:N` on the N-th device.
     #[arg(long, default_value_t)]
     renderer: Renderer,

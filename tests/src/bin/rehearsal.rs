@@ -47,7 +47,7 @@ struct Arguments {
     /// Slots of each.
     #[arg(long, default_value_t = 10)]
     slots: u32,
-    /// What the churn is drawn from.
+    /// Seed of the churn.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Seconds for which policy and disk are out.

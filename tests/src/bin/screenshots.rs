@@ -26,7 +26,7 @@ struct Arguments {
     /// Result rows whose outcomes are repeated.
     #[arg(long)]
     outcomes: PathBuf,
-    /// Where the pictures go.
+    /// Folder of the pictures.
     #[arg(long)]
     output: PathBuf,
 }

@@ -9,7 +9,7 @@ use libero_family::protocol::{Benchmark, Protocol};
 use super::case::{Case, Subject};
 use super::error::VariantsError;
 
-/// Which variants: of LIBERO-Plus those that are of everything that is given, or suites of
+/// A choice of variants: those of LIBERO-Plus that match every given filter, or suites of
 /// LIBERO-PRO.
 #[derive(Clone, Debug, Default, Args)]
 pub struct Choice {

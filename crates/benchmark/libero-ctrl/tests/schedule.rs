@@ -1,4 +1,4 @@
-//! What is executed at each control step, against a plain model that writes the whole timeline.
+//! Executed actions of each control step, against a plain model that writes the whole timeline.
 
 use std::ops::Range;
 

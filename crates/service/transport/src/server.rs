@@ -30,7 +30,7 @@ const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
 /// The environment variable that holds the lines of a token file.
 pub(crate) const TOKENS_VARIABLE: &str = "ROLLOUT_TOKENS";
 
-/// Who may connect.
+/// Access rules of a server.
 #[derive(Args, Clone, Debug, Default)]
 pub struct ServerArguments {
     /// Certificate chain of this server, PEM. With it, clients write https://

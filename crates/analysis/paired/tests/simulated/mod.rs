@@ -71,7 +71,7 @@ struct Probabilities {
     perturbed: [f64; CONDITIONS],
 }
 
-/// What is added up to true values.
+/// Terms that add up to true values.
 type Sums = [f64; 7 + CONDITIONS];
 
 impl Probabilities {

@@ -88,7 +88,7 @@ impl FromStr for Dimension {
     }
 }
 
-/// The one thing that a variant changes. Numbers are those of its name.
+/// Change that a variant makes. Numbers are those of its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Change {
     /// Camera pose.

@@ -16,7 +16,7 @@ _MISSING = object()
 
 
 class Undrawn:
-    """A picture in an observation's place for it, frozen at its instant."""
+    """Placeholder of a picture that is not drawn yet; poses are those of its observation."""
 
     __slots__ = ("_array", "_draw")
 
@@ -25,11 +25,11 @@ class Undrawn:
         self._array: NDArray[Any] | None = None
 
     def array(self) -> NDArray[Any]:
-        """The picture: the same array whoever asks."""
+        """Returns the picture, always the same array."""
         draw = self._draw
         if draw is not None and self._array is None:
             self._array = draw()
-            # Lets go of what it was drawn from.
+            # Frees the recorded poses.
             self._draw = None
         assert self._array is not None
         return self._array
@@ -50,7 +50,7 @@ class Observation(OrderedDict[str, Any]):
     drawn at once holds. What is pickled or copied deeply is a plain `OrderedDict` of them."""
 
     def draw(self) -> None:
-        """Draws what is not drawn."""
+        """Draws all pictures that are not drawn yet."""
         for key in self:
             self[key]
 
@@ -58,11 +58,11 @@ class Observation(OrderedDict[str, Any]):
         value = super().__getitem__(key)
         if type(value) is Undrawn:
             value = value.array()
-            # Its place stays.
+            # Past OrderedDict, which keeps the order of keys anyway.
             dict.__setitem__(self, key, value)
         return value
 
-    # C code copies dictionaries with the iterator of their own past `__getitem__`.
+    # Without an `__iter__` of its own, CPython copies a dictionary past `__getitem__`.
     def __iter__(self) -> Iterator[str]:
         return super().__iter__()
 
@@ -94,7 +94,7 @@ class Observation(OrderedDict[str, Any]):
     def copy(self) -> Observation:
         other = Observation()
         for key in self:
-            # Both show the same array, drawn once.
+            # Both share the placeholder, so that the picture is drawn once.
             other[key] = super().__getitem__(key)
         return other
 
