@@ -7,24 +7,68 @@ const LIVE = "Live";
 const CROWDED_MS = 15000;
 const RETRY_MS = 2000;
 
-// Merges a fresh copy into the page. Equal nodes are left alone, so that focus,
-// scroll positions, opened details and running videos survive.
+// Merges a fresh copy into the page. Equal nodes are left alone, and a section
+// that comes or goes moves none of the others, so that focus, scroll positions,
+// opened details and running videos survive.
 function merge(mine, theirs) {
   const olds = [...mine.childNodes];
   const news = [...theirs.childNodes];
+  const partner = partners(olds, news);
+  const paired = new Set(partner);
+  let at = 0;
   news.forEach((fresh, index) => {
-    const old = olds[index];
+    const here = olds[at];
+    const isRenamed = here && !paired.has(here) && here.nodeName === fresh.nodeName;
+    const old = partner[index] || (isRenamed ? here : null);
     if (!old) {
-      mine.append(document.importNode(fresh, true));
-    } else if (old.nodeType !== fresh.nodeType || old.nodeName !== fresh.nodeName) {
-      old.replaceWith(document.importNode(fresh, true));
-    } else if (fresh.nodeType !== Node.ELEMENT_NODE) {
+      mine.insertBefore(document.importNode(fresh, true), here || null);
+      return;
+    }
+    while (olds[at] !== old) olds[at++].remove();
+    at += 1;
+    if (fresh.nodeType !== Node.ELEMENT_NODE) {
       if (old.data !== fresh.data) old.data = fresh.data;
     } else if (!old.isEqualNode(fresh)) {
       mergeElement(old, fresh);
     }
   });
-  olds.slice(news.length).forEach((old) => old.remove());
+  olds.slice(at).forEach((old) => old.remove());
+}
+
+// Name by which a node is found again among its siblings.
+function nameOf(node) {
+  if (node.nodeType !== Node.ELEMENT_NODE) return node.nodeName;
+  const heading = node.querySelector(":scope > h2, :scope > h3, :scope > figcaption");
+  const label = node.id || node.getAttribute("aria-label") || (heading ? heading.textContent : "");
+  return `${node.nodeName} ${label}`;
+}
+
+// Old partner of each new node, or nothing: the longest common subsequence of
+// their names.
+function partners(olds, news) {
+  const [mine, theirs] = [olds.map(nameOf), news.map(nameOf)];
+  const partner = [];
+  let start = 0;
+  let [end, newEnd] = [mine.length, theirs.length];
+  for (; start < Math.min(end, newEnd) && mine[start] === theirs[start]; start++) {
+    partner[start] = olds[start];
+  }
+  while (end > start && newEnd > start && mine[end - 1] === theirs[newEnd - 1]) {
+    partner[--newEnd] = olds[--end];
+  }
+  const lengths = Array.from({ length: end + 1 }, () => new Uint16Array(newEnd + 1));
+  for (let i = end - 1; i >= start; i--) {
+    for (let j = newEnd - 1; j >= start; j--) {
+      lengths[i][j] = mine[i] === theirs[j] ? lengths[i + 1][j + 1] + 1
+        : Math.max(lengths[i + 1][j], lengths[i][j + 1]);
+    }
+  }
+  for (let i = start, j = start; i < end && j < newEnd;) {
+    if (mine[i] === theirs[j]) partner[j++] = olds[i++];
+    else if (lengths[i + 1][j] >= lengths[i][j + 1]) i += 1;
+    else j += 1;
+  }
+  return partner;
 }
 
 function mergeElement(old, fresh) {

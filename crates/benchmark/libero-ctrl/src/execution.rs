@@ -54,13 +54,11 @@ pub struct Delays {
 /// Error: the text is not a valid execution model.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "read execution model `{given}`: {problem}; write wait, hold:N, overlap:N or overlap:N,rtc \
-     with N control steps from 0 to {MAX_DELAY}, or a distribution such as 3*812+4*188"
+    "read execution model: {problem}; write wait, hold:N, overlap:N or overlap:N,rtc with N \
+     control steps from 0 to {MAX_DELAY}, or a distribution such as 3*812+4*188"
 )]
 pub struct ExecutionError {
-    /// The text given.
-    given: String,
-    /// A clause that says what is wrong with it.
+    /// Clause that names the invalid part of the text.
     problem: String,
 }
 
@@ -253,10 +251,7 @@ impl FromStr for Delays {
     type Err = ExecutionError;
 
     fn from_str(text: &str) -> Result<Self, ExecutionError> {
-        delays(text).map_err(|problem| ExecutionError {
-            given: text.to_owned(),
-            problem,
-        })
+        delays(text).map_err(|problem| ExecutionError { problem })
     }
 }
 
@@ -264,15 +259,15 @@ impl FromStr for Execution {
     type Err = ExecutionError;
 
     fn from_str(text: &str) -> Result<Self, ExecutionError> {
-        let error = |problem: String| ExecutionError {
-            given: text.to_owned(),
-            problem,
-        };
+        let error = |problem: String| ExecutionError { problem };
+        if text.is_empty() {
+            return Err(error("none is named".to_owned()));
+        }
         if text == "wait" {
             return Ok(Self::Wait);
         }
         let Some((model, rest)) = text.split_once(':') else {
-            return Err(error("it names no delay".to_owned()));
+            return Err(error(format!("`{text}` names no delay")));
         };
         match model {
             "hold" => Ok(Self::Hold(delays(rest).map_err(error)?)),
@@ -293,7 +288,10 @@ fn delays(text: &str) -> Result<Delays, String> {
         // Rejects signs and spaces, so that each model has only one text.
         let digits = Some(text).filter(|it| it.bytes().all(|byte| byte.is_ascii_digit()));
         let read = digits.and_then(|it| it.parse().ok());
-        read.ok_or_else(|| format!("`{text}` is no number"))
+        read.ok_or_else(|| match text {
+            "" => "a number is missing".to_owned(),
+            _ => format!("`{text}` is no number"),
+        })
     };
     let steps =
         |text: &str| -> Result<u16, String> { Ok(number(text)?.try_into().unwrap_or(u16::MAX)) };
