@@ -1,6 +1,8 @@
 //! How the page looks on the screens that people have: nothing is cut off, no
-//! letter is too small to read, figures use the width that they have. Pictures of
-//! every page on every screen are left in `target/looks`, to be looked at.
+//! letter is too small to read, figures use the width that they have.
+//!
+//! With `ROLLOUT_LOOKS=FOLDER` it leaves pictures of every page there, on every screen, light and
+//! dark.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -220,8 +222,16 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let pictures = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/looks");
-    std::fs::create_dir_all(&pictures).unwrap();
+    let pictures = std::env::var_os("ROLLOUT_LOOKS").map(PathBuf::from);
+    if let Some(folder) = &pictures {
+        std::fs::create_dir_all(folder).unwrap();
+    }
+    // Colours move nothing, so they matter to pictures only.
+    let themes = if pictures.is_some() {
+        &[false, true][..]
+    } else {
+        &[false]
+    };
     let campaigns = Campaigns::start(&folder.path().join("data"));
     create(&campaigns, "one-level", "L2");
     create(&campaigns, "three-levels", "L1,L2,L3");
@@ -259,7 +269,9 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
     let mut browser = Browser::start(&folder.path().join("profile"));
     let mut problems = Vec::new();
     for (name, path) in pages {
-        for (width, is_dark) in WIDTHS.into_iter().flat_map(|it| [(it, false), (it, true)]) {
+        let screens = WIDTHS.into_iter();
+        for (width, is_dark) in screens.flat_map(|width| themes.iter().map(move |it| (width, *it)))
+        {
             let screen = Screen {
                 width,
                 height: 1_000,
@@ -288,9 +300,11 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
                 let cards = browser.value(SIDE_BY_SIDE);
                 assert_eq!(cards, serde_json::json!(["nominal", "simultaneous", true]));
             }
-            let theme = if is_dark { "dark" } else { "light" };
-            let picture = pictures.join(format!("{name}-{width}-{theme}.png"));
-            take(&mut browser, screen, &picture);
+            if let Some(folder) = &pictures {
+                let theme = if is_dark { "dark" } else { "light" };
+                let picture = folder.join(format!("{name}-{width}-{theme}.png"));
+                take(&mut browser, screen, &picture);
+            }
         }
     }
     assert!(problems.is_empty(), "{}", problems.join("\n"));

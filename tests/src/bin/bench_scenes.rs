@@ -29,6 +29,22 @@ start = time.perf_counter()
 rollout_libero.Environment(sys.argv[1])
 print(time.perf_counter() - start)
 ";
+/// Moves many environments of the given tasks and then waits for the end of its input.
+const PYTHON_VECTOR: &str = "
+import sys
+import numpy as np
+import rollout_libero
+count = int(sys.argv[1])
+environments = rollout_libero.VectorEnvironment(sys.argv[2:], count)
+environments.reset(seed=0)
+for _ in range(3):
+    environments.step(np.zeros((count, 7), np.float32))
+print('moved', flush=True)
+sys.stdin.read()
+";
+/// Environments of a task in one Python process, and of each of several processes.
+const ENVIRONMENTS: usize = 16;
+const PROCESSES: usize = 8;
 
 /// Measure slots whose scenes lie in files.
 #[derive(Parser)]
@@ -134,6 +150,23 @@ impl Slot {
         if let Some(sources) = &arguments.sources {
             command.arg("--sources").arg(sources);
         }
+        Self::spawn(&mut command)
+    }
+
+    /// Starts a Python process with environments of the tasks.
+    fn python(
+        python: &Path,
+        count: usize,
+        tasks: &[TaskRef],
+        variables: &[(&str, &Path)],
+    ) -> Result<Self> {
+        let mut command = Command::new(python);
+        command.args(["-c", PYTHON_VECTOR, &count.to_string()]);
+        command.args(tasks.iter().map(TaskRef::to_string));
+        Self::spawn(command.envs(variables.iter().copied()))
+    }
+
+    fn spawn(command: &mut Command) -> Result<Self> {
         command.stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn().context("start a slot")?;
         let said = BufReader::new(child.stdout.take().expect("piped"));
@@ -188,6 +221,25 @@ impl Slot {
             alone: read("smaps_rollup", &["Private_Clean:", "Private_Dirty:"])? + tables,
             proportional: read("smaps_rollup", &["Pss:"])? + tables,
         })
+    }
+
+    /// Resident part of the scene files that the slot maps.
+    fn resident_of(&self, scenes: &Path) -> Result<f64> {
+        let path = format!("/proc/{}/smaps", self.child.id());
+        let text = fs::read_to_string(&path).with_context(|| format!("read {path}"))?;
+        let folder = scenes.to_str().context("the folder's name is UTF-8")?;
+        let (mut is_scene, mut kib) = (false, 0.0);
+        for line in text.lines() {
+            let mut words = line.split_whitespace();
+            match words.next() {
+                Some("Rss:") if is_scene => {
+                    kib += words.next().unwrap_or_default().parse::<f64>()?;
+                }
+                Some(field) if !field.ends_with(':') => is_scene = line.contains(folder),
+                _ => {}
+            }
+        }
+        Ok(kib / 1024.0)
     }
 
     fn end(mut self) -> Result<()> {
@@ -261,7 +313,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
         "<= 500 ms",
     );
 
-    let (mut alone, mut resident) = (Vec::new(), Vec::new());
+    let (mut alone, mut resident, mut mapped) = (Vec::new(), Vec::new(), Vec::new());
     for task in &tasks {
         let mut both = [start()?, start()?];
         for slot in &mut both {
@@ -272,6 +324,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
         let memory = both[1].memory()?;
         alone.push(memory.alone);
         resident.push(memory.resident);
+        mapped.push(both[1].resident_of(&scenes)?);
         both.into_iter().try_for_each(Slot::end)?;
     }
     row(
@@ -282,6 +335,11 @@ fn measure(arguments: &Arguments) -> Result<()> {
     row(
         "  resident: most",
         format!("{:.1} MiB", most(&resident)),
+        "",
+    );
+    row(
+        "  of its scene file: mean, most",
+        format!("{:.1}, {:.1} MiB", mean(&mapped), most(&mapped)),
         "",
     );
 
@@ -308,13 +366,16 @@ fn measure(arguments: &Arguments) -> Result<()> {
     );
 
     if let Some(python) = &arguments.python {
+        let variables = [
+            ("ROLLOUT_SCENES", scenes.as_path()),
+            ("ROLLOUT_ASSETS", Path::new(&arguments.assets)),
+            ("ROLLOUT_SOURCES", sources.dir()),
+        ];
         let mut environments = Vec::new();
         for task in &tasks {
             let mut command = Command::new(python);
             command.args(["-c", PYTHON, &task.to_string()]);
-            command.env("ROLLOUT_SCENES", &scenes);
-            command.env("ROLLOUT_ASSETS", &arguments.assets);
-            command.env("ROLLOUT_SOURCES", sources.dir());
+            command.envs(variables);
             let output = command.stderr(Stdio::inherit()).output();
             let output = output.with_context(|| format!("run {}", python.display()))?;
             ensure!(output.status.success(), "Python failed");
@@ -325,6 +386,27 @@ fn measure(arguments: &Arguments) -> Result<()> {
             "first Environment in Python: median, most",
             in_ms(&environments),
             "<= 200 ms",
+        );
+        let together = |processes: usize, count: usize| -> Result<f64> {
+            let start = || Slot::python(python, count, &tasks, &variables);
+            let mut all = (0..processes)
+                .map(|_| start())
+                .collect::<Result<Vec<_>>>()?;
+            all.iter_mut().try_for_each(Slot::moved)?;
+            let memory = all.iter().map(Slot::memory).collect::<Result<Vec<_>>>()?;
+            all.into_iter().try_for_each(Slot::end)?;
+            Ok(memory.iter().map(|memory| memory.proportional).sum())
+        };
+        let count = ENVIRONMENTS * tasks.len();
+        row(
+            &format!("{count} environments in one Python process"),
+            format!("{:.0} MiB", together(1, count)?),
+            "",
+        );
+        row(
+            &format!("{PROCESSES} Python processes of {ENVIRONMENTS}"),
+            format!("{:.0} MiB", together(PROCESSES, ENVIRONMENTS)?),
+            "",
         );
     }
     Ok(())
@@ -353,6 +435,10 @@ fn in_ms(secs: &[f64]) -> String {
     sorted.sort_by(f64::total_cmp);
     let median = sorted.get(sorted.len() / 2).copied().unwrap_or_default();
     format!("{:.0}, {:.0} ms", median * 1e3, most(secs) * 1e3)
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
 }
 
 fn most(values: &[f64]) -> f64 {
