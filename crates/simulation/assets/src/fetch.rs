@@ -12,7 +12,7 @@ use std::time::Duration;
 use rollout_types::{Backoff, Waits};
 
 use crate::error::{AssetsError, write_error};
-use crate::http::RequestError;
+use crate::http::{GAIN_BYTES, RequestError};
 use crate::origin::{Origin, Parcel};
 use crate::progress::{Progress, Report};
 use crate::table::FileFacts;
@@ -147,7 +147,7 @@ impl Fetch<'_> {
         while !receiver.is_done() {
             let before = receiver.gained();
             let outcome = receiver.stream(progress, self.progress);
-            if receiver.gained() - before >= receive::GAIN_BYTES {
+            if receiver.gained() - before >= GAIN_BYTES {
                 tries = Tries::default();
             }
             match outcome {

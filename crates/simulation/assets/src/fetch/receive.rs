@@ -17,8 +17,6 @@ use crate::verify::{VerifiedFolder, hex};
 
 /// Failed tries after which a fetch is given up.
 pub(super) const MAX_TRIES: u32 = 5;
-/// A try that received less than this counts as failed.
-pub(super) const GAIN_BYTES: u64 = 1 << 20;
 /// Files with gaps up to this size between them are requested together.
 const MAX_GAP_BYTES: u64 = 1 << 18;
 /// Size of a read.

@@ -7,6 +7,7 @@ use std::net::TcpListener;
 use std::path::PathBuf;
 use std::process::{Command, Output};
 use std::thread;
+use std::time::Instant;
 
 use tempfile::TempDir;
 
@@ -243,6 +244,34 @@ fn a_stalled_answer_is_given_up_and_a_slow_one_is_not() {
     done.outcome.expect("the files");
     assert_eq!(done.pauses, 0);
     check_whole(&into);
+}
+
+#[test]
+fn an_index_that_sends_byte_by_byte_is_given_up() {
+    for fault in [Fault::DripsPages, Fault::DripsWheels] {
+        let (_folder, into) = place();
+        let index = TestIndex::start(fault);
+        let short = Deadlines {
+            page: Duration::from_millis(500),
+            gain: Duration::from_millis(500),
+            ..deadlines()
+        };
+        let origin = Origin::index(&index.url(), short).expect("a URL");
+        let begun = Instant::now();
+        let done = fetch_from(&origin, index.table(), &into);
+        assert_eq!(done.pauses, 4, "{fault:?}");
+        // The bytes of a page or wheel would take longer than five tries.
+        let took = begun.elapsed();
+        assert!(took < Duration::from_secs(10), "{fault:?}: {took:?}");
+        let error = done.error();
+        assert!(error.contains("tried 5 times"), "{error}");
+        let why = match fault {
+            Fault::DripsPages => "it does not answer in time",
+            _ => "it is too slow",
+        };
+        assert!(error.contains(why), "{error}");
+        check_nothing_half(&into);
+    }
 }
 
 #[test]
