@@ -6,10 +6,12 @@ mod receive;
 
 use std::fs::{self, File, TryLockError};
 use std::ops::ControlFlow;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::time::Duration;
 
 use rollout_types::{Backoff, Waits};
+use rustix::fs::OFlags;
 
 use crate::error::{AssetsError, write_error};
 use crate::http::{GAIN_BYTES, RequestError};
@@ -120,7 +122,11 @@ impl Fetch<'_> {
     /// bytes.
     fn lock(&mut self) -> Result<File, AssetsError> {
         let path = self.into.folder().join(LOCK);
-        let file = File::options().create(true).append(true).open(&path);
+        let file = File::options()
+            .create(true)
+            .append(true)
+            .custom_flags(no_links())
+            .open(&path);
         let file = file.map_err(|source| write_error(&path, source))?;
         loop {
             match file.try_lock() {
@@ -193,6 +199,12 @@ impl Fetch<'_> {
             ControlFlow::Break(()) => Err(AssetsError::Interrupted),
         }
     }
+}
+
+/// Refuses symbolic links. Whoever may write into the folder could let them lead to other files of
+/// this user.
+fn no_links() -> i32 {
+    OFlags::NOFOLLOW.bits() as i32
 }
 
 /// Failed tries.

@@ -4,11 +4,13 @@ use std::collections::HashMap;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::ops::ControlFlow;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use flate2::read::DeflateDecoder;
 use sha2::{Digest, Sha256};
 
+use super::no_links;
 use crate::error::{AssetsError, write_error};
 use crate::http::RequestError;
 use crate::origin::{Member, Origin, Parcel, Stream};
@@ -74,7 +76,7 @@ impl<'a> Receiver<'a> {
         show: &mut Show<'_>,
     ) -> Result<(), RequestError> {
         let first = self.parcel.members[self.done];
-        let have = size(&self.part(&first));
+        let have = received(&self.part(&first));
         if have >= first.stored {
             // An earlier fetch ended between the last byte and the rename.
             return self.finish(&first, progress, show);
@@ -124,12 +126,16 @@ impl<'a> Receiver<'a> {
         show: &mut Show<'_>,
     ) -> Result<(), RequestError> {
         let path = self.part(member);
-        let mut have = size(&path);
+        let mut have = received(&path);
         let failed = |source| RequestError::Final(write_error(&path, source));
         let mut block = vec![0; BLOCK_BYTES];
         let skip = (member.offset + have).saturating_sub(stream.position);
         self.read(stream, skip, &mut block, |_| tell(show, *progress))?;
-        let file = OpenOptions::new().create(true).append(true).open(&path);
+        let file = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .custom_flags(no_links())
+            .open(&path);
         let mut file = file.map_err(failed)?;
         let missing = member.stored.saturating_sub(have);
         let mut gained = 0;
@@ -239,7 +245,11 @@ impl<'a> Receiver<'a> {
 
 /// Unpacks a received file and describes how it differs from the table, if it does.
 fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<String>, AssetsError> {
-    let source = File::open(part).map_err(|source| AssetsError::Read {
+    let source = OpenOptions::new()
+        .read(true)
+        .custom_flags(no_links())
+        .open(part);
+    let source = source.map_err(|source| AssetsError::Read {
         path: part.to_owned(),
         source,
     })?;
@@ -248,7 +258,9 @@ fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<Strin
         false => Box::new(source),
     };
     let failed = |source| write_error(whole, source);
-    let mut file = File::create(whole).map_err(failed)?;
+    // An earlier fetch may have been killed here. A link that lies here is not followed.
+    let _ = fs::remove_file(whole);
+    let mut file = File::create_new(whole).map_err(failed)?;
     let mut hash = Sha256::new();
     let mut bytes = 0;
     let mut block = vec![0; BLOCK_BYTES];
@@ -283,7 +295,15 @@ fn tell(show: &mut Show<'_>, progress: Progress) -> Result<(), RequestError> {
     }
 }
 
-/// Returns the size of a file; 0 if there is none.
-fn size(path: &Path) -> u64 {
-    fs::metadata(path).map_or(0, |facts| facts.len())
+/// Returns the size of a partially received file; 0 if there is none. Removes a link, since its
+/// target was not received.
+fn received(path: &Path) -> u64 {
+    match fs::symlink_metadata(path) {
+        Ok(facts) if facts.is_symlink() => {
+            // If that fails, opening it fails.
+            let _ = fs::remove_file(path);
+            0
+        }
+        facts => facts.map_or(0, |facts| facts.len()),
+    }
 }

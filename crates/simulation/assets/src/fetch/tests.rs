@@ -4,6 +4,7 @@ mod test_index;
 
 use std::env;
 use std::net::TcpListener;
+use std::os::unix::fs::symlink;
 use std::path::PathBuf;
 use std::process::{Command, Output};
 use std::thread;
@@ -272,6 +273,68 @@ fn an_index_that_sends_byte_by_byte_is_given_up() {
         assert!(error.contains(why), "{error}");
         check_nothing_half(&into);
     }
+}
+
+#[test]
+fn links_in_the_folder_of_received_files_are_not_followed() {
+    let (folder, into) = place();
+    let index = TestIndex::start(Fault::None);
+    let sha256 = index.table().get(SMALL).expect("in the table").sha256;
+    let incoming = into.join(INCOMING);
+    fs::create_dir_all(&incoming).expect("a folder");
+    for ending in ["part", "whole"] {
+        let other = folder.path().join(ending);
+        fs::write(&other, "of somebody").expect("writes");
+        let link = incoming.join(format!("{sha256}-deflated.{ending}"));
+        symlink(&other, link).expect("a link");
+    }
+    fetch(&index, &into).outcome.expect("the files");
+    check_whole(&into);
+    for ending in ["part", "whole"] {
+        let found = fs::read_to_string(folder.path().join(ending)).expect("reads");
+        assert_eq!(found, "of somebody", "{ending}");
+    }
+
+    let lock = into.join(LOCK);
+    fs::remove_file(&lock).expect("was there");
+    symlink(folder.path().join("new"), &lock).expect("a link");
+    fs::remove_file(into.join(SMALL)).expect("was there");
+    let error = fetch(&index, &into).error();
+    assert!(error.contains(LOCK), "{error}");
+    assert!(!folder.path().join("new").exists());
+}
+
+#[test]
+fn a_file_that_is_swapped_is_noticed_even_if_its_time_is_set_back() {
+    let (_folder, into) = place();
+    let index = TestIndex::start(Fault::None);
+    fetch(&index, &into).outcome.expect("the files");
+    let verified = VerifiedFolder::new(index.table(), &into);
+    let small = index.table().get(SMALL).expect("in the table");
+    verified.verify(small).expect("sound");
+    let path = into.join(SMALL);
+    let modified = fs::metadata(&path).expect("there").modified();
+    let modified = modified.expect("a time");
+    let mut other = content(SMALL);
+    other[3] ^= 1;
+    // File systems count time in ticks.
+    thread::sleep(Duration::from_millis(50));
+    let swap = |into: &Path| {
+        fs::write(into, &other).expect("writes");
+        let file = File::options().write(true).open(into).expect("opens");
+        file.set_modified(modified).expect("sets it");
+    };
+    swap(&path);
+    let found = verified.verify(small);
+    assert!(matches!(found, Err(Difference::Content)), "{found:?}");
+
+    fs::write(&path, content(SMALL)).expect("writes");
+    verified.verify(small).expect("sound again");
+    let aside = into.join("aside");
+    swap(&aside);
+    fs::rename(&aside, &path).expect("renames");
+    let found = verified.verify(small);
+    assert!(matches!(found, Err(Difference::Content)), "{found:?}");
 }
 
 #[test]
