@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+import rollout_libero
 from libero.libero import benchmark, get_libero_path, paths
 from libero.libero.benchmark.init_states import load_init_states
 from libero.libero.envs import (
@@ -26,8 +28,6 @@ from libero.libero.envs import (
     SubprocVectorEnv,
     bddl_utils,
 )
-
-import rollout_libero
 from rollout_libero import scenes
 
 NOTHING = [0.0] * 6 + [-1.0]
@@ -239,6 +239,53 @@ def test_a_file_of_initial_states_makes_nothing_but_a_table_of_numbers(
 def test_a_file_of_initial_states_unpacks_no_more_than_memory_has_room_for(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="larger than 64 MiB"):
         read_states(tmp_path, bytes((64 << 20) + 1))
+
+
+#: Reads a file with 256 MiB more than it takes to begin, and tells the error's class and words.
+READS_WITH_LITTLE_MEMORY = """
+import resource, sys
+from libero.libero.benchmark.init_states import load_init_states
+pages = int(open("/proc/self/statm").read().split()[0])
+most = pages * resource.getpagesize() + (256 << 20)
+resource.setrlimit(resource.RLIMIT_AS, (most, most))
+try:
+    load_init_states(sys.argv[1])
+except Exception as error:
+    print(type(error).__name__, error, repr(error.__cause__))
+"""
+
+
+@pytest.mark.parametrize("bomb", ["bzip2", "notes", "operations", "texts"])
+def test_a_file_of_initial_states_takes_no_more_memory_than_its_size_says(
+    tmp_path: Path, bomb: str
+) -> None:
+    file = tmp_path / "task.pruned_init"
+    reason = "its pickle has more than 256 operations"
+    method, content = zipfile.ZIP_DEFLATED, b"\x80\x02" + b"N0" * 10_000_000 + b"N."
+    if bomb == "bzip2":
+        method, content = zipfile.ZIP_BZIP2, bytes(300_000_000)
+        reason = "its pickle is neither stored nor deflated"
+    elif bomb == "notes":
+        content = b"\x80\x02Nr" + (1 << 26).to_bytes(4, "little") + b"."
+        reason = "its pickle takes note 67108864 of 256"
+    elif bomb == "texts":
+        # The bytes of one text of 8 MB, eighty times.
+        text = b"X" + (8_000_000).to_bytes(4, "little") + b"a" * 8_000_000
+        call = b"c_codecs\nencode\nq\x00" + text + b"X\x06\x00\x00\x00latin1\x86q\x01R"
+        content = b"\x80\x02(" + call + b"h\x00h\x01R" * 80 + b"l."
+        reason = "its pickle is no array"
+    with zipfile.ZipFile(file, "w", method) as archive:
+        archive.writestr("archive/data.pkl", content)
+    del content
+    reading = subprocess.run(
+        [sys.executable, "-c", READS_WITH_LITTLE_MEMORY, file],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    assert reading.stdout.startswith("ValueError"), reading.stdout
+    assert reason in reading.stdout, reading.stdout
 
 
 def read_states(folder: Path, content: bytes) -> Any:
