@@ -314,6 +314,12 @@ def test_a_problem_says_what_it_is(bddl_file: str) -> None:
 # Environments.
 
 
+def test_libero_plus_and_pro_are_refused_with_the_remedy() -> None:
+    for name in ("liberopro", "liberoplus"):
+        with pytest.raises(ImportError, match="worker variants.*install rlinf-" + name):
+            __import__(f"{name}.{name}.benchmark")
+
+
 def test_what_only_the_original_has_is_refused_with_the_remedy(bddl_file: str) -> None:
     for argument, value in {
         "controller": "JOINT_POSITION",
