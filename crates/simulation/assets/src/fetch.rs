@@ -11,7 +11,6 @@ use std::path::Path;
 use std::time::Duration;
 
 use rollout_types::{Backoff, Waits};
-use rustix::fs::OFlags;
 
 use crate::error::{AssetsError, write_error};
 use crate::http::{GAIN_BYTES, RequestError};
@@ -125,7 +124,7 @@ impl Fetch<'_> {
         let file = File::options()
             .create(true)
             .append(true)
-            .custom_flags(no_links())
+            .custom_flags(receive::no_links())
             .open(&path);
         let file = file.map_err(|source| write_error(&path, source))?;
         loop {
@@ -199,12 +198,6 @@ impl Fetch<'_> {
             ControlFlow::Break(()) => Err(AssetsError::Interrupted),
         }
     }
-}
-
-/// Refuses symbolic links. Whoever may write into the folder could let them lead to other files of
-/// this user.
-fn no_links() -> i32 {
-    OFlags::NOFOLLOW.bits() as i32
 }
 
 /// Failed tries.

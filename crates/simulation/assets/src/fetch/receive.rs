@@ -8,9 +8,9 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use flate2::read::DeflateDecoder;
+use rustix::fs::OFlags;
 use sha2::{Digest, Sha256};
 
-use super::no_links;
 use crate::error::{AssetsError, write_error};
 use crate::http::RequestError;
 use crate::origin::{Member, Origin, Parcel, Stream};
@@ -295,11 +295,17 @@ fn tell(show: &mut Show<'_>, progress: Progress) -> Result<(), RequestError> {
     }
 }
 
-/// Returns the size of a partially received file; 0 if there is none. Removes a link, since its
-/// target was not received.
+/// Refuses symbolic links. Whoever may write into the folder could let them lead to other files of
+/// this user.
+pub(super) fn no_links() -> i32 {
+    OFlags::NOFOLLOW.bits() as i32
+}
+
+/// Returns the size of a partially received file; 0 if there is none. Removes a link, whose target
+/// was not received, and a pipe, which would be waited for.
 fn received(path: &Path) -> u64 {
     match fs::symlink_metadata(path) {
-        Ok(facts) if facts.is_symlink() => {
+        Ok(facts) if !facts.is_file() => {
             // If that fails, opening it fails.
             let _ = fs::remove_file(path);
             0

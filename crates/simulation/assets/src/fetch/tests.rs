@@ -279,7 +279,8 @@ fn an_index_that_sends_byte_by_byte_is_given_up() {
 fn links_in_the_folder_of_received_files_are_not_followed() {
     let (folder, into) = place();
     let index = TestIndex::start(Fault::None);
-    let sha256 = index.table().get(SMALL).expect("in the table").sha256;
+    let sha256_of = |path| index.table().get(path).expect("in the table").sha256;
+    let sha256 = sha256_of(SMALL);
     let incoming = into.join(INCOMING);
     fs::create_dir_all(&incoming).expect("a folder");
     for ending in ["part", "whole"] {
@@ -288,6 +289,10 @@ fn links_in_the_folder_of_received_files_are_not_followed() {
         let link = incoming.join(format!("{sha256}-deflated.{ending}"));
         symlink(&other, link).expect("a link");
     }
+    // Whoever opens a pipe waits for its other end.
+    let pipe = incoming.join(format!("{}-deflated.part", sha256_of(OTHER)));
+    let made = Command::new("mkfifo").arg(pipe).status();
+    assert!(made.expect("mkfifo runs").success());
     fetch(&index, &into).outcome.expect("the files");
     check_whole(&into);
     for ending in ["part", "whole"] {
