@@ -20,8 +20,9 @@ import numpy as np
 
 # LIBERO's largest has some 50 kB.
 _MOST_BYTES = 64 << 20
-# An array takes some thirty operations. The reader of `worker` has the same limits.
+# An array takes some sixty operations. `worker` reads as many.
 _MOST_OPERATIONS = 256
+# Python's unpickler keeps notes in a list up to the highest number.
 _MOST_NOTES = 256
 
 
