@@ -15,11 +15,12 @@ import os
 import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
-import rollout_libero
 from gymnasium.vector import AutoresetMode
 
+import rollout_libero
 from training.wordings import TASK_NAMES
 
 STRETCH = (5, 40)
@@ -86,7 +87,7 @@ def check(arguments: argparse.Namespace) -> None:
         for name in tasks:
             # One environment stays, so that the task's scene is compiled once.
             kept = rollout_libero.VectorEnvironment(name, 1, arguments.assets, cameras=())
-            ended = list(pool.map(lambda state: rollout(name, state, arguments), states))
+            ended = list(pool.map(partial(rollout, name, arguments=arguments), states))
             kept.close()
             solves = zip(states, ended, strict=True)
             failed = [state for state, (success, _) in solves if not success]

@@ -20,12 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rollout_libero
 import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from rollout_libero.scenes import scene_of_task
 
+import rollout_libero
+from rollout_libero.scenes import scene_of_task
 from training.drivers import ExpertDrives, InTurns, Orders
 from training.network import PICTURE, STATE
 from training.observations import RENDERED, frames, robot_state

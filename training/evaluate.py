@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import rollout_libero
 import torch
 from gymnasium.vector import AutoresetMode
 
+import rollout_libero
 from training.collect import compile_scenes, perturbation
 from training.network import CHUNK
 from training.observations import RENDERED

@@ -37,8 +37,9 @@ def export(run: Path, name: str, into: Path) -> None:
 
 def write_reference(weights: Path, into: Path, assets: str) -> None:
     """Queries, and what the weights answer."""
-    import rollout_libero
     from gymnasium.vector import AutoresetMode
+
+    import rollout_libero
 
     env = rollout_libero.VectorEnvironment(
         REFERENCE_TASKS,

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Callable, Iterator
+from typing import Any
 from unittest import mock
 
 import torch
@@ -78,8 +79,12 @@ def tokeniser(folder: Path, extra: list[str], **special: str) -> PreTrainedToken
 def smolvla(folder: Path) -> None:
     """SmolVLA: two layers in place of sixteen, a tenth of the width."""
     from lerobot.policies.smolvla.configuration_smolvla import SmolVLAConfig
-    from transformers import SmolVLMConfig, SmolVLMImageProcessor, SmolVLMProcessor
-    from transformers import SmolVLMVideoProcessor
+    from transformers import (
+        SmolVLMConfig,
+        SmolVLMImageProcessor,
+        SmolVLMProcessor,
+        SmolVLMVideoProcessor,
+    )
 
     backbone = folder / "backbone"
     special = ["<fake_token_around_image>", "<image>", "<global-img>", "<end_of_utterance>"]
@@ -202,8 +207,13 @@ def _with_tokeniser(name: str) -> Callable[..., Any]:
 def vla_jepa(folder: Path) -> None:
     """VLA-JEPA without its world model: two layers, a thirtieth of the width."""
     from lerobot.policies.vla_jepa.configuration_vla_jepa import VLAJEPAConfig
-    from transformers import Qwen2VLImageProcessorFast, Qwen3VLConfig, Qwen3VLProcessor
-    from transformers import Qwen3VLForConditionalGeneration, Qwen3VLVideoProcessor
+    from transformers import (
+        Qwen2VLImageProcessorFast,
+        Qwen3VLConfig,
+        Qwen3VLForConditionalGeneration,
+        Qwen3VLProcessor,
+        Qwen3VLVideoProcessor,
+    )
 
     backbone = folder / "backbone"
     marks = ["start", "end"]

@@ -15,8 +15,16 @@ import pytest
 from test_processing import pattern
 
 from rollout_policies import Camera, Episode, Observation, State
-from rollout_policies.adapters import MODULES, Options, executed, load
-from rollout_policies.adapters import openvla_oft, predvla, prismatic, univla
+from rollout_policies.adapters import (
+    MODULES,
+    Options,
+    executed,
+    load,
+    openvla_oft,
+    predvla,
+    prismatic,
+    univla,
+)
 from rollout_policies.adapters.cameras import camera_of_slot
 from rollout_policies.adapters.flow import FlowPolicy
 from rollout_policies.adapters.lerobot import batch_of

@@ -13,7 +13,8 @@ POINTING_DOWN = np.diag([1.0, -1.0, -1.0])
 def upright_frame(row, column, size=12):
     """Grey, with a red square around a place."""
     frame = np.full((SIDE, SIDE, 3), 120, dtype=np.uint8)
-    frame[row - size // 2 : row + size // 2, column - size // 2 : column + size // 2] = (200, 20, 20)
+    half = size // 2
+    frame[row - half : row + half, column - half : column + half] = (200, 20, 20)
     return frame
 
 

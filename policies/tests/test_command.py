@@ -4,7 +4,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Optional
 
 import grpc
 import numpy as np
@@ -31,7 +30,7 @@ class Flags(Policy):
         quiet: bool = False,
         table: Path = Path("table"),
         noise=0.5,
-        note: Optional[str] = None,
+        note: str | None = None,
         **others,
     ):
         self.given = (checkpoint, steps, scale, fast, quiet, table, noise, note)

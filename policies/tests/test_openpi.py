@@ -58,7 +58,10 @@ def observation(side=256):
 
 def test_the_server_is_shown_what_openpis_own_client_shows(program, shown):
     frames, message = observation()
-    with simulated(shown) as server, client_behind(program, "--route", f"x=ws://{server}") as client:
+    with (
+        simulated(shown) as server,
+        client_behind(program, "--route", f"x=ws://{server}") as client,
+    ):
         described = client.describe()
         assert (described.name, described.horizon, described.execute) == ("openpi", 5, 5)
         assert described.stochastic and described.unseeded
@@ -103,7 +106,10 @@ def test_it_passes_the_conformance_check_but_for_its_seeds(program, shown):
 
 def test_what_the_policy_raises_reaches_the_worker_and_the_next_query_is_answered(program, shown):
     _, message = observation()
-    with simulated(shown) as server, client_behind(program, "--route", f"x=ws://{server}") as client:
+    with (
+        simulated(shown) as server,
+        client_behind(program, "--route", f"x=ws://{server}") as client,
+    ):
         client.reset(instruction="raise")
         with pytest.raises(grpc.RpcError) as caught:
             client.infer(observation=message)

@@ -243,7 +243,9 @@ def test_episodes_do_not_share_memory(serving):
         (RuntimeError("CUDA error:\nout of memory"), "RuntimeError: CUDA error: out of memory"),
     ],
 )
-def test_a_policy_that_fails_says_why_in_one_line_and_repeats_nothing_of_the_call(serving, answer, expected):
+def test_a_policy_that_fails_says_why_in_one_line_and_repeats_nothing_of_the_call(
+    serving, answer, expected
+):
     client = serving(Answering(answer))
     client.reset("object/t0/clean/L0/c00#r0#a1")
     code, text = refusal(client.infer, "object/t0/clean/L0/c00#r0#a1", 9)

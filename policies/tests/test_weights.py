@@ -7,8 +7,10 @@ from rollout_policies.adapters import weights
 from rollout_policies.adapters.upstream import UnusableCheckpoint
 from rollout_policies.adapters.weights import Exceptions, compare
 
+NO_EXCEPTIONS = Exceptions()
 
-def found(network, stored, exceptions=Exceptions()):
+
+def found(network, stored, exceptions=NO_EXCEPTIONS):
     return compare(network, stored, np.array_equal, exceptions)
 
 

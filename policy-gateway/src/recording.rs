@@ -60,7 +60,10 @@ impl Writer {
     ) -> io::Result<Self> {
         let digest = Sha256::digest(&reset.session);
         let name: String = digest[..8].iter().map(|it| format!("{it:02x}")).collect();
-        let file = File::create(folder.join(format!("{name}.partial")))?;
+        let partial = folder.join(format!("{name}.partial"));
+        // What a killed gateway left, or a link: it is replaced, never written through.
+        let _ = std::fs::remove_file(&partial);
+        let file = File::create_new(partial)?;
         let mut writer = Self {
             file: BufWriter::new(file),
             folder: folder.to_owned(),
@@ -306,6 +309,19 @@ mod tests {
             writer.add(&pair(query)).expect("written");
         }
         writer
+    }
+
+    #[test]
+    fn a_link_in_place_of_a_partial_recording_is_replaced_and_not_followed() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let other = folder.path().join("other");
+        std::fs::write(&other, "of somebody").expect("written");
+        let partial = write(folder.path(), 0).partial();
+        std::fs::remove_file(&partial).expect("was there");
+        std::os::unix::fs::symlink(&other, &partial).expect("a link");
+        let whole = write(folder.path(), 1).finish().expect("written");
+        assert!(!whole.is_symlink());
+        assert_eq!(std::fs::read(&other).expect("read"), b"of somebody");
     }
 
     #[test]

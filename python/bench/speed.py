@@ -107,7 +107,9 @@ def one(given: argparse.Namespace) -> dict[str, float]:
         chosen = iter(actions(given.steps + WARM_UP))
         for _ in range(WARM_UP):
             made.step(next(chosen))
-        measured[name] = median_ms(lambda chosen=chosen: made.step(next(chosen)), given.steps)
+        measured[name] = median_ms(
+            lambda made=made, chosen=chosen: made.step(next(chosen)), given.steps
+        )
         if frames:
             # Without the frame that an observation has beside it.
             made.close()

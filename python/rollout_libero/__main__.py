@@ -20,7 +20,9 @@ def main() -> int:
     """Does what the command line says; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m rollout_libero")
     commands = parser.add_subparsers(dest="command", required=True)
-    words = "Fetches task files, robot models and LIBERO's assets; goes on where it was interrupted."
+    words = (
+        "Fetches task files, robot models and LIBERO's assets; goes on where it was interrupted."
+    )
     fetch = commands.add_parser("fetch", help=words, description=words)
     fetch.add_argument(
         "--tasks",

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import os
 import sys
+from typing import TYPE_CHECKING, Any
 
 MUJOCO = "3.3.7"
 
 
-def _load():  # noqa: ANN202 - a module
+def _load() -> Any:
     deep = getattr(os, "RTLD_DEEPBIND", 0)
     before = sys.getdlopenflags()
     sys.setdlopenflags(os.RTLD_NOW | os.RTLD_LOCAL | deep)
@@ -29,4 +30,7 @@ def _load():  # noqa: ANN202 - a module
     return _native
 
 
-native = _load()
+if TYPE_CHECKING:
+    from rollout_libero import _native as native
+else:
+    native = _load()

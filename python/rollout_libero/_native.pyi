@@ -92,6 +92,9 @@ class Scene:
     @property
     def pack(self) -> str:
         """Name of the asset pack."""
+    @property
+    def pack_differences(self) -> list[str]:
+        """Files because of which the pack is not LIBERO's."""
     def root_body(self, instance: str) -> str: ...
     def joints(self, instance: str) -> list[str]: ...
 
@@ -206,8 +209,9 @@ class Batch:
         past_success: bool = False,
     ) -> dict[str, Any]:
         """Each begins a rollout where `starts` has a manifest's row for it, JSON (or
-        `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`), and otherwise takes its actions, [simulations,
-        steps, 7]: at most `limits` of them, and none after the one that succeeds. `render`
+        `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}`), and otherwise takes its
+        actions, [simulations, steps, 7]: at most `limits` of them, and none after the one
+        that succeeds. `render`
         says which steps are drawn and read: "last", "all" or "none". Returns the `steps`
         taken and `success` of each, the readings by name, and the frames by camera, with
         row 0 at the top, and column 0 at the right if they are `mirrored`. `expert` has the

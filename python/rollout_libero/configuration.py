@@ -132,6 +132,7 @@ class Starts:
         elif self._chosen == "random":
             row = self._nominal(int(generator.integers(self._count)))
         else:
+            assert not isinstance(self._chosen, str)
             row = self._nominal(self._chosen[turn % len(self._chosen)])
             turn += self._stride
         row["num_steps_wait"] = self._settled(row)

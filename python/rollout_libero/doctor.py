@@ -30,7 +30,8 @@ def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
     if imported is None:
         wrong.append(f"no libero can be imported: {REINSTALL}")
     elif (imported / OF_THE_SHIM).is_file():
-        found.append(f"libero is {SHIM} {installed or '(not installed: from a folder)'}: {imported}")
+        version = installed or "(not installed: from a folder)"
+        found.append(f"libero is {SHIM} {version}: {imported}")
         if rivals:
             wrong.append(
                 f"{', '.join(rivals)} installs a package libero into the same folder: "

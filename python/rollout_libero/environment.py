@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import gymnasium
 import numpy as np
@@ -105,8 +105,9 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             perturbation=perturbation,
             absolute=self._absolute,
         )
-        self.observation_space = observation_space(cameras, height, width)
-        self.action_space = action_space()
+        self._space = observation_space(cameras, height, width)
+        self.observation_space = cast("gymnasium.Space[Observation]", self._space)
+        self.action_space = cast("gymnasium.Space[NDArray[np.float32]]", action_space())
         self.render_mode = render_mode
         self._cameras = [(camera, width, height) for camera in cameras]
         self._batch = native.Batch([self.simulation], 1)
@@ -162,8 +163,9 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         action = np.asarray(action, dtype=np.float64)
         if action.shape != (ACTION_WIDTH,):
             raise ValueError(
-                f"step with an action of shape {action.shape}: it has {ACTION_WIDTH} numbers, three "
-                "of translation, three of rotation and the gripper; use step_chunk for several"
+                f"step with an action of shape {action.shape}: it has {ACTION_WIDTH} numbers, "
+                "three of translation, three of rotation and the gripper; use step_chunk for "
+                "several"
             )
         return self.step_chunk(action[np.newaxis])
 
@@ -228,7 +230,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.simulation.close()
 
     def _observation(self, shown: dict[str, Any]) -> Observation:
-        return {name: shown[name][0] for name in self.observation_space if name in shown}
+        return {name: shown[name][0] for name in self._space if name in shown}
 
     def _info(self, *, success: bool) -> dict[str, Any]:
         return {

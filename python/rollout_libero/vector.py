@@ -84,7 +84,9 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         init_states: InitStates = "random",
         settle_steps: int | None = None,
         max_steps: int | Sequence[int] | None = None,
-        perturbation: str | Mapping[str, Any] | Sequence[str | Mapping[str, Any] | None] | None = None,
+        perturbation: (
+            str | Mapping[str, Any] | Sequence[str | Mapping[str, Any] | None] | None
+        ) = None,
         control: Literal["relative", "absolute"] = "relative",
         renderer: str = "software",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -121,7 +123,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             self.starts.append(starts)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode}
-        self.single_observation_space = observation_space(cameras, height, width)
+        self._space = observation_space(cameras, height, width)
+        self.single_observation_space = self._space
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -154,9 +157,11 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)), dtype=bool)
         if mask.shape != (self.num_envs,) or not mask.any():
             raise ValueError(
-                f"reset with a mask of shape {mask.shape}: expected ({self.num_envs},), one True at least"
+                f"reset with a mask of shape {mask.shape}: expected ({self.num_envs},), one True "
+                "at least"
             )
-        chosen = np.broadcast_to(options.get("init_state"), self.num_envs)
+        wanted: Any = options.get("init_state")
+        chosen = np.broadcast_to(wanted, self.num_envs)
         seeds = _seeds(seed, self.num_envs)
         starts = {}
         for at in np.flatnonzero(mask).tolist():
@@ -213,7 +218,9 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         actions = np.asarray(actions, dtype=np.float64)
         missing = [at for at, it in enumerate(self._rollouts) if not it.is_begun]
         if missing:
-            raise gymnasium.error.ResetNeeded(f"step: rollouts {missing} were not begun; call reset")
+            raise gymnasium.error.ResetNeeded(
+                f"step: rollouts {missing} were not begun; call reset"
+            )
         over = [at for at, it in enumerate(self._rollouts) if it.is_over]
         if over and self.autoreset_mode != AutoresetMode.NEXT_STEP:
             raise gymnasium.error.ResetNeeded(
@@ -341,7 +348,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         raise error
 
     def _observation(self, shown: dict[str, Any]) -> Observation:
-        return {name: shown[name] for name in self.single_observation_space if name in shown}
+        return {name: shown[name] for name in self._space if name in shown}
 
     def _infos(self, success: NDArray[np.bool_]) -> dict[str, Any]:
         return {

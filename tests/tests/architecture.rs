@@ -150,45 +150,101 @@ fn an_arrow_that_points_up_or_sideways_is_found() {
     );
 }
 
-/// All Rust sources below a folder, one after the other.
-fn sources(folder: &Path) -> String {
+/// All sources in a language below a folder, one after the other.
+fn sources(folder: &Path, ending: &str) -> String {
     let mut text = String::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten() {
         let path = entry.unwrap().path();
         if path.is_dir() {
-            text.push_str(&sources(&path));
-        } else if path.extension().is_some_and(|it| it == "rs") {
+            text.push_str(&sources(&path, ending));
+        } else if path.extension().is_some_and(|it| it == ending) {
             text.push_str(&std::fs::read_to_string(&path).unwrap());
         }
     }
     text
 }
 
-#[test]
-fn the_map_names_only_files_tests_and_invariants_that_exist() {
-    let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
-    let map = std::fs::read_to_string(root.join("docs/ARCHITECTURE.md")).unwrap();
+/// Rust sources of all packages of the workspace.
+fn rust_sources() -> String {
     let mut code = String::new();
     for package in metadata(&["--no-deps"])["packages"].as_array().unwrap() {
         let manifest = PathBuf::from(package["manifest_path"].as_str().unwrap());
         for folder in ["src", "tests"] {
-            code.push_str(&sources(&manifest.with_file_name(folder)));
+            code.push_str(&sources(&manifest.with_file_name(folder), "rs"));
         }
     }
-    // Names in prose stand between single backticks and hold no blanks.
-    let names = map.split('`').skip(1).step_by(2);
-    let names = names.filter(|it| !it.is_empty() && !it.contains(char::is_whitespace));
+    code
+}
+
+fn root() -> &'static Path {
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+}
+
+/// Names in a page's prose: they stand between single backticks and hold no blanks.
+fn names(page: &str) -> Vec<&str> {
+    let outside = page.split("\n```").step_by(2);
+    let quoted = outside.flat_map(|prose| prose.split('`').skip(1).step_by(2));
+    quoted
+        .filter(|it| !it.is_empty() && !it.contains(char::is_whitespace))
+        .collect()
+}
+
+/// Returns true for a name as Rust and Python have them, of at least three words.
+fn is_long_name(name: &str) -> bool {
+    let is_of_name = |it: char| it.is_ascii_lowercase() || it.is_ascii_digit() || it == '_';
+    name.chars().all(is_of_name) && name.matches('_').count() >= 2
+}
+
+#[test]
+fn the_map_names_only_files_tests_and_invariants_that_exist() {
+    let map = std::fs::read_to_string(root().join("docs/ARCHITECTURE.md")).unwrap();
+    let code = rust_sources();
     let is_there = |name: &str| {
         if name.contains('/') {
-            root.join(name).exists()
+            root().join(name).exists()
         } else if name.matches('_').count() >= 2 {
             code.contains(&format!("fn {name}(")) || code.contains(&format!("\"{name}\""))
         } else {
             true
         }
     };
-    let missing: Vec<&str> = names.filter(|it| !is_there(it)).collect();
+    let mut missing = names(&map);
+    missing.retain(|it| !is_there(it));
     assert!(missing.is_empty(), "not in the repository: {missing:?}");
+}
+
+/// Names on pages that only other projects' sources have.
+const FOREIGN: [&str; 1] = ["get_camera_meta"];
+
+#[test]
+fn pages_name_only_files_and_tests_that_exist() {
+    let mut code = rust_sources();
+    for folder in ["python", "policies", "training", "tests"] {
+        code.push_str(&sources(&root().join(folder), "py"));
+    }
+    let is_of_word = |it: char| it.is_ascii_alphanumeric() || it == '_';
+    let words: BTreeSet<&str> = code.split(|it| !is_of_word(it)).collect();
+    let is_there = |name: &str| match name.split_once('/') {
+        // Other paths are names of tasks, and files of users and other projects.
+        Some((folder, _)) if !folder.is_empty() && root().join(folder).join("").is_dir() => {
+            root().join(name).exists()
+        }
+        Some(_) => true,
+        // The beginning of several tests' names.
+        None if !is_long_name(name.trim_end_matches('…')) => true,
+        None if name.ends_with('…') => code.contains(&format!(" {}", name.trim_end_matches('…'))),
+        None => words.contains(name) || FOREIGN.contains(&name),
+    };
+    let mut missing = Vec::new();
+    for entry in std::fs::read_dir(root().join("docs")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|it| it == "md") {
+            let page = std::fs::read_to_string(&path).unwrap();
+            let names = names(&page).into_iter().filter(|it| !is_there(it));
+            missing.extend(names.map(|name| format!("{}: {name}", path.display())));
+        }
+    }
+    assert!(missing.is_empty(), "not in the repository: {missing:#?}");
 }
 
 #[test]

@@ -77,7 +77,8 @@ def test_an_experts_failures_are_left_out(tmp_path: Path) -> None:
     lost = Outcome.FAILURE
     kinds = [
         episode(3), episode(3, outcome=lost), episode(3, outcome=Outcome.UNFINISHED),
-        episode(3, outcome=lost, driver=Driver.DISTURBED), episode(3, outcome=lost, driver=Driver.STUDENT),
+        episode(3, outcome=lost, driver=Driver.DISTURBED),
+        episode(3, outcome=lost, driver=Driver.STUDENT),
         episode(3, outcome=lost, driver=Driver.IN_TURNS),
     ]  # fmt: skip
     shard = read(write(tmp_path, 0, kinds))

@@ -1,11 +1,12 @@
-//! `cargo xtask check`: the check for every save: format, lints, documentation and the tests that
-//! need neither programs nor scenes.
+//! `cargo xtask check`: the check for every save: format, lints, types of Python, documentation and
+//! the tests that need neither programs nor scenes.
 
 use std::path::Path;
 
 use anyhow::Result;
 
 use crate::cargo::cargo;
+use crate::lint;
 use crate::process::capture;
 use crate::setup;
 use crate::step::step;
@@ -15,11 +16,12 @@ use crate::step::step;
 /// # Errors
 /// If a part fails; the error includes its output.
 pub(crate) fn run(root: &Path) -> Result<()> {
-    setup::run(root)?;
+    let cache = setup::run(root)?;
     println!("Checking");
     step("format", || {
         capture(cargo(root).args(["fmt", "--all", "--check"])).map(|_| "as rustfmt writes it")
     })?;
+    lint::run(root, &cache)?;
     step("lints", || {
         let clippy = ["clippy", "--workspace", "--all-targets", "--quiet"];
         capture(cargo(root).args(clippy).args(["--", "--deny", "warnings"])).map(|_| "none")

@@ -13,6 +13,7 @@ mod clients;
 mod demo;
 mod deploy;
 mod dist;
+mod lint;
 mod original;
 mod packages;
 mod process;

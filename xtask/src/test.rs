@@ -12,6 +12,7 @@ use crate::cargo::{build_program, build_programs, cargo};
 use crate::demo;
 use crate::deploy;
 use crate::dist;
+use crate::lint;
 use crate::process::{capture, run as run_command};
 use crate::python;
 use crate::ray;
@@ -31,7 +32,7 @@ pub(crate) enum Suite {
     Examples,
     /// The software renderer with overflow checks.
     Overflow,
-    /// The Python package of `policies/`.
+    /// Lints of Python, and the package of `policies/`.
     Policies,
     /// The release archive.
     Archive,
@@ -159,8 +160,9 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
     Ok(())
 }
 
-/// Tests the policies package from its sources.
+/// Lints all Python sources, and tests the policies package from its sources.
 fn policies(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
+    lint::run(root, cache)?;
     let python = step("Python environment for policies/", || {
         python::environment(root, cache)
     })?;

@@ -90,7 +90,9 @@ impl WholeFile {
     pub(super) fn create(path: &Path) -> anyhow::Result<WholeFile> {
         let mut partial = path.to_owned();
         partial.as_mut_os_string().push(".partial");
-        let file = File::create(&partial)
+        // What a killed command left, or a link: it is replaced, never written through.
+        let _ = std::fs::remove_file(&partial);
+        let file = File::create_new(&partial)
             .with_context(|| format!("write {}: may this user write there?", partial.display()))?;
         Ok(WholeFile {
             path: path.to_owned(),
@@ -131,4 +133,23 @@ fn is_standard_input(path: &Path) -> bool {
 
 fn read_bounded(source: impl Read, text: &mut String) -> std::io::Result<usize> {
     source.take(MAX_INPUT_BYTES + 1).read_to_string(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_in_place_of_a_partial_file_is_replaced_and_not_followed() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let other = folder.path().join("other");
+        std::fs::write(&other, "of somebody").expect("written");
+        let path = folder.path().join("report.json");
+        let partial = folder.path().join("report.json.partial");
+        std::os::unix::fs::symlink(&other, &partial).expect("a link");
+        write_whole(&path, b"{}").expect("written");
+        assert_eq!(std::fs::read(&path).expect("read"), b"{}");
+        assert!(!path.is_symlink() && !partial.exists());
+        assert_eq!(std::fs::read(&other).expect("read"), b"of somebody");
+    }
 }

@@ -171,10 +171,10 @@ def _image_keys(text: str) -> dict[str, str]:
 
 
 def _described(entry: Entry) -> str:
-    if entry.per_suite:
-        weights = [f"{suite}: {name}" for suite, name in entry.checkpoint.items()]
+    if isinstance(entry.checkpoint, str):
+        weights = [entry.checkpoint]
     else:
-        weights = [str(entry.checkpoint)]
+        weights = [f"{suite}: {name}" for suite, name in entry.checkpoint.items()]
     lines = [f"weights: {line}" for line in weights]
     lines += [f"also downloads: {name} ({what})" for name, what in entry.downloads.items()]
     lines.append(f"install: {entry.install}")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib.resources
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Mapping
 
-try:
+if sys.version_info >= (3, 11):
     import tomllib
-except ModuleNotFoundError:  # Python 3.10
+else:
     import tomli as tomllib
 
 
@@ -52,8 +53,9 @@ class Entry:
 
     def lists(self, checkpoint: str | None) -> bool:
         """Whether a checkpoint of the command line is one of these."""
-        listed = self.checkpoint.values() if self.per_suite else [self.checkpoint]
-        return checkpoint is None or checkpoint in listed
+        if isinstance(self.checkpoint, str):
+            return checkpoint in (None, self.checkpoint)
+        return checkpoint is None or checkpoint in self.checkpoint.values()
 
     def checkpoint_for(self, suite: str | None) -> str:
         """The checkpoint's id for a suite such as "libero_goal".
@@ -62,7 +64,7 @@ class Entry:
         """
         if isinstance(self.checkpoint, str):
             return self.checkpoint
-        if suite not in self.checkpoint:
+        if suite is None or suite not in self.checkpoint:
             raise NoCheckpoint(
                 f"{self.title} has other weights for every suite: --suite must be one of"
                 f" {', '.join(self.checkpoint)}, and is {suite or 'missing'}"

@@ -11,8 +11,9 @@ import os
 import sys
 import types
 import typing
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Sequence
+from typing import Any
 
 from .access import AccessError, UnguardedAddress
 from .actions import UnusableActions

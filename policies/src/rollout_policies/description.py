@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Mapping
 
 from .proto import policy_pb2 as pb
 
@@ -144,11 +144,11 @@ class Description:
             raise ValueError(
                 f"policy {self.name!r}: horizon is {self.horizon}, not within 1..{MAX_HORIZON}"
             )
-        if self.execute is None:
-            object.__setattr__(self, "execute", self.horizon)
-        if not 1 <= self.execute <= self.horizon:
+        execute = self.horizon if self.execute is None else self.execute
+        object.__setattr__(self, "execute", execute)
+        if not 1 <= execute <= self.horizon:
             raise ValueError(
-                f"policy {self.name!r}: execute is {self.execute} and horizon {self.horizon};"
+                f"policy {self.name!r}: execute is {execute} and horizon {self.horizon};"
                 " 1 <= execute <= horizon must hold"
             )
         names = [camera.name for camera in self.cameras]

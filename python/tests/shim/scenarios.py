@@ -15,6 +15,7 @@ from typing import Any
 
 import as_recorded  # noqa: F401
 import numpy as np
+
 from libero.libero import get_libero_path
 from libero.libero.envs import OffScreenRenderEnv, SegmentationRenderEnv
 

@@ -3,8 +3,8 @@ something up, drops it into a basket, and succeeds. Where the original is instal
 the same frames and success with it.
 
 `ROLLOUT_CLIENTS` names the Python of an environment with the clients and the packages of
-clients.txt (`cargo xtask test` makes one where it can). Where `ROLLOUT_ORIGINAL` is of the same version of
-Python, it looks for the clients there too.
+clients.txt (`cargo xtask test` makes one where it can). Where `ROLLOUT_ORIGINAL` is of the same
+version of Python, it looks for the clients there too.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import libero
 import numpy as np
 import pytest
-import rollout_libero
 from frames import DRAWN_HERE, assert_close_frames
+from original import original_python, run, run_original
+
+import libero
+import rollout_libero
 from libero.libero import benchmark
 from libero.libero.envs import OffScreenRenderEnv
-from original import original_python, run, run_original
 
 CLIENTS = ["vla-eval", "lerobot", "torchrl"]
 SUITE, TASK = "libero_object", 0

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from frames import assert_close_frames
-from libero.libero import benchmark
-from libero.libero.envs import OffScreenRenderEnv
 from PIL import Image
 from reference import SHARED
 
 import rollout_libero
+from libero.libero import benchmark
+from libero.libero.envs import OffScreenRenderEnv
 
 RECORDED = sorted((SHARED / "oracle" / "tasks-real").glob("*/*"))
 CAMERAS = ("agentview", "robot0_eye_in_hand")

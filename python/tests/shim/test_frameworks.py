@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import libero.libero
 import numpy as np
 import pytest
+
+import libero.libero
 from libero.libero import benchmark, get_libero_path, paths, set_libero_default_path
 from libero.libero.envs import DummyVectorEnv, OffScreenRenderEnv, SubprocVectorEnv, venv
 
@@ -91,13 +92,15 @@ def test_what_a_cameras_depths_mean_can_be_read(bddl_file: str) -> None:
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
     model = env.sim.model
     # Against the depth buffer: MuJoCo's planes are in units of the extent.
-    near, far = (float(plane) * model.stat.extent for plane in (model.vis.map.znear, model.vis.map.zfar))
+    planes = (model.vis.map.znear, model.vis.map.zfar)
+    near, far = (float(plane) * model.stat.extent for plane in planes)
     assert 0 < near < 0.1 < 2 < far
     env.reset()
     camera = model.camera_name2id("agentview")
     _, depth = env.sim.render(width=65, height=65, camera_name="agentview", depth=True)
     metres = near / (1 - depth * (1 - near / far))
-    distance = np.linalg.norm(env.sim.data.cam_xpos[camera] - env.sim.data.get_body_xpos("plate_1_main"))
+    plate = env.sim.data.get_body_xpos("plate_1_main")
+    distance = np.linalg.norm(env.sim.data.cam_xpos[camera] - plate)
     assert metres.min() < distance < metres.max()
     with pytest.raises(AttributeError, match="`meaninertia`"):
         _ = model.stat.meaninertia

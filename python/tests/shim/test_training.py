@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 import rollout_libero
 from libero.libero import benchmark
 from libero.libero.envs import OffScreenRenderEnv

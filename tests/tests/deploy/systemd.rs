@@ -97,6 +97,14 @@ fn units_give_programs_flags_and_variables_that_they_have() {
 }
 
 #[test]
+fn servers_may_open_as_many_files_as_they_ask_for() {
+    // `transport::raise_file_limit` goes up to this.
+    for (name, _) in &UNITS[..2] {
+        assert_eq!(values(&unit(name), "LimitNOFILE="), ["65536"], "{name}");
+    }
+}
+
+#[test]
 fn a_worker_has_given_back_its_rollouts_before_it_is_killed() {
     let text = unit("rollout-worker.service");
     let number = |setting| -> u32 { values(&text, setting).concat().parse().expect("seconds") };

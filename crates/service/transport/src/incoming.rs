@@ -163,10 +163,12 @@ pub struct Watched {
     greeting_bytes: usize,
     /// Time of the last traffic in either direction.
     last_passed: Instant,
+    /// Longest time without traffic.
+    idle: Duration,
 }
 
 impl Watched {
-    fn new(stream: TcpStream, seat: Seat, close: Arc<Notify>) -> Watched {
+    fn new(stream: TcpStream, seat: Seat, close: Arc<Notify>, idle: Duration) -> Watched {
         Watched {
             stream,
             seat,
@@ -174,6 +176,7 @@ impl Watched {
             deadline: Box::pin(sleep(GREETING_TIMEOUT)),
             greeting_bytes: 0,
             last_passed: Instant::now(),
+            idle,
         }
     }
 
@@ -204,7 +207,7 @@ impl Watched {
             return silence();
         }
         while self.deadline.as_mut().poll(context).is_ready() {
-            let end = self.last_passed + IDLE_TIMEOUT;
+            let end = self.last_passed + self.idle;
             if !self.has_spoken() || end <= Instant::now() {
                 return silence();
             }
@@ -281,6 +284,8 @@ impl Connected for Watched {
 pub struct Incoming {
     listener: TcpListener,
     open: Arc<Open>,
+    /// Longest time of a connection without traffic.
+    idle: Duration,
     accepted: u64,
     pause: Duration,
     /// Pause after a failed accept.
@@ -301,6 +306,7 @@ impl Incoming {
                 limits,
                 connections,
             }),
+            idle: IDLE_TIMEOUT,
             accepted: 0,
             pause: FIRST_PAUSE,
             waiting: None,
@@ -340,7 +346,7 @@ impl Incoming {
             }
             let address = address.ip().to_canonical();
             if let Some((seat, close)) = self.open.seat(self.accepted, address) {
-                return Poll::Ready(Watched::new(stream, seat, close));
+                return Poll::Ready(Watched::new(stream, seat, close, self.idle));
             }
             let is_known = |at: Instant| at.elapsed() < LOG_AGAIN_AFTER;
             if !self.logged.is_some_and(is_known) {
@@ -372,7 +378,14 @@ impl Stream for Incoming {
 
 #[cfg(test)]
 mod tests {
+    use std::fs::File;
+    use std::future::poll_fn;
+    use std::io::{Read, Write};
     use std::net::Ipv4Addr;
+    use std::process::Command;
+
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::time::timeout;
 
     use super::*;
 
@@ -427,6 +440,123 @@ mod tests {
         assert!(open.seat(6, address(3)).is_some());
         assert!(!open.lock().contains_key(&1));
         drop((others, taken));
+    }
+
+    /// Connects to `incoming`; returns both ends.
+    async fn connected(incoming: &mut Incoming) -> (std::net::TcpStream, Watched) {
+        let address = incoming.listener.local_addr().expect("an address");
+        let caller = std::net::TcpStream::connect(address).expect("connects");
+        (caller, accepted(incoming).await)
+    }
+
+    async fn accepted(incoming: &mut Incoming) -> Watched {
+        poll_fn(|context| incoming.poll_accept(context)).await
+    }
+
+    async fn incoming() -> Incoming {
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+        Incoming::new(listener)
+    }
+
+    /// Time until a read of a silent connection fails.
+    async fn time_until_closed(connection: &mut Watched) -> Duration {
+        let begun = Instant::now();
+        let read = timeout(4 * GREETING_TIMEOUT, connection.read_u8()).await;
+        let error = read.expect("it is closed").expect_err("it is silent");
+        assert_eq!(error.kind(), io::ErrorKind::TimedOut, "{error}");
+        begun.elapsed()
+    }
+
+    #[tokio::test]
+    async fn a_connection_is_closed_some_time_after_its_last_traffic_in_either_direction() {
+        let mut incoming = incoming().await;
+        assert_eq!(incoming.idle, IDLE_TIMEOUT);
+        // The first timer is that of the greeting; those after it are shorter here.
+        let idle = Duration::from_secs(2);
+        incoming.idle = idle;
+        let (mut caller, mut connection) = connected(&mut incoming).await;
+        let mut bytes = [0; GREETING_BYTES];
+        caller.write_all(&bytes).expect("sent");
+        connection.read_exact(&mut bytes).await.expect("received");
+        let begun = Instant::now();
+        // Traffic of one direction alone keeps it, well beyond the first timer.
+        while begun.elapsed() < GREETING_TIMEOUT + idle {
+            let silence = timeout(idle / 2, connection.read_u8()).await;
+            assert!(silence.is_err(), "{silence:?} after {:?}", begun.elapsed());
+            connection.write_all(b"b").await.expect("open");
+            caller.read_exact(&mut bytes[..1]).expect("received");
+        }
+        for _ in 0..4 {
+            let silence = timeout(idle / 2, connection.read_u8()).await;
+            assert!(silence.is_err(), "{silence:?} after {:?}", begun.elapsed());
+            caller.write_all(b"a").expect("sent");
+            assert_eq!(connection.read_u8().await.expect("open"), b'a');
+        }
+        let closed = time_until_closed(&mut connection).await;
+        assert!(closed >= idle / 2 && closed < 2 * idle, "{closed:?}");
+    }
+
+    #[tokio::test]
+    async fn a_connection_that_says_too_little_is_closed_after_seconds() {
+        let mut incoming = incoming().await;
+        let (mut caller, mut connection) = connected(&mut incoming).await;
+        let mut bytes = [0; GREETING_BYTES - 1];
+        caller.write_all(&bytes).expect("sent");
+        connection.read_exact(&mut bytes).await.expect("received");
+        let closed = time_until_closed(&mut connection).await;
+        assert!(
+            closed < GREETING_TIMEOUT + Duration::from_secs(5),
+            "{closed:?}"
+        );
+    }
+
+    /// Name of a test that lowers the limits of its process.
+    const OF_ITS_OWN: &str = "incoming::tests::descriptors_in_a_process_of_its_own";
+
+    #[test]
+    fn the_limit_of_files_is_raised_and_without_files_accepting_pauses() {
+        let program = std::env::current_exe().expect("a program");
+        let mut child = Command::new(program);
+        child.args(["--ignored", "--exact", "--nocapture", OF_ITS_OWN]);
+        let output = child.output().expect("it runs");
+        let said = [output.stdout, output.stderr].concat();
+        let said = String::from_utf8_lossy(&said);
+        assert!(
+            output.status.success() && said.contains("1 passed"),
+            "{said}"
+        );
+    }
+
+    #[tokio::test]
+    #[ignore = "another test starts it"]
+    async fn descriptors_in_a_process_of_its_own() {
+        let lower = |to| {
+            let mut limit = getrlimit(Resource::Nofile);
+            limit.current = Some(to);
+            setrlimit(Resource::Nofile, limit).expect("lowered");
+        };
+        let most = getrlimit(Resource::Nofile).maximum.unwrap_or(u64::MAX);
+        lower(128);
+        assert_eq!(raise_file_limit(), most.min(WANTED_DESCRIPTORS));
+        let raised = getrlimit(Resource::Nofile).current;
+        assert_eq!(raised, Some(most.min(WANTED_DESCRIPTORS)));
+
+        lower(128);
+        let mut incoming = incoming().await;
+        let address = incoming.listener.local_addr().expect("an address");
+        let _caller = std::net::TcpStream::connect(address).expect("connects");
+        let files: Vec<File> = std::iter::from_fn(|| File::open("/dev/null").ok()).collect();
+        assert!(files.len() < 128, "the limit does not hold");
+        let begun = Instant::now();
+        let early = timeout(Duration::from_millis(400), accepted(&mut incoming)).await;
+        assert!(early.is_err(), "accepted without a file");
+        // Six pauses of 10, 20, … 320 ms, not as many tries as there is time for.
+        assert!(incoming.pause > 8 * FIRST_PAUSE, "{:?}", incoming.pause);
+        assert!(incoming.pause <= LONGEST_PAUSE, "{:?}", incoming.pause);
+        drop(files);
+        let late = timeout(2 * LONGEST_PAUSE, accepted(&mut incoming)).await;
+        late.expect("a file is free again");
+        assert_eq!(incoming.pause, FIRST_PAUSE, "after {:?}", begun.elapsed());
     }
 
     #[test]

@@ -6,13 +6,14 @@ mod receive;
 
 use std::fs::{self, File, TryLockError};
 use std::ops::ControlFlow;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::time::Duration;
 
 use rollout_types::{Backoff, Waits};
 
 use crate::error::{AssetsError, write_error};
-use crate::http::RequestError;
+use crate::http::{GAIN_BYTES, RequestError};
 use crate::origin::{Origin, Parcel};
 use crate::progress::{Progress, Report};
 use crate::table::FileFacts;
@@ -120,7 +121,11 @@ impl Fetch<'_> {
     /// bytes.
     fn lock(&mut self) -> Result<File, AssetsError> {
         let path = self.into.folder().join(LOCK);
-        let file = File::options().create(true).append(true).open(&path);
+        let file = File::options()
+            .create(true)
+            .append(true)
+            .custom_flags(receive::no_links())
+            .open(&path);
         let file = file.map_err(|source| write_error(&path, source))?;
         loop {
             match file.try_lock() {
@@ -147,7 +152,7 @@ impl Fetch<'_> {
         while !receiver.is_done() {
             let before = receiver.gained();
             let outcome = receiver.stream(progress, self.progress);
-            if receiver.gained() - before >= receive::GAIN_BYTES {
+            if receiver.gained() - before >= GAIN_BYTES {
                 tries = Tries::default();
             }
             match outcome {

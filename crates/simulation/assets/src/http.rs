@@ -1,8 +1,9 @@
 //! HTTP requests: timeouts, certificates, credentials, and the distinction between transient and
 //! permanent failures.
 
+use std::io::{self, Read};
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -16,6 +17,8 @@ use crate::error::AssetsError;
 
 /// Largest text answer, bytes; an index page has a few kB.
 const MAX_TEXT_BYTES: u64 = 16 << 20;
+/// Bytes that have to arrive within each [`Deadlines::gain`].
+pub(crate) const GAIN_BYTES: u64 = 1 << 20;
 /// Variables that name a certificate file, as used by pip, OpenSSL and requests.
 const CERTIFICATES: [&str; 3] = ["PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
 
@@ -39,6 +42,10 @@ pub struct Deadlines {
     pub connect: Duration,
     /// Timeout of the answer, and of each read.
     pub read: Duration,
+    /// Timeout of a whole page of an index.
+    pub page: Duration,
+    /// Time within which the next mebibyte of a file has to arrive.
+    pub gain: Duration,
 }
 
 impl Default for Deadlines {
@@ -46,6 +53,8 @@ impl Default for Deadlines {
         Self {
             connect: Duration::from_secs(10),
             read: Duration::from_secs(30),
+            page: Duration::from_secs(60),
+            gain: Duration::from_secs(120),
         }
     }
 }
@@ -116,7 +125,10 @@ fn authorization(url: &Url) -> Option<String> {
 
 /// HTTP client for package indices and the hub. Uses the proxies that the environment names.
 #[derive(Debug)]
-pub(crate) struct Client(Agent);
+pub(crate) struct Client {
+    agent: Agent,
+    deadlines: Deadlines,
+}
 
 impl Client {
     pub(crate) fn new(deadlines: Deadlines) -> Result<Self, AssetsError> {
@@ -131,17 +143,42 @@ impl Client {
             .http_status_as_error(false)
             .tls_config(tls.build())
             .build();
-        Ok(Self(config.into()))
+        Ok(Self {
+            agent: config.into(),
+            deadlines,
+        })
     }
 
     /// Requests a byte range. The server may send everything instead, which the status tells.
-    pub(crate) fn get(
+    pub(crate) fn get_range(
+        &self,
+        address: &Address,
+        range: std::ops::Range<u64>,
+    ) -> Result<Response<Body>, RequestError> {
+        self.get(address, "*/*", Some(range), None)
+    }
+
+    /// Returns a reader of an answer that fails once too little of it arrives.
+    pub(crate) fn reader(&self, response: Response<Body>) -> impl Read + use<> {
+        Gaining {
+            reader: response.into_body().into_reader(),
+            within: self.deadlines.gain,
+            since: Instant::now(),
+            gained: 0,
+        }
+    }
+
+    /// Requests an address, with a timeout of the whole answer.
+    fn get(
         &self,
         address: &Address,
         accept: &str,
         range: Option<std::ops::Range<u64>>,
+        whole: Option<Duration>,
     ) -> Result<Response<Body>, RequestError> {
-        let mut request = self.0.get(address.as_str()).header("Accept", accept);
+        let request = self.agent.get(address.as_str());
+        let request = request.config().timeout_global(whole).build();
+        let mut request = request.header("Accept", accept);
         if let Some(range) = range {
             let (first, last) = (range.start, range.end - 1);
             request = request.header("Range", format!("bytes={first}-{last}"));
@@ -173,7 +210,7 @@ impl Client {
         address: &Address,
         accept: &str,
     ) -> Result<(String, String), RequestError> {
-        let mut response = self.get(address, accept, None)?;
+        let mut response = self.get(address, accept, None, Some(self.deadlines.page))?;
         let kind = response.headers().get("content-type");
         let kind = kind.and_then(|kind| kind.to_str().ok());
         let kind = kind.unwrap_or_default().to_ascii_lowercase();
@@ -185,6 +222,34 @@ impl Client {
                 problem: describe(&error),
             })?;
         Ok((text, kind))
+    }
+}
+
+/// A reader that fails unless [`GAIN_BYTES`] arrive within every period of a given length. The
+/// timeout of a read alone would let a server hold its reader with a byte now and then.
+struct Gaining<R> {
+    reader: R,
+    within: Duration,
+    /// Start of the current period.
+    since: Instant,
+    /// Bytes that arrived in the current period.
+    gained: u64,
+}
+
+impl<R: Read> Read for Gaining<R> {
+    fn read(&mut self, block: &mut [u8]) -> io::Result<usize> {
+        let read = self.reader.read(block)?;
+        self.gained += read as u64;
+        if self.gained >= GAIN_BYTES {
+            (self.since, self.gained) = (Instant::now(), 0);
+        } else if read > 0 && self.since.elapsed() > self.within {
+            let (gained, secs) = (self.gained, self.within.as_secs_f64());
+            return Err(io::Error::new(
+                io::ErrorKind::TimedOut,
+                format!("it is too slow: it sent {gained} bytes in {secs} s"),
+            ));
+        }
+        Ok(read)
     }
 }
 

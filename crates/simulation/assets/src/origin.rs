@@ -177,7 +177,7 @@ impl Origin {
             unreachable!("a folder has no addresses")
         };
         let from = range.start;
-        let response = client.get(address, "*/*", Some(range))?;
+        let response = client.get_range(address, range)?;
         let header = |name: &str| {
             let value = response.headers().get(name)?.to_str().ok()?;
             Some(value.to_owned())
@@ -203,7 +203,7 @@ impl Origin {
                 problem: format!("it has {found} bytes and should have {expected}"),
             }));
         }
-        let reader = Box::new(response.into_body().into_reader());
+        let reader = Box::new(client.reader(response));
         Ok(Stream { position, reader })
     }
 

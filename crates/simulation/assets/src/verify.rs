@@ -4,9 +4,9 @@ use std::collections::HashMap;
 use std::fmt;
 use std::fs::{self, File, Metadata};
 use std::io::{self, Read};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
-use std::time::SystemTime;
 
 use sha2::{Digest, Sha256};
 
@@ -46,8 +46,8 @@ impl fmt::Display for Difference {
     }
 }
 
-/// A folder with files of a table. Each file is hashed on first use, and again only after its size
-/// or modification time has changed.
+/// A folder with files of a table. Each file is hashed on first use, and again only after it was
+/// written or replaced.
 #[derive(Debug)]
 pub struct VerifiedFolder {
     table: &'static Table,
@@ -55,8 +55,17 @@ pub struct VerifiedFolder {
     verified: Mutex<HashMap<&'static str, Stamp>>,
 }
 
-/// Size and modification time, which change when a file is written.
-type Stamp = (u64, Option<SystemTime>);
+/// Facts that change when a file is written or replaced. Its owner can set the time of
+/// modification back, but not the time of the last change.
+#[derive(Debug, PartialEq, Eq)]
+struct Stamp {
+    bytes: u64,
+    /// Device and inode.
+    identity: (u64, u64),
+    /// Seconds and nanoseconds.
+    modified: (i64, i64),
+    changed: (i64, i64),
+}
 
 impl VerifiedFolder {
     /// The folder of a pack that holds files of `table`.
@@ -88,7 +97,7 @@ impl VerifiedFolder {
         if self.lock().get(file.path) == Some(&stamp) {
             return Ok(());
         }
-        let (found, expected) = (stamp.0, file.bytes);
+        let (found, expected) = (stamp.bytes, file.bytes);
         if found != expected {
             return Err(Difference::Size { found, expected });
         }
@@ -126,7 +135,12 @@ impl VerifiedFolder {
 }
 
 fn stamp(facts: &Metadata) -> Stamp {
-    (facts.len(), facts.modified().ok())
+    Stamp {
+        bytes: facts.len(),
+        identity: (facts.dev(), facts.ino()),
+        modified: (facts.mtime(), facts.mtime_nsec()),
+        changed: (facts.ctime(), facts.ctime_nsec()),
+    }
 }
 
 fn unreadable(error: io::Error) -> Difference {

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import importlib
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Mapping
 
 from ..catalogue import SUITES, Entry, entry
 from ..policy import Policy

@@ -7,7 +7,7 @@ so slots are assigned by known names, or by the command line, or not at all.
 
 from __future__ import annotations
 
-from typing import Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from .upstream import UnusableCheckpoint, UnusableOption
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Iterable, Iterator, Mapping
 
 from ..catalogue import Entry, NoCheckpoint
 from .upstream import UnusableCheckpoint, UnusableOption, require

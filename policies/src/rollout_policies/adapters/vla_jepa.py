@@ -8,7 +8,7 @@ queries are answered one by one: in a batch, neighbours would share the draw.
 
 from __future__ import annotations
 
-from typing import Sequence
+from collections.abc import Sequence
 
 import numpy as np
 

@@ -8,7 +8,7 @@ answer to them is a good or a bad one.
 from __future__ import annotations
 
 import threading
-from typing import Callable
+from collections.abc import Callable
 
 from ..policy import Policy, description_of
 from ..server import Server

@@ -6,10 +6,11 @@ from __future__ import annotations
 import contextlib
 import time
 import uuid
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Iterable
+from typing import Any
 from urllib.parse import urlsplit
 
 import grpc
@@ -254,12 +255,12 @@ class Probe(contextlib.AbstractContextManager):
         # What cannot be made up is missed by nobody but the server, which says so.
         wanted = Description(
             name="made up",
-            cameras=[
+            cameras=tuple(
                 Camera(one.name, one.width, one.height)
                 for one in self.described.cameras
                 if one.width and one.height
-            ],
-            state=[State(number) for number in self.described.state if number in known],
+            ),
+            state=tuple(State(number) for number in self.described.state if number in known),
         )
         return to_message(fake_observation(wanted, SCENE_SEED, query_index))
 
@@ -306,7 +307,7 @@ def _connected(target: Target) -> tuple[grpc.Channel, tuple[tuple[str, str], ...
             f"failed to find a token of role {' or '.join(ASKING_ROLES)}: add a line `ROLE TOKEN`"
             " to the token file"
         )
-    metadata = ()
+    metadata: tuple[tuple[str, str], ...] = ()
     if token and (encrypted or is_loopback(url.hostname or "")):
         metadata = (("authorization", f"Bearer {token}"),)
     if not encrypted:

@@ -79,7 +79,7 @@ def find_blob(frame: np.ndarray) -> tuple[np.ndarray, float] | None:
     Returns its centre in half-frames right of and above the middle, and the
     share of the frame's width that it spans; None if everything is grey.
     """
-    saturation = smooth((np.ptp(frame, axis=2) / 255.0))
+    saturation = smooth(np.ptp(frame, axis=2) / 255.0)
     peak = saturation.max()
     if peak < LEAST_SATURATION:
         return None

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Sequence
 
 import numpy as np
 
@@ -14,8 +14,8 @@ def within_bounds(
 ) -> np.ndarray:
     """From the world to -1..1, `low` to -1 and `high` to 1, clipped; what
     `mask` leaves out is only clipped. OpenVLA-OFT's `normalize_proprio`."""
-    low, high = np.asarray(low), np.asarray(high)
-    scaled = 2 * (values - low) / (high - low + 1e-8) - 1
+    least, most = np.asarray(low), np.asarray(high)
+    scaled = 2 * (values - least) / (most - least + 1e-8) - 1
     return np.clip(np.where(mask, scaled, values), -1.0, 1.0)
 
 
@@ -24,8 +24,8 @@ def from_bounds(
 ) -> np.ndarray:
     """From -1..1 back to the world where `mask` says so: UniVLA's decoder, with
     the first and the last percentile as bounds."""
-    low, high = np.asarray(low), np.asarray(high)
-    return np.where(mask, 0.5 * (values + 1) * (high - low) + low, values)
+    least, most = np.asarray(low), np.asarray(high)
+    return np.where(mask, 0.5 * (values + 1) * (most - least) + least, values)
 
 
 @dataclass

@@ -9,7 +9,7 @@ the difference. Frames are uint8 [height, width, 3] throughout.
 from __future__ import annotations
 
 import math
-from typing import Callable
+from collections.abc import Callable
 
 import numpy as np
 

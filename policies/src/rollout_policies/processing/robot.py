@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..episode import Observation
 from ..description import State
+from ..episode import Observation
 
 #: What `state_vector` needs.
 STATE_FIELDS = (State.EEF_POS, State.EEF_QUAT_XYZW, State.GRIPPER_POS)

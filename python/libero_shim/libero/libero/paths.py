@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import yaml
+
 from rollout_libero import files
 
 #: Folder of the optional configuration file.

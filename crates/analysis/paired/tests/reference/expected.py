@@ -164,7 +164,7 @@ def example(level):
     tasks = sorted({key[:2] for key in rows})
     configs = sorted({key[3] for key in rows})
     return [
-        np.array([[rows[*task, column, config] for column in columns] for config in configs])
+        np.array([[rows[(*task, column, config)] for column in columns] for config in configs])
         for task in tasks
     ]
 

@@ -7,7 +7,6 @@ values in it, as JSON: {"camera": ["boolean", ["bool"]], ...}.
 import json
 import sys
 
-import pandas
 import pyarrow.parquet
 
 frame = pyarrow.parquet.read_table(sys.argv[1]).to_pandas()

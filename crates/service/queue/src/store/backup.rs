@@ -1,7 +1,8 @@
 //! Backup of the database while it is in use: one consistent view, compacted, without stopping the
 //! writer.
 
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::Path;
 
 use tempfile::TempPath;
 
@@ -16,8 +17,8 @@ pub(crate) async fn copy(store: &Store) -> Result<TempPath, StoreError> {
     remove_leftover(store.folder());
     let mut reader = store.reader().await?;
     // Also removes an incomplete copy.
-    let copy = TempPath::try_from_path(place(store));
-    let copy = copy.map_err(sqlx::Error::Io).doing("copy the database")?;
+    let copy = place(store).map_err(sqlx::Error::Io);
+    let copy = copy.doing("copy the database")?;
     sqlx::query("VACUUM INTO ?")
         .bind(copy.display().to_string())
         .execute(&mut *reader)
@@ -28,11 +29,16 @@ pub(crate) async fn copy(store: &Store) -> Result<TempPath, StoreError> {
 
 /// Returns the path of the copy: in the data folder, whose disk is expected to have room, or among
 /// temporary files if the data folder is gone.
-fn place(store: &Store) -> PathBuf {
-    match store.is_in_place() {
-        true => store.folder().join(BACKUP_FILE),
-        false => std::env::temp_dir().join(format!("rollout-{}-{BACKUP_FILE}", std::process::id())),
+fn place(store: &Store) -> io::Result<TempPath> {
+    if store.is_in_place() {
+        return TempPath::try_from_path(store.folder().join(BACKUP_FILE));
     }
+    // Others can write there: an empty file of this user's, under a name that nobody can foresee.
+    let copy = tempfile::Builder::new()
+        .prefix("rollout-")
+        .suffix(BACKUP_FILE)
+        .tempfile()?;
+    Ok(copy.into_temp_path())
 }
 
 /// Removes the incomplete copy of a process that was killed.

@@ -4,9 +4,11 @@ use std::collections::HashMap;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::ops::ControlFlow;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use flate2::read::DeflateDecoder;
+use rustix::fs::OFlags;
 use sha2::{Digest, Sha256};
 
 use crate::error::{AssetsError, write_error};
@@ -17,8 +19,6 @@ use crate::verify::{VerifiedFolder, hex};
 
 /// Failed tries after which a fetch is given up.
 pub(super) const MAX_TRIES: u32 = 5;
-/// A try that received less than this counts as failed.
-pub(super) const GAIN_BYTES: u64 = 1 << 20;
 /// Files with gaps up to this size between them are requested together.
 const MAX_GAP_BYTES: u64 = 1 << 18;
 /// Size of a read.
@@ -76,7 +76,7 @@ impl<'a> Receiver<'a> {
         show: &mut Show<'_>,
     ) -> Result<(), RequestError> {
         let first = self.parcel.members[self.done];
-        let have = size(&self.part(&first));
+        let have = received(&self.part(&first));
         if have >= first.stored {
             // An earlier fetch ended between the last byte and the rename.
             return self.finish(&first, progress, show);
@@ -126,12 +126,16 @@ impl<'a> Receiver<'a> {
         show: &mut Show<'_>,
     ) -> Result<(), RequestError> {
         let path = self.part(member);
-        let mut have = size(&path);
+        let mut have = received(&path);
         let failed = |source| RequestError::Final(write_error(&path, source));
         let mut block = vec![0; BLOCK_BYTES];
         let skip = (member.offset + have).saturating_sub(stream.position);
         self.read(stream, skip, &mut block, |_| tell(show, *progress))?;
-        let file = OpenOptions::new().create(true).append(true).open(&path);
+        let file = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .custom_flags(no_links())
+            .open(&path);
         let mut file = file.map_err(failed)?;
         let missing = member.stored.saturating_sub(have);
         let mut gained = 0;
@@ -241,7 +245,11 @@ impl<'a> Receiver<'a> {
 
 /// Unpacks a received file and describes how it differs from the table, if it does.
 fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<String>, AssetsError> {
-    let source = File::open(part).map_err(|source| AssetsError::Read {
+    let source = OpenOptions::new()
+        .read(true)
+        .custom_flags(no_links())
+        .open(part);
+    let source = source.map_err(|source| AssetsError::Read {
         path: part.to_owned(),
         source,
     })?;
@@ -250,7 +258,9 @@ fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<Strin
         false => Box::new(source),
     };
     let failed = |source| write_error(whole, source);
-    let mut file = File::create(whole).map_err(failed)?;
+    // An earlier fetch may have been killed here. A link that lies here is not followed.
+    let _ = fs::remove_file(whole);
+    let mut file = File::create_new(whole).map_err(failed)?;
     let mut hash = Sha256::new();
     let mut bytes = 0;
     let mut block = vec![0; BLOCK_BYTES];
@@ -285,7 +295,21 @@ fn tell(show: &mut Show<'_>, progress: Progress) -> Result<(), RequestError> {
     }
 }
 
-/// Returns the size of a file; 0 if there is none.
-fn size(path: &Path) -> u64 {
-    fs::metadata(path).map_or(0, |facts| facts.len())
+/// Refuses symbolic links. Whoever may write into the folder could let them lead to other files of
+/// this user.
+pub(super) fn no_links() -> i32 {
+    OFlags::NOFOLLOW.bits() as i32
+}
+
+/// Returns the size of a partially received file; 0 if there is none. Removes a link, whose target
+/// was not received, and a pipe, which would be waited for.
+fn received(path: &Path) -> u64 {
+    match fs::symlink_metadata(path) {
+        Ok(facts) if !facts.is_file() => {
+            // If that fails, opening it fails.
+            let _ = fs::remove_file(path);
+            0
+        }
+        facts => facts.map_or(0, |facts| facts.len()),
+    }
 }

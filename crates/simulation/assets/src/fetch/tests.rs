@@ -4,9 +4,11 @@ mod test_index;
 
 use std::env;
 use std::net::TcpListener;
+use std::os::unix::fs::symlink;
 use std::path::PathBuf;
 use std::process::{Command, Output};
 use std::thread;
+use std::time::Instant;
 
 use tempfile::TempDir;
 
@@ -243,6 +245,101 @@ fn a_stalled_answer_is_given_up_and_a_slow_one_is_not() {
     done.outcome.expect("the files");
     assert_eq!(done.pauses, 0);
     check_whole(&into);
+}
+
+#[test]
+fn an_index_that_sends_byte_by_byte_is_given_up() {
+    for fault in [Fault::DripsPages, Fault::DripsWheels] {
+        let (_folder, into) = place();
+        let index = TestIndex::start(fault);
+        let short = Deadlines {
+            page: Duration::from_millis(500),
+            gain: Duration::from_millis(500),
+            ..deadlines()
+        };
+        let origin = Origin::index(&index.url(), short).expect("a URL");
+        let begun = Instant::now();
+        let done = fetch_from(&origin, index.table(), &into);
+        assert_eq!(done.pauses, 4, "{fault:?}");
+        // The bytes of a page or wheel would take longer than five tries.
+        let took = begun.elapsed();
+        assert!(took < Duration::from_secs(10), "{fault:?}: {took:?}");
+        let error = done.error();
+        assert!(error.contains("tried 5 times"), "{error}");
+        let why = match fault {
+            Fault::DripsPages => "it does not answer in time",
+            _ => "it is too slow",
+        };
+        assert!(error.contains(why), "{error}");
+        check_nothing_half(&into);
+    }
+}
+
+#[test]
+fn links_in_the_folder_of_received_files_are_not_followed() {
+    let (folder, into) = place();
+    let index = TestIndex::start(Fault::None);
+    let sha256_of = |path| index.table().get(path).expect("in the table").sha256;
+    let sha256 = sha256_of(SMALL);
+    let incoming = into.join(INCOMING);
+    fs::create_dir_all(&incoming).expect("a folder");
+    for ending in ["part", "whole"] {
+        let other = folder.path().join(ending);
+        fs::write(&other, "of somebody").expect("writes");
+        let link = incoming.join(format!("{sha256}-deflated.{ending}"));
+        symlink(&other, link).expect("a link");
+    }
+    // Whoever opens a pipe waits for its other end.
+    let pipe = incoming.join(format!("{}-deflated.part", sha256_of(OTHER)));
+    let made = Command::new("mkfifo").arg(pipe).status();
+    assert!(made.expect("mkfifo runs").success());
+    fetch(&index, &into).outcome.expect("the files");
+    check_whole(&into);
+    for ending in ["part", "whole"] {
+        let found = fs::read_to_string(folder.path().join(ending)).expect("reads");
+        assert_eq!(found, "of somebody", "{ending}");
+    }
+
+    let lock = into.join(LOCK);
+    fs::remove_file(&lock).expect("was there");
+    symlink(folder.path().join("new"), &lock).expect("a link");
+    fs::remove_file(into.join(SMALL)).expect("was there");
+    let error = fetch(&index, &into).error();
+    assert!(error.contains(LOCK), "{error}");
+    assert!(!folder.path().join("new").exists());
+}
+
+#[test]
+fn a_file_that_is_swapped_is_noticed_even_if_its_time_is_set_back() {
+    let (_folder, into) = place();
+    let index = TestIndex::start(Fault::None);
+    fetch(&index, &into).outcome.expect("the files");
+    let verified = VerifiedFolder::new(index.table(), &into);
+    let small = index.table().get(SMALL).expect("in the table");
+    verified.verify(small).expect("sound");
+    let path = into.join(SMALL);
+    let modified = fs::metadata(&path).expect("there").modified();
+    let modified = modified.expect("a time");
+    let mut other = content(SMALL);
+    other[3] ^= 1;
+    // File systems count time in ticks.
+    thread::sleep(Duration::from_millis(50));
+    let swap = |into: &Path| {
+        fs::write(into, &other).expect("writes");
+        let file = File::options().write(true).open(into).expect("opens");
+        file.set_modified(modified).expect("sets it");
+    };
+    swap(&path);
+    let found = verified.verify(small);
+    assert!(matches!(found, Err(Difference::Content)), "{found:?}");
+
+    fs::write(&path, content(SMALL)).expect("writes");
+    verified.verify(small).expect("sound again");
+    let aside = into.join("aside");
+    swap(&aside);
+    fs::rename(&aside, &path).expect("renames");
+    let found = verified.verify(small);
+    assert!(matches!(found, Err(Difference::Content)), "{found:?}");
 }
 
 #[test]

@@ -74,3 +74,91 @@ macro_rules! keep {
 }
 
 each_own_array!(keep);
+
+#[cfg(test)]
+#[allow(unsafe_code, reason = "accesses as MuJoCo makes them")]
+mod tests {
+    use super::*;
+
+    /// Fills each array of a model with numbers that tell the arrays apart.
+    macro_rules! fill {
+        ($($method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {
+            /// The arrays that a model points at.
+            #[derive(Debug, Default, PartialEq)]
+            struct Arrays {
+                $($name: Vec<$kind>,)*
+            }
+
+            impl Arrays {
+                fn of(rows: usize) -> Self {
+                    let mut start = 0.0;
+                    Self {
+                        $($name: {
+                            start += 100.0;
+                            (0..rows * $columns).map(|it| start as $kind + it as $kind).collect()
+                        },)*
+                    }
+                }
+
+                fn model(&mut self, rows: i32) -> mjModel {
+                    // SAFETY: consists of numbers and pointers.
+                    let mut model: mjModel = unsafe { std::mem::zeroed() };
+                    $(
+                        model.$rows = rows;
+                        model.$name = self.$name.as_mut_ptr();
+                    )*
+                    model
+                }
+            }
+
+            /// Adds one to every value through the pointers.
+            fn add_one(model: &mjModel) {
+                $(for index in 0..(model.$rows * $columns) as usize {
+                    // SAFETY: the field points at this many values.
+                    unsafe { *model.$name.add(index) += 1.0 };
+                })*
+            }
+
+            /// Reads every value through the pointers.
+            fn read(model: &mjModel) -> Arrays {
+                Arrays {
+                    // SAFETY: the fields point at this many values.
+                    $($name: unsafe {
+                        values(model.$name.cast_const(), model.$rows * $columns).to_vec()
+                    },)*
+                }
+            }
+        };
+    }
+
+    each_own_array!(fill);
+
+    /// Also a test for Miri, which knows whether a move invalidates the pointers.
+    #[test]
+    fn pointers_outlive_moves_of_the_owner_and_lead_to_copies() {
+        let mut shared = Arrays::of(2);
+        let mut model = shared.model(2);
+        let own = OwnArrays::of(&mut model);
+        let moved = Box::new(own);
+        add_one(&model);
+        let again = std::iter::once(*moved).collect::<Vec<_>>();
+        add_one(&model);
+        let [last] = <[OwnArrays; 1]>::try_from(again).ok().expect("one");
+        let mut expected = Arrays::of(2);
+        let plain = expected.model(2);
+        add_one(&plain);
+        add_one(&plain);
+        assert_eq!(read(&model), read(&plain));
+        assert_eq!(shared, Arrays::of(2), "the shared arrays were written to");
+        drop(last);
+    }
+
+    #[test]
+    fn a_model_without_cameras_and_lights_has_empty_arrays() {
+        let mut none = Arrays::default();
+        let mut model = none.model(0);
+        let own = OwnArrays::of(&mut model);
+        assert_eq!(read(&model), Arrays::default());
+        drop(own);
+    }
+}

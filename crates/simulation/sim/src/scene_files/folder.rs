@@ -151,9 +151,9 @@ impl SceneFolder {
             return Ok(None);
         };
         let failed = |source| failure("read", &path, source);
-        // Held while the scene is mapped. Without locks the file may be removed in the meantime;
-        // the mapping stays valid.
-        let _ = scene.file.lock_shared();
+        // Held while the scene is mapped. Without it the file may be removed in the meantime; the
+        // mapping stays valid. Never waited for: whoever may read the file may lock it for ever.
+        let _ = scene.file.try_lock_shared();
         if scene.file.metadata().map_err(failed)?.nlink() == 0 {
             return Ok(None);
         }

@@ -211,6 +211,22 @@ fn a_writer_that_stands_still_is_not_waited_for() {
 }
 
 #[test]
+fn a_reader_that_locks_a_scene_holds_nobody_up() {
+    let fixture = Fixture::new();
+    fixture.obtain();
+    let locked = File::open(&fixture.files(".scene")[0]).expect("readable");
+    locked.lock().expect("a lock");
+    let folder = SceneFolder::new(&fixture.folder.dir);
+    let (sender, loaded) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let obtained = folder.load(&NAME).expect("reads").expect("is there");
+        sender.send(behaviour(obtained)).expect("awaited");
+    });
+    let behaviour = loaded.recv_timeout(Duration::from_secs(10));
+    assert!(behaviour.expect("it waits for the lock") == fixture.wanted);
+}
+
+#[test]
 fn a_disk_that_is_full_at_any_point_leaves_nothing_half() {
     let fixture = Fixture::new();
     let mut full_at = 0;

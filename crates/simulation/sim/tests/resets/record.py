@@ -11,9 +11,10 @@ import pathlib
 import sys
 
 import numpy as np
+from robosuite.utils.errors import RandomizationError
+
 from libero.libero import get_libero_path
 from libero.libero.envs.env_wrapper import ControlEnv
-from robosuite.utils.errors import RandomizationError
 
 HERE = pathlib.Path(__file__).parent
 ACTION = [0.2, -0.1, 0.15, 0.0, 0.1, 0.0, 1.0]

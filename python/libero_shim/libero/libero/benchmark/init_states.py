@@ -11,6 +11,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import pickletools
 import zipfile
 import zlib
 from typing import Any
@@ -19,6 +20,10 @@ import numpy as np
 
 # LIBERO's largest has some 50 kB.
 _MOST_BYTES = 64 << 20
+# An array takes some sixty operations. `worker` reads as many.
+_MOST_OPERATIONS = 256
+# Python's unpickler keeps notes in a list up to the highest number.
+_MOST_NOTES = 256
 
 
 class _Tensors(Exception):
@@ -50,6 +55,8 @@ class _Array:
         _, shape, dtype, is_fortran, content = self.state
         if not isinstance(dtype, _Dtype) or (dtype.name, dtype.order) != ("f8", "<"):
             raise ValueError("its numbers are not float64")
+        if isinstance(content, _Encoded):
+            content = content.text.encode("latin1")
         if not isinstance(content, bytes) or not isinstance(shape, tuple):
             raise ValueError("it is no table of numbers")
         # LIBERO-plus has files with one state, without the dimension of states.
@@ -63,15 +70,18 @@ class _Subclass:
     """The class that an array names, and nothing else."""
 
 
-def _encode(text: str, encoding: str) -> bytes:
-    """Bytes, as pickles of the second protocol write them."""
-    if encoding != "latin1":
-        raise pickle.UnpicklingError(f"it asks for the encoding {encoding}")
-    return text.encode(encoding)
+class _Encoded:
+    """Bytes, as pickles of the second protocol ask for them. Made once they are needed: a
+    pickle may ask for those of one text many times."""
+
+    def __init__(self, text: str, encoding: str) -> None:
+        if encoding != "latin1" or not isinstance(text, str):
+            raise pickle.UnpicklingError(f"it asks for the encoding {encoding}")
+        self.text = text
 
 
 _LETS_IN = {
-    ("_codecs", "encode"): _encode,
+    ("_codecs", "encode"): _Encoded,
     ("numpy", "dtype"): _Dtype,
     ("numpy", "ndarray"): _Subclass,
     ("numpy._core.multiarray", "_reconstruct"): _Array,
@@ -88,6 +98,35 @@ class _Unpickler(pickle.Unpickler):
         return _LETS_IN[module, name]
 
 
+def _check(content: bytes) -> None:
+    """Walks a pickle without obeying it. A few bytes can ask for a list of notes of any size.
+
+    Raises _Tensors; ValueError if it has more operations or notes than an array takes.
+    """
+    for count, (operation, argument, _) in enumerate(pickletools.genops(content), 1):
+        if operation.name == "GLOBAL" and str(argument).startswith("torch"):
+            raise _Tensors
+        if count > _MOST_OPERATIONS:
+            raise ValueError(f"its pickle has more than {_MOST_OPERATIONS} operations")
+        is_note = operation.name in ("PUT", "BINPUT", "LONG_BINPUT")
+        if is_note and not 0 <= int(argument) < _MOST_NOTES:
+            raise ValueError(f"its pickle takes note {argument} of {_MOST_NOTES}")
+
+
+def _pickle_in(path: str | os.PathLike[str]) -> bytes:
+    """The pickle in a file."""
+    with zipfile.ZipFile(path) as archive:
+        member = next(one for one in archive.infolist() if one.filename.endswith("/data.pkl"))
+        # A read unpacks whole blocks of other methods, whatever it asks for.
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError("its pickle is neither stored nor deflated")
+        with archive.open(member) as packed:
+            content = packed.read(_MOST_BYTES + 1)
+    if len(content) > _MOST_BYTES:
+        raise ValueError(f"its pickle is larger than {_MOST_BYTES >> 20} MiB")
+    return content
+
+
 def load_init_states(path: str | os.PathLike[str]) -> Any:
     """The states of a `.pruned_init` or `.init` file: a float64 array [states, numbers],
     or the numbers of one state.
@@ -99,12 +138,8 @@ def load_init_states(path: str | os.PathLike[str]) -> Any:
     PyTorch and there is none.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            member = next(name for name in archive.namelist() if name.endswith("/data.pkl"))
-            with archive.open(member) as packed:
-                content = packed.read(_MOST_BYTES + 1)
-        if len(content) > _MOST_BYTES:
-            raise ValueError(f"its pickle is larger than {_MOST_BYTES >> 20} MiB")
+        content = _pickle_in(path)
+        _check(content)
         found = _Unpickler(io.BytesIO(content)).load()
         if not isinstance(found, _Array):
             raise ValueError("its pickle is no array")

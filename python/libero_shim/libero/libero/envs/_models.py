@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rollout_libero._native import Scene
 
 from libero._absent import absent_attribute
 from libero.libero.envs._sim import MjModel
+from rollout_libero._native import Scene
 
 
 @dataclass(frozen=True)

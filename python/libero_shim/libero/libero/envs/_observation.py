@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from rollout_libero._native import Look, Scene
 
 from libero.libero.envs._lazy import Observation, Undrawn
 from libero.libero.envs._models import TaskModel
 from libero.libero.envs._rotations import relative_poses
 from libero.libero.envs._settings import Camera
 from libero.libero.envs._simulation import Held
+from rollout_libero._native import Look, Scene
 
 _ROBOT = "robot0"
 #: MuJoCo's numbers of types.
@@ -41,12 +41,19 @@ class Observer:
     """Reads what the simulation observed last, once for each observation, and draws what is
     read of it."""
 
-    def __init__(self, held: Held, cameras: tuple[Camera, ...], model: TaskModel) -> None:
+    def __init__(
+        self,
+        held: Held,
+        cameras: tuple[Camera, ...],
+        model: TaskModel,
+        unused: Collection[str] = (),
+    ) -> None:
+        """Frames of `unused` cameras are zeros, which nothing draws."""
         self._held = held
         self._objects = [(one.name, one.root_body) for one in model.objects.values()]
         self._pictures: dict[str, Callable[[Look], NDArray[Any]]] = {}
         for camera in cameras:
-            self._add(camera, model)
+            self._add(camera, model, is_used=camera.name not in unused)
         proprioception = [f"{_ROBOT}_{name}" for name in _PROPRIOCEPTION]
         poses = [
             f"{name}_{what}"
@@ -62,7 +69,7 @@ class Observer:
         self._left_out: set[str] = set()
         self._undrawn: dict[str, Undrawn] = {}
         self._look: Look | None = None
-        self._cameras = cameras
+        self._cameras = tuple(camera for camera in cameras if camera.name not in unused)
         self._read: dict[str, NDArray[Any]] = {}
 
     @property
@@ -136,15 +143,22 @@ class Observer:
             self._undrawn[name] = Undrawn(partial(self._pictures[name], self._look))
         return self._undrawn[name]
 
-    def _add(self, camera: Camera, model: TaskModel) -> None:
+    def _add(self, camera: Camera, model: TaskModel, *, is_used: bool) -> None:
         name, width, height = camera.name, camera.width, camera.height
-        self._pictures[f"{name}_image"] = lambda look: look.frame(name, width, height)
+        image, depth = f"{name}_image", f"{name}_depth"
+        segmentations = {kind: f"{name}_segmentation_{kind}" for kind in camera.segmentations}
+        if not is_used:
+            self._pictures[image] = lambda look: np.zeros((height, width, 3), np.uint8)
+            if camera.depth:
+                self._pictures[depth] = lambda look: np.zeros((height, width, 1), np.float32)
+            for key in segmentations.values():
+                self._pictures[key] = lambda look: np.zeros((height, width, 1), np.int32)
+            return
+        self._pictures[image] = lambda look: look.frame(name, width, height)
         if camera.depth:
-            self._pictures[f"{name}_depth"] = lambda look: look.depth(name, width, height)[
-                ..., np.newaxis
-            ]
-        for kind in camera.segmentations:
-            self._pictures[f"{name}_segmentation_{kind}"] = _segmentation(camera, kind, model)
+            self._pictures[depth] = lambda look: look.depth(name, width, height)[..., np.newaxis]
+        for kind, key in segmentations.items():
+            self._pictures[key] = _segmentation(camera, kind, model)
 
 
 def _segmentation(

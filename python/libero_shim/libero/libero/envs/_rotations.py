@@ -52,8 +52,8 @@ def quaternions_of(rotations: F64) -> F32:
     m = rotations.astype(np.float32)
     k = np.zeros((len(m), 4, 4), dtype=np.float32)
     # The lower triangles are enough: x, y, z, w.
-    for i, (j, l) in enumerate(((1, 2), (0, 2), (0, 1))):
-        k[:, i, i] = m[:, i, i] - m[:, j, j] - m[:, l, l]
+    for i, (j, n) in enumerate(((1, 2), (0, 2), (0, 1))):
+        k[:, i, i] = m[:, i, i] - m[:, j, j] - m[:, n, n]
     k[:, 1, 0] = m[:, 0, 1] + m[:, 1, 0]
     k[:, 2, 0] = m[:, 0, 2] + m[:, 2, 0]
     k[:, 2, 1] = m[:, 1, 2] + m[:, 2, 1]

@@ -41,7 +41,8 @@ class ReadOnlyArray(np.ndarray):
     def __setitem__(self, key: Any, value: Any) -> None:
         if not self.flags.writeable:
             raise ValueError(
-                f"this is a copy of the simulation's array, which cannot be written to: {self._remedy}"
+                "this is a copy of the simulation's array, which cannot be written to: "
+                f"{self._remedy}"
             )
         super().__setitem__(key, value)
 

@@ -6,11 +6,11 @@ import os
 import threading
 
 import numpy as np
+
+from libero.libero.paths import get_assets_path
 from rollout_libero import ClosedError
 from rollout_libero._native import Scene, Simulation
 from rollout_libero.scenes import scene
-
-from libero.libero.paths import get_assets_path
 
 __all__ = ["ClosedError", "Held"]
 

@@ -16,6 +16,7 @@ from libero.libero.envs._robot import Robot
 from libero.libero.envs._settings import Settings, existing_file
 from libero.libero.envs._sim import MjSim
 from libero.libero.envs._simulation import Held
+from libero.libero.envs._unused import unused_cameras
 
 F64 = NDArray[np.float64]
 
@@ -88,7 +89,8 @@ class BDDLBaseDomain:
             for one in self.model.mujoco_objects
         }
         self.obj_of_interest: list[str] = self.parsed_problem["obj_of_interest"]
-        self._observer = Observer(self._held, settings.cameras, self.model)
+        unused = unused_cameras(self.sim.model.camera_names)
+        self._observer = Observer(self._held, settings.cameras, self.model, unused)
         #: Control steps since the reset, and whether the horizon has been reached.
         self.timestep = 0
         self.done = False

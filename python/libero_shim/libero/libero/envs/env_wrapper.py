@@ -101,7 +101,8 @@ class ControlEnv:
         self.language_instruction = info["language_instruction"]
         if self.problem_name not in TASK_MAPPING:
             raise ValueError(
-                f"{file} is of the problem `{self.problem_name}`: known are {', '.join(TASK_MAPPING)}"
+                f"{file} is of the problem `{self.problem_name}`: known are "
+                f"{', '.join(TASK_MAPPING)}"
             )
         self._env: BDDLBaseDomain | None = TASK_MAPPING[self.problem_name](
             file, controller_configs=controller_config(controller), **arguments

