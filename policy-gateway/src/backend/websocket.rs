@@ -123,6 +123,11 @@ impl Server {
             Ok(Err(_)) => return Err(self.absent().await),
             Err(_) => return Err(self.unreachable(Found::NoAnswer)),
         };
+        let checked = match self.place.uri().parse() {
+            Ok(uri) => self.access.check_connection(&uri, &stream),
+            Err(_) => Err(Found::UnknownHost),
+        };
+        checked.map_err(|found| self.unreachable(found))?;
         let greeting = async {
             let socket = match self.shake_hands(stream).await {
                 Ok(socket) => socket,
