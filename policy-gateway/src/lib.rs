@@ -31,6 +31,7 @@ pub mod referee;
 pub mod route;
 pub mod service;
 pub mod sessions;
+pub mod told;
 
 /// Time limit for queries in flight at shutdown.
 pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
