@@ -340,10 +340,10 @@ async fn judge(
     })
 }
 
-/// Prints a line. Ignores a closed pipe (`| head`), because the exit code still reports the
+/// Prints a line, without control sequences: servers choose parts of it. Ignores a closed pipe (`| head`), because the exit code still reports the
 /// outcome.
 fn say(line: &dyn Display) {
-    drop(writeln!(stdout(), "{line}"));
+    drop(terminal::print_line(&line.to_string()));
 }
 
 #[tokio::main]
