@@ -8,6 +8,7 @@ use std::{
     io::{Write, stdout},
     net::SocketAddr,
     path::{Path, PathBuf},
+    pin::pin,
     process::ExitCode,
 };
 
@@ -389,7 +390,17 @@ async fn serve(
         }
         tracing::info!("stopping: letting the queries under way finish");
     };
-    Ok(policy_gateway::run(gateway, security, listener, shutdown).await?)
+    let mut served = pin!(policy_gateway::run(gateway, security, listener, shutdown));
+    tokio::select! {
+        served = &mut served => return Ok(served?),
+        // Disabled if there is no such task.
+        Some(ended) = reloading.join_next() => tracing::error!(
+            "SIGHUP no longer reads the configuration again, because {}; restart the gateway when \
+             no rollout is under way",
+            ended.map_or_else(|error| error.to_string(), |()| "no signal comes any more".to_owned())
+        ),
+    }
+    Ok(served.await?)
 }
 
 /// Reloads the configuration at every SIGHUP. An invalid one is logged and ignored.
