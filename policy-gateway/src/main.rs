@@ -420,3 +420,22 @@ async fn reload(gateway: Gateway, file: PathBuf, mut hangups: Signal) {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "../../crates/support/terminal/tests/helps/mod.rs"]
+mod helps;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn short_help_fits_a_screen() {
+        let helps = helps::check(Arguments::command());
+        let check = helps
+            .iter()
+            .find(|help| help.words == "policy-gateway check");
+        let check = check.expect("a command");
+        assert!(check.short.len() < check.long.len(), "{}", check.short);
+    }
+}
