@@ -370,6 +370,8 @@ mod tests {
             text.lines().all(|line| line.chars().count() <= 100),
             "{text}"
         );
+        // Beside the log's first lines, it fits a terminal.
+        assert!(text.lines().count() <= 24, "{text}");
         let usual = ready(&arguments, "127.0.0.1:7411", "127.0.0.1:7412");
         assert!(!usual.contains("--connect"), "{usual}");
     }
