@@ -341,8 +341,8 @@ async fn judge(
     })
 }
 
-/// Prints a line, without control sequences: servers choose parts of it. Ignores a closed pipe (`| head`), because the exit code still reports the
-/// outcome.
+/// Prints a line, without control sequences, because servers choose parts of it. Ignores a closed
+/// pipe (`| head`), because the exit code still reports the outcome.
 fn say(line: &dyn Display) {
     drop(terminal::print_line(&line.to_string()));
 }
