@@ -226,38 +226,19 @@ async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
 }
 
 #[cfg(test)]
+#[path = "../../crates/support/terminal/tests/helps/mod.rs"]
+mod helps;
+
+#[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Most lines that `-h` may print.
-    const MAX_SHORT_LINES: usize = 45;
-
-    /// Collects the commands without subcommands, each with its full invocation.
-    fn leaves(command: &clap::Command, words: &str, found: &mut Vec<(String, clap::Command)>) {
-        let visible = |it: &&clap::Command| !it.is_hide_set() && it.get_name() != "help";
-        let mut commands = command.get_subcommands().filter(visible).peekable();
-        if commands.peek().is_none() {
-            found.push((words.to_owned(), command.clone()));
-        }
-        for command in commands {
-            leaves(command, &format!("{words} {}", command.get_name()), found);
-        }
-    }
 
     /// Regression: `campaign create` printed 61 ungrouped lines for `-h` and `--help` alike.
     #[test]
     fn short_help_fits_a_screen_and_groups_what_every_command_has() {
-        let mut found = Vec::new();
-        leaves(&Arguments::command(), "coordinator", &mut found);
-        assert!(found.len() > 20, "{}", found.len());
-        for (words, mut command) in found {
-            let short = command.render_help().to_string();
-            let lines = short.lines().count();
-            assert!(
-                lines <= MAX_SHORT_LINES,
-                "`{words} -h` has {lines} lines:\n{short}"
-            );
-            let long = command.render_long_help().to_string();
+        let helps = helps::check(Arguments::command());
+        assert!(helps.len() > 20, "{}", helps.len());
+        for helps::Help { words, short, long } in helps {
             if long.contains("--retry-secs") {
                 assert!(long.contains("\nConnection:\n"), "{words}: {long}");
                 assert!(!short.contains("--retry-secs"), "{words}: {short}");

@@ -297,6 +297,10 @@ def test_a_description_that_cannot_be_true_is_refused_when_it_is_made():
         Description(name="p", horizon=2000)
     with pytest.raises(ValueError, match="setting 'revision' is 3;.* are texts"):
         Description(name="p", settings={"revision": 3})
+    with pytest.raises(ValueError, match="checkpoint has 513 bytes, and results hold 512"):
+        Description(name="p", checkpoint="x" * 513)
+    with pytest.raises(ValueError, match="a reading is named twice"):
+        Description(name="p", state=(State.EEF_POS, State.EEF_POS))
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,8 @@ use std::{
 
 use rollout_types::Waits;
 
+use crate::told::told;
+
 /// Waits for a server that could not be reached: one that recovers is in use again within the
 /// longest wait.
 pub const WAITS: Waits = Waits {
@@ -82,6 +84,19 @@ impl Cause {
         match self {
             Self::Unreachable(_) => WAITS,
             _ => SICK_WAITS,
+        }
+    }
+
+    /// Returns the cause with its text as [`told`], so that what is kept of it and logged is small.
+    pub fn told(self) -> Self {
+        match self {
+            Self::Unreachable(why) => Self::Unreachable(told(&why)),
+            Self::Misplaced(why) => Self::Misplaced(told(&why)),
+            Self::Distrust(error) => Self::Distrust(told(&error)),
+            Self::Disagrees(difference) => Self::Disagrees(told(&difference)),
+            Self::Silent => Self::Silent,
+            Self::Repeats(error) => Self::Repeats(told(&error)),
+            Self::Broken(error) => Self::Broken(told(&error)),
         }
     }
 
@@ -232,11 +247,11 @@ impl Health {
     /// is out because of it, in which case the error is the server's fault and not the task's.
     pub fn erred(&mut self, error: &str, task: &str, now: Instant) -> Option<Cause> {
         if is_broken(error) {
-            let cause = Cause::Broken(error.to_owned());
+            let cause = Cause::Broken(told(error));
             self.failed(cause.clone(), now);
             return Some(cause);
         }
-        let alike = comparable(error);
+        let alike = comparable(&told(error));
         match self {
             Self::Up(errors) => {
                 if errors.alike != alike {
@@ -249,7 +264,7 @@ impl Health {
                 if errors.tasks.len() < SAME_ERROR_TASKS {
                     return None;
                 }
-                let cause = Cause::Repeats(error.to_owned());
+                let cause = Cause::Repeats(told(error));
                 self.failed(cause.clone(), now);
                 Some(cause)
             }
@@ -402,6 +417,24 @@ mod tests {
                     prop_assert!(matches!(health, Health::Out(_)));
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_long_error_with_line_feeds_is_kept_in_one_short_line() {
+        let now = Instant::now();
+        let error = format!("{}\n2026-01-01 INFO all is well", "x\n".repeat(1 << 19));
+        let mut health = Health::default();
+        let causes: Vec<_> = ["a", "b", "c"]
+            .into_iter()
+            .filter_map(|task| health.erred(&error, task, now))
+            .collect();
+        let broken = Health::default().erred(&format!("CUDA error\n{error}"), "a", now);
+        let causes: Vec<_> = causes.into_iter().chain(broken).collect();
+        assert_eq!(causes.len(), 2);
+        for cause in causes {
+            let text = cause.to_string();
+            assert!(text.len() < 5_000 && !text.contains('\n'), "{text}");
         }
     }
 

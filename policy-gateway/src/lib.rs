@@ -9,13 +9,14 @@ use std::{convert::Infallible, pin::Pin, time::Duration};
 use proto::policy::policy_server::PolicyServer;
 use thiserror::Error;
 use tokio::{net::TcpListener, sync::oneshot};
-use transport::{Allowed, Incoming, Resource, Role, Security, SecurityError, innermost};
+use transport::{Incoming, Security, SecurityError, innermost};
 
 use crate::{
     http2::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES},
     service::Gateway,
 };
 
+mod access;
 pub mod backend;
 pub mod batch;
 pub mod builtin;
@@ -31,6 +32,7 @@ pub mod referee;
 pub mod route;
 pub mod service;
 pub mod sessions;
+pub mod told;
 
 /// Time limit for queries in flight at shutdown.
 pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
@@ -65,7 +67,7 @@ async fn serve(
 
     let (stopping, stopped) = oneshot::channel::<Infallible>();
     let served = security
-        .server(resource)?
+        .server(access::resource)?
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .max_frame_size(MAX_FRAME_BYTES)
@@ -90,15 +92,6 @@ async fn serve(
             Ok(())
         }
     }
-}
-
-/// Maps request paths to permissions: workers query policies, operators check them. Health checks
-/// need no token, because they often come from outside this system.
-fn resource(path: &str) -> Resource {
-    Resource::Call(match path.starts_with("/grpc.health.v1.Health/") {
-        true => Allowed::Everybody,
-        false => Allowed::OneOf(&[Role::Worker, Role::Operator]),
-    })
 }
 
 /// Reason why a gateway cannot serve.

@@ -8,6 +8,7 @@ use std::{
     io::{Write, stdout},
     net::SocketAddr,
     path::{Path, PathBuf},
+    pin::pin,
     process::ExitCode,
 };
 
@@ -340,10 +341,10 @@ async fn judge(
     })
 }
 
-/// Prints a line. Ignores a closed pipe (`| head`), because the exit code still reports the
-/// outcome.
+/// Prints a line, without control sequences, because servers choose parts of it. Ignores a closed
+/// pipe (`| head`), because the exit code still reports the outcome.
 fn say(line: &dyn Display) {
-    drop(writeln!(stdout(), "{line}"));
+    drop(terminal::print_line(&line.to_string()));
 }
 
 #[tokio::main]
@@ -389,7 +390,17 @@ async fn serve(
         }
         tracing::info!("stopping: letting the queries under way finish");
     };
-    Ok(policy_gateway::run(gateway, security, listener, shutdown).await?)
+    let mut served = pin!(policy_gateway::run(gateway, security, listener, shutdown));
+    tokio::select! {
+        served = &mut served => return Ok(served?),
+        // Disabled if there is no such task.
+        Some(ended) = reloading.join_next() => tracing::error!(
+            "SIGHUP no longer reads the configuration again, because {}; restart the gateway when \
+             no rollout is under way",
+            ended.map_or_else(|error| error.to_string(), |()| "no signal comes any more".to_owned())
+        ),
+    }
+    Ok(served.await?)
 }
 
 /// Reloads the configuration at every SIGHUP. An invalid one is logged and ignored.
@@ -407,5 +418,24 @@ async fn reload(gateway: Gateway, file: PathBuf, mut hangups: Signal) {
                 transport::chain(&*error)
             ),
         }
+    }
+}
+
+#[cfg(test)]
+#[path = "../../crates/support/terminal/tests/helps/mod.rs"]
+mod helps;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn short_help_fits_a_screen() {
+        let helps = helps::check(Arguments::command());
+        let check = helps
+            .iter()
+            .find(|help| help.words == "policy-gateway check");
+        let check = check.expect("a command");
+        assert!(check.short.len() < check.long.len(), "{}", check.short);
     }
 }

@@ -13,7 +13,6 @@ use proto::policy::{
 };
 use tokio::task::JoinSet;
 use tonic::{Request, Response, Status};
-use transport::chain;
 
 use crate::{
     check::MAX_BATCH_QUERIES,
@@ -197,6 +196,6 @@ fn result(answer: Result<InferResponse, RouteError>) -> Result<infer_result::Res
     match answer {
         Ok(response) => Ok(infer_result::Result::Response(response)),
         Err(error) if error.is_outage() => Err(error.into()),
-        Err(error) => Ok(infer_result::Result::Error(chain(&error))),
+        Err(error) => Ok(infer_result::Result::Error(error.words())),
     }
 }

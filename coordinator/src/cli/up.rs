@@ -8,7 +8,6 @@
 //! `up` belongs to `coordinator` because operators already have it: completions, manual pages and
 //! the release archive include it.
 
-use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
@@ -341,9 +340,8 @@ async fn relay(
 }
 
 fn print_prefixed(name: &str, text: &str) {
-    // `eprintln!` would panic if standard error is closed.
     let name = name.strip_prefix("policy-").unwrap_or(name);
-    let _ = writeln!(std::io::stderr(), "{name:<NAME_COLUMNS$} | {text}");
+    terminal::complain(&format!("{name:<NAME_COLUMNS$} | {text}"));
 }
 
 #[cfg(test)]
@@ -372,6 +370,8 @@ mod tests {
             text.lines().all(|line| line.chars().count() <= 100),
             "{text}"
         );
+        // Beside the log's first lines, it fits a terminal.
+        assert!(text.lines().count() <= 24, "{text}");
         let usual = ready(&arguments, "127.0.0.1:7411", "127.0.0.1:7412");
         assert!(!usual.contains("--connect"), "{usual}");
     }

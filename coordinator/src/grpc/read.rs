@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use libero_ctrl::{Axis, Suite, select_tasks};
-use proto::{MAX_MOTION_STEPS, coordinator as wire};
+use proto::{MAX_MOTION_STEPS, MAX_TEXT_BYTES, coordinator as wire};
 use queue::ids::{CampaignName, JobId, JobName, WorkerId, shortened};
 use queue::read::JobFilter;
 use queue::rules::campaign::{Change, PRIORITIES};
@@ -20,8 +20,6 @@ use tonic::Status;
 
 use super::failure::invalid;
 
-/// Longest accepted name or version, bytes.
-const MAX_TEXT_BYTES: usize = 512;
 /// Longest accepted rollout id, bytes.
 const MAX_ROLLOUT_ID_BYTES: usize = 128;
 /// Longest stored error message, bytes; longer ones are truncated.
@@ -395,8 +393,9 @@ fn text(field: &str, value: String) -> Result<String, Status> {
 }
 
 fn settings(given: BTreeMap<String, String>) -> Result<BTreeMap<String, String>, Status> {
-    // The worker adds two settings to the policy's.
-    if given.len() > proto::MAX_SETTINGS + 2 {
+    // The worker adds up to four settings to the policy's: `execute`, `horizon`, and two of the
+    // execution.
+    if given.len() > proto::MAX_SETTINGS + 4 {
         let count = given.len();
         return Err(invalid(format!(
             "`policy_settings` has {count} entries, too many"

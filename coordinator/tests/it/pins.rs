@@ -161,6 +161,30 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
     }
 }
 
+/// A description has 64 settings at most; under real-time chunking a worker adds four.
+#[tokio::test]
+async fn all_settings_of_a_description_are_stored_with_those_of_the_worker() {
+    let bench = Bench::start().await;
+    let execution = "overlap:4,rtc";
+    let spec = with(small_spec("many"), json!({ "execution": execution }));
+    bench.create(&spec).await.expect("created");
+    let mut worker = bench.worker_on("a", "primitives").await;
+    let lease = worker.claim_one().await;
+    let mut report = worker.report(&lease, true);
+    let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
+    settings.clear();
+    let own = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
+    let of_policy = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));
+    settings.extend(
+        own.into_iter()
+            .chain(of_policy)
+            .map(|it| (it, "1".to_owned())),
+    );
+    settings.insert("execution model".to_owned(), execution.to_owned());
+    let (verdict, detail) = worker.commit_request(report).await;
+    assert_eq!(verdict, Verdict::Accepted, "{detail}");
+}
+
 type Replace = fn(&mut Provenance);
 
 fn execute(policy: &mut Provenance) {

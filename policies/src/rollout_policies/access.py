@@ -218,14 +218,14 @@ class TokenGate(grpc.ServerInterceptor):
         if not isinstance(shown, str) or not shown.startswith("Bearer "):
             return self._refusal(
                 grpc.StatusCode.UNAUTHENTICATED,
-                "be let in without a token: name a --token-file (it is sent over https:// and to"
+                "let the caller in without a token: name a --token-file (it is sent over https:// and to"
                 " this machine only)",
             )
         role = self._tokens.role_of(shown[len("Bearer ") :])
         if role is None:
             return self._refusal(
                 grpc.StatusCode.UNAUTHENTICATED,
-                "be let in: the token is none that this server knows",
+                "let the caller in: the token is none that this server knows",
             )
         if role not in ASKING_ROLES:
             return self._refusal(

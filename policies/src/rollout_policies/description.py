@@ -11,6 +11,8 @@ from .proto import policy_pb2 as pb
 PROTOCOL_VERSION = 1
 #: Longest chunk that a policy may declare: twice LIBERO's longest episode.
 MAX_HORIZON = 1040
+#: Longest text of a description, bytes: results hold as much.
+MAX_TEXT_BYTES = 512
 #: Largest message, bytes: as in the gateway and the worker.
 MAX_MESSAGE_BYTES = 32 << 20
 
@@ -151,6 +153,15 @@ class Description:
                 f"policy {self.name!r}: execute is {execute} and horizon {self.horizon};"
                 " 1 <= execute <= horizon must hold"
             )
+        for what in ("name", "checkpoint", "checkpoint_digest"):
+            size = len(getattr(self, what).encode())
+            if size > MAX_TEXT_BYTES:
+                raise ValueError(
+                    f"policy {self.name[:64]!r}: {what} has {size} bytes, and results hold"
+                    f" {MAX_TEXT_BYTES} of it"
+                )
+        if len(set(self.state)) != len(self.state):
+            raise ValueError(f"policy {self.name!r}: a reading is named twice in {self.state}")
         names = [camera.name for camera in self.cameras]
         if len(set(names)) != len(names):
             raise ValueError(f"policy {self.name!r}: one camera is named twice in {names}")

@@ -20,6 +20,9 @@ use transport::{Access, Found, Peer, ServerKind, Settings};
 
 use crate::backend::{BackendError, SETTINGS, grpc::CONNECT_TIMEOUT};
 
+/// Largest message of a server, bytes. The longest chunk of actions has 58 kB, and metadata and
+/// HELLO less; a decoded message takes up to forty times as much memory.
+const MAX_MESSAGE_BYTES: usize = 1 << 20;
 /// Longest wait for handshake and first message: a server may not answer while it computes.
 const GREETING_WITHIN: Duration = Duration::from_secs(30);
 
@@ -123,6 +126,11 @@ impl Server {
             Ok(Err(_)) => return Err(self.absent().await),
             Err(_) => return Err(self.unreachable(Found::NoAnswer)),
         };
+        let checked = match self.place.uri().parse() {
+            Ok(uri) => self.access.check_connection(&uri, &stream),
+            Err(_) => Err(Found::UnknownHost),
+        };
+        checked.map_err(|found| self.unreachable(found))?;
         let greeting = async {
             let socket = match self.shake_hands(stream).await {
                 Ok(socket) => socket,
@@ -162,8 +170,8 @@ impl Server {
             }
         };
         let limits = WebSocketConfig::default()
-            .max_message_size(Some(proto::MAX_MESSAGE_BYTES))
-            .max_frame_size(Some(proto::MAX_MESSAGE_BYTES));
+            .max_message_size(Some(MAX_MESSAGE_BYTES))
+            .max_frame_size(Some(MAX_MESSAGE_BYTES));
         let (socket, _) = client_async_with_config(request, stream, Some(limits)).await?;
         Ok(socket)
     }
@@ -232,6 +240,14 @@ impl Connection {
                 Some(Ok(Message::Text(text))) => return Ok(Received::Text(text.to_string())),
                 // The library answers pings.
                 Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => {}
+                Some(Err(tungstenite::Error::Capacity(_))) => {
+                    return Err(BackendError::Policy {
+                        message: format!(
+                            "it sent a message of more than {} MiB, and actions take a few kB",
+                            MAX_MESSAGE_BYTES >> 20
+                        ),
+                    });
+                }
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(self.lost()),
             }
         }

@@ -202,3 +202,50 @@ fn fail(
         drop(asker.send(Err(error.clone())));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::{fmt, sync::atomic::AtomicBool};
+
+    use proto::policy::{DescribeResponse, ResetRequest};
+
+    use super::*;
+
+    /// A back-end that panics at its first batch.
+    #[derive(Default)]
+    struct Panicking(AtomicBool);
+
+    impl fmt::Display for Panicking {
+        fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("panicking")
+        }
+    }
+
+    #[tonic::async_trait]
+    impl Backend for Panicking {
+        async fn describe(&self, _: &str) -> Result<DescribeResponse, BackendError> {
+            Ok(DescribeResponse::default())
+        }
+
+        async fn reset(&self, _: ResetRequest) -> Result<(), BackendError> {
+            Ok(())
+        }
+
+        async fn infer(&self, _: InferRequest) -> Result<InferResponse, BackendError> {
+            assert!(self.0.swap(true, Ordering::Relaxed), "the first batch");
+            Ok(InferResponse::default())
+        }
+    }
+
+    #[tokio::test]
+    async fn a_batch_whose_task_panics_is_lost_uncharged_and_the_next_one_is_answered() {
+        let backend = Arc::new(Panicking::default());
+        let patience = Duration::from_secs(60);
+        let batcher = Batcher::new(backend, Arc::default(), patience);
+        let lost = batcher.infer(InferRequest::default(), 2, patience).await;
+        let lost = lost.expect_err("its batch panicked");
+        assert!(matches!(lost, BackendError::BatchLost) && lost.is_outage());
+        let next = batcher.infer(InferRequest::default(), 2, patience).await;
+        next.expect("the batcher goes on");
+    }
+}

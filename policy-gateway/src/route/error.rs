@@ -9,6 +9,7 @@ use transport::{chain, is_outage_code};
 
 use crate::{
     backend::BackendError, config::RouteName, held::MAX_HELD_BYTES, sessions::MAX_SESSION_BYTES,
+    told::told,
 };
 
 /// Reason why a route did not answer.
@@ -130,8 +131,15 @@ impl RouteError {
     }
 }
 
+impl RouteError {
+    /// Returns the error and its causes in one line, shortened as [`told`].
+    pub fn words(&self) -> String {
+        told(&chain(self))
+    }
+}
+
 impl From<RouteError> for Status {
     fn from(error: RouteError) -> Self {
-        Self::new(error.code(), chain(&error))
+        Self::new(error.code(), error.words())
     }
 }

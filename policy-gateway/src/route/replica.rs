@@ -24,6 +24,7 @@ use crate::{
     config::{AccessFiles, BackendSpec, Batching, RouteSpec, UnusableBackend},
     health::{Answered, Call, Cause, Health},
     pace::{Silent, Watch},
+    told::told,
 };
 
 /// Concurrent single queries per server. The server computes them one by one; queries waiting
@@ -200,6 +201,7 @@ impl Replica {
             fault,
         })?;
         if let Err(difference) = agrees(&described) {
+            let difference = told(&difference);
             self.lost(Cause::Disagrees(difference.clone()));
             return Err(BackendError::Disagrees { difference });
         }
@@ -385,6 +387,7 @@ impl Replica {
     }
 
     fn lost(&self, cause: Cause) {
+        let cause = cause.told();
         if self.health().failed(cause.clone(), Instant::now()) {
             self.log_loss(&cause);
         }

@@ -3,9 +3,9 @@
 //! server is the program itself.
 
 use std::{
-    io::Read,
+    io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
-    process::{Child, Stdio},
+    process::{Child, Command, Stdio},
 };
 
 use policy_gateway::config;
@@ -174,4 +174,59 @@ async fn over_websocket_too_only_a_server_of_the_given_authority_is_trusted() {
         assert!(trusted.message().contains("cannot reach"), "{trusted}");
     }
     drop(server.log());
+}
+
+/// A program of another user that listens on a free port of the loopback and counts the bytes
+/// that it is sent.
+const STRANGER: &str = "
+import os, socket
+os.setuid(4242)
+listener = socket.create_server(('127.0.0.1', 0))
+print('listening on 127.0.0.1:%d' % listener.getsockname()[1], flush=True)
+while True:
+    if connection := listener.accept()[0]:
+        print('got', len(connection.recv(1000)), flush=True)
+";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_token_is_sent_in_the_clear_to_a_server_of_another_user() {
+    if !is_root() {
+        println!("skipped: only root starts programs as another user");
+        return;
+    }
+    let papers = Papers::new();
+    let mut child = Command::new("python3")
+        .args(["-c", STRANGER])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("python3 runs");
+    let mut stdout = BufReader::new(child.stdout.take().expect("stdout is piped"));
+    let mut line = String::new();
+    stdout.read_line(&mut line).expect("a line");
+    let port = line
+        .trim_end()
+        .rsplit(':')
+        .next()
+        .expect("a port")
+        .to_owned();
+    let server = Server { child, port };
+    for scheme in ["grpc", "ws", "vla-eval"] {
+        let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
+        let refused = ask_over(scheme, &server, &ca, &token).await;
+        let refused = refused.expect_err("another user's server");
+        assert_eq!(refused.code(), Code::Unavailable, "{refused}");
+        for part in ["another user of this machine listens there", "speak TLS"] {
+            assert!(refused.message().contains(part), "{part} in {refused}");
+        }
+        let mut got = String::new();
+        stdout.read_line(&mut got).expect("a line");
+        assert_eq!(got.trim_end(), "got 0", "{scheme}");
+    }
+    drop(server.log());
+}
+
+fn is_root() -> bool {
+    let owner = std::fs::metadata("/proc/self").expect("a process");
+    std::os::unix::fs::MetadataExt::uid(&owner) == 0
 }

@@ -17,7 +17,7 @@ use proto::policy::{
 use tokio::{sync::Mutex, task::JoinSet};
 use tonic::{Code, Request, Response, Status};
 
-use crate::support::{chunk, describe, description, infer, reloadable, reset, serve};
+use crate::support::{chunk, describe, description, gateway, infer, reloadable, reset, serve};
 
 /// Largest batch of the simulated server.
 const LARGEST: u32 = 4;
@@ -25,7 +25,7 @@ const LARGEST: u32 = 4;
 const BATCH_TIME: Duration = Duration::from_millis(5);
 
 /// A simulated server of fixed speed. It answers the number in a session's
-/// name, and an error to session 3.
+/// name, an error to session 3, and a long one to session 99.
 struct FixedSpeed {
     computing: Mutex<()>,
     /// Size of the largest batch so far.
@@ -36,6 +36,7 @@ fn answer(request: &InferRequest) -> Result<InferResponse, String> {
     let number: u32 = request.session.parse().map_err(|_| "no number")?;
     match number {
         3 => Err("KeyError: 3".to_owned()),
+        99 => Err(format!("KeyError: 99\n{}", "x".repeat(1 << 20))),
         _ => Ok(chunk(&[number as f32 / 100.0; 7], 7)),
     }
 }
@@ -139,4 +140,23 @@ async fn a_policy_that_is_to_be_asked_one_by_one_is() {
     let (single, deterministic) = ("single".to_owned(), "deterministic".to_owned());
     assert_eq!(play(Batching::Single).await, (1, single));
     assert_eq!(play(Batching::Deterministic).await, (1, deterministic));
+}
+
+/// A status that does not fit its header would count as an outage.
+#[tokio::test]
+async fn an_error_of_a_mebibyte_is_the_policys_and_told_in_part() {
+    let server = serve(FixedSpeed {
+        computing: Mutex::default(),
+        largest: Arc::default(),
+    })
+    .await;
+    let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
+    let mut client = gateway.client().await;
+    client.reset(reset("x", "99")).await.expect("an episode");
+    let status = client.infer(infer("x", "99", 0)).await;
+    let status = status.expect_err("an error");
+    assert_eq!(status.code(), Code::Internal);
+    let text = status.message();
+    assert!(text.contains("KeyError: 99 | xxx"), "{text}");
+    assert!(text.len() < 8 << 10, "{} bytes", text.len());
 }

@@ -3,13 +3,16 @@
 use std::collections::BTreeSet;
 
 use policy_gateway::{backend::recorder::RecordInto, config::RouteSpec};
-use proto::policy::{Image, InferRequest, Observation, StateField, StateReading};
+use proto::policy::{
+    DescribeResponse, Image, InferRequest, Observation, Setting, StateField, StateReading,
+};
 use serde_json::Value;
+use tonic::Status;
 
 use crate::{
     planted::{Planted, SIDE, hash, upside_down},
     program::program,
-    support::{Running, infer, reloadable, reset, serve},
+    support::{Running, Scripted, description, infer, reloadable, reset, serve},
 };
 
 struct Ended {
@@ -242,5 +245,47 @@ async fn recorded_observations_are_shown_in_place_of_made_up_ones() {
         lacking.complained.contains("JOINT_POS"),
         "{}",
         lacking.complained
+    );
+}
+
+/// A text that sets the clipboard, and reads backwards, on terminals that obey it.
+const HOSTILE: &str = "a\u{202e}b\x1b]52;c;cm0gLXJm\x07c\r\u{9b}2K";
+
+/// Says the text wherever a policy can.
+fn hostile() -> Scripted {
+    let described = DescribeResponse {
+        name: HOSTILE.to_owned(),
+        checkpoint: HOSTILE.to_owned(),
+        settings: vec![Setting {
+            name: HOSTILE.to_owned(),
+            value: HOSTILE.to_owned(),
+        }],
+        ..description(HOSTILE, 1)
+    };
+    Scripted::new(described, |_| Err(Status::internal(HOSTILE)))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_command_prints_what_a_terminal_obeys() {
+    let (one, sound) = (serve(hostile()).await, serve(Planted::sound()).await);
+    let (one, sound) = (url(&one), url(&sound));
+    let cases: [&[&str]; 3] = [
+        &["check", &one],
+        &["doctor", &one],
+        &["compare", &sound, &one],
+    ];
+    let mut printed = String::new();
+    for arguments in cases {
+        let ended = ended(arguments).await;
+        assert_eq!(ended.status, Some(1), "{arguments:?}: {}", ended.complained);
+        for text in [&ended.printed, &ended.complained] {
+            let obeyed = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
+            assert!(!text.contains(obeyed), "{arguments:?}: {text:?}");
+        }
+        printed += &ended.printed;
+    }
+    assert!(
+        printed.contains("\u{fffd}]52;c;"),
+        "it was asked: {printed}"
     );
 }

@@ -190,7 +190,7 @@ async fn an_answer_that_is_none_is_named_and_the_episode_is_given_up_where_it_mu
         message("action", map(vec![("actions", array)]), number)
     };
     type Answering = fn(u64) -> Answer;
-    let cases: [(Answering, &str, Code); 7] = [
+    let cases: [(Answering, &str, Code); 8] = [
         (
             |_| Answer::Message(vec![0xdf, 1, 2]),
             "no message of vla-eval's",
@@ -205,6 +205,11 @@ async fn an_answer_that_is_none_is_named_and_the_episode_is_given_up_where_it_mu
         (
             |number| action(vec![0.0.into(); 7], number - 1),
             "without continuous_inference",
+            Code::Unavailable,
+        ),
+        (
+            |number| action(vec![0.into(); 2 << 20], number),
+            "a message of more than 1 MiB",
             Code::Unavailable,
         ),
         // These leave a connection on which the next question can be asked.

@@ -146,8 +146,13 @@ fn checks(messages: &mut Messages) {
         DescriptionFault::FrameSide { .. } => DescriptionFault::FrameSide {
             camera: text(), width: 0, height: 256,
         },
-        DescriptionFault::FramesTooLarge { .. } => DescriptionFault::FramesTooLarge {
-            bytes: 1 << 40,
+        DescriptionFault::Text { .. } => DescriptionFault::Text { field: "checkpoint", bytes: 513 },
+        DescriptionFault::RepeatedStateField { .. } => {
+            DescriptionFault::RepeatedStateField { field: 1 }
+        },
+        DescriptionFault::Cameras { .. } => DescriptionFault::Cameras { count: 9 },
+        DescriptionFault::RepeatedCamera { .. } => DescriptionFault::RepeatedCamera {
+            camera: text(), width: 256, height: 256,
         },
         DescriptionFault::Settings { .. } => DescriptionFault::Settings {
             problem: "names setting `execute` twice".to_owned(),

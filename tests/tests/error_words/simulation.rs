@@ -4,9 +4,7 @@ use assets::AssetsError;
 use libero_ctrl::numpy::LegacyRng;
 use libero_ctrl::{Delays, Execution, NoSuchRow, TooLate};
 use libero_family::corruption::{Corruption, Picture, UnsuitedPicture};
-use libero_family::plus::{ProblemClass, Prompt, UnknownVariant};
-use libero_family::pro::ProSuite;
-use libero_family::protocol::{Benchmark, Protocol};
+use libero_family::plus::{ProblemClass, UnknownVariant};
 use policy_protocol::{ActionFault, DescriptionFault};
 use raster::{DrawError, ModelError};
 use scene::SceneError;
@@ -132,26 +130,11 @@ fn simulator(messages: &mut Messages) {
         "ProblemError",
         ProblemClass::parse("libero_moon").expect_err("none"),
     );
-    messages.add(
-        "UnknownPrompt",
-        "aloud".parse::<Prompt>().expect_err("none"),
-    );
-    messages.add(
-        "UnknownBenchmark",
-        "own".parse::<Benchmark>().expect_err("none"),
-    );
-    messages.add(
-        "UnknownProSuite",
-        "own".parse::<ProSuite>().expect_err("none"),
-    );
-    messages.add(
-        "UnknownProtocol",
-        "own".parse::<Protocol>().expect_err("none"),
-    );
     variants!(messages, UnknownVariant,
+        UnknownVariant::Empty => UnknownVariant::Empty,
+        UnknownVariant::Unchanged(_) => UnknownVariant::Unchanged(text()),
         UnknownVariant::Task(_) => UnknownVariant::Task(text()),
         UnknownVariant::Suffix { .. } => UnknownVariant::Suffix { name: text(), suffix: text() },
-        UnknownVariant::Dimension(_) => UnknownVariant::Dimension(text()),
     );
     variants!(messages, SimError,
         SimError::Scene(_) => SimError::Scene(no_scene()),

@@ -7,7 +7,7 @@ use libero_ctrl::{
 };
 use transport::{
     AccessError, CertificateFault, EndpointError, Found, SecurityError, ServerKind, Settings,
-    TokenError, Trouble,
+    TokenError, Trouble, Untrusted,
 };
 
 use crate::{Messages, io_error, path, text, variants};
@@ -23,6 +23,10 @@ pub(crate) fn add(messages: &mut Messages) {
     for trouble in troubles() {
         messages.add("Trouble", trouble);
     }
+    variants!(messages, Untrusted,
+        Untrusted::AnotherUser => Untrusted::AnotherUser,
+        Untrusted::UnknownUser => Untrusted::UnknownUser,
+    );
     messages.add("EndpointError", EndpointError { given: text() });
     tokens_and_certificates(messages);
     protocol(messages);
@@ -180,6 +184,8 @@ fn troubles() -> Vec<Trouble> {
         Found::Nothing,
         Found::NoAnswer,
         Found::System(io_error().to_string()),
+        Found::AnotherUser,
+        Found::UnknownUser,
         Found::Encrypted,
         Found::Clear,
         Found::OtherTls("received fatal alert: HandshakeFailure".to_owned()),
@@ -243,6 +249,8 @@ fn is_known(found: &Found) {
         | Found::Nothing
         | Found::NoAnswer
         | Found::System(_)
+        | Found::AnotherUser
+        | Found::UnknownUser
         | Found::Encrypted
         | Found::Clear
         | Found::Certificate(_)

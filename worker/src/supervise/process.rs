@@ -2,7 +2,7 @@
 //! its end. The supervisor decides when each happens.
 
 use std::collections::VecDeque;
-use std::io::{self, Write as _};
+use std::io;
 use std::process::{ExitStatus, Stdio};
 
 use tokio::io::{AsyncBufRead, AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWriteExt, BufReader};
@@ -170,8 +170,7 @@ async fn relay(output: Option<impl AsyncRead + Unpin>, slot: usize) -> VecDeque<
     let mut output = BufReader::new(output);
     while let Some(line) = next_line(&mut output, MAX_RELAYED_LINE_BYTES).await {
         let line = String::from_utf8_lossy(&line).into_owned();
-        // `eprintln` would panic if the log's disk is full.
-        let _ = writeln!(io::stderr(), "[slot {slot}] {line}");
+        terminal::complain(&format!("[slot {slot}] {line}"));
         if last.len() == LAST_WORDS {
             last.pop_front();
         }

@@ -5,6 +5,7 @@ use libero_ctrl::Suite;
 use libero_family::plus::{Dimension, Entry, Variant, entry, inventory};
 use libero_family::pro::{ProSuite, STATES};
 use libero_family::protocol::{Benchmark, Protocol};
+use terminal::number;
 
 use super::case::{Case, Subject};
 use super::error::VariantsError;
@@ -25,14 +26,14 @@ pub struct Choice {
     #[arg(long = "dimension", value_name = "NAME,...", value_delimiter = ',')]
     pub dimensions: Vec<Dimension>,
     /// Those of difficulties, 1 to 5; 0: those that have none
-    #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', value_parser = clap::value_parser!(u8).range(0..=5))]
+    #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', value_parser = number(0..=5_u8, ""))]
     pub difficulties: Vec<u8>,
     /// Suites of LIBERO-PRO instead: libero_goal_swap, ..., of each of LIBERO's
     /// four suites _lan, _object, _swap and _task
     #[arg(long = "pro", value_name = "SUITE,...", value_delimiter = ',', conflicts_with_all = ["variants", "suites", "dimensions", "difficulties"])]
     pub pro: Vec<ProSuite>,
     /// Trials of each task of LIBERO-PRO, one from each initial state [default: 50]
-    #[arg(long, value_name = "N", requires = "pro", value_parser = clap::value_parser!(u16).range(1..=i64::from(STATES)))]
+    #[arg(long, value_name = "N", requires = "pro", value_parser = number(1..=STATES, "trials"))]
     pub trials: Option<u16>,
 }
 

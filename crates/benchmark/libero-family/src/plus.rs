@@ -10,6 +10,6 @@ mod variant;
 pub use camera::{CameraPose, View};
 pub use inventory::{Entry, entry, inventory};
 pub use problem::{Assets, ProblemClass, ProblemError, Style};
-pub use prompt::{Prompt, UnknownPrompt};
+pub use prompt::Prompt;
 pub use start::{ROBOTS, start_posture};
 pub use variant::{Change, Dimension, UnknownVariant, Variant};

@@ -4,7 +4,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use libero_ctrl::Suite;
+use libero_ctrl::{Suite, UnknownName};
 
 /// Number of initial states of a task.
 pub const STATES: u16 = 50;
@@ -61,25 +61,20 @@ impl fmt::Display for ProSuite {
 }
 
 impl FromStr for ProSuite {
-    type Err = UnknownProSuite;
+    type Err = UnknownName;
 
-    fn from_str(text: &str) -> Result<Self, UnknownProSuite> {
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
         Self::all()
             .find(|suite| suite.to_string() == text)
-            .ok_or_else(|| UnknownProSuite {
+            .ok_or_else(|| UnknownName {
+                kind: "suite of LIBERO-PRO",
                 given: text.to_owned(),
+                valid:
+                    "libero_spatial, libero_object, libero_goal or libero_10, followed by _lan, \
+                        _object, _swap or _task"
+                        .to_owned(),
             })
     }
-}
-
-/// Error: LIBERO-PRO has no runnable suite of this name.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "read suite `{given}` of LIBERO-PRO: valid are libero_spatial, libero_object, libero_goal or \
-     libero_10, followed by _lan, _object, _swap or _task"
-)]
-pub struct UnknownProSuite {
-    given: String,
 }
 
 #[cfg(test)]

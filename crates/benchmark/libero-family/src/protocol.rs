@@ -4,7 +4,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use libero_ctrl::Suite;
+use libero_ctrl::{Suite, UnknownName};
 
 use crate::plus::Prompt;
 
@@ -47,23 +47,18 @@ impl Benchmark {
 }
 
 impl FromStr for Benchmark {
-    type Err = UnknownBenchmark;
+    type Err = UnknownName;
 
-    fn from_str(text: &str) -> Result<Self, UnknownBenchmark> {
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
         [Self::Plus, Self::Pro]
             .into_iter()
             .find(|benchmark| benchmark.name() == text)
-            .ok_or_else(|| UnknownBenchmark {
+            .ok_or_else(|| UnknownName {
+                kind: "benchmark",
                 given: text.to_owned(),
+                valid: "libero-plus, libero-pro".to_owned(),
             })
     }
-}
-
-/// Error: there is no benchmark of this name.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("read benchmark `{given}`: valid are libero-plus, libero-pro")]
-pub struct UnknownBenchmark {
-    given: String,
 }
 
 /// Settings with which a harness runs a benchmark.
@@ -198,21 +193,16 @@ impl fmt::Display for Protocol {
 }
 
 impl FromStr for Protocol {
-    type Err = UnknownProtocol;
+    type Err = UnknownName;
 
-    fn from_str(text: &str) -> Result<Self, UnknownProtocol> {
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
         PROTOCOLS
             .into_iter()
             .find(|protocol| protocol.name == text)
-            .ok_or_else(|| UnknownProtocol {
+            .ok_or_else(|| UnknownName {
+                kind: "protocol",
                 given: text.to_owned(),
+                valid: PROTOCOLS.map(|protocol| protocol.name).join(", "),
             })
     }
-}
-
-/// Error: there is no protocol of this name.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("read protocol `{given}`: valid are {}", PROTOCOLS.map(|protocol| protocol.name).join(", "))]
-pub struct UnknownProtocol {
-    given: String,
 }

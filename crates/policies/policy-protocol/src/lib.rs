@@ -17,8 +17,16 @@ pub const ACTION_WIDTH: usize = 7;
 pub const MAX_HORIZON: u32 = 1040;
 /// Largest side of a frame that a policy may request, pixels.
 pub const MAX_FRAME_SIDE: u32 = 1024;
+/// Most frames of one observation. All of them, at the largest size, fit a message.
+pub const MAX_CAMERAS: usize = 8;
+const _: () = assert!(
+    MAX_CAMERAS * 3 * (MAX_FRAME_SIDE * MAX_FRAME_SIDE) as usize <= proto::MAX_MESSAGE_BYTES
+);
 /// The cameras of a LIBERO scene.
 pub const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
+
+/// Longest quoted part of a name in a description, characters.
+const QUOTED_CHARS: usize = 64;
 
 /// Largest magnitude of a number in an action. Policies that return millimetres, degrees or
 /// pixels by mistake stay below it; their actions are clipped and counted. Larger numbers
@@ -78,9 +86,9 @@ pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], 
 /// Validates a policy's description of itself.
 ///
 /// # Errors
-/// If the protocol version differs, the name is empty, a rollout cannot execute the horizon or
-/// chunk, a camera or reading does not exist, frames are too large for a message, or settings
-/// cannot be stored in a result.
+/// If the protocol version differs, the name is empty, a text or the settings cannot be stored in a
+/// result, a rollout cannot execute the horizon or chunk, a camera or reading does not exist or is
+/// requested twice, or there are too many or too large frames.
 pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault> {
     let DescribeResponse {
         protocol_version,
@@ -96,26 +104,48 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     if described.name.is_empty() {
         return Err(DescriptionFault::Nameless);
     }
+    for (field, text) in [
+        ("name", &described.name),
+        ("checkpoint", &described.checkpoint),
+        ("checkpoint digest", &described.checkpoint_digest),
+        ("batch mode", &described.batch_mode),
+    ] {
+        if text.len() > proto::MAX_TEXT_BYTES {
+            let bytes = text.len();
+            return Err(DescriptionFault::Text { field, bytes });
+        }
+    }
     if !(1..=MAX_HORIZON).contains(&horizon) {
         return Err(DescriptionFault::Horizon { horizon });
     }
     if !(1..=horizon).contains(&execute) {
         return Err(DescriptionFault::Execute { execute, horizon });
     }
-    for &field in &described.state {
+    // Every reading but `Unspecified` may come once, so this loop is short for any answer.
+    for (place, &field) in described.state.iter().enumerate() {
         if matches!(
             StateField::try_from(field),
             Err(_) | Ok(StateField::Unspecified)
         ) {
             return Err(DescriptionFault::StateField { field });
         }
+        if described.state[..place].contains(&field) {
+            return Err(DescriptionFault::RepeatedStateField { field });
+        }
     }
-    let mut bytes = 0_u64;
-    for camera in &described.cameras {
-        bytes += camera_bytes(camera)?;
+    let count = described.cameras.len();
+    if count > MAX_CAMERAS {
+        return Err(DescriptionFault::Cameras { count });
     }
-    if bytes > proto::MAX_MESSAGE_BYTES as u64 {
-        return Err(DescriptionFault::FramesTooLarge { bytes });
+    for (place, camera) in described.cameras.iter().enumerate() {
+        check_camera(camera)?;
+        if described.cameras[..place].contains(camera) {
+            return Err(DescriptionFault::RepeatedCamera {
+                camera: camera.name.clone(),
+                width: camera.width,
+                height: camera.height,
+            });
+        }
     }
     match described.settings_problem() {
         Some(problem) => Err(DescriptionFault::Settings { problem }),
@@ -123,15 +153,17 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     }
 }
 
-/// Returns the size of a camera's frame, bytes, if the camera exists and the size is allowed.
-fn camera_bytes(camera: &CameraRequest) -> Result<u64, DescriptionFault> {
+/// Checks that a camera exists and that its frame's size is allowed.
+fn check_camera(camera: &CameraRequest) -> Result<(), DescriptionFault> {
     let CameraRequest {
         name,
         width,
         height,
     } = camera;
     if !CAMERAS.contains(&name.as_str()) {
-        return Err(DescriptionFault::Camera { name: name.clone() });
+        return Err(DescriptionFault::Camera {
+            name: name.chars().take(QUOTED_CHARS).collect(),
+        });
     }
     let sides = 1..=MAX_FRAME_SIDE;
     if !sides.contains(width) || !sides.contains(height) {
@@ -141,7 +173,7 @@ fn camera_bytes(camera: &CameraRequest) -> Result<u64, DescriptionFault> {
             height: *height,
         });
     }
-    Ok(3 * u64::from(*width) * u64::from(*height))
+    Ok(())
 }
 
 /// Reason why a response is not a valid chunk of actions. The message is a clause about the
@@ -212,6 +244,17 @@ pub enum DescriptionFault {
     /// The name is empty, so that results could not be attributed.
     #[error("it has no name")]
     Nameless,
+    /// A text is too long for a result.
+    #[error(
+        "its {field} has {bytes} bytes, and results hold {} of it",
+        proto::MAX_TEXT_BYTES
+    )]
+    Text {
+        /// Name of the field.
+        field: &'static str,
+        /// Length of the text, bytes.
+        bytes: usize,
+    },
     /// The horizon is 0, or longer than any episode.
     #[error("its horizon is {horizon}, not within 1..={MAX_HORIZON}")]
     Horizon {
@@ -232,6 +275,28 @@ pub enum DescriptionFault {
         /// The number on the wire.
         field: i32,
     },
+    /// The robot reading is requested twice.
+    #[error("it wants robot reading {field} twice")]
+    RepeatedStateField {
+        /// The number on the wire.
+        field: i32,
+    },
+    /// There are too many frames.
+    #[error("it wants {count} frames per query, and at most {MAX_CAMERAS} are drawn")]
+    Cameras {
+        /// Number of frames as declared.
+        count: usize,
+    },
+    /// The frame is requested twice.
+    #[error("it wants frames of {width}×{height} pixels from camera {camera:?} twice")]
+    RepeatedCamera {
+        /// Name of the camera.
+        camera: String,
+        /// Width as declared.
+        width: u32,
+        /// Height as declared.
+        height: u32,
+    },
     /// The camera is not in the scene.
     #[error("it wants frames of camera {name:?}, and a scene has {}", CAMERAS.join(" and "))]
     Camera {
@@ -250,15 +315,6 @@ pub enum DescriptionFault {
         width: u32,
         /// Height as declared.
         height: u32,
-    },
-    /// An observation would not fit a message.
-    #[error(
-        "it wants {bytes} bytes of frames per query, and a message holds {}",
-        proto::MAX_MESSAGE_BYTES
-    )]
-    FramesTooLarge {
-        /// Size of all frames together.
-        bytes: u64,
     },
     /// The settings cannot be stored in a result.
     #[error("it {problem}")]
@@ -393,8 +449,36 @@ mod tests {
             );
         }
         check(
-            &|it| it.cameras = vec![camera(CAMERAS[0], MAX_FRAME_SIDE, MAX_FRAME_SIDE); 11],
-            DescriptionFault::FramesTooLarge { bytes: 33 << 20 },
+            &|it| it.cameras = (1..=9).map(|side| camera(CAMERAS[0], side, side)).collect(),
+            DescriptionFault::Cameras { count: 9 },
+        );
+        check(
+            &|it| it.cameras[1] = it.cameras[0].clone(),
+            DescriptionFault::RepeatedCamera {
+                camera: CAMERAS[0].to_owned(),
+                width: MAX_FRAME_SIDE,
+                height: MAX_FRAME_SIDE,
+            },
+        );
+        let field = StateField::EefPos.into();
+        check(
+            &|it| it.state = vec![field, StateField::GripperPos.into(), field],
+            DescriptionFault::RepeatedStateField { field },
+        );
+        let (long, bytes) = (|| "x".repeat(513), 513);
+        check(
+            &|it| it.checkpoint = long(),
+            DescriptionFault::Text {
+                field: "checkpoint",
+                bytes,
+            },
+        );
+        check(
+            &|it| it.batch_mode = long(),
+            DescriptionFault::Text {
+                field: "batch mode",
+                bytes,
+            },
         );
         check(
             &|it| it.settings = vec![proto::policy::Setting::default()],

@@ -232,7 +232,13 @@ fn escaped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::future::poll_fn;
+    use std::pin::Pin;
+
+    use tonic::codegen::Body as _;
+
     use super::*;
+    use crate::gate::{NO_TOKEN, OTHER_USER, UNKNOWN_TOKEN};
 
     fn request(version: Version, headers: &[(HeaderName, &str)]) -> Request<()> {
         let mut request = Request::builder()
@@ -309,9 +315,9 @@ mod tests {
         }
     }
 
-    #[test]
-    fn people_are_led_to_the_log_in_and_programs_are_told() {
-        let status = Status::unauthenticated("let you in");
+    #[tokio::test]
+    async fn people_are_led_to_the_log_in_and_programs_are_told() {
+        let status = Status::unauthenticated(NO_TOKEN);
         let person = request(Version::HTTP_11, &[(header::ACCEPT, "text/html,*/*")]);
         let answer = refusal(&status, &person, Some("/login"));
         assert_eq!(answer.status(), StatusCode::SEE_OTHER);
@@ -322,5 +328,14 @@ mod tests {
         assert_eq!(program.headers()[header::WWW_AUTHENTICATE], "Bearer");
         let call = refusal(&status, &person, None);
         assert_eq!(call.status(), StatusCode::UNAUTHORIZED);
+        for message in [NO_TOKEN, UNKNOWN_TOKEN, OTHER_USER] {
+            let refused = refusal(&Status::unauthenticated(message), &person, None);
+            let mut body = refused.into_body();
+            let frame = poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await;
+            let bytes = frame.expect("a text").expect("whole").into_data();
+            let text = String::from_utf8(bytes.expect("data").to_vec()).expect("UTF-8");
+            let expected = "The server refused to let the caller in";
+            assert!(text.starts_with(expected), "{text}");
+        }
     }
 }

@@ -1,25 +1,29 @@
 //! Client credentials: the trusted certificate authority and the token.
 
+use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::task::{Context, Poll};
 
 use clap::Args;
+use hyper_util::rt::TokioIo;
 use tokio::net::TcpStream;
 use tokio_rustls::TlsConnector;
 use tokio_rustls::client::TlsStream;
 use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
 use tokio_rustls::rustls::{ClientConfig, RootCertStore, crypto};
-use tonic::codegen::InterceptedService;
 use tonic::codegen::http::{HeaderValue, Uri};
+use tonic::codegen::{BoxFuture, InterceptedService, Service};
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint};
 use tonic::{Request, Status};
 
+use crate::found::Found;
 use crate::server::{HANDSHAKE_TIMEOUT, SecurityError, read_pem, tokens};
 use crate::token::{Role, Token, TokenError, Tokens};
-use crate::users::Listener;
+use crate::users::check_server;
 
 /// Default port of `http://` addresses.
 const HTTP_PORT: u16 = 80;
@@ -57,8 +61,32 @@ pub type Connection = InterceptedService<Channel, Bearer>;
 #[derive(Clone, Debug)]
 pub struct Bearer {
     value: Option<MetadataValue<Ascii>>,
-    /// Listener to check before the token is sent unencrypted, if it is.
-    listener: Option<Listener>,
+}
+
+/// Connects to servers on this machine, and gives up a connection over which a token may not be
+/// sent unencrypted. A channel connects again whenever a connection breaks, so only the connection
+/// itself can be checked.
+#[derive(Clone, Copy, Debug)]
+struct LocalConnector;
+
+impl Service<Uri> for LocalConnector {
+    type Response = TokioIo<TcpStream>;
+    type Error = Box<dyn Error + Send + Sync>;
+    type Future = BoxFuture<Self::Response, Self::Error>;
+
+    fn poll_ready(&mut self, _: &mut Context<'_>) -> Poll<Result<(), Self::Error>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn call(&mut self, uri: Uri) -> Self::Future {
+        Box::pin(async move {
+            let port = uri.port_u16().unwrap_or(HTTP_PORT);
+            let stream = TcpStream::connect((bare_host(&uri), port)).await?;
+            stream.set_nodelay(true)?;
+            check_server(&stream)?;
+            Ok(TokioIo::new(stream))
+        })
+    }
 }
 
 /// Client credentials that cannot be used. The message follows "failed to …".
@@ -153,7 +181,10 @@ impl Access {
     /// If no certificate can be for the endpoint's host.
     pub fn connect_lazy(&self, endpoint: Endpoint) -> Result<Connection, AccessError> {
         let bearer = self.bearer(endpoint.uri());
-        let channel = self.guarded(endpoint)?.connect_lazy();
+        let channel = match self.shows_token_in_clear(endpoint.uri()) {
+            true => endpoint.connect_with_connector_lazy(LocalConnector),
+            false => self.guarded(endpoint)?.connect_lazy(),
+        };
         Ok(InterceptedService::new(channel, bearer))
     }
 
@@ -168,6 +199,18 @@ impl Access {
             None => tls,
         });
         guarded.map_err(|_| AccessError::Host { host })
+    }
+
+    /// Checks a new connection to `uri`, for protocols other than gRPC, before the token is sent
+    /// over it.
+    ///
+    /// # Errors
+    /// The finding, if the token would be sent unencrypted to another user of this machine.
+    pub fn check_connection(&self, uri: &Uri, connection: &TcpStream) -> Result<(), Found> {
+        match self.shows_token_in_clear(uri) {
+            true => check_server(connection).map_err(Found::from),
+            false => Ok(()),
+        }
     }
 
     /// Opens a TLS connection to `host` for protocols other than gRPC.
@@ -204,7 +247,10 @@ impl Access {
 
     /// Opens a connection now, without a token.
     pub(crate) async fn channel(&self, endpoint: Endpoint) -> Option<Channel> {
-        self.guarded(endpoint).ok()?.connect().await.ok()
+        match self.shows_token_in_clear(endpoint.uri()) {
+            true => endpoint.connect_with_connector(LocalConnector).await.ok(),
+            false => self.guarded(endpoint).ok()?.connect().await.ok(),
+        }
     }
 
     pub(crate) fn has_authority(&self) -> bool {
@@ -230,12 +276,11 @@ impl Access {
         if let Some(value) = &mut value {
             value.set_sensitive(true);
         }
-        let is_clear = value.is_some() && !Access::is_encrypted(uri);
-        let port = uri.port_u16().unwrap_or(HTTP_PORT);
-        Bearer {
-            value,
-            listener: is_clear.then(|| Listener::at(port)),
-        }
+        Bearer { value }
+    }
+
+    fn shows_token_in_clear(&self, uri: &Uri) -> bool {
+        !Access::is_encrypted(uri) && self.token_for(uri).is_some()
     }
 
     fn token_for(&self, uri: &Uri) -> Option<&Token> {
@@ -246,12 +291,6 @@ impl Access {
 
 impl Interceptor for Bearer {
     fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
-        if self.listener.as_ref().is_some_and(|it| !it.is_trusted()) {
-            return Err(Status::permission_denied(
-                "show the token: another user of this machine listens there and would have it; \
-                 stop that program, or serve over TLS (https://)",
-            ));
-        }
         if let Some(value) = &self.value {
             request
                 .metadata_mut()
@@ -281,15 +320,26 @@ fn roots(pem: &[u8]) -> Option<RootCertStore> {
     Some(roots)
 }
 
-fn is_this_machine(uri: &Uri) -> bool {
+/// Returns the host of a URI, an IPv6 address without its brackets.
+fn bare_host(uri: &Uri) -> &str {
     let host = uri.host().unwrap_or_default();
-    let bare = host.trim_start_matches('[').trim_end_matches(']');
+    host.trim_start_matches('[').trim_end_matches(']')
+}
+
+fn is_this_machine(uri: &Uri) -> bool {
+    let bare = bare_host(uri);
     let address = bare.parse::<std::net::IpAddr>();
     bare == "localhost" || address.is_ok_and(|ip| ip.to_canonical().is_loopback())
 }
 
 #[cfg(test)]
 mod tests {
+    use std::future::poll_fn;
+    use std::io::{BufRead, BufReader};
+
+    use tonic::body::Body;
+    use tonic::codegen::http;
+
     use super::*;
 
     fn shows_its_token(url: &str) -> bool {
@@ -319,5 +369,64 @@ mod tests {
         ] {
             assert!(!shows_its_token(url), "{url}");
         }
+    }
+
+    /// A program of another user that listens at a port, and prints how many bytes it is sent.
+    const STRANGER: &str = "
+import os, socket, sys
+os.setuid(4242)
+listener = socket.create_server(('127.0.0.1', int(sys.argv[1])))
+print('listening', flush=True)
+print('got', len(listener.accept()[0].recv(1000)), flush=True)
+";
+
+    /// A channel that connects again checks again, at once.
+    #[tokio::test]
+    async fn a_server_is_checked_at_every_connection() {
+        if !rustix::process::geteuid().is_root() {
+            println!("skipped: only root starts programs as another user");
+            return;
+        }
+        let own = tokio::net::TcpListener::bind("127.0.0.1:0").await;
+        let own = own.expect("a free port");
+        let port = own.local_addr().expect("an address").port();
+        let access = Access {
+            token: Some(Token::parse("0123456789abcdef").expect("a token")),
+            ca: None,
+        };
+        let url = format!("http://127.0.0.1:{port}");
+        let endpoint = Endpoint::from_shared(url.clone()).expect("a URL");
+        let connection = access.connect_lazy(endpoint).expect("a connection");
+        let call = async || {
+            let mut connection = connection.clone();
+            let ready = poll_fn(|context| connection.poll_ready(context)).await;
+            ready.expect("a lazy channel takes calls");
+            let request = http::Request::post(&url).body(Body::empty());
+            let answer = connection.call(request.expect("a request")).await;
+            crate::chain(&answer.expect_err("no server of gRPC"))
+        };
+        let accepting = async {
+            let (stream, _) = own.accept().await.expect("a connection");
+            drop(stream);
+        };
+        let (broken, ()) = tokio::join!(call(), accepting);
+        assert!(!broken.contains("another user"), "{broken}");
+        drop(own);
+
+        let mut stranger = std::process::Command::new("python3")
+            .args(["-c", STRANGER, &port.to_string()])
+            .stdout(std::process::Stdio::piped())
+            .spawn()
+            .expect("python3 runs");
+        let mut said = BufReader::new(stranger.stdout.take().expect("stdout is piped")).lines();
+        let mut line = || said.next().expect("a line").expect("UTF-8");
+        assert_eq!(line(), "listening");
+        let refused = call().await;
+        assert!(
+            refused.contains("another user of this machine"),
+            "{refused}"
+        );
+        assert_eq!(line(), "got 0");
+        assert!(stranger.wait().expect("it ends").success());
     }
 }

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::users::Untrusted;
+
 /// Kind of server that a client expects at an address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ServerKind {
@@ -112,6 +114,10 @@ pub enum Found {
         /// Message of the system.
         String,
     ),
+    /// The token is not sent to the server, which is another user's of this machine.
+    AnotherUser,
+    /// The token is not sent to the server, because the kernel does not say whose it is.
+    UnknownUser,
     /// The server uses TLS, and the client does not.
     Encrypted,
     /// The server does not use TLS, and the client does.
@@ -149,6 +155,15 @@ pub enum Found {
     Broken,
 }
 
+impl From<Untrusted> for Found {
+    fn from(untrusted: Untrusted) -> Found {
+        match untrusted {
+            Untrusted::AnotherUser => Found::AnotherUser,
+            Untrusted::UnknownUser => Found::UnknownUser,
+        }
+    }
+}
+
 /// HTTP statuses of a proxy whose backend is unavailable.
 const PROXY_WAITING: [u16; 3] = [502, 503, 504];
 
@@ -176,7 +191,8 @@ impl Found {
     /// Returns true if the settings of client or server are wrong, so that retrying is useless.
     pub fn is_final(&self) -> bool {
         match self {
-            Found::Encrypted
+            Found::AnotherUser
+            | Found::Encrypted
             | Found::Clear
             | Found::Certificate(_)
             | Found::OtherTls(_)
@@ -192,6 +208,7 @@ impl Found {
             | Found::Nothing
             | Found::NoAnswer
             | Found::System(_)
+            | Found::UnknownUser
             | Found::Mute
             | Found::Broken => false,
         }
@@ -238,6 +255,8 @@ impl fmt::Display for Finding<'_> {
             Found::Nothing => f.write_str("nothing listens there"),
             Found::NoAnswer => f.write_str("the machine does not answer"),
             Found::System(words) => write!(f, "the system does not connect to it ({words})"),
+            Found::AnotherUser => write!(f, "{}", Untrusted::AnotherUser),
+            Found::UnknownUser => write!(f, "{}", Untrusted::UnknownUser),
             Found::Encrypted => f.write_str("the server there speaks TLS"),
             Found::Clear => f.write_str("the server there does not speak TLS"),
             Found::Certificate(CertificateFault::Untrusted) if *has_authority => write!(
@@ -321,6 +340,18 @@ impl fmt::Display for Remedy<'_> {
                  {address}"
             ),
             Found::System(_) => write!(f, "correct {address}"),
+            Found::AnotherUser => write!(
+                f,
+                "stop that program, or let {} speak TLS and write {encrypted} in place of {clear} \
+                 in {address}",
+                expected.definite()
+            ),
+            Found::UnknownUser => write!(
+                f,
+                "try again, or let {} speak TLS and write {encrypted} in place of {clear} in \
+                 {address}",
+                expected.definite()
+            ),
             Found::Encrypted => {
                 write!(f, "write {encrypted} in place of {clear} in {address}")?;
                 match trouble.has_authority {

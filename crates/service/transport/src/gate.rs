@@ -22,6 +22,16 @@ use crate::refusals::Refusals;
 use crate::token::{Role, Tokens};
 use crate::users::{Caller, Users};
 
+// Refusals of the gate. Each says what the server did not do: clients and the log put "failed to"
+// before it, and answers to browsers "The server refused to".
+pub(crate) const OTHER_USER: &str = "let the caller in: this server listens for the user that \
+     started it alone, and the call is another user's of this machine; start the server with \
+     --token-file, or with --insecure-loopback if all users of the machine may do everything";
+pub(crate) const NO_TOKEN: &str = "let the caller in without a token: name a --token-file (it is \
+     sent over https:// and to this machine only)";
+pub(crate) const UNKNOWN_TOKEN: &str =
+    "let the caller in: the token is none that this server knows";
+
 /// Kind of the resource at a path, and the callers that are let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Resource {
@@ -158,11 +168,7 @@ impl Shared {
             )));
         }
         if self.users == Users::Own && !self::caller(request).is_some_and(Caller::is_own) {
-            return Err(Status::permission_denied(
-                "be let in: this server listens for the user that started it alone, and the call \
-                 is another user's of this machine; start the server with --token-file, or with \
-                 --insecure-loopback if all users of the machine may do everything",
-            ));
+            return Err(Status::permission_denied(OTHER_USER));
         }
         let resource = (self.resource)(request.uri().path());
         let allowed = match resource {
@@ -183,16 +189,9 @@ impl Shared {
         if is_page && roles.contains(&Role::Viewer) && self.readers.has_session(headers) {
             return Ok(());
         }
-        let shown = bearer(headers).ok_or_else(|| {
-            Status::unauthenticated(
-                "be let in without a token: name a --token-file (it is sent over https:// and to \
-                 this machine only)",
-            )
-        })?;
+        let shown = bearer(headers).ok_or_else(|| Status::unauthenticated(NO_TOKEN))?;
         match tokens.role_of(shown) {
-            None => Err(Status::unauthenticated(
-                "be let in: the token is none that this server knows",
-            )),
+            None => Err(Status::unauthenticated(UNKNOWN_TOKEN)),
             Some(role) if roles.contains(&role) => Ok(()),
             Some(role) => Err(Status::permission_denied(format!(
                 "do this with the token of a {role}: it takes that of {}",

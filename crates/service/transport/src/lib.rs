@@ -47,3 +47,4 @@ pub use token::{
     MAX_TOKEN_BYTES, MAX_TOKEN_FILE_BYTES, MAX_TOKENS, MIN_TOKEN_BYTES, Role, Token, TokenError,
     Tokens,
 };
+pub use users::Untrusted;

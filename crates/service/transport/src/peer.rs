@@ -15,6 +15,7 @@ use tonic::{Code, Status};
 use crate::client::Access;
 use crate::found::{Found, ServerKind, Settings, Trouble};
 use crate::probe::{self, Place, Speech};
+use crate::users::Untrusted;
 
 /// Start of tonic's message for an answer that is not from a gRPC server.
 const NO_GRPC_STATUS: &str = "grpc-status header missing";
@@ -174,11 +175,14 @@ impl Peer {
     }
 }
 
-/// Returns the finding for the system's connection error, if the status contains one, so that no
-/// probe is needed.
+/// Returns the finding for an error of connecting, if the status contains one, so that no probe is
+/// needed.
 fn refused(status: &Status) -> Option<Found> {
     let mut cause = status.source();
     while let Some(error) = cause {
+        if let Some(untrusted) = error.downcast_ref::<Untrusted>() {
+            return Some(Found::from(*untrusted));
+        }
         if let Some(found) = error
             .downcast_ref::<io::Error>()
             .and_then(probe::no_connection)

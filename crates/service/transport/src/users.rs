@@ -3,10 +3,10 @@
 
 use std::io;
 use std::net::{IpAddr, SocketAddr};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
-use std::time::{Duration, Instant};
+use std::sync::{Arc, OnceLock};
 
 use rustix::process::geteuid;
+use tokio::net::TcpStream;
 use tonic::transport::server::TcpConnectInfo;
 
 /// The kernel's socket tables for IPv4 and IPv6.
@@ -14,8 +14,6 @@ const TABLES: [&str; 2] = ["/proc/net/tcp", "/proc/net/tcp6"];
 /// Value of a listening socket's state in these tables.
 const LISTENS: &str = "0A";
 const ROOT: u32 = 0;
-/// Time for which a listener's check is cached.
-const LISTENER_AGE: Duration = Duration::from_secs(1);
 
 /// Local users that a server accepts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,35 +54,51 @@ impl Caller {
     }
 }
 
-/// A local server to which a token would be sent unencrypted.
-#[derive(Clone, Debug)]
-pub(crate) struct Listener {
-    port: u16,
-    /// Time of the last successful check.
-    found: Arc<Mutex<Option<Instant>>>,
+/// Reason why a token is not sent to a server on this machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Untrusted {
+    /// The server is another ordinary user's.
+    #[error("another user of this machine listens there, who would get the token")]
+    AnotherUser,
+    /// The kernel names no user for the server's end of the connection.
+    #[error("the kernel does not say which user listens there, who would get the token")]
+    UnknownUser,
 }
 
-impl Listener {
-    pub(crate) fn at(port: u16) -> Self {
-        Self {
-            port,
-            found: Arc::default(),
-        }
-    }
+/// Checks that a token may be sent unencrypted over an open connection to a local server: its user
+/// is this program's own, root, or that of a service.
+///
+/// # Errors
+/// If it is another user, or the kernel does not know.
+pub(crate) fn check_server(connection: &TcpStream) -> Result<(), Untrusted> {
+    let ends = || Ok::<_, io::Error>((connection.peer_addr()?, connection.local_addr()?, rows()?));
+    let (there, here, rows) = ends().map_err(|_| Untrusted::UnknownUser)?;
+    check_rows(&rows, there, here, geteuid().as_raw())
+}
 
-    /// Returns false if another ordinary user of this machine listens at the port, who would
-    /// receive the token. Services have users of their own and are trusted.
-    pub(crate) fn is_trusted(&self) -> bool {
-        let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
-        if found.is_some_and(|at| at.elapsed() < LISTENER_AGE) {
-            return true;
-        }
-        let is_trusted = listening_users(self.port).is_ok_and(|users| {
-            let mut users = users.into_iter();
-            users.all(|user| user == geteuid().as_raw() || is_of_system(user))
-        });
-        *found = is_trusted.then(Instant::now);
-        is_trusted
+/// Applies [`check_server`] to the kernel's tables, which list listening sockets first.
+///
+/// A connection that its server has accepted has an owner. One that waits to be accepted has none,
+/// and belongs to whoever listens at the port; if nobody does any more, it is about to break.
+fn check_rows(
+    rows: &[Row],
+    there: SocketAddr,
+    here: SocketAddr,
+    own: u32,
+) -> Result<(), Untrusted> {
+    let check = |user: u32| match user == own || is_of_system(user) {
+        true => Ok(()),
+        false => Err(Untrusted::AnotherUser),
+    };
+    if let Some(owner) = owner(rows, there, here) {
+        return check(owner);
+    }
+    let port = format!(":{:04X}", there.port());
+    let listening = |row: &&Row| row.state == LISTENS && row.local.ends_with(&port);
+    let mut listeners = rows.iter().filter(listening).map(|row| row.user).peekable();
+    match listeners.peek() {
+        None => Err(Untrusted::UnknownUser),
+        Some(_) => listeners.try_for_each(check),
     }
 }
 
@@ -96,17 +110,12 @@ fn is_of_system(user: u32) -> bool {
 
 /// Returns the owner of the local socket at `there` that is connected to `here`.
 fn user_of(there: SocketAddr, here: SocketAddr) -> io::Result<Option<u32>> {
-    let rows = rows()?;
-    let is_it = |row: &&Row| is_written(&row.local, there) && is_written(&row.remote, here);
-    Ok(rows.iter().find(is_it).map(|row| row.user))
+    Ok(owner(&rows()?, there, here))
 }
 
-/// Returns the owners of the sockets that listen at a local port.
-fn listening_users(port: u16) -> io::Result<Vec<u32>> {
-    let port = format!(":{port:04X}");
-    let mut rows = rows()?;
-    rows.retain(|row| row.state == LISTENS && row.local.ends_with(&port));
-    Ok(rows.into_iter().map(|row| row.user).collect())
+fn owner(rows: &[Row], there: SocketAddr, here: SocketAddr) -> Option<u32> {
+    let is_it = |row: &&Row| is_written(&row.local, there) && is_written(&row.remote, here);
+    rows.iter().find(is_it).map(|row| row.user)
 }
 
 /// A socket of a process, as a row of the kernel's table.
@@ -167,7 +176,7 @@ fn is_written(field: &str, address: SocketAddr) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use std::net::{TcpListener, TcpStream};
+    use std::net::TcpListener;
 
     use super::*;
 
@@ -183,21 +192,47 @@ mod tests {
                 continue;
             };
             let port = listener.local_addr().expect("an address").port();
-            let client = TcpStream::connect(format!("{connect}:{port}")).expect("connects");
+            let client =
+                std::net::TcpStream::connect(format!("{connect}:{port}")).expect("connects");
             let (server, there) = listener.accept().expect("a connection");
             let here = server.local_addr().expect("an address");
             let user = user_of(there, here).expect("a table");
             assert_eq!(user, Some(geteuid().as_raw()), "{listen}");
             let other = SocketAddr::new(there.ip(), there.port() ^ 1);
             assert_eq!(user_of(other, here).expect("a table"), None);
-            assert_eq!(
-                listening_users(port).expect("a table"),
-                [geteuid().as_raw()]
-            );
-            assert!(Listener::at(port).is_trusted());
+            let trusted = check_rows(&rows().expect("a table"), there, here, geteuid().as_raw());
+            assert_eq!(trusted, Ok(()), "{listen}");
             drop(client);
             assert_eq!(user_of(there, here).expect("a table"), None, "{listen}");
         }
+    }
+
+    #[test]
+    fn a_connection_is_its_acceptors_and_until_then_of_whoever_listens() {
+        const OWN: u32 = 1_000;
+        const OTHER: u32 = 1_001;
+        let (here, there) = ("127.0.0.1:40000", "127.0.0.1:7411");
+        let line = |local: &str, remote: &str, state: &str, user: u32, inode: u32| {
+            let fields = format!("0: {local} {remote} {state} 0:0 00:0 0 {user} 0 {inode} 1");
+            row(&fields)
+        };
+        let listens = |user| line("0100007F:1CF3", "00000000:0000", LISTENS, user, 7);
+        let accepted = |user| line("0100007F:1CF3", "0100007F:9C40", "01", user, 8);
+        let waits = line("0100007F:1CF3", "0100007F:9C40", "01", ROOT, 0);
+        let check = |rows: [Option<Row>; 3]| {
+            let rows: Vec<Row> = rows.into_iter().flatten().collect();
+            let [there, here] = [there, here].map(|it| it.parse().expect("an address"));
+            check_rows(&rows, there, here, OWN)
+        };
+        assert_eq!(check([listens(OWN), accepted(OWN), None]), Ok(()));
+        assert_eq!(check([listens(OWN), waits, None]), Ok(()));
+        let (another, unknown) = (Err(Untrusted::AnotherUser), Err(Untrusted::UnknownUser));
+        assert_eq!(check([listens(OTHER), None, None]), another);
+        // Who accepted the connection may have made way for another server since.
+        assert_eq!(check([listens(OWN), accepted(OTHER), None]), another);
+        assert_eq!(check([listens(OWN), listens(OTHER), None]), another);
+        assert_eq!(check([None, accepted(OTHER), None]), another);
+        assert_eq!(check([None, None, None]), unknown);
     }
 
     #[test]

@@ -4,7 +4,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use libero_ctrl::TaskRef;
+use libero_ctrl::{TaskRef, UnknownName};
 
 use super::variant::{Change, Variant};
 
@@ -65,17 +65,16 @@ impl fmt::Display for Prompt {
 }
 
 impl FromStr for Prompt {
-    type Err = UnknownPrompt;
+    type Err = UnknownName;
 
-    fn from_str(text: &str) -> Result<Self, UnknownPrompt> {
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
         Self::ALL
             .into_iter()
             .find(|prompt| prompt.name() == text)
-            .ok_or_else(|| UnknownPrompt(text.to_owned()))
+            .ok_or_else(|| UnknownName {
+                kind: "prompt",
+                given: text.to_owned(),
+                valid: Self::ALL.map(Self::name).join(", "),
+            })
     }
 }
-
-/// Error: there is no prompt source of this name.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("read prompt `{0}`: valid are released, stripped, bddl")]
-pub struct UnknownPrompt(String);

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use libero_ctrl::{Suite, TaskRef};
+use libero_ctrl::{Suite, TaskRef, UnknownName};
 
 use super::camera::View;
 use super::start::ROBOTS;
@@ -78,13 +78,17 @@ impl fmt::Display for Dimension {
 }
 
 impl FromStr for Dimension {
-    type Err = UnknownVariant;
+    type Err = UnknownName;
 
-    fn from_str(text: &str) -> Result<Self, UnknownVariant> {
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
         Self::ALL
             .into_iter()
             .find(|dimension| dimension.name() == text || dimension.category() == text)
-            .ok_or_else(|| UnknownVariant::Dimension(text.to_owned()))
+            .ok_or_else(|| UnknownName {
+                kind: "dimension",
+                given: text.to_owned(),
+                valid: Self::ALL.map(Self::name).join(", "),
+            })
     }
 }
 
@@ -295,11 +299,17 @@ impl FromStr for Variant {
     /// Parses a name. A name without a suffix, which would be an unperturbed task, is an
     /// error; LIBERO-Plus cannot load it either.
     fn from_str(name: &str) -> Result<Self, UnknownVariant> {
+        if name.is_empty() {
+            return Err(UnknownVariant::Empty);
+        }
         let task = TaskRef::all()
             .filter(|task| name.starts_with(task.name()))
             .max_by_key(|task| task.name().len())
             .ok_or_else(|| UnknownVariant::Task(name.to_owned()))?;
         let suffix = &name[task.name().len()..];
+        if suffix.is_empty() {
+            return Err(UnknownVariant::Unchanged(name.to_owned()));
+        }
         let change = suffix
             .strip_prefix('_')
             .and_then(|suffix| Change::parse(suffix, task.suite()))
@@ -311,15 +321,23 @@ impl FromStr for Variant {
     }
 }
 
-/// Error: LIBERO-Plus has no variant or dimension of this name.
+/// Error: LIBERO-Plus has no variant of this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum UnknownVariant {
+    /// No name was given.
+    #[error("read a variant, of which no name was given; give a name of LIBERO-Plus' task map")]
+    Empty,
     /// The name does not start with a task.
     #[error(
         "read variant `{0}`: it begins with none of LIBERO's forty tasks; give a name of LIBERO-Plus' \
          task map"
     )]
     Task(String),
+    /// The name is that of a task of LIBERO.
+    #[error(
+        "read variant `{0}`: it is a task of LIBERO, without a change; append one, such as _light_1"
+    )]
+    Unchanged(String),
     /// The suffix is not a change.
     #[error(
         "read variant `{name}`: it ends in `{suffix}`, which is no change; valid are _view_H_V_S_R_T_initstate_N, \
@@ -332,9 +350,21 @@ pub enum UnknownVariant {
         /// Its end.
         suffix: String,
     },
-    /// There is no such dimension.
-    #[error(
-        "read dimension `{0}`: valid are background, robot, camera, language, noise, layout, light"
-    )]
-    Dimension(String),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_that_is_none_or_has_no_change_is_refused_for_that() {
+        let read = |name: &str| name.parse::<Variant>().unwrap_err();
+        assert_eq!(read(""), UnknownVariant::Empty);
+        let task = "turn_on_the_stove";
+        assert_eq!(read(task), UnknownVariant::Unchanged(task.to_owned()));
+        assert!(matches!(
+            read("turn_on_the_stove_"),
+            UnknownVariant::Suffix { .. }
+        ));
+    }
 }

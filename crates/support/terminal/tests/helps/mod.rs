@@ -1,0 +1,49 @@
+//! Rules of every program's help texts. Shared by the tests of all programs.
+
+/// Most lines that `-h` may print.
+const MAX_SHORT_LINES: usize = 45;
+/// Words of released ids, which commands read and do not teach.
+const OLD_WORDS: [&str; 2] = ["clean", "combination"];
+
+/// The help of a command.
+pub(crate) struct Help {
+    /// The command, as it is typed.
+    pub(crate) words: String,
+    pub(crate) short: String,
+    pub(crate) long: String,
+}
+
+/// Checks and returns the help of a program and of all its commands.
+pub(crate) fn check(program: clap::Command) -> Vec<Help> {
+    let mut program = terminal::with_variables(program);
+    program.build();
+    let mut helps = Vec::new();
+    let name = program.get_name().to_owned();
+    visit(&program, &name, &mut helps);
+    helps
+}
+
+fn visit(command: &clap::Command, words: &str, helps: &mut Vec<Help>) {
+    let mut rendered = command.clone();
+    let short = rendered.render_help().to_string();
+    let lines = short.lines().count();
+    assert!(
+        lines <= MAX_SHORT_LINES,
+        "`{words} -h` has {lines} lines:\n{short}"
+    );
+    let long = rendered.render_long_help().to_string();
+    let old = long
+        .split(|letter: char| !letter.is_alphanumeric())
+        .find(|word| OLD_WORDS.contains(word));
+    assert_eq!(old, None, "`{words} --help` says it:\n{long}");
+    helps.push(Help {
+        words: words.to_owned(),
+        short,
+        long,
+    });
+    for command in command.get_subcommands() {
+        if !command.is_hide_set() && command.get_name() != "help" {
+            visit(command, &format!("{words} {}", command.get_name()), helps);
+        }
+    }
+}

@@ -1,0 +1,15 @@
+//! Access table of the gateway: who may make which call. There are no pages.
+
+use transport::{Allowed, Resource, Role};
+
+/// Maps request paths to permissions: workers query policies, operators check them. Health checks
+/// need no token, because they often come from outside this system.
+pub(crate) fn resource(path: &str) -> Resource {
+    Resource::Call(match path.starts_with("/grpc.health.v1.Health/") {
+        true => Allowed::Everybody,
+        false => Allowed::OneOf(&[Role::Worker, Role::Operator]),
+    })
+}
+
+#[cfg(test)]
+mod tests;

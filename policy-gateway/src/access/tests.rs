@@ -1,0 +1,57 @@
+//! Exhaustive access test, as the coordinator's.
+
+use tonic::codegen::http::Request;
+
+use super::*;
+
+#[path = "../../../crates/service/transport/tests/walk/mod.rs"]
+mod walk;
+
+use walk::{OPERATOR, Shown, Table, calls_of, guarded, is_call, open, walk};
+
+const TABLE: Table = (resource, None);
+
+/// Paths, and whether everybody may call them.
+fn paths() -> Vec<(String, bool)> {
+    let proto = include_str!("../../../proto/rollout/policy/v1/policy.proto");
+    let calls = calls_of(proto).into_iter();
+    let policy =
+        calls.map(|(service, name)| (format!("/rollout.policy.v1.{service}/{name}"), false));
+    let health = ["Check", "Watch"].map(|name| (format!("/grpc.health.v1.Health/{name}"), true));
+    let elsewhere = [
+        "/",
+        "/metrics",
+        "/grpc.health.v1.Health",
+        "/grpc.health.v1.HealthAdmin/Stop",
+        "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
+        "/rollout.coordinator.v1.OperatorService/ListCampaigns",
+    ];
+    let elsewhere = elsewhere.map(|path| (path.to_owned(), false));
+    let paths: Vec<_> = policy.chain(health).chain(elsewhere).collect();
+    assert_eq!(
+        paths.len(),
+        13,
+        "the service's definition is not understood"
+    );
+    paths
+}
+
+#[tokio::test]
+async fn no_combination_of_headers_calls_a_policy_without_a_token_of_a_worker_or_operator() {
+    let (_file, guarded) = guarded();
+    let cookie = guarded.log_in(OPERATOR, &[Role::Operator]);
+    let cookie = cookie.expect("an operator");
+    let cookie = cookie.split(';').next().expect("a pair").to_owned();
+    let mut asked = 0;
+    for (security, cookie) in [(&open(), None), (&guarded, Some(cookie.as_str()))] {
+        for (path, is_everybodys) in paths() {
+            let table = |request: &Request<()>, sender, content: Option<&str>, shown| {
+                let is_allowed = matches!(shown, Shown::Token(Role::Worker | Role::Operator));
+                is_call(request, sender, content)
+                    && (cookie.is_none() || is_everybodys || is_allowed)
+            };
+            asked += walk(&path, TABLE, security, cookie, table).await;
+        }
+    }
+    assert!(asked > 100_000, "only {asked} combinations were asked for");
+}

@@ -1,0 +1,50 @@
+//! Texts of policy servers, made fit for messages and the log. Pure.
+
+/// Longest text of a server in a message, bytes: as much as a coordinator stores of an error.
+pub const MAX_TOLD_BYTES: usize = 4_096;
+/// Mark of a truncated text.
+const CUT: &str = " …";
+
+/// Returns a text in one line of at most [`MAX_TOLD_BYTES`]. A line feed in it could end a line of
+/// the log and forge the next one.
+pub fn told(text: &str) -> String {
+    let mut told = String::new();
+    let lines = text
+        .lines()
+        .flat_map(|line| line.split('\r'))
+        .map(str::trim);
+    for line in lines.filter(|line| !line.is_empty()) {
+        if !told.is_empty() {
+            told.push_str(" | ");
+        }
+        told.push_str(line);
+        if told.len() > MAX_TOLD_BYTES {
+            let mut ends = (0..=MAX_TOLD_BYTES - CUT.len()).rev();
+            let end = ends.find(|end| told.is_char_boundary(*end));
+            told.truncate(end.unwrap_or_default());
+            told.push_str(CUT);
+            break;
+        }
+    }
+    told
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_text_is_one_line_and_bounded() {
+        assert_eq!(told("no"), "no");
+        let traceback = "Traceback:\n  line 1\r\n\nValueError: no\n";
+        assert_eq!(told(traceback), "Traceback: | line 1 | ValueError: no");
+        assert_eq!(told("a\r2026 INFO b"), "a | 2026 INFO b");
+        for letter in ["x", "ü", "碗"] {
+            let long = told(&letter.repeat(1 << 20));
+            assert!(long.len() <= MAX_TOLD_BYTES && long.ends_with(CUT));
+            assert!(long.len() > MAX_TOLD_BYTES - 8);
+        }
+        let lines = told(&"x\n".repeat(1 << 20));
+        assert!(lines.len() <= MAX_TOLD_BYTES);
+    }
+}
