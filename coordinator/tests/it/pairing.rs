@@ -342,3 +342,34 @@ async fn an_outcome_without_its_origin_or_with_nonsense_is_refused_unread() {
     .await;
     assert_eq!(bench.status("paired").await.leased, 1, "nothing changed");
 }
+
+/// A result with more control steps than its rollout may take would be paired and reported.
+#[tokio::test]
+async fn a_result_that_does_not_fit_its_row_is_refused_with_the_bound_named() {
+    for (steps, clipped, verdict, words) in [
+        (280, 280, Verdict::Accepted, ""),
+        (
+            281,
+            0,
+            Verdict::Unpaired,
+            "281 control steps, and its manifest row allows 280",
+        ),
+        (
+            280,
+            281,
+            Verdict::Unpaired,
+            "281 clipped actions in 280 control steps",
+        ),
+    ] {
+        let (bench, mut worker, lease) = with_siblings().await;
+        let mut report = worker.report(&lease, false);
+        let result = report.result.as_mut().expect("a result");
+        (result.steps, result.clipped_actions) = (steps, clipped);
+        let (given, detail) = worker.commit_request(report).await;
+        assert_eq!(given, verdict, "{detail}");
+        assert!(detail.contains(words), "{detail}");
+        let charged = "SELECT count(*) FROM failure WHERE reason = 'unpaired' AND charged = 1";
+        let refused = i64::from(verdict == Verdict::Unpaired);
+        assert_eq!(bench.count(charged).await, refused);
+    }
+}

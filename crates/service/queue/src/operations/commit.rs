@@ -170,6 +170,9 @@ impl Context<'_> {
             let reason = FailureReason::PolicyUnavailable;
             return self.refuse(attempt, reason, detail).await;
         }
+        if let Some(detail) = pairing::misfit(&attempt.row, &report.result) {
+            return self.refuse(attempt, FailureReason::Unpaired, detail).await;
+        }
         let demand = Demand {
             realisation: campaign.mode()?,
             row: &attempt.row,
