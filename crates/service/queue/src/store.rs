@@ -15,6 +15,7 @@ pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
 pub(crate) mod halves;
+pub(crate) mod imported;
 pub(crate) mod instants;
 pub(crate) mod jobs;
 pub(crate) mod passages;
