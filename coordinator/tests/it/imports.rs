@@ -1,14 +1,19 @@
-//! Archives whose rows were altered so that each passes the database's own constraints.
+//! Archives whose rows were altered so that each passes the database's own constraints, and
+//! campaigns that are imported in several transactions.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use proto::coordinator::commit_response::Verdict;
 use queue::DATABASE_FILE;
-use serde_json::json;
+use queue::invariants::check;
+use serde_json::{Value, json};
 
+use crate::artifacts::put;
+use crate::failpoints::serve;
 use crate::harness::{open_database, rollout_id, small_spec, with};
 use crate::moving::{Bench, members, write};
+use crate::process::Serve;
 
 /// Alters the database of an archive, past the coordinator, and lists its members anew.
 async fn alter(archive: &Path, into: &Path, sql: &'static str) {
@@ -169,4 +174,85 @@ async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused()
     );
     there.import(&file);
     there.in_order().await;
+}
+
+/// More rollouts than two transactions of an import hold.
+fn large() -> Value {
+    let configs: Vec<u32> = (0..10).collect();
+    with(
+        small_spec("large"),
+        json!({
+            "tasks": ["libero_object"], "levels": ["L1", "L2", "L3"], "configs": configs,
+            "replicates": 2,
+        }),
+    )
+}
+
+/// Returns the numbers of campaigns and of jobs in a data folder.
+async fn counts(folder: &Path) -> (i64, i64) {
+    let pool = open_database(folder).await;
+    let counts = "SELECT (SELECT count(*) FROM campaign), (SELECT count(*) FROM job)";
+    let counts = sqlx::query_as(counts).fetch_one(&pool).await;
+    pool.close().await;
+    counts.expect("counts")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_large_import_comes_in_pieces_and_leaves_nothing_if_it_is_cut_off() {
+    let mut here = Bench::with(&large()).await;
+    // Results lie in the second piece, too.
+    here.run(520, "").await;
+    let filmed = here.worker.claim_one().await;
+    assert_eq!(here.worker.commit(&filmed, true).await, Verdict::Accepted);
+    put(&mut here.worker, &filmed, "video.mp4", &[vec![7; 99]])
+        .await
+        .expect("kept");
+    let (_, jobs) = counts(here.folder.path()).await;
+    assert!(jobs > 1_000, "{jobs}");
+    let file = here.archive("large");
+    let path = file.display().to_string();
+
+    let there = tempfile::tempdir().expect("a folder");
+    // Its third transaction brought the second piece.
+    let mut dying = Serve::of(serve(there.path(), "After:ImportCampaign:3"));
+    let output = dying.command(&["campaign", "import", &path, "--retry-secs", "0"]);
+    assert!(!output.status.success(), "it was cut off");
+    let began = Instant::now();
+    while dying.ended().is_none() {
+        assert!(began.elapsed() < Duration::from_secs(30), "it goes on");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    drop(dying);
+    assert_eq!(counts(there.path()).await, (1, 1_000));
+    let films = there.path().join("artifacts/large");
+    assert!(films.exists(), "films come first");
+    assert_eq!(check(there.path()).await.expect("a database"), []);
+
+    let again = Serve::start(there.path());
+    let listed = again.command(&["campaign", "list", "--json"]);
+    let listed: Value = serde_json::from_slice(&listed.stdout).expect("JSON");
+    assert_eq!(listed["campaigns"], json!([]), "nobody sees a part of it");
+    while counts(there.path()).await != (0, 0) {
+        assert!(began.elapsed() < Duration::from_secs(60), "a part is left");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    assert!(!films.exists(), "its films are left");
+    let imported = again.command(&["campaign", "import", &path]);
+    assert!(imported.status.success());
+    assert_eq!(std::fs::read_dir(&films).expect("films").count(), 1);
+    for arguments in [
+        &["export", "large", "--format", "jsonl"][..],
+        &["report", "large", "--json"],
+    ] {
+        assert_eq!(
+            crate::process::text(&again.command(arguments).stdout),
+            here.must(arguments)
+        );
+    }
+    let mut worker = again.worker("another").await;
+    let lease = worker.claim_one().await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    drop(again);
+    assert_eq!(counts(there.path()).await, (1, jobs));
+    assert_eq!(check(there.path()).await.expect("a database"), []);
 }
