@@ -431,3 +431,14 @@ async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
     let said = serve.command(&["jobs", "show", "told", &rollout]);
     assert!(text(&said.stdout).contains("all is well"));
 }
+
+#[test]
+fn an_export_as_csv_names_the_command_that_writes_it() {
+    let output = coordinator(&["export", "demo", "--format", "csv"]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = text(&output.stderr);
+    let words = "`coordinator report CAMPAIGN --table FILE.csv` writes outcomes in this format";
+    assert!(said.contains(words), "{said}");
+    let output = coordinator(&["export", "demo", "--format", "xlsx"]);
+    assert!(text(&output.stderr).contains("write jsonl or parquet"));
+}
