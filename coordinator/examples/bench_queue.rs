@@ -386,7 +386,7 @@ fn outcome(
         realised,
         result: RolloutResult {
             success: rng.next_u32().is_multiple_of(2),
-            steps: rng.next_u32() % 500,
+            steps: rng.next_u32() % 220,
             wall_secs: 1.0,
             ik: None,
             clipped_actions: 0,

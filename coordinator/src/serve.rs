@@ -9,12 +9,11 @@ use std::time::Duration;
 
 use queue::clock::Clock;
 use queue::{
-    Elsewhere, OpenError, Queue, QueueError, Store, StoreError, Timing, remove_partial_files,
+    Elsewhere, OpenError, Queue, QueueError, Store, StoreError, Tasks, Timing, remove_partial_files,
 };
 use rand_chacha::ChaCha8Rng;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
-use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, timeout};
 use tonic::service::Routes;
 use transport::{Incoming, Security, SecurityError};
@@ -166,18 +165,19 @@ impl Coordinator {
         let storage = self.storage;
         let page = Page::new(&queue, &self.security, &gauges, storage.clone());
         // Background tasks, aborted when this function returns.
-        let mut beside = JoinSet::new();
-        beside.spawn({
-            let page = page.clone();
-            async move { page.tell_changes().await }
-        });
+        let mut beside = Tasks::default();
+        let told = page.clone();
+        beside.spawn(
+            "the page's changes",
+            async move { told.tell_changes().await },
+        );
         let calls = grpc::services(&queue, &gauges, storage.as_ref());
         if let Some(storage) = storage {
-            beside.spawn(mirror::run(queue.clone(), storage));
+            beside.spawn("the films' mirror", mirror::run(queue.clone(), storage));
         }
         // A task of its own, since a sweep waits for the database writer while connections and
         // signals must not.
-        beside.spawn(sweep(queue.clone(), self.min_free_bytes));
+        beside.spawn("the sweep", sweep(queue.clone(), self.min_free_bytes));
         let routes = Routes::from(page::beside(page.clone(), calls));
         let server = server(routes, &self.security, listener, async {
             // A dropped sender stops the server, too.
@@ -190,9 +190,7 @@ impl Coordinator {
                 served?;
             }
             task = queue.broken() => return Err(ServeError::Panicked { what: task }),
-            Some(_) = beside.join_next() => {
-                return Err(ServeError::Panicked { what: "a task beside the server" });
-            }
+            task = beside.next_ended() => return Err(ServeError::Panicked { what: task }),
             () = &mut shutdown => {
                 tracing::info!("stopping: leasing nothing more, finishing what is under way");
                 queue.drain();

@@ -45,6 +45,61 @@ const OF_FEW_JOBS: [&str; 4] = ["job_leased", "job_held", "job_backed_off", "job
 /// Indices that the hot statements must be seen to walk.
 const WALKED: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_seen"];
 
+/// Evidence that a loop of the table in docs/ARCHITECTURE.md walks no campaign, or the reason why it
+/// may.
+enum Walks {
+    /// Part of a statement that must be caught.
+    Caught(&'static str),
+    /// Walks the jobs of one campaign on purpose.
+    OnPurpose(&'static str),
+}
+use Walks::{Caught as Seen, OnPurpose};
+
+/// The loops of the table, in its order.
+const LOOPS: [(&str, Walks); 11] = [
+    ("claim", Seen("UPDATE job SET state = 'leased'")),
+    ("commit", Seen("INSERT INTO result")),
+    ("sweep", Seen("lease_expires_ms <=")),
+    ("status, front page, metrics", Seen("ending_tally")),
+    ("derived campaigns", Seen("FROM derivation d JOIN")),
+    ("early stop", Seen("FROM stop s")),
+    ("films", Seen("record = 'transitions'")),
+    (
+        "mixed fingerprints",
+        OnPurpose("only of a campaign that has several, which its tally says"),
+    ),
+    (
+        "statistics of a page",
+        OnPurpose("once, a_computation_that_nobody_waits_for_any_more_is_not_begun_again"),
+    ),
+    (
+        "a large campaign is created, imported or deleted",
+        OnPurpose(
+            "in pieces, a_large_campaign_comes_and_goes_in_pieces_and_nobody_sees_a_part_of_it and \
+             a_large_import_comes_in_pieces_and_leaves_nothing_if_it_is_cut_off",
+        ),
+    ),
+    (
+        "report, export, archive",
+        OnPurpose("when an operator asks, beside the writer"),
+    ),
+];
+
+/// Returns the first column of the table of loops.
+fn loops_of_the_map() -> Vec<&'static str> {
+    let map = include_str!("../../docs/ARCHITECTURE.md");
+    let table = map
+        .split_once("| loop | when | rows | walks |")
+        .expect("the table")
+        .1;
+    let rows = table
+        .lines()
+        .skip(2)
+        .take_while(|line| line.starts_with('|'));
+    rows.map(|row| row.split('|').nth(1).expect("a column").trim())
+        .collect()
+}
+
 /// Catches the statements that sqlx executes.
 #[derive(Clone, Default)]
 struct Caught(Arc<Mutex<BTreeSet<String>>>);
@@ -412,4 +467,20 @@ async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
         assert!(faults.is_empty(), "{faults:?} in\n{statement}");
     }
     connection.close().await.expect("closes");
+    for (name, walks) in &LOOPS {
+        if let Seen(part) = walks {
+            let is_caught = statements.iter().chain(&asked).any(|it| it.contains(part));
+            assert!(is_caught, "{name}: {part} in {statements:#?}");
+        }
+    }
+}
+
+/// Class 4: the table was not tied to the code.
+#[test]
+fn every_loop_over_rows_that_the_map_names_is_caught_or_walks_on_purpose() {
+    let known = LOOPS.map(|(name, walks)| match walks {
+        OnPurpose("") => panic!("{name} has no reason"),
+        Seen(_) | OnPurpose(_) => name,
+    });
+    assert_eq!(loops_of_the_map(), known, "say how a new loop walks");
 }

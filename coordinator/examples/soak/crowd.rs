@@ -366,7 +366,7 @@ fn report(lease: &wire::Lease, row: &ManifestRow) -> wire::CommitRequest {
         }),
         result: Some(wire::RolloutResult {
             success,
-            steps: if success { 120 } else { 280 },
+            steps: if success { 120 } else { 220 },
             wall_secs: 1.5,
             policy_queries: 30,
             ..wire::RolloutResult::default()

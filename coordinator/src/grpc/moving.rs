@@ -251,7 +251,9 @@ fn adopt_failed(error: AdoptError) -> Status {
     let code = match error {
         AdoptError::Queue(error) => return failed(error),
         AdoptError::Exists { .. } => Code::AlreadyExists,
-        AdoptError::NoSource { .. } | AdoptError::OtherSource { .. } => Code::FailedPrecondition,
+        AdoptError::NoSource { .. }
+        | AdoptError::OtherSource { .. }
+        | AdoptError::OtherBudgets { .. } => Code::FailedPrecondition,
         AdoptError::Film { .. } => return unavailable(&error),
     };
     Status::new(code, chain(&error))

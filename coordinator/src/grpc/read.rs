@@ -10,7 +10,7 @@ use queue::ids::{CampaignName, JobId, JobName, WorkerId, shortened};
 use queue::read::JobFilter;
 use queue::rules::campaign::{Change, PRIORITIES};
 use queue::rules::lease::FailureReason;
-use queue::{Alteration, CommitReport, MAX_JOBS_RETRIED, Retry, WorkerInfo};
+use queue::{Alteration, CommitReport, MAX_JOBS_RETRIED, MAX_SLOTS, Retry, WorkerInfo};
 use rollout_types::{
     AttemptId, Digests, GoalProgress, IkResidual, Motion, Parts, Pin, Provenance, Realised,
     RolloutResult,
@@ -27,8 +27,6 @@ const MAX_ERROR_BYTES: usize = 4_096;
 /// Longest path and actions of a motion, bytes: 6 per position and 28 per action.
 const MAX_PATH_BYTES: usize = (MAX_MOTION_STEPS + 1) * 6;
 const MAX_ACTIONS_BYTES: usize = MAX_MOTION_STEPS * 28;
-/// Most slots or cores of a worker; bounded so that sums over workers do not overflow.
-const MAX_SLOTS: u32 = 1 << 16;
 /// Largest measurement of a result, in seconds, millimetres or degrees; bounded so that sums stay
 /// finite.
 const MAX_MEASURED: f64 = 1e9;

@@ -3,6 +3,7 @@
 //!
 //! While a coordinator runs, its clock only goes forward (`queue::clock`).
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -171,4 +172,117 @@ async fn a_clock_that_jumped_ahead_takes_no_lease_away() {
     let mut worker = bench.worker("a").await;
     assert!(worker.heartbeat(&[&lease], 40).await.is_empty());
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+}
+
+/// Class 2: a jump ahead was tested for leases only.
+#[tokio::test]
+async fn a_clock_that_jumped_ahead_leaves_every_instant_in_the_past_and_the_leases_their_time() {
+    let bench = Bench::start().await;
+    every_instant(&bench).await;
+    let mut before = Vec::new();
+    for (table, column, _) in INSTANTS {
+        before.push(latest(&bench, table, column).await);
+    }
+    bench.clock.advance(Duration::from_secs(24 * 3_600));
+    let now = bench.clock.now().0;
+    let bench = bench.restart().await;
+    let restarted = ["lease_expires_ms", "ceiling_ms"];
+    for ((table, column, _), before) in INSTANTS.into_iter().zip(before) {
+        let latest = latest(&bench, table, column).await;
+        match table == "job" && restarted.contains(&column) {
+            true => assert_eq!(latest, Some(now + LEASE_MS), "{table}.{column}"),
+            false => {
+                assert_eq!(latest, before, "{table}.{column}");
+                assert!(latest < Some(now), "{table}.{column} is ahead");
+            }
+        }
+    }
+    // A worker is silent until it calls; back-offs and pauses are over.
+    assert_eq!(bench.status("times").await.live_workers, 0);
+    let mut worker = bench.worker("b").await;
+    let probe = worker.claim_one().await;
+    assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
+    assert_eq!(worker.claim(64).await.len(), 5, "those that failed, too");
+    let folder = bench.stop().await;
+    assert_eq!(check(folder.path()).await.expect("a database"), []);
+}
+
+/// Source files that read the system's clock, or instants of files, and the effect of a jump.
+const OUTSIDE: [(&str, &str); 7] = [
+    (
+        "crates/service/queue/src/clock.rs",
+        "read once at the start; the jumps above are those of this clock",
+    ),
+    (
+        "crates/service/queue/src/operations/films_here.rs",
+        "compared for equality: a file that was written again is another one",
+    ),
+    (
+        "crates/simulation/assets/src/verify.rs",
+        "compared for equality: a file with another instant is verified again",
+    ),
+    (
+        "crates/simulation/sim/src/scene_files.rs",
+        "compared for equality: a program with another instant compiles scenes again",
+    ),
+    (
+        "crates/simulation/sim/src/scene_files/evict.rs",
+        "orders compiled scenes by their last use: another one is evicted, and compiled again",
+    ),
+    (
+        "crates/simulation/sim/src/scene_files/folder.rs",
+        "compared for equality: a file that was written again is another one",
+    ),
+    (
+        "policy-gateway/src/backend/vla_eval.rs",
+        "a stamp for the log of a server, which decides nothing",
+    ),
+];
+
+/// Returns the paths of Rust sources below a folder, but those of tests.
+fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).expect("a folder") {
+        let entry = entry.expect("an entry");
+        let (path, name) = (entry.path(), entry.file_name());
+        let is_left_out = ["target", "tests", "fuzz", "xtask"]
+            .iter()
+            .any(|it| name == *it);
+        let is_hidden = name.as_encoded_bytes().starts_with(b".");
+        if entry.file_type().expect("a type").is_dir() {
+            if !is_left_out && !is_hidden {
+                sources(&path, found);
+            }
+        } else if path.extension().is_some_and(|it| it == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+#[test]
+fn every_file_that_reads_another_clock_is_named_here() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("a root");
+    let mut files = Vec::new();
+    sources(root, &mut files);
+    assert!(files.len() > 300, "{} files", files.len());
+    let reads = |path: &PathBuf| {
+        let text = std::fs::read_to_string(path).expect("a source");
+        [
+            "SystemTime",
+            ".mtime(",
+            ".modified()",
+            "now_utc(",
+            "now_local(",
+        ]
+        .iter()
+        .any(|word| text.contains(word))
+    };
+    let found = files.iter().filter(|path| reads(path));
+    let mut found: Vec<&str> = found
+        .map(|path| path.strip_prefix(root).expect("below it"))
+        .map(|path| path.to_str().expect("UTF-8"))
+        .collect();
+    found.sort_unstable();
+    assert_eq!(found, OUTSIDE.map(|(file, _)| file), "say what a jump does");
 }

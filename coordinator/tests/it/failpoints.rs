@@ -30,7 +30,7 @@ const EXPIRING_SWEEP: u32 = 5;
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// `coordinator serve` on a folder, to die at a point.
-fn serve(folder: &Path, point: &str) -> Child {
+pub(crate) fn serve(folder: &Path, point: &str) -> Child {
     Command::new(env!("CARGO_BIN_EXE_coordinator"))
         .args(["serve", "--listen", "127.0.0.1:0", "--lease-secs"])
         .arg(LEASE_SECS.to_string())

@@ -16,7 +16,7 @@ use crate::harness::{Bench, small_spec, with};
 use crate::process::{coordinator, text};
 
 /// Statements that break each invariant, past the coordinator, and a word of the violation.
-const BROKEN: [(&str, &str, &str); 19] = [
+const BROKEN: [(&str, &str, &str); 20] = [
     (
         "file_is_whole",
         "PRAGMA writable_schema = 1; DELETE FROM sqlite_schema WHERE name = 'job_queued'",
@@ -98,6 +98,11 @@ const BROKEN: [(&str, &str, &str); 19] = [
         "results_are_of_the_pin",
         "UPDATE provenance SET mujoco_version = '3.4.0'",
         "not of the assets, simulator",
+    ),
+    (
+        "results_fit_their_rows",
+        "UPDATE result SET steps = 281 WHERE job_id = (SELECT min(job_id) FROM result)",
+        "has 281 control steps",
     ),
     (
         "configurations_agree",
@@ -209,13 +214,13 @@ async fn the_program_names_violations_and_fails() {
     let folder = sound().await;
     let path = |folder: &TempDir| folder.path().to_str().expect("UTF-8").to_owned();
     let output = coordinator(&["check", &path(&folder)]);
-    assert_eq!(text(&output.stdout), "all 19 invariants hold\n");
+    assert_eq!(text(&output.stdout), "all 20 invariants hold\n");
     let copy = broken(folder.path(), "DELETE FROM result").await;
     let output = coordinator(&["check", &path(&copy)]);
     assert_eq!(output.status.code(), Some(1));
     let said = text(&output.stdout);
     assert!(said.contains("committed_has_one_result: 2\n"), "{said}");
-    assert!(text(&output.stderr).contains("3 of 19 invariants"));
+    assert!(text(&output.stderr).contains("3 of 20 invariants"));
     let output = coordinator(&["check", "/nowhere"]);
     assert_eq!(output.status.code(), Some(2));
     let other = folder.path().join("notes.txt");

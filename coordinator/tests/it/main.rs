@@ -19,6 +19,7 @@ mod faults;
 mod films;
 mod fingerprints;
 mod harness;
+mod imports;
 mod invariants;
 mod json;
 mod launch;

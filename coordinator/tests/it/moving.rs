@@ -37,14 +37,14 @@ fn succeeds(rollout: &str) -> bool {
 }
 
 /// A coordinator with the campaign, of which some rollouts have outcomes.
-struct Bench {
-    folder: TempDir,
-    serve: Serve,
-    worker: Worker,
+pub(crate) struct Bench {
+    pub(crate) folder: TempDir,
+    pub(crate) serve: Serve,
+    pub(crate) worker: Worker,
 }
 
 impl Bench {
-    async fn empty() -> Bench {
+    pub(crate) async fn empty() -> Bench {
         let folder = tempfile::tempdir().expect("a folder");
         let serve = Serve::start(folder.path());
         // No two workers have one id.
@@ -57,7 +57,7 @@ impl Bench {
         }
     }
 
-    async fn with(spec: &Value) -> Bench {
+    pub(crate) async fn with(spec: &Value) -> Bench {
         let bench = Bench::empty().await;
         let file = bench.folder.path().join("spec.json");
         std::fs::write(&file, spec.to_string()).expect("written");
@@ -67,7 +67,7 @@ impl Bench {
     }
 
     /// Commits some rollouts, but those that are left out.
-    async fn run(&mut self, rollouts: usize, leave_out: &str) {
+    pub(crate) async fn run(&mut self, rollouts: usize, leave_out: &str) {
         let mut left = Vec::new();
         let mut done = 0;
         while done < rollouts {
@@ -88,36 +88,36 @@ impl Bench {
     }
 
     /// Runs a command that must work. Returns what it printed.
-    fn must(&self, arguments: &[&str]) -> String {
+    pub(crate) fn must(&self, arguments: &[&str]) -> String {
         let output = self.serve.command(arguments);
         assert!(output.status.success(), "{}", text(&output.stderr));
         text(&output.stdout).to_owned()
     }
 
     /// Runs a command that must fail. Returns what it said.
-    fn refused(&self, arguments: &[&str]) -> String {
+    pub(crate) fn refused(&self, arguments: &[&str]) -> String {
         let output = self.serve.command(arguments);
         assert!(!output.status.success(), "{}", text(&output.stdout));
         text(&output.stderr).to_owned()
     }
 
-    fn archive(&self, name: &str) -> PathBuf {
+    pub(crate) fn archive(&self, name: &str) -> PathBuf {
         let file = self.folder.path().join(format!("{name}.tar.gz"));
         let path = file.display().to_string();
         self.must(&["campaign", "archive", name, "--output", &path]);
         file
     }
 
-    fn import(&self, file: &Path) -> String {
+    pub(crate) fn import(&self, file: &Path) -> String {
         self.must(&["campaign", "import", &file.display().to_string()])
     }
 
-    fn report(&self, name: &str) -> String {
+    pub(crate) fn report(&self, name: &str) -> String {
         self.must(&["report", name, "--json"])
     }
 
     /// Everything that is in the database but of workers, who call all the time.
-    async fn rows(&self) -> Vec<String> {
+    pub(crate) async fn rows(&self) -> Vec<String> {
         let pool = open_database(self.folder.path()).await;
         let tables = "SELECT name FROM sqlite_schema WHERE type = 'table'
                           AND name <> 'worker' AND name NOT LIKE 'sqlite_%' ORDER BY name";
@@ -146,14 +146,14 @@ impl Bench {
         rows
     }
 
-    async fn in_order(&self) {
+    pub(crate) async fn in_order(&self) {
         let violations = check(self.folder.path()).await.expect("a database");
         assert_eq!(violations, []);
     }
 }
 
 /// The members of an archive, in order.
-fn members(file: &Path) -> Vec<(String, Vec<u8>)> {
+pub(crate) fn members(file: &Path) -> Vec<(String, Vec<u8>)> {
     let mut tar = tar::Archive::new(GzDecoder::new(File::open(file).expect("an archive")));
     let entries = tar.entries().expect("members");
     let member = |entry: std::io::Result<tar::Entry<'_, _>>| {
@@ -168,7 +168,7 @@ fn members(file: &Path) -> Vec<(String, Vec<u8>)> {
 
 /// Writes an archive of these members. A list that is to be true again names what they
 /// are now.
-fn write(file: &Path, members: &[(String, Vec<u8>)], list_anew: bool) {
+pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], list_anew: bool) {
     let mut members = members.to_vec();
     if list_anew {
         let mut list: Value = serde_json::from_slice(&members[0].1).expect("a list");

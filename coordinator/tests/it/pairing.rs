@@ -342,3 +342,59 @@ async fn an_outcome_without_its_origin_or_with_nonsense_is_refused_unread() {
     .await;
     assert_eq!(bench.status("paired").await.leased, 1, "nothing changed");
 }
+
+/// A result with more control steps than its rollout may take would be paired and reported.
+#[tokio::test]
+async fn a_result_that_does_not_fit_its_row_is_refused_with_the_bound_named() {
+    for (steps, clipped, verdict, words) in [
+        (280, 280, Verdict::Accepted, ""),
+        (
+            281,
+            0,
+            Verdict::Unpaired,
+            "281 control steps, and its manifest row allows 280",
+        ),
+        (
+            280,
+            281,
+            Verdict::Unpaired,
+            "281 clipped actions in 280 control steps",
+        ),
+    ] {
+        let (bench, mut worker, lease) = with_siblings().await;
+        let mut report = worker.report(&lease, false);
+        let result = report.result.as_mut().expect("a result");
+        (result.steps, result.clipped_actions) = (steps, clipped);
+        let (given, detail) = worker.commit_request(report).await;
+        assert_eq!(given, verdict, "{detail}");
+        assert!(detail.contains(words), "{detail}");
+        let charged = "SELECT count(*) FROM failure WHERE reason = 'unpaired' AND charged = 1";
+        let refused = i64::from(verdict == Verdict::Unpaired);
+        assert_eq!(bench.count(charged).await, refused);
+    }
+}
+
+/// It failed every commit of the initial state, as if the database were down.
+#[tokio::test]
+async fn a_sibling_that_cannot_be_read_charges_nobody_and_is_named() {
+    let (bench, _, _) = with_siblings().await;
+    let pool = bench.database().await;
+    sqlx::query("UPDATE result SET realised = '{\"camera\": 7}'")
+        .execute(&pool)
+        .await
+        .expect("altered");
+    pool.close().await;
+    // The results of running campaigns are remembered.
+    let bench = bench.restart().await;
+    bench.pass(61).await;
+    let mut worker = bench.worker("b").await;
+    let lease = worker.claim_one().await;
+    let report = worker.report(&lease, true);
+    let (verdict, detail) = worker.commit_request(report).await;
+    assert_eq!(verdict, Verdict::Unpaired);
+    assert!(detail.contains("siblings cannot be read"), "{detail}");
+    let uncharged = "SELECT count(*) FROM failure WHERE reason = 'unsuited' AND charged = 0";
+    assert_eq!(bench.count(uncharged).await, 1);
+    // The other calls of the coordinator go on.
+    assert_eq!(bench.status("paired").await.committed, 2);
+}

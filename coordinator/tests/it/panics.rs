@@ -1,14 +1,16 @@
 //! The coordinator's background tasks: none holds up connections and signals, and a panic in
 //! one of them ends the coordinator with an error, so that whatever started it starts it again.
 
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use coordinator::{Coordinator, ServeError};
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
+use queue::PANIC_VARIABLE;
 use queue::clock::{Clock, ManualClock, UnixMillis};
 use sqlx::Connection;
 use tokio::net::TcpListener;
@@ -118,4 +120,46 @@ async fn connections_and_signals_are_served_while_the_database_is_locked() {
     drop(writer);
     let ended = served.join_next().await.expect("a task");
     ended.expect("no panic").expect("no error");
+}
+
+/// Returns the names that a source file gives to its background tasks.
+fn tasks_of(source: &str) -> Vec<&str> {
+    let calls = source.split("spawn(").skip(1);
+    calls
+        .filter_map(|call| Some(call.trim_start().strip_prefix('"')?.split_once('"')?.0))
+        .collect()
+}
+
+/// Class 3: only the panic of the writer was tested.
+#[test]
+fn a_panic_of_any_background_task_ends_the_coordinator_with_its_name() {
+    let mut names = tasks_of(include_str!("../../../crates/service/queue/src/queue.rs"));
+    names.extend(tasks_of(include_str!("../../src/serve.rs")));
+    assert!(names.len() >= 8, "{names:?}");
+    for name in names {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let films = tempfile::tempdir().expect("a temporary folder");
+        let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
+            .args(["serve", "--listen", "127.0.0.1:0", "--data"])
+            .arg(folder.path())
+            .arg("--artifacts")
+            .arg(films.path())
+            .env(PANIC_VARIABLE, name)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn();
+        let mut child = child.expect("starts");
+        let began = Instant::now();
+        while child.try_wait().expect("a child").is_none() {
+            if began.elapsed() > Duration::from_secs(30) {
+                child.kill().expect("killed");
+                panic!("nobody noticed that {name} panicked");
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let output = child.wait_with_output().expect("its end");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success(), "{name}: {said}");
+        assert!(said.contains(&format!("{name} panicked")), "{name}: {said}");
+    }
 }

@@ -431,3 +431,50 @@ async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
     let said = serve.command(&["jobs", "show", "told", &rollout]);
     assert!(text(&said.stdout).contains("all is well"));
 }
+
+#[test]
+fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let flags = [
+        "--subsets",
+        "camera+sensor",
+        "--replicates",
+        "2",
+        "--record",
+        "transitions",
+        "--execution",
+        "hold:2",
+    ];
+    let create = [CREATE.as_slice(), &flags].concat();
+    let printed = serve.command(&[create.as_slice(), &["--print-spec"]].concat());
+    assert!(printed.status.success(), "{}", text(&printed.stderr));
+    let listed = serve.command(&["campaign", "list"]);
+    assert!(text(&listed.stdout).contains("no campaigns yet"));
+    let spec = folder.path().join("spec.json");
+    std::fs::write(&spec, &printed.stdout).expect("written");
+    let spec = spec.to_str().expect("UTF-8");
+    let created = serve.command(&create);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+    let again = serve.command(&["campaign", "create", "--spec", spec]);
+    let said = text(&again.stdout);
+    assert!(
+        said.contains("was there already, with this specification"),
+        "{said}{}",
+        text(&again.stderr)
+    );
+    // What it prints of itself is what it read.
+    let again = serve.command(&["campaign", "create", "--spec", spec, "--print-spec"]);
+    assert_eq!(text(&again.stdout), text(&printed.stdout));
+}
+
+#[test]
+fn an_export_as_csv_names_the_command_that_writes_it() {
+    let output = coordinator(&["export", "demo", "--format", "csv"]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = text(&output.stderr);
+    let words = "`coordinator report CAMPAIGN --table FILE.csv` writes outcomes in this format";
+    assert!(said.contains(words), "{said}");
+    let output = coordinator(&["export", "demo", "--format", "xlsx"]);
+    assert!(text(&output.stderr).contains("write jsonl or parquet"));
+}

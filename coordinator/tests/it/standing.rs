@@ -1,9 +1,11 @@
 //! Statements on workers, paces and policies hold at every moment.
 
+use std::time::Duration;
+
 use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
-use serde_json::json;
+use serde_json::{Value, json};
 use tonic::Code;
 
 use crate::harness::{Bench, Worker, registration, small_spec, with};
@@ -192,4 +194,41 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
     assert_eq!(wrong.status.code(), Some(2));
     let no_dry_run = serve.command(&[&CREATE[..], &["--policy-rate", "1"]].concat());
     assert_eq!(no_dry_run.status.code(), Some(2));
+}
+
+/// A cluster's workers would fill the list for ever.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_that_has_gone_is_listed_for_a_week_and_counted_afterwards() {
+    let bench = Bench::start().await;
+    bench.worker("old").await;
+    let list = |arguments: &[&str]| {
+        let connection = ["--connect", bench.url.as_str()];
+        let output = coordinator(&[&["workers"], arguments, &connection].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout).to_owned()
+    };
+    bench.clock.advance(Duration::from_secs(6 * 86_400));
+    bench.worker("new").await;
+    let said = list(&["--all"]);
+    assert!(
+        said.contains("old on ") && said.contains("new on "),
+        "{said}"
+    );
+    bench.clock.advance(Duration::from_secs(2 * 86_400));
+    let said = list(&["--all"]);
+    assert!(
+        !said.contains("old on ") && said.contains("new on "),
+        "{said}"
+    );
+    assert!(
+        said.contains("1 worker not heard of for a week or more: --all --json lists them too"),
+        "{said}"
+    );
+    let listed: Value = serde_json::from_str(&list(&["--all", "--json"])).expect("JSON");
+    assert_eq!(listed["workers"].as_array().expect("workers").len(), 2);
+    let said = list(&[]);
+    assert!(
+        said.contains("1 that have gone: --all shows them"),
+        "{said}"
+    );
 }

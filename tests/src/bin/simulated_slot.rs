@@ -150,7 +150,7 @@ fn play(
     Ok(Some(Finished {
         result: RolloutResult {
             success: repeated.map_or(fate[0].is_multiple_of(2), |success| *success),
-            steps: 20 + u32::from(fate[1]),
+            steps: (20 + u32::from(fate[1])).min(row.max_steps),
             wall_secs: started.elapsed().as_secs_f64(),
             ik: None,
             clipped_actions: 0,

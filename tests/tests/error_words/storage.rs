@@ -11,11 +11,11 @@ use lattice::{IncompleteLattice, KnownError, Unexplained};
 use libero_ctrl::{Axis, AxisSet, NotMeasurable, RolloutId, SpecError, Suite};
 use paired::{DuplicateRecord, NotInOrder, Transition};
 use queue::expand::ExpandError;
-use queue::ids::{CampaignName, JobName, NameError, WorkerId};
+use queue::ids::{CampaignName, JobId, JobName, NameError, WorkerId};
 use queue::invariants::CheckError;
 use queue::{
     AdoptError, ArtifactError, CopyError, MergeError, OpenError, PortableError, QueueError,
-    StoreError,
+    RowProblem, RowsError, StoreError, WorkerProblem,
 };
 use report::{
     BadLine, BudgetTooSmall, DocumentError, ImportError, NoCommonOrder, NoInteractions, TableError,
@@ -155,6 +155,32 @@ fn moving(messages: &mut Messages) {
         PortableError::Violated { .. } => PortableError::Violated {
             invariant: "file_is_whole", example: text(),
         },
+        PortableError::Rows(_) => PortableError::Rows(RowsError::Expansion {
+            found: 12, expected: 13,
+        }),
+    );
+    let job = JobId(7);
+    let id = || NameError::Worker {
+        id: "a b".to_owned(),
+    };
+    variants!(messages, RowsError,
+        RowsError::Specification(_) => RowsError::Specification(SpecError::Replicates { given: 0 }),
+        RowsError::Expansion { .. } => RowsError::Expansion { found: 12, expected: 13 },
+        RowsError::Row { .. } => RowsError::Row { job, problem: RowProblem::Unspecified },
+        RowsError::Worker(_) => RowsError::Worker(id().into()),
+    );
+    variants!(messages, RowProblem,
+        RowProblem::Unreadable { .. } => RowProblem::Unreadable { problem: text() },
+        RowProblem::Column { .. } => RowProblem::Column { column: "task" },
+        RowProblem::Unspecified => RowProblem::Unspecified,
+        RowProblem::Altered { .. } => RowProblem::Altered { column: "max_steps".to_owned() },
+        RowProblem::Realised { .. } => RowProblem::Realised { problem: text() },
+    );
+    variants!(messages, WorkerProblem,
+        WorkerProblem::Id(_) => WorkerProblem::Id(id()),
+        WorkerProblem::Count { .. } => WorkerProblem::Count {
+            worker: WorkerId("a".to_owned()), column: "slots", given: 0,
+        },
     );
     variants!(messages, CopyError,
         CopyError::Queue(_) => CopyError::Queue(QueueError::ShuttingDown),
@@ -168,6 +194,7 @@ fn moving(messages: &mut Messages) {
         AdoptError::OtherSource { .. } => AdoptError::OtherSource {
             campaign: campaign(), source_campaign: campaign(),
         },
+        AdoptError::OtherBudgets { .. } => AdoptError::OtherBudgets { campaign: campaign() },
         AdoptError::Film { .. } => AdoptError::Film { path: path(), source: io_error() },
         AdoptError::Queue(_) => AdoptError::Queue(QueueError::ShuttingDown),
     );

@@ -148,3 +148,30 @@ async fn slots_end_with_a_worker_that_is_killed() {
     worker.signal("KILL");
     slots.into_iter().for_each(wait_for_the_end_of);
 }
+
+/// A rollout has the same name in every campaign of the design.
+#[tokio::test(flavor = "multi_thread")]
+async fn rollouts_of_two_campaigns_have_one_line_of_the_log_each() {
+    if !ready("rollouts_of_two_campaigns_have_one_line_of_the_log_each") {
+        return;
+    }
+    let policy = ScriptedPolicy::start().await;
+    let coordinator = ScriptedCoordinator::start().await;
+    for (job, campaign) in [(1, "first"), (2, "second")] {
+        let mut of_campaign = lease(job, "still", &policy.url());
+        campaign.clone_into(&mut of_campaign.campaign);
+        coordinator.lease(of_campaign);
+    }
+    let worker = WorkerProcess::start_with(&coordinator.url(), &["--idle-secs", "1"]);
+    for place in [1, 2] {
+        coordinator.told(place).await.commit();
+    }
+    let (status, said) = worker.wait();
+    assert!(status.success(), "{said}");
+    for campaign in ["first", "second"] {
+        let ended = format!(" {campaign}: object/t0/clean/i03");
+        let lines = said.lines();
+        let lines = lines.filter(|line| line.contains(&ended) && line.contains(" steps in "));
+        assert_eq!(lines.count(), 1, "{campaign}: {said}");
+    }
+}

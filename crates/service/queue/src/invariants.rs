@@ -69,7 +69,7 @@ pub(crate) const SCHEMA_INVARIANT: &str = "schema_is_the_programs";
 
 /// All invariants, in the order in which they are checked. Queries may use `known_schema`, a
 /// temporary table that holds this program's schema.
-pub const INVARIANTS: [Invariant; 19] = [
+pub const INVARIANTS: [Invariant; 20] = [
     // SQLite finds the file intact.
     Invariant {
         name: "file_is_whole",
@@ -239,6 +239,28 @@ pub const INVARIANTS: [Invariant; 19] = [
          WHERE j.campaign_id <> c.id OR p.asset_pack_digest IS NOT c.asset_pack_digest
              OR p.mujoco_version IS NOT c.mujoco_version OR p.realisation <> c.realisation
              OR (p.fingerprint <> '' AND p.renderer IS NOT c.renderer)",
+    },
+    // A result is within the step budget of its job, and its numbers within those that a
+    // worker may report.
+    Invariant {
+        name: "results_fit_their_rows",
+        query: "SELECT format('the result of job %d has %d control steps, %d of them clipped, and '
+             || '%d queries in %s s, of at most %s steps', r.job_id, r.steps, r.clipped_actions,
+             r.policy_queries, r.wall_secs, j.manifest_row ->> 'max_steps')
+         FROM result r JOIN job j ON j.id = r.job_id
+         WHERE r.steps > coalesce(j.manifest_row ->> 'max_steps', r.steps)
+             OR r.clipped_actions > r.steps
+             OR max(r.steps, r.policy_queries, coalesce(r.ik_clamped_joints, 0),
+                 coalesce(r.goal_predicates, 0)) > 4294967295
+             OR max(r.wall_secs, coalesce(r.ik_residual_mm, 0), coalesce(r.ik_residual_deg, 0),
+                 coalesce(r.physics_secs, 0), coalesce(r.drawing_secs, 0),
+                 coalesce(r.policy_secs, 0)) > 1e9
+             OR min(coalesce(r.ik_residual_mm, 0), coalesce(r.ik_residual_deg, 0),
+                 coalesce(r.ik_clamped_joints, 0)) < 0
+         UNION ALL
+         SELECT format('divergence %d of job %d has %d control steps in %s s', id, job_id, steps,
+             wall_secs)
+         FROM divergence WHERE steps > 4294967295 OR wall_secs > 1e9",
     },
     // The results of one initial state agree on scene and initial state.
     Invariant {

@@ -18,6 +18,7 @@ mod queue;
 pub mod read;
 pub mod rules;
 mod store;
+mod tasks;
 mod timing;
 
 pub use elsewhere::Elsewhere;
@@ -33,6 +34,7 @@ pub use operations::commit::{CommitReply, CommitReport, CommitVerdict};
 pub use operations::error::QueueError;
 pub use operations::films::Film;
 pub use operations::films_here::{FilmHere, Forgotten};
+pub use operations::imported::{RowProblem, RowsError, WorkerProblem};
 pub use operations::merge::{MergeError, Merged, merge};
 pub use operations::portable::{
     AdoptError, CopyError, FilmFile, Portable, PortableError, SourceOutcomes,
@@ -41,7 +43,8 @@ pub use operations::release::{ReleaseReply, ReleaseVerdict};
 pub use operations::retry::{MAX_JOBS_RETRIED, Retry};
 pub use queue::Queue;
 pub use read::View;
-pub use store::failpoint::{FAILPOINT_VARIABLE, Side, Step};
-pub use store::workers::WorkerInfo;
+pub use store::failpoint::{FAILPOINT_VARIABLE, PANIC_VARIABLE, Side, Step};
+pub use store::workers::{MAX_SLOTS, WorkerInfo};
 pub use store::{DATABASE_FILE, OpenError, Store, StoreError, newest_known_schema};
+pub use tasks::Tasks;
 pub use timing::Timing;

@@ -16,6 +16,7 @@ pub(crate) mod filming;
 pub(crate) mod films;
 pub(crate) mod films_here;
 pub(crate) mod heartbeat;
+pub(crate) mod imported;
 pub(crate) mod in_flight;
 pub(crate) mod merge;
 pub(crate) mod passages;

@@ -1,8 +1,6 @@
 //! Entry point for the requests of workers and operators. Every answer is given after its
 //! transaction is on disk.
 
-use std::collections::HashMap;
-use std::future::Future;
 use std::sync::Arc;
 use std::sync::atomic::AtomicI64;
 use std::time::Duration;
@@ -10,7 +8,6 @@ use std::time::Duration;
 use rand_chacha::ChaCha8Rng;
 use rollout_types::AttemptId;
 use tokio::sync::{mpsc, oneshot};
-use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 use crate::clock::{Clock, UnixMillis};
@@ -29,6 +26,7 @@ use crate::operations::{removals, start};
 use crate::read::{Changes, View};
 use crate::rules::lease::FailureReason;
 use crate::store::{Store, StoreError};
+use crate::tasks::Tasks;
 use crate::timing::Timing;
 
 /// Interval between checkpoints of the write-ahead log.
@@ -60,30 +58,6 @@ async fn keep_log_short(shared: Arc<Shared>) {
         if let Err(error) = shared.store.checkpoint().await {
             tracing::debug!("failed to {}", error.with_cause());
         }
-    }
-}
-
-/// Tasks of a queue, with their names.
-#[derive(Default)]
-struct Tasks {
-    running: JoinSet<()>,
-    names: HashMap<tokio::task::Id, &'static str>,
-}
-
-impl Tasks {
-    fn spawn(&mut self, name: &'static str, work: impl Future<Output = ()> + Send + 'static) {
-        let task = self.running.spawn(work);
-        self.names.insert(task.id(), name);
-    }
-
-    async fn next_ended(&mut self) -> &'static str {
-        let ended = match self.running.join_next_with_id().await {
-            Some(Ok((id, ()))) => Some(id),
-            Some(Err(error)) => Some(error.id()),
-            None => None,
-        };
-        let name = ended.and_then(|id| self.names.get(&id));
-        name.copied().unwrap_or("a task of the queue")
     }
 }
 
@@ -347,24 +321,5 @@ impl std::fmt::Debug for Queue {
             .field("folder", &self.store().folder())
             .field("timing", &self.timing())
             .finish_non_exhaustive()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[tokio::test]
-    async fn a_task_that_panics_is_named() {
-        for panics in ["first", "second"] {
-            let mut tasks = Tasks::default();
-            for name in ["first", "second"] {
-                tasks.spawn(name, async move {
-                    assert_ne!(name, panics, "a defect");
-                    std::future::pending().await
-                });
-            }
-            assert_eq!(tasks.next_ended().await, panics);
-        }
     }
 }

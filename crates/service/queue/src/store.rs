@@ -15,6 +15,7 @@ pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
 pub(crate) mod halves;
+pub(crate) mod imported;
 pub(crate) mod instants;
 pub(crate) mod jobs;
 pub(crate) mod passages;
@@ -154,6 +155,17 @@ pub enum StoreError {
 }
 
 impl StoreError {
+    /// Returns true if a stored value could not be decoded: trying again fails again.
+    pub(crate) fn is_undecodable(&self) -> bool {
+        let Self::Statement { source, .. } = self else {
+            return false;
+        };
+        matches!(
+            **source,
+            sqlx::Error::Decode(_) | sqlx::Error::ColumnDecode { .. }
+        )
+    }
+
     /// Returns the error and its cause, for the log.
     pub(crate) fn with_cause(&self) -> String {
         match self {

@@ -170,6 +170,9 @@ impl Context<'_> {
             let reason = FailureReason::PolicyUnavailable;
             return self.refuse(attempt, reason, detail).await;
         }
+        if let Some(detail) = pairing::misfit(&attempt.row, &report.result) {
+            return self.refuse(attempt, FailureReason::Unpaired, detail).await;
+        }
         let demand = Demand {
             realisation: campaign.mode()?,
             row: &attempt.row,
@@ -182,7 +185,18 @@ impl Context<'_> {
             realised: report.realised.clone(),
             origin,
         };
-        let siblings = self.cache.siblings(&mut self.tx, &attempt.of).await?;
+        let siblings = match self.cache.siblings(&mut self.tx, &attempt.of).await {
+            Err(error) if error.is_undecodable() => {
+                // No result of this initial state can be compared, whoever reports it.
+                let detail = format!(
+                    "the results of its siblings cannot be read (failed to {}); restore the \
+                     database from a backup, or skip the rollout",
+                    error.with_cause()
+                );
+                return self.refuse(attempt, FailureReason::Unsuited, detail).await;
+            }
+            siblings => siblings?,
+        };
         if let Some(detail) = pairing::difference(&demand, siblings, &result) {
             return self.refuse(attempt, FailureReason::Unpaired, detail).await;
         }

@@ -11,6 +11,7 @@ use sha2::{Digest, Sha256};
 use super::artifacts::campaign_folder;
 use super::context::Context;
 use super::error::QueueError;
+use super::imported::{self, RowsError};
 use super::passages::{self as moves, PIECE};
 use super::removals;
 use super::settled::Settled;
@@ -85,11 +86,15 @@ pub enum PortableError {
         /// Description of the first violation.
         example: String,
     },
+    /// A row is not one that this program would have stored.
+    #[error(transparent)]
+    Rows(#[from] RowsError),
 }
 
 impl Portable {
-    /// Opens the data folder of one campaign and verifies it: its schema, every invariant, and
-    /// the specification's digest. A database of an older schema is upgraded.
+    /// Opens the data folder of one campaign and verifies it: its schema, every invariant, the
+    /// specification's digest, and that all jobs, results and workers are ones that this program
+    /// would have stored. A database of an older schema is upgraded.
     ///
     /// The database is untrusted. A view in place of a table, or a trigger, would run with the
     /// first statement that touches it, so the schema is compared before any other statement.
@@ -116,7 +121,13 @@ impl Portable {
             let example = examples.into_iter().next().unwrap_or_default();
             return Err(PortableError::Violated { invariant, example });
         }
-        Portable::of(store).await
+        let portable = Portable::of(store).await?;
+        let mut view = portable.store.read().await?;
+        let of = portable.campaign.id;
+        match imported::contradiction(&mut view, of, &portable.spec).await? {
+            Some(error) => Err(error.into()),
+            None => Ok(portable),
+        }
     }
 
     pub(super) async fn of(store: Store) -> Result<Portable, PortableError> {
@@ -264,6 +275,15 @@ impl Queue {
             });
         }
         let follows = context.followed(&called, source).await?;
+        if let Some(source) = follows {
+            let mut view = from.store.read().await?;
+            let derived = (&mut *view, from.campaign.id);
+            if !imported::has_budgets_of(derived, (&mut context.tx, source)).await? {
+                return Err(AdoptError::OtherBudgets {
+                    campaign: called.name,
+                });
+            }
+        }
         called.folder = campaigns::free_folder(&mut context.tx, &called.name).await?;
         let folder = campaign_folder(&called.folder);
         // Marks the folder for removal at the next start, in case the import does not complete.
@@ -399,6 +419,14 @@ pub enum AdoptError {
         campaign: CampaignName,
         /// The campaign that it follows from.
         source_campaign: CampaignName,
+    },
+    /// Rollouts have other step budgets than those of the campaign that it derives from.
+    #[error(
+        "add campaign `{campaign}`: its rollouts have other step budgets than those of the campaign that it follows from; archive it again"
+    )]
+    OtherBudgets {
+        /// The campaign.
+        campaign: CampaignName,
     },
     /// A video cannot be moved.
     #[error("move film {}: is there room on the disk, and may this user write there?", path.display())]

@@ -126,6 +126,11 @@ mod tests {
             queue.create_campaign(&campaign).await.expect("created");
         };
         create("one").await;
+        let archive = tempfile::tempdir().expect("a temporary folder");
+        let (copy, _) = queue
+            .copy_campaign(&name("one"), archive.path())
+            .await
+            .expect("copied");
         let mut removing = tokio::task::JoinSet::new();
         let busy = async {
             queue.delete_campaign(&name("one")).await.expect("deleted");
@@ -147,6 +152,11 @@ mod tests {
                 .await
                 .expect("altered");
             queue.delete_campaign(&name("two")).await.expect("deleted");
+            let (imported, _) = queue
+                .adopt(&copy, None, Some(&name("three")))
+                .await
+                .expect("imported");
+            assert_eq!(imported, name("three"));
         };
         let busy = tokio::time::timeout(Duration::from_secs(30), busy).await;
         busy.expect("nothing waits for the storage");

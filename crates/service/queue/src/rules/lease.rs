@@ -143,7 +143,8 @@ pub enum FailureReason {
     Draining,
     /// The campaign was cancelled.
     Cancelled,
-    /// Another worker's result pinned the campaign to another asset pack, simulator or renderer.
+    /// Another worker's result pinned the campaign to another asset pack, simulator or renderer, or
+    /// the stored results of the siblings cannot be read.
     Unsuited,
     /// The lease expired before a heartbeat named it: the answer to the claim was lost.
     NeverAcknowledged,

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use libero_ctrl::{Axis, ManifestRow, Realisation, RolloutId};
-use rollout_types::{Digests, Provenance, Realised};
+use rollout_types::{Digests, Provenance, Realised, RolloutResult};
 
 use crate::ids::WorkerId;
 
@@ -42,6 +42,19 @@ impl Sibling {
             && self.digests.first_frame.is_empty() == other.digests.first_frame.is_empty()
             && sees_alike(&self.origin, &other.origin)
     }
+}
+
+/// Describes why no rollout of this manifest row can have the result; `None` if one can. An action
+/// is clipped in the control step that executes it, and settling steps are not counted.
+pub(crate) fn misfit(row: &ManifestRow, result: &RolloutResult) -> Option<String> {
+    let (steps, clipped, budget) = (result.steps, result.clipped_actions, row.max_steps);
+    if steps > budget {
+        return Some(format!(
+            "the result has {steps} control steps, and its manifest row allows {budget}"
+        ));
+    }
+    (clipped > steps)
+        .then(|| format!("the result has {clipped} clipped actions in {steps} control steps"))
 }
 
 /// Describes the first difference that makes a result inconsistent; `None` if it may be stored. The

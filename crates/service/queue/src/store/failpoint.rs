@@ -1,5 +1,6 @@
 //! Failpoints: places where tests can kill the process, before and after the commit of every
-//! writing transaction. Compiled only with debug assertions; otherwise [`Failpoints`] is empty.
+//! writing transaction, and where they can let a background task panic. Compiled only with debug
+//! assertions; otherwise [`Failpoints`] is empty.
 
 #[cfg(debug_assertions)]
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -44,6 +45,19 @@ pub enum Step {
 /// Environment variable that names the failpoint, a [`Side`] and a [`Step`]: `Before:Commit` or
 /// `After:Commit`, or `After:Commit:n` for the n-th time that it is reached.
 pub const FAILPOINT_VARIABLE: &str = "COORDINATOR_DIE_AT";
+
+/// Environment variable that names a background task that panics when it starts: `the sweep`.
+pub const PANIC_VARIABLE: &str = "COORDINATOR_PANIC_IN";
+
+/// Panics if [`PANIC_VARIABLE`] names this task.
+#[cfg(debug_assertions)]
+pub(crate) fn panic_in(task: &str) {
+    let named = std::env::var(PANIC_VARIABLE);
+    assert!(named.as_deref() != Ok(task), "failpoint: {task} ends here");
+}
+
+#[cfg(not(debug_assertions))]
+pub(crate) fn panic_in(_: &str) {}
 
 /// The failpoint of this process, if it has one.
 #[derive(Debug, Default)]

@@ -11,6 +11,9 @@ use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
 use crate::rules::lease::Strike;
 
+/// Most slots or cores of a worker; bounded so that sums over workers do not overflow.
+pub const MAX_SLOTS: u32 = 1 << 16;
+
 /// A worker as registered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WorkerInfo {

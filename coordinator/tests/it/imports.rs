@@ -1,0 +1,258 @@
+//! Archives whose rows were altered so that each passes the database's own constraints, and
+//! campaigns that are imported in several transactions.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use proto::coordinator::commit_response::Verdict;
+use queue::DATABASE_FILE;
+use queue::invariants::check;
+use serde_json::{Value, json};
+
+use crate::artifacts::put;
+use crate::failpoints::serve;
+use crate::harness::{open_database, rollout_id, small_spec, with};
+use crate::moving::{Bench, members, write};
+use crate::process::Serve;
+
+/// Alters the database of an archive, past the coordinator, and lists its members anew.
+async fn alter(archive: &Path, into: &Path, sql: &'static str) {
+    let mut altered = members(archive);
+    let folder = tempfile::tempdir().expect("a folder");
+    let database = folder.path().join(DATABASE_FILE);
+    let rows = altered.iter_mut().find(|(name, _)| name == DATABASE_FILE);
+    let (_, rows) = rows.expect("a database");
+    std::fs::write(&database, &rows).expect("written");
+    let pool = open_database(folder.path()).await;
+    let done = sqlx::raw_sql(sql).execute(&pool).await.expect("altered");
+    assert!(done.rows_affected() > 0, "{sql}");
+    sqlx::raw_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+        .execute(&pool)
+        .await
+        .expect("one file");
+    pool.close().await;
+    *rows = std::fs::read(&database).expect("a database");
+    write(into, &altered, true);
+}
+
+/// Each of these rows would fail every claim, commit or page that reads it.
+#[tokio::test(flavor = "multi_thread")]
+async fn rows_that_no_coordinator_would_have_stored_are_refused_by_name() {
+    let mut here = Bench::with(&with(small_spec("moved"), json!({"replicates": 2}))).await;
+    here.run(2, "").await;
+    let file = here.archive("moved");
+    let there = Bench::empty().await;
+    let before = there.rows().await;
+    let bad = there.folder.path().join("bad.tar.gz");
+    let path = bad.display().to_string();
+    for (sql, words) in [
+        (
+            "UPDATE job SET manifest_row = json_set(manifest_row, '$.max_steps',
+                 9223372036854775807) WHERE id = (SELECT max(id) FROM job)",
+            &["manifest row cannot be read", "9223372036854775807"][..],
+        ),
+        (
+            "UPDATE job SET manifest_row = json_remove(manifest_row, '$.suite')
+             WHERE id = (SELECT max(id) FROM job)",
+            &["manifest row cannot be read", "`suite`"],
+        ),
+        (
+            "UPDATE job SET manifest_row = json_set(manifest_row, '$.max_steps', 279)
+             WHERE id = (SELECT max(id) FROM job)",
+            &["its specification gives it another `max_steps`"],
+        ),
+        (
+            "UPDATE job SET manifest_row = json_set(manifest_row, '$.num_steps_wait', 4294967295)
+             WHERE id = (SELECT max(id) FROM job)",
+            &["its specification gives it another `num_steps_wait`"],
+        ),
+        (
+            "INSERT INTO campaign_task SELECT id, 'libero_object/1' FROM campaign;
+             UPDATE job SET task = 'libero_object/1' WHERE id = (SELECT max(id) FROM job)",
+            &["its `task` is not that of its manifest row"],
+        ),
+        (
+            "UPDATE job SET init_id = init_id + 1 WHERE id = (SELECT max(id) FROM job)",
+            &["its `init_id` is not that of its manifest row"],
+        ),
+        (
+            "UPDATE job SET policy_seed = 7 WHERE id = (SELECT max(id) FROM job)",
+            &["its `policy_seed` is not that of its manifest row"],
+        ),
+        (
+            "UPDATE job SET replicate = 1099511627776 WHERE id = (SELECT max(id) FROM job)",
+            &["its `replicate` is not that of its manifest row"],
+        ),
+        (
+            "UPDATE job SET rollout_id = 'object/t0/clean/i49'
+             WHERE id = (SELECT max(id) FROM job)",
+            &["its `rollout_id` is not that of its manifest row"],
+        ),
+        (
+            "DELETE FROM job WHERE unit_order = (SELECT max(unit_order) FROM job);
+             UPDATE campaign SET jobs = jobs - 1",
+            &["find the campaign's rollouts", "it holds 7", "has 8"],
+        ),
+        (
+            "UPDATE result SET realised = '{\"camera\": 7}'
+             WHERE job_id = (SELECT min(job_id) FROM result)",
+            &["`realised` of its result cannot be read"],
+        ),
+        (
+            "UPDATE worker SET slots = 1099511627776",
+            &["its `slots` is 1099511627776", "1 to 65536"],
+        ),
+        (
+            "UPDATE worker SET cores = 65537",
+            &["its `cores` is 65537", "1 to 65536"],
+        ),
+        (
+            "PRAGMA foreign_keys = OFF; UPDATE result SET worker_id = 'a b';
+             UPDATE worker SET id = 'a b'",
+            &["read worker id `a b`"],
+        ),
+        (
+            "UPDATE result SET policy_queries = 9223372036854775807
+             WHERE job_id = (SELECT min(job_id) FROM result)",
+            &["results_fit_their_rows", "9223372036854775807 queries"],
+        ),
+        (
+            "UPDATE result SET wall_secs = 1e300 WHERE job_id = (SELECT min(job_id) FROM result)",
+            &["results_fit_their_rows"],
+        ),
+        (
+            "UPDATE result SET clipped_actions = steps + 1
+             WHERE job_id = (SELECT min(job_id) FROM result)",
+            &["results_fit_their_rows"],
+        ),
+    ] {
+        alter(&file, &bad, sql).await;
+        let said = there.refused(&["campaign", "import", &path]);
+        for word in words.iter().chain(&["bad.tar.gz"]) {
+            assert!(said.contains(word), "{said} lacks {word} after {sql}");
+        }
+    }
+    assert_eq!(
+        there.rows().await,
+        before,
+        "a refused row changed something"
+    );
+    there.import(&file);
+    there.in_order().await;
+}
+
+/// The source has these rollouts, so that the budgets follow from its rows.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused() {
+    let mut here = Bench::with(&with(small_spec("moved"), json!({"levels": ["L2"]}))).await;
+    while let Some(lease) = here.worker.claim(1).await.pop() {
+        let success = rollout_id(&lease).contains("clean");
+        let verdict = here.worker.commit(&lease, success).await;
+        assert_eq!(verdict, Verdict::Accepted);
+    }
+    let name = "moved-thresholds";
+    here.must(&["thresholds", "moved", "--create"]);
+    let began = Instant::now();
+    while here.worker.claim(1).await.is_empty() {
+        assert!(began.elapsed() < Duration::from_secs(30), "nothing follows");
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    let (source, file) = (here.archive("moved"), here.archive(name));
+    let there = Bench::empty().await;
+    there.import(&source);
+    let before = there.rows().await;
+    let bad = there.folder.path().join("bad.tar.gz");
+    let longer = "UPDATE job SET manifest_row = json_set(manifest_row, '$.max_steps', 281)
+                  WHERE id = (SELECT max(id) FROM job)";
+    alter(&file, &bad, longer).await;
+    let said = there.refused(&["campaign", "import", &bad.display().to_string()]);
+    assert!(said.contains("other step budgets"), "{said}");
+    assert_eq!(
+        there.rows().await,
+        before,
+        "a refused row changed something"
+    );
+    there.import(&file);
+    there.in_order().await;
+}
+
+/// More rollouts than two transactions of an import hold.
+fn large() -> Value {
+    let configs: Vec<u32> = (0..10).collect();
+    with(
+        small_spec("large"),
+        json!({
+            "tasks": ["libero_object"], "levels": ["L1", "L2", "L3"], "configs": configs,
+            "replicates": 2,
+        }),
+    )
+}
+
+/// Returns the numbers of campaigns and of jobs in a data folder.
+async fn counts(folder: &Path) -> (i64, i64) {
+    let pool = open_database(folder).await;
+    let counts = "SELECT (SELECT count(*) FROM campaign), (SELECT count(*) FROM job)";
+    let counts = sqlx::query_as(counts).fetch_one(&pool).await;
+    pool.close().await;
+    counts.expect("counts")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_large_import_comes_in_pieces_and_leaves_nothing_if_it_is_cut_off() {
+    let mut here = Bench::with(&large()).await;
+    // Results lie in the second piece, too.
+    here.run(520, "").await;
+    let filmed = here.worker.claim_one().await;
+    assert_eq!(here.worker.commit(&filmed, true).await, Verdict::Accepted);
+    put(&mut here.worker, &filmed, "video.mp4", &[vec![7; 99]])
+        .await
+        .expect("kept");
+    let (_, jobs) = counts(here.folder.path()).await;
+    assert!(jobs > 1_000, "{jobs}");
+    let file = here.archive("large");
+    let path = file.display().to_string();
+
+    let there = tempfile::tempdir().expect("a folder");
+    // Its third transaction brought the second piece.
+    let mut dying = Serve::of(serve(there.path(), "After:ImportCampaign:3"));
+    let output = dying.command(&["campaign", "import", &path, "--retry-secs", "0"]);
+    assert!(!output.status.success(), "it was cut off");
+    let began = Instant::now();
+    while dying.ended().is_none() {
+        assert!(began.elapsed() < Duration::from_secs(30), "it goes on");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    drop(dying);
+    assert_eq!(counts(there.path()).await, (1, 1_000));
+    let films = there.path().join("artifacts/large");
+    assert!(films.exists(), "films come first");
+    assert_eq!(check(there.path()).await.expect("a database"), []);
+
+    let again = Serve::start(there.path());
+    let listed = again.command(&["campaign", "list", "--json"]);
+    let listed: Value = serde_json::from_slice(&listed.stdout).expect("JSON");
+    assert_eq!(listed["campaigns"], json!([]), "nobody sees a part of it");
+    while counts(there.path()).await != (0, 0) {
+        assert!(began.elapsed() < Duration::from_secs(60), "a part is left");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    assert!(!films.exists(), "its films are left");
+    let imported = again.command(&["campaign", "import", &path]);
+    assert!(imported.status.success());
+    assert_eq!(std::fs::read_dir(&films).expect("films").count(), 1);
+    for arguments in [
+        &["export", "large", "--format", "jsonl"][..],
+        &["report", "large", "--json"],
+    ] {
+        assert_eq!(
+            crate::process::text(&again.command(arguments).stdout),
+            here.must(arguments)
+        );
+    }
+    let mut worker = again.worker("another").await;
+    let lease = worker.claim_one().await;
+    assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    drop(again);
+    assert_eq!(counts(there.path()).await, (1, jobs));
+    assert_eq!(check(there.path()).await.expect("a database"), []);
+}

@@ -1,0 +1,239 @@
+//! Comparison of an archive's rows with its campaign's specification. The invariants compare rows
+//! with one another; these checks refuse rows that this program would never have stored, which
+//! would fail every claim or commit that reads them.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use libero_ctrl::manifest::{Difference, diff};
+use libero_ctrl::seeds::policy_seed;
+use libero_ctrl::{CampaignSpec, JsonError, ManifestRow, RolloutId, Rollouts, SpecError};
+use rollout_types::Realised;
+use sqlx::SqliteConnection;
+
+use super::derive::aside;
+use super::passages::PIECE;
+use crate::ids::{CampaignId, JobId, NameError, WorkerId, shortened};
+use crate::store::StoreError;
+use crate::store::imported::{self, StoredRow};
+use crate::store::portable;
+use crate::store::workers::MAX_SLOTS;
+
+/// Longest problem of a parser in a message, bytes: it may quote the archive.
+const MAX_PROBLEM_BYTES: usize = 200;
+
+/// Rows of an archive that this program would not have stored.
+#[derive(Debug, thiserror::Error)]
+pub enum RowsError {
+    /// The specification is invalid.
+    #[error("expand the campaign's specification")]
+    Specification(#[from] SpecError),
+    /// The campaign has more or fewer jobs than its specification.
+    #[error("find the campaign's rollouts: it holds {found}, and its specification has {expected}")]
+    Expansion {
+        /// Number of jobs in the database.
+        found: u64,
+        /// Number of jobs that the specification expands to.
+        expected: u64,
+    },
+    /// A job is not one that this program would have stored.
+    #[error("read job {job}: {problem}")]
+    Row {
+        /// Row number of the job.
+        job: JobId,
+        /// The contradiction.
+        problem: RowProblem,
+    },
+    /// A worker is not one that a coordinator would have registered.
+    #[error(transparent)]
+    Worker(#[from] WorkerProblem),
+}
+
+/// A job of an archive that this program would not have stored.
+#[derive(Debug, thiserror::Error)]
+pub enum RowProblem {
+    /// The manifest row is invalid.
+    #[error("its manifest row cannot be read ({problem})")]
+    Unreadable {
+        /// Error of the parser, shortened.
+        problem: String,
+    },
+    /// A column of the job differs from the manifest row.
+    #[error("its `{column}` is not that of its manifest row")]
+    Column {
+        /// The column.
+        column: &'static str,
+    },
+    /// The specification expands to no such rollout.
+    #[error("its specification has no such rollout")]
+    Unspecified,
+    /// The specification expands to another row.
+    #[error(
+        "its specification gives it another `{column}`; import it with the release that wrote it"
+    )]
+    Altered {
+        /// The first column that differs.
+        column: String,
+    },
+    /// The realised perturbation of its result is invalid.
+    #[error("the `realised` of its result cannot be read ({problem})")]
+    Realised {
+        /// Error of the parser, shortened.
+        problem: String,
+    },
+}
+
+/// A worker of an archive that no coordinator would have registered.
+#[derive(Debug, thiserror::Error)]
+pub enum WorkerProblem {
+    /// The id is invalid.
+    #[error(transparent)]
+    Id(#[from] NameError),
+    /// The worker has too many slots or cores.
+    #[error("read worker `{worker}`: its `{column}` is {given}, and a worker has 1 to {MAX_SLOTS}")]
+    Count {
+        /// The worker.
+        worker: WorkerId,
+        /// The column.
+        column: &'static str,
+        /// Value of the column.
+        given: i64,
+    },
+}
+
+/// Rows that a specification expands to, and the number of their replicates; `None` if the rows
+/// derive from the outcomes of another campaign.
+type Expansion = Option<(BTreeMap<RolloutId, ManifestRow>, u32)>;
+
+/// Returns the first contradiction in the jobs, results and workers of a database that holds one
+/// campaign.
+///
+/// # Errors
+/// If the database fails.
+pub(super) async fn contradiction(
+    view: &mut SqliteConnection,
+    campaign: CampaignId,
+    spec: &str,
+) -> Result<Option<RowsError>, StoreError> {
+    for (id, slots, cores) in imported::worker_sizes(view).await? {
+        if let Err(problem) = check_worker(&id, slots, cores) {
+            return Ok(Some(problem.into()));
+        }
+    }
+    let spec = spec.to_owned();
+    let expansion = match aside(move || expand(&spec)).await {
+        Ok(expansion) => Arc::new(expansion),
+        Err(error) => return Ok(Some(error.into())),
+    };
+    let jobs = portable::jobs(view, campaign).await?;
+    if let Some((rows, replicates)) = expansion.as_ref() {
+        let expected = rows.len() as u64 * u64::from(*replicates);
+        let found = jobs.len() as u64;
+        if found != expected {
+            return Ok(Some(RowsError::Expansion { found, expected }));
+        }
+    }
+    for piece in jobs.chunks(PIECE) {
+        let rows = imported::rows_of(view, piece).await?;
+        let expansion = expansion.clone();
+        let contradicts = move |row: &StoredRow| check_row(row, &expansion).err();
+        if let Some(error) = aside(move || rows.iter().find_map(contradicts)).await {
+            return Ok(Some(error));
+        }
+    }
+    Ok(None)
+}
+
+fn expand(spec: &str) -> Result<Expansion, SpecError> {
+    let spec = CampaignSpec::from_json(spec)?;
+    if let Rollouts::Explanation(_) | Rollouts::Thresholds(_) = spec.rollouts {
+        return Ok(None);
+    }
+    let rows = spec.expand()?.into_iter().map(|row| (row.id, row));
+    Ok(Some((rows.collect(), spec.replicates)))
+}
+
+fn check_worker(id: &str, slots: i64, cores: Option<i64>) -> Result<(), WorkerProblem> {
+    let worker = WorkerId::parse(id)?;
+    let counts = [("slots", Some(slots)), ("cores", cores)];
+    for (column, given) in counts {
+        if let Some(given) = given
+            && !(1..=i64::from(MAX_SLOTS)).contains(&given)
+        {
+            return Err(WorkerProblem::Count {
+                worker,
+                column,
+                given,
+            });
+        }
+    }
+    Ok(())
+}
+
+fn check_row(stored: &StoredRow, expansion: &Expansion) -> Result<(), RowsError> {
+    let checked = parse(stored).and_then(|row| compare(stored, &row, expansion));
+    checked.map_err(|problem| RowsError::Row {
+        job: stored.id,
+        problem,
+    })
+}
+
+fn parse(stored: &StoredRow) -> Result<ManifestRow, RowProblem> {
+    if let Some(realised) = &stored.realised {
+        serde_json::from_str::<Realised>(realised).map_err(|error| RowProblem::Realised {
+            problem: in_short(error),
+        })?;
+    }
+    serde_json::from_str(&stored.manifest_row).map_err(|error| RowProblem::Unreadable {
+        problem: in_short(error),
+    })
+}
+
+fn compare(stored: &StoredRow, row: &ManifestRow, expansion: &Expansion) -> Result<(), RowProblem> {
+    let column = |column| Err(RowProblem::Column { column });
+    if stored.rollout_id != row.id.to_string() {
+        return column("rollout_id");
+    }
+    if stored.task != row.id.task().to_string() {
+        return column("task");
+    }
+    if stored.init_id != i64::from(row.init_id) {
+        return column("init_id");
+    }
+    let Ok(replicate) = u32::try_from(stored.replicate) else {
+        return column("replicate");
+    };
+    if stored.policy_seed.cast_unsigned() != policy_seed(&row.id, replicate) {
+        return column("policy_seed");
+    }
+    let Some((rows, replicates)) = expansion else {
+        return Ok(());
+    };
+    let expected = rows.get(&row.id).filter(|_| replicate < *replicates);
+    let expected = expected.ok_or(RowProblem::Unspecified)?;
+    if row == expected {
+        return Ok(());
+    }
+    let differing = diff(std::slice::from_ref(expected), std::slice::from_ref(row));
+    Err(RowProblem::Altered {
+        column: match differing.into_iter().next() {
+            Some(Difference::Value { column, .. }) => column,
+            _ => "manifest_row".to_owned(),
+        },
+    })
+}
+
+fn in_short(error: serde_json::Error) -> String {
+    shortened(JsonError::from(error).problem(), MAX_PROBLEM_BYTES).to_owned()
+}
+
+/// Returns true if the rollouts of a derived campaign have step budgets of its source.
+pub(super) async fn has_budgets_of(
+    (derived, campaign): (&mut SqliteConnection, CampaignId),
+    (here, source): (&mut SqliteConnection, CampaignId),
+) -> Result<bool, StoreError> {
+    let known = imported::budgets(here, source).await?;
+    Ok(imported::budgets(derived, campaign)
+        .await?
+        .is_subset(&known))
+}

@@ -1,0 +1,71 @@
+//! Statements that read the rows of an archive before they are trusted.
+
+use std::collections::BTreeSet;
+
+use sqlx::SqliteConnection;
+
+use super::{Doing, StoreError, json};
+use crate::ids::{CampaignId, JobId};
+
+/// The columns of a job, and of its result, that an archive is checked by. Types are SQLite's,
+/// since the values are untrusted.
+#[derive(Clone, Debug, sqlx_macros::FromRow)]
+pub(crate) struct StoredRow {
+    pub(crate) id: JobId,
+    pub(crate) rollout_id: String,
+    pub(crate) replicate: i64,
+    pub(crate) task: String,
+    pub(crate) init_id: i64,
+    pub(crate) policy_seed: i64,
+    /// Manifest row, JSON.
+    pub(crate) manifest_row: String,
+    /// Realised perturbation of the result, JSON, if the job has a result.
+    pub(crate) realised: Option<String>,
+}
+
+/// Returns the checked columns of some jobs.
+pub(crate) async fn rows_of(
+    tx: &mut SqliteConnection,
+    jobs: &[JobId],
+) -> Result<Vec<StoredRow>, StoreError> {
+    sqlx::query_as(
+        "SELECT j.id, j.rollout_id, j.replicate, j.task, j.init_id, j.policy_seed,
+             j.manifest_row, r.realised
+         FROM json_each(?) w CROSS JOIN job j ON j.id = w.value
+         LEFT JOIN result r ON r.job_id = j.id",
+    )
+    .bind(json(jobs))
+    .fetch_all(tx)
+    .await
+    .doing("read the rows of an archive")
+}
+
+/// A task, "libero_goal/3", and the step budgets of its policy and for settling.
+pub(crate) type Budget = (String, i64, i64);
+
+/// Returns the step budgets of a campaign's rollouts.
+pub(crate) async fn budgets(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<BTreeSet<Budget>, StoreError> {
+    let budgets: Vec<Budget> = sqlx::query_as(
+        "SELECT DISTINCT task, manifest_row ->> 'max_steps', manifest_row ->> 'num_steps_wait'
+         FROM job WHERE campaign_id = ?",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("read the step budgets of a campaign")?;
+    Ok(budgets.into_iter().collect())
+}
+
+/// Returns the ids of all workers with their slots and cores. Types are SQLite's, since the values
+/// are those of an archive.
+pub(crate) async fn worker_sizes(
+    tx: &mut SqliteConnection,
+) -> Result<Vec<(String, i64, Option<i64>)>, StoreError> {
+    sqlx::query_as("SELECT id, slots, cores FROM worker ORDER BY id")
+        .fetch_all(tx)
+        .await
+        .doing("read the workers of an archive")
+}
