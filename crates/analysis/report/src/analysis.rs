@@ -66,6 +66,9 @@ impl Analysis {
                 published_by_suite: subject.published_by_suite.clone(),
                 reported_nominal: subject.reported_nominal,
                 directions: subject.directions,
+                overstated: sequential
+                    .as_ref()
+                    .map_or_else(BTreeSet::new, |it| it.overstated.clone()),
                 ..Options::default()
             },
         );
