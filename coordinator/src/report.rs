@@ -2,8 +2,8 @@
 //! a report, which the `report` crate computes. The same results give the same subject, however
 //! many attempts they took.
 
-use libero_ctrl::{CampaignSpec, Directions, ManifestRow, RolloutId, Rollouts, UnknownName};
-use paired::{Outcome, Record};
+use libero_ctrl::{CampaignSpec, Directions, Level, ManifestRow, RolloutId, Rollouts, UnknownName};
+use paired::{Outcome, Progress, Record};
 use queue::read::{Campaign, RecordRow, SetupRow, View};
 use report::{
     BeyondRange, Derived, EarlyStop, Origin, Purpose, Quarantined, Setups, Subject, counted,
@@ -28,6 +28,20 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
     let own = campaign.realisation.as_str();
     let rows = view.records(campaign.id).await?;
     let records: Result<Vec<Record>, _> = rows.iter().map(|row| read_record(row, own)).collect();
+    let records = records?;
+    let progress = rows.iter().zip(&records);
+    let progress = progress.filter(|(_, record)| record.outcome.success().is_some());
+    let progress = progress.map(|(row, record)| Progress {
+        id: record.id,
+        replicate: record.replicate,
+        steps: row.steps,
+        goal: row.goal(),
+    });
+    let design = match &spec.rollouts {
+        Rollouts::Design(design) => Some(design),
+        Rollouts::Manifest(_) | Rollouts::Explanation(_) | Rollouts::Thresholds(_) => None,
+    };
+    let placebo = design.filter(|design| design.levels.contains(&Level::L0));
     let mut provenances = view.provenances(campaign.id).await?;
     // Sorted by content, since their order of arrival depends on the workers.
     provenances.sort();
@@ -44,7 +58,10 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
             design: spec.version().to_string(),
         },
         realisation: Some(own.parse()?),
-        records: records?,
+        progress: progress.collect(),
+        placebo_radius: placebo.map(|design| design.placebo.radius.radius()),
+        directions: design.map_or_else(Directions::default, |design| design.directions),
+        records,
         errors: quarantined
             .map(|job| Quarantined {
                 rollout: rollout_name(&job.rollout_id, job.replicate),
@@ -62,10 +79,6 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         published_nominal: None,
         published_by_suite: Vec::new(),
         reported_nominal: None,
-        directions: match &spec.rollouts {
-            Rollouts::Design(design) => design.directions,
-            _ => Directions::default(),
-        },
         setups: Setups::default(),
         derived: derived(view, campaign, spec.rollouts).await?,
         early_stop: early_stop(view, campaign).await?,

@@ -72,6 +72,11 @@ CONFIGURATIONS = {
     "combination": OUTCOME,
     "transition": TEXT,
     "unresolved": TEXT,
+    **{
+        f"{condition}_{column}": type_
+        for condition in ("nominal", *AXES, "combination")
+        for column, type_ in (("goal", NUMBER), ("steps", INTEGER))
+    },
 }
 
 CELLS = {

@@ -3,10 +3,14 @@
     python3 recompute.py campaigns.json
 
 The file has a list of {"name", "levels", "report"}: `levels` has, per level, a row per
-configuration, [suite, task, config, nominal or null, [each axis alone], simultaneous], and
-`report` is the report's JSON; or of {"name", "compared"}: per row of a comparison of two
-policies, its "name", its "pairs" [suite, task, number, A, B], and its "difference". Prints how many figures agree; fails naming each that does
-not. Shares no code with the crate; the formulas are those of docs/REPORT.md.
+configuration, [suite, task, config, nominal or null, [each axis alone], simultaneous],
+`nominal` a row per nominal rollout, [suite, task, success], `published` the rate of the gates,
+`suites` each suite's name and number, `replicated` has, per level, a row per configuration and
+replicate, [suite, task, config, simultaneous], and `report` is the report's JSON; or of {"name",
+"compared"}: per row of a comparison of two policies, its "name", its "pairs" [suite, task, number,
+A, B, [goal of A, of B], [steps of A, of B]], where a goal is [predicates that held, predicates],
+"own_directions", its "difference" and its "progress". Prints how many figures agree; fails naming
+each that does not. Shares no code with the crate; the formulas are those of docs/REPORT.md.
 """
 
 import json
@@ -99,7 +103,9 @@ class Sample:
             both = new
         if self.tasks < FEWEST_TASKS:
             new = both = None
-        ends = around_product if is_share == "product" else wilson if is_share else around
+        ends = {"product": around_product, "mean": around_mean}.get(
+            is_share, wilson if is_share else around
+        )
         has_spread = new is not None and new[0] > 1e-24
         return {
             "value": value,
@@ -123,6 +129,14 @@ def around(value, variance, _):
         return None
     half = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5
     return [max(value - half, -1.0), min(value + half, 1.0)]
+
+
+def around_mean(value, variance, _):
+    """Around a mean in a unit of its own, which no range limits."""
+    if variance is None or variance[0] <= 1e-24:
+        return None
+    half = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5
+    return [value - half, value + half]
 
 
 def around_product(value, variance, _):
@@ -313,12 +327,37 @@ def inference(rows, placebo):
     return result, keys, sim
 
 
-def difference(pairs):
+def progress(pairs, own_directions):
+    """The differences in partial progress of one row, without Holm's p; None if unknown."""
+
+    def of(values, scale):
+        known = [(tuple(pair[:3]), v) for pair, v in zip(pairs, values) if None not in v]
+        if not known:
+            return None
+        keys, ab = [key for key, _ in known], np.array([v for _, v in known], dtype=float)
+        sample = Sample(keys, np.column_stack([np.ones(len(ab)), ab]), own_directions)
+        estimate = sample.estimate(lambda s: (s[1] - s[2]) / s[0], scale)
+        return {
+            "n": len(ab),
+            "tasks": sample.tasks,
+            "mean_a": ab[:, 0].mean(),
+            "mean_b": ab[:, 1].mean(),
+            "difference": estimate,
+            "p": two_sided(estimate),
+        }
+
+    goals = [[goal and goal[0] / goal[1] for goal in pair[5]] for pair in pairs]
+    found = {"goal": of(goals, False), "steps": of([pair[6] for pair in pairs], "mean")}
+    return found if found["goal"] or found["steps"] else None
+
+
+def difference(pairs, own_directions):
     """One row of a comparison, without what depends on the others; and A - B by task."""
     keys = [tuple(pair[:3]) for pair in pairs]
-    a, b = np.array([pair[3:] for pair in pairs]).T
+    a, b = np.array([pair[3:5] for pair in pairs]).T
     ones = np.ones(len(pairs))
-    estimate = Sample(keys, np.column_stack([ones, a - b])).estimate(lambda s: s[1] / s[0], False)
+    sample = Sample(keys, np.column_stack([ones, a - b]), own_directions)
+    estimate = sample.estimate(lambda s: s[1] / s[0], False)
     by_task = {}
     for (suite, task, _), change in zip(keys, a - b):
         by_task.setdefault((suite, task), []).append(change)
@@ -373,7 +412,7 @@ def max_t(by_tasks):
 
 def compare_policies(campaign, comparison):
     rows = campaign["compared"]
-    ours = [difference(row["pairs"]) for row in rows]
+    ours = [difference(row["pairs"], row["own_directions"]) for row in rows]
     adjusted = holm([one["sign_flip_p"] for one, _ in ours])
     critical = max_t([by_task for _, by_task in ours])
     for row, (one, _), p in zip(rows, ours, adjusted):
@@ -385,6 +424,16 @@ def compare_policies(campaign, comparison):
         elif -1 < interval[0] and interval[1] < 1:
             half = (interval[1] - interval[0]) / 2
             comparison.check(f"{where} max-t", 1.0, half / error / critical, SIGNS_TOLERANCE)
+    came = [progress(row["pairs"], row["own_directions"]) for row in rows]
+    for name in ["goal", "steps"]:
+        tested = [one[name] for one in came if one and one[name]]
+        for one in tested:
+            one["holm_p"] = None
+        tested = [one for one in tested if one["p"] is not None]
+        for one, p in zip(tested, holm([one["p"] for one in tested])):
+            one["holm_p"] = p
+    for row, one in zip(rows, came):
+        comparison.check(f"{campaign['name']} {row['name']} progress", one, row["progress"])
 
 
 class Comparison:
@@ -392,13 +441,13 @@ class Comparison:
         self.agreed, self.wrong = 0, []
 
     def check(self, where, ours, theirs, tolerance=TOLERANCE):
-        if isinstance(ours, dict):
+        if isinstance(ours, dict) and theirs is not None:
             for name, value in ours.items():
                 self.check(f"{where}.{name}", value, theirs[name], tolerance)
         elif isinstance(ours, list) and isinstance(theirs, list):
             for at, (a, b) in enumerate(zip(ours, theirs, strict=True)):
                 self.check(f"{where}[{at}]", a, b, tolerance)
-        elif ours is None or theirs is None or isinstance(ours, (bool, list)):
+        elif ours is None or theirs is None or isinstance(ours, (bool, list, str)):
             self.count(where, ours, theirs, ours == theirs)
         else:
             self.count(where, ours, theirs, abs(ours - theirs) <= tolerance * max(1, abs(ours)))
@@ -433,9 +482,91 @@ def claims(cells):
     }
 
 
+def gate(outcomes, published, enough):
+    """The reproduction gate over nominal rollouts, `outcomes` by task."""
+    n = sum(map(len, outcomes))
+    if n == 0:
+        return {"difference": None, "verdict": "undecided", "equivalence_p": None}
+    change = sum(map(sum, outcomes)) / n - published
+    verdict = "passed" if abs(change) <= MARGIN + 1e-9 else "failed"
+    p = None
+    if all(len(task) > 1 for task in outcomes):
+        # The error of a mean of tasks' means, weighted by their rollouts.
+        errors = [len(task) / n * np.std(task, ddof=1) / len(task) ** 0.5 for task in outcomes]
+        error = np.hypot.reduce(errors)
+        if error > 0:
+            p = float(student.sf((MARGIN - abs(change)) / error, n - len(outcomes)))
+    return {
+        "published": published,
+        "nominal": {"successes": sum(map(sum, outcomes)), "n": n},
+        "difference": change,
+        "verdict": verdict if n >= enough else "undecided",
+        "equivalence_p": p,
+    }
+
+
+def compare_gates(campaign, comparison):
+    of_tasks = {}
+    for suite, task, success in campaign["nominal"]:
+        of_tasks.setdefault((suite, task), []).append(success)
+    report, published = campaign["report"], campaign["published"]
+    ours = gate(list(of_tasks.values()), published, 2000)
+    comparison.check(f"{campaign['name']} gate", ours, report["gate"])
+    theirs = {of["suite"]: of for of in report["suite_gates"]}
+    for name, number in campaign["suites"]:
+        own = [task for (suite, _), task in of_tasks.items() if suite == number]
+        where = f"{campaign['name']} gate of {name}"
+        comparison.check(where, gate(own, published, 500), theirs[name])
+
+
+def components(rows):
+    """Components of variance of simultaneous success, of a nested design; None without one."""
+    outcomes = {}
+    for suite, task, config, success in rows:
+        outcomes.setdefault((suite, task), {}).setdefault(config, []).append(success)
+    k = max(len(y) for task in outcomes.values() for y in task.values())
+    tasks = [np.array(list(task.values()), dtype=float) for task in outcomes.values()]
+    n, t = sum(len(task) for task in tasks), len(tasks)
+    if k < 2 or t < 2 or n <= t:
+        return None
+    y = np.concatenate(tasks)
+    m = n / t
+    ms_e = ((y - y.mean(axis=1, keepdims=True)) ** 2).sum() / (n * (k - 1))
+    of_task = sum(((task.mean(axis=1) - task.mean()) ** 2).sum() for task in tasks)
+    ms_c = k * of_task / (n - t)
+    ms_t = k * sum(len(task) * (task.mean() - y.mean()) ** 2 for task in tasks) / (t - 1)
+    sigma_c, sigma_t = max((ms_c - ms_e) / k, 0.0), max((ms_t - ms_c) / (k * m), 0.0)
+
+    def error(m, k):
+        return ((sigma_t + sigma_c / m + ms_e / (m * k)) / t) ** 0.5
+
+    independent = y.mean() * (1 - y.mean()) / y.size
+    return {
+        "replicates": k,
+        "n": n,
+        "tasks": sigma_t,
+        "configurations": sigma_c,
+        "replicate": ms_e,
+        "design_effect": error(m, k) ** 2 / independent if independent > 0 else None,
+        "standard_error": error(m, k),
+        "one_more_replicate": error(m, k + 1),
+        "ten_more_configurations": error(m + 10, k),
+    }
+
+
+def compare_components(campaign, comparison):
+    theirs = {of["level"]: of for of in campaign["report"]["components"]}
+    for level, rows in campaign["replicated"].items():
+        where = f"{campaign['name']} {level} components"
+        comparison.check(where, components(rows), theirs.get(level))
+
+
 def compare(campaign, comparison):
     name, levels = campaign["name"], campaign["levels"]
-    cells = {cell["level"]: cell for cell in campaign["report"]["cells"]}
+    compare_gates(campaign, comparison)
+    compare_components(campaign, comparison)
+    cells = campaign["report"]["cells"]
+    cells = {cell["level"]: cell for cell in cells if cell["replicate"] == 0}
     for level, rows in levels.items():
         placebo = levels.get("L0") if level != "L0" else None
         ours, keys, sim = inference(rows, placebo)

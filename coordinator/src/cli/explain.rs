@@ -41,7 +41,8 @@ pub(super) struct ExplainArguments {
     #[arg(long)]
     exhaustive: bool,
     /// For a policy that samples: most replicates by which it is decided whether a
-    /// subset succeeds. Without it, one rollout decides.
+    /// subset succeeds, 12 or more with six axes. The outcomes of CAMPAIGN do not count
+    /// among them. Without it, one rollout decides.
     #[arg(long, value_name = "N", value_parser = number(2..=MAX_REPEATS, "replicates"))]
     repeats: Option<u32>,
     /// Subsets that are filmed: `none`; `transitions`, those that show the explanation,

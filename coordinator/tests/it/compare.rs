@@ -1,5 +1,6 @@
 //! Two policies against each other, from the command line and on the page.
 
+use libero_ctrl::{Axis, Condition, Directions, Level};
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use serde_json::{Value, json};
@@ -199,6 +200,36 @@ async fn rollouts_that_only_share_their_names_are_not_paired() {
     assert_eq!((same.shared(), same.unpaired.len()), (6, 0));
 }
 
+/// The harness's successes take 120 steps and hold both predicates of the goal, its failures
+/// 280 steps and one.
+#[tokio::test]
+async fn progress_and_the_design_come_with_the_outcomes() {
+    let bench = Bench::start().await;
+    let policy = json!({"name": "strong", "endpoint": "http://127.0.0.1:50051"});
+    let changes = json!({"levels": ["L0", "L1"], "directions": "own"});
+    for (name, more) in [
+        ("a", json!({"policy": policy})),
+        ("b", json!({"placebo_radius": 0.05})),
+    ] {
+        let spec = with(with(small_spec(name), changes.clone()), more);
+        bench.create(&spec).await.expect("created");
+    }
+    run_all(&mut bench.worker("w").await).await;
+    let it = compared(&bench, ["a", "b"]).await;
+    assert_eq!(it.statistics.directions, Directions::Own);
+    let warned = it.warnings.iter().any(|it| it.contains("placebo levels"));
+    assert!(warned, "{:?}", it.warnings);
+    let of = |condition| {
+        let mut cells = it.statistics.cells.iter();
+        let cell = cells.find(|cell| (cell.level, cell.condition) == (Level::L1, condition));
+        let progress = cell.expect("a cell").progress.expect("progress");
+        let values = [progress.goal, progress.steps];
+        values.map(|it| it.map(|it| it.difference.value))
+    };
+    assert_eq!(of(Condition::Combination), [Some(0.5), Some(-160.0)]);
+    assert_eq!(of(Condition::Single(Axis::Camera)), [Some(0.0), Some(0.0)]);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn two_campaigns_are_compared_on_the_page() {
     let bench = Bench::start().await;
@@ -234,6 +265,7 @@ async fn two_campaigns_are_compared_on_the_page() {
         "L1 simultaneous",
         "+100.0",
         "(too few tasks)",
+        "Partial progress",
         "<svg",
     ] {
         assert!(answer.contains(words), "no `{words}` in\n{answer}");

@@ -283,6 +283,11 @@ fn reports(messages: &mut Messages) {
     variants!(messages, KnownError,
         KnownError::TooFewAxes(_) => KnownError::TooFewAxes(AxisSet::of(Axis::Camera)),
         KnownError::OtherAxes { .. } => KnownError::OtherAxes { set: axes, full: axes },
+        KnownError::TooFewRepeats { .. } => KnownError::TooFewRepeats {
+            axes: 6,
+            repeats: 8,
+            fewest: 12,
+        },
     );
     variants!(messages, NoInteractions,
         NoInteractions::Axes(_) => {
@@ -313,6 +318,8 @@ fn reports(messages: &mut Messages) {
         Unexplained::Incomplete => Unexplained::Incomplete,
         Unexplained::Unchanged(_) => Unexplained::Unchanged(Transition::StillFails),
         Unexplained::NominalFails => Unexplained::NominalFails,
+        Unexplained::AwaitsRepeats => Unexplained::AwaitsRepeats,
+        Unexplained::NotConfirmed => Unexplained::NotConfirmed,
     );
     variants!(messages, DocumentError,
         DocumentError::Duplicate { .. } => DocumentError::Duplicate {

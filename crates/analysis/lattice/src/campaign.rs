@@ -16,8 +16,9 @@ use crate::plan::Sample;
 /// rollout. `explained` are the records of that campaign, `own` those of the campaign that
 /// explains it. A rollout that is recorded twice counts as unknown.
 ///
-/// Without repeats, the rollout of replicate 0 alone decides; with repeats, for policies
-/// that sample, all replicates count.
+/// Without repeats, the rollout of replicate 0 alone decides. With repeats, for policies
+/// that sample, all replicates of the explained campaign select, and only those of the
+/// campaign that explains it decide.
 ///
 /// # Errors
 /// If the campaign perturbs only one axis.
@@ -81,20 +82,14 @@ pub fn own_configurations(records: &[Record]) -> Result<BTreeMap<RolloutId, Know
 }
 
 impl Sample {
-    /// Returns the sampling settings of a campaign that explains another one with the
-    /// records `explained`.
-    pub fn of(explanation: &Explanation, explained: &[Record]) -> Self {
-        let replicates = explained.iter().map(|record| record.replicate + 1).max();
+    /// Returns the sampling settings of a campaign that explains another one.
+    pub fn of(explanation: &Explanation) -> Self {
         Self {
             budget: explanation.budget.unwrap_or(u32::MAX),
             seed: explanation.seed,
             strategy: match explanation.exhaustive {
                 true => Strategy::Exhaustive,
                 false => Strategy::Adaptive,
-            },
-            replicates: match explanation.repeats {
-                None => 1,
-                Some(_) => replicates.unwrap_or(1),
             },
         }
     }

@@ -25,6 +25,7 @@ use libero_ctrl::AxisSet;
 use paired::Transition;
 use serde::{Deserialize, Serialize};
 
+use crate::evidence::Verdict;
 use crate::known::Known;
 use crate::order::{between, maximal, minimal};
 
@@ -99,6 +100,13 @@ pub enum Unexplained {
     /// success that perturbation could have turned into a failure.
     #[error("the nominal rollout fails already")]
     NominalFails,
+    /// The outcomes that selected the configuration form a transition, and its repeats are
+    /// not decided yet.
+    #[error("its repeats have not decided yet")]
+    AwaitsRepeats,
+    /// The repeats do not show the transition that the selecting outcomes form.
+    #[error("its repeats do not confirm it")]
+    NotConfirmed,
 }
 
 /// Finds the minimal subsets that explain a configuration's transition.
@@ -106,7 +114,8 @@ pub enum Unexplained {
 /// # Errors
 /// If the configuration has no transition to explain.
 pub fn explain(known: &Known) -> Result<Explanation, Unexplained> {
-    let transition = transition(known, |set| known.verdict(set).success())?;
+    let transition = selected(known)?;
+    confirm(known)?;
     let searches = Search::of(known, transition);
     let answers = searches.iter().map(|search| search.answer()).collect();
     Ok(Explanation {
@@ -115,23 +124,48 @@ pub fn explain(known: &Known) -> Result<Explanation, Unexplained> {
     })
 }
 
-/// Returns the transition to explain. `success` returns the outcome under each single axis and
-/// all axes. The nominal rollout counts by its majority, because no further replicate of it is
-/// ever run.
-pub(crate) fn transition(
-    known: &Known,
-    success: impl Fn(AxisSet) -> Option<bool>,
-) -> Result<Transition, Unexplained> {
+/// Returns the transition that the outcomes of the explained campaign form. With repeats it
+/// is only a reason to test it: see [`Repeats`](crate::Repeats). The nominal rollout counts by
+/// its majority, because no further replicate of it is ever run.
+///
+/// # Errors
+/// If these outcomes form no transition to explain.
+pub fn selected(known: &Known) -> Result<Transition, Unexplained> {
     let mut conjunction = true;
     for single in known.singles() {
-        conjunction &= success(single).ok_or(Unexplained::Incomplete)?;
+        conjunction &= known.selected(single).ok_or(Unexplained::Incomplete)?;
     }
-    let simultaneous = success(known.full()).ok_or(Unexplained::Incomplete)?;
-    let nominal = known.tally(AxisSet::EMPTY).majority();
+    let simultaneous = known
+        .selected(known.full())
+        .ok_or(Unexplained::Incomplete)?;
+    let nominal = known.selecting(AxisSet::EMPTY).majority();
     match Transition::between(conjunction, simultaneous) {
         Transition::Emergent if nominal == Some(false) => Err(Unexplained::NominalFails),
         transition @ (Transition::Emergent | Transition::Compensated) => Ok(transition),
         transition => Err(Unexplained::Unchanged(transition)),
+    }
+}
+
+/// Checks that each axis alone and all axes together turn out as the selecting outcomes say.
+/// Without repeats they do, since all rollouts select.
+pub(crate) fn confirm(known: &Known) -> Result<(), Unexplained> {
+    let mut awaits = false;
+    for set in known.singles().chain([known.full()]) {
+        let (selected, verdict) = (known.selected(set), known.verdict(set));
+        let agrees = |shown: Option<bool>| shown.is_some() && shown == selected;
+        let tally = known.tally(set);
+        match verdict {
+            _ if agrees(verdict.success()) => {}
+            Verdict::NotRun | Verdict::Pending => awaits = true,
+            Verdict::Short { .. } if tally.count().n == 0 || agrees(tally.majority()) => {
+                awaits = true;
+            }
+            _ => return Err(Unexplained::NotConfirmed),
+        }
+    }
+    match awaits {
+        true => Err(Unexplained::AwaitsRepeats),
+        false => Ok(()),
     }
 }
 

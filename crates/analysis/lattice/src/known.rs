@@ -1,19 +1,24 @@
 //! Known outcomes of one configuration's rollouts under subsets of the axes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use libero_ctrl::{Axis, AxisSet};
 use paired::{Matched, Outcome};
 
-use crate::evidence::{Evidence, Tally, Verdict};
+use crate::evidence::{Evidence, Looks, Role, Tally, Verdict};
 
 /// The rollouts of one configuration at one level, by the subset of axes that
 /// they perturb. The empty set is the nominal rollout, the full set the
 /// simultaneous one.
+///
+/// For a deterministic policy all rollouts are evidence. With repeats, the outcomes of the
+/// explained campaign select the configuration and are not evidence for its transition.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Known {
     full: AxisSet,
     evidence: Evidence,
+    /// With repeats, the outcomes of the explained campaign; otherwise empty.
+    selecting: BTreeMap<AxisSet, Tally>,
     tallies: BTreeMap<AxisSet, Tally>,
 }
 
@@ -31,6 +36,19 @@ pub enum KnownError {
         /// The campaign's axes.
         full: AxisSet,
     },
+    /// No verdict about some subset is possible with so few replicates.
+    #[error(
+        "explain with {repeats} repeats: they decide nothing about subsets of {axes} axes with an \
+         error of 5 % over all of them; allow {fewest} or more"
+    )]
+    TooFewRepeats {
+        /// Number of the campaign's axes.
+        axes: usize,
+        /// Most replicates of a subset.
+        repeats: u32,
+        /// Fewest replicates with which each subset can be decided.
+        fewest: u32,
+    },
 }
 
 impl Known {
@@ -44,6 +62,7 @@ impl Known {
             false => Ok(Self {
                 full,
                 evidence,
+                selecting: BTreeMap::new(),
                 tallies: BTreeMap::new(),
             }),
         }
@@ -68,26 +87,46 @@ impl Known {
     /// If it has other axes.
     pub fn add_replicate(&mut self, matched: &Matched) -> Result<(), KnownError> {
         for (&axis, &outcome) in &matched.alone {
-            self.record(AxisSet::of(axis), outcome)?;
+            self.select(AxisSet::of(axis), outcome)?;
         }
-        self.record(self.full, matched.simultaneous)?;
+        self.select(self.full, matched.simultaneous)?;
         match matched.nominal {
             Outcome::Missing => Ok(()),
-            nominal => self.record(AxisSet::EMPTY, nominal),
+            nominal => self.select(AxisSet::EMPTY, nominal),
         }
     }
 
-    /// Adds one rollout, with [`Outcome::Missing`] if it was requested and has no result.
+    /// Adds one rollout of the explained campaign: evidence for a deterministic policy, and
+    /// otherwise only a reason to repeat it.
+    ///
+    /// # Errors
+    /// If `set` has an axis that the campaign lacks.
+    pub fn select(&mut self, set: AxisSet, outcome: Outcome) -> Result<(), KnownError> {
+        if self.evidence == Evidence::Once {
+            return self.record(set, outcome);
+        }
+        self.check(set)?;
+        self.selecting.entry(set).or_default().add(outcome);
+        Ok(())
+    }
+
+    /// Adds one rollout as evidence, with [`Outcome::Missing`] if it was requested and has no
+    /// result.
     ///
     /// # Errors
     /// If `set` has an axis that the campaign lacks.
     pub fn record(&mut self, set: AxisSet, outcome: Outcome) -> Result<(), KnownError> {
-        let full = self.full;
-        if !set.is_subset(full) {
-            return Err(KnownError::OtherAxes { set, full });
-        }
+        self.check(set)?;
         self.tallies.entry(set).or_default().add(outcome);
         Ok(())
+    }
+
+    fn check(&self, set: AxisSet) -> Result<(), KnownError> {
+        let full = self.full;
+        match set.is_subset(full) {
+            true => Ok(()),
+            false => Err(KnownError::OtherAxes { set, full }),
+        }
     }
 
     /// Returns all axes of the campaign.
@@ -100,19 +139,84 @@ impl Known {
         self.evidence
     }
 
-    /// Returns the tally of the rollouts under a subset.
+    /// Returns the tally of the evidence under a subset.
     pub fn tally(&self, set: AxisSet) -> Tally {
         self.tallies.get(&set).copied().unwrap_or_default()
     }
 
-    /// Returns the verdict of the rollouts under a subset.
-    pub fn verdict(&self, set: AxisSet) -> Verdict {
-        self.evidence.verdict(&self.tally(set))
+    /// Returns the tally of the outcomes by which the configuration was selected.
+    pub fn selecting(&self, set: AxisSet) -> Tally {
+        match self.evidence {
+            Evidence::Once => self.tally(set),
+            Evidence::Repeated(_) => self.selecting.get(&set).copied().unwrap_or_default(),
+        }
     }
 
-    /// Returns the subsets with a requested rollout and their tallies, in order.
+    /// Returns the number of rollouts under a subset that were requested in either campaign,
+    /// which is the number of the next replicate.
+    pub fn replicates(&self, set: AxisSet) -> u32 {
+        let selecting = self.selecting.get(&set).map_or(0, Tally::asked);
+        selecting + self.tally(set).asked()
+    }
+
+    /// Returns the verdict of the evidence under a subset. With repeats, the nominal rollout,
+    /// which is never repeated, counts by the majority of the selecting outcomes.
+    pub fn verdict(&self, set: AxisSet) -> Verdict {
+        if set.is_empty() && self.evidence != Evidence::Once {
+            let nominal = self.selecting(set);
+            return match nominal.majority() {
+                Some(true) => Verdict::Success,
+                Some(false) => Verdict::Failure,
+                None if nominal.asked() == 0 => Verdict::NotRun,
+                None => Verdict::Undecided,
+            };
+        }
+        self.evidence.verdict(&self.tally(set), self.role(set))
+    }
+
+    /// Returns the success under a subset according to the outcomes that selected the
+    /// configuration; `None` if they do not say.
+    pub(crate) fn selected(&self, set: AxisSet) -> Option<bool> {
+        match self.evidence {
+            Evidence::Once => self.verdict(set).success(),
+            Evidence::Repeated(_) => self.selecting(set).majority(),
+        }
+    }
+
+    /// Returns true if a requested rollout, or one by which the configuration may be selected,
+    /// has no result.
+    pub(crate) fn is_waiting(&self) -> bool {
+        let mut sets = self.sets().filter(|set| !set.is_empty());
+        sets.any(|set| {
+            self.verdict(set) == Verdict::Pending
+                || self.evidence != Evidence::Once && self.selecting(set).pending > 0
+        })
+    }
+
+    /// Returns the looks at the rollouts under a subset; `None` if one result decides.
+    pub(crate) fn looks(&self, set: AxisSet) -> Option<Looks> {
+        match self.evidence {
+            Evidence::Once => None,
+            Evidence::Repeated(repeats) => Some(repeats.looks(self.role(set))),
+        }
+    }
+
+    pub(crate) fn role(&self, set: AxisSet) -> Role {
+        match self.is_of_campaign(set) {
+            true => Role::Transition,
+            false => Role::further(self.full.len()),
+        }
+    }
+
+    /// Returns the subsets with evidence or a requested rollout and their tallies, in order.
     pub fn tallies(&self) -> impl Iterator<Item = (AxisSet, Tally)> {
         self.tallies.iter().map(|(&set, &tally)| (set, tally))
+    }
+
+    /// Returns the subsets with a requested rollout in either campaign, in order.
+    pub(crate) fn sets(&self) -> impl Iterator<Item = AxisSet> + use<> {
+        let all = self.tallies.keys().chain(self.selecting.keys());
+        all.copied().collect::<BTreeSet<_>>().into_iter()
     }
 
     /// Returns each axis of the campaign alone.

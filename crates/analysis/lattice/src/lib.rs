@@ -28,8 +28,10 @@ mod proportion;
 mod summary;
 
 pub use campaign::{configurations, own_configurations};
-pub use evidence::{Evidence, Repeats, Tally, Verdict};
-pub use explain::{Answer, Explanation, MinimalSubset, NonMonotone, Unexplained, explain};
+pub use evidence::{Evidence, Looks, Repeats, Role, Tally, Verdict};
+pub use explain::{
+    Answer, Explanation, MinimalSubset, NonMonotone, Unexplained, explain, selected,
+};
 pub use interactions::{CompleteLattice, Estimate, IncompleteLattice, Interactions};
 pub use known::{Known, KnownError};
 pub use next::{Decision, Request, Strategy, next};

@@ -10,7 +10,7 @@ use libero_ctrl::AxisSet;
 use serde::{Deserialize, Serialize};
 
 use crate::evidence::Verdict;
-use crate::explain::{MinimalSubset, Search, transition};
+use crate::explain::{MinimalSubset, Search, Unexplained, confirm, selected};
 use crate::known::Known;
 use crate::order::{maximal, minimal};
 
@@ -98,33 +98,28 @@ pub enum Decision {
 
 /// Decides which subsets of one configuration to run.
 ///
-/// With replicates ([`Evidence::Repeated`](crate::Evidence::Repeated)), a
-/// configuration is pursued as long as the majorities of its rollouts form a
-/// transition. Subsets that were run first get replicates until they are decided;
-/// then further subsets are run.
+/// With replicates ([`Evidence::Repeated`](crate::Evidence::Repeated)), each axis alone and
+/// all axes are repeated until they are decided, as long as the majorities of the repeats
+/// show the transition for which the configuration was selected. Further subsets are run
+/// only once it is confirmed.
 pub fn next(known: &Known, strategy: Strategy) -> Decision {
-    let asked = || known.tallies().map(|(set, _)| set);
-    if asked().any(|set| known.verdict(set) == Verdict::Pending) {
+    if known.is_waiting() {
         return Decision::Wait;
     }
-    if transition(known, |set| known.tally(set).majority()).is_err() {
+    let Ok(transition) = selected(known) else {
         return Decision::Done;
+    };
+    let of_transition = known.singles().chain([known.full()]);
+    match confirm(known) {
+        Ok(()) => {}
+        Err(Unexplained::AwaitsRepeats) => return Decision::Run(short(known, of_transition)),
+        Err(_) => return Decision::Done,
     }
-    let short = asked().filter(|set| !set.is_empty());
-    let short = short.filter_map(|set| match known.verdict(set) {
-        Verdict::Short { more } => Some(Request {
-            set,
-            rollouts: more,
-        }),
-        _ => None,
-    });
-    let replicates: Vec<Request> = short.collect();
+    let further = known.sets().filter(|set| !known.is_of_campaign(*set));
+    let replicates = short(known, further);
     if !replicates.is_empty() {
         return Decision::Run(replicates);
     }
-    let Ok(transition) = transition(known, |set| known.verdict(set).success()) else {
-        return Decision::Done;
-    };
     let searches = Search::of(known, transition);
     let wanted = searches
         .iter()
@@ -136,10 +131,23 @@ pub fn next(known: &Known, strategy: Strategy) -> Decision {
     }
 }
 
+/// Returns the requests for the next batch of each subset that is not decided.
+fn short(known: &Known, sets: impl Iterator<Item = AxisSet>) -> Vec<Request> {
+    let requests = sets.filter_map(|set| match known.verdict(set) {
+        Verdict::NotRun => Some(first(known, set)),
+        Verdict::Short { more } => Some(Request {
+            set,
+            rollouts: more,
+        }),
+        _ => None,
+    });
+    requests.collect()
+}
+
 fn first(known: &Known, set: AxisSet) -> Request {
     Request {
         set,
-        rollouts: known.evidence().first(),
+        rollouts: known.evidence().first(known.role(set)),
     }
 }
 

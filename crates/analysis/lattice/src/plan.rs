@@ -8,6 +8,7 @@ use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
+use crate::evidence::Evidence;
 use crate::known::Known;
 use crate::next::{Decision, Request, Strategy, next};
 
@@ -20,9 +21,6 @@ pub struct Sample {
     pub seed: u64,
     /// Strategy for each configuration.
     pub strategy: Strategy,
-    /// Replicates that the campaign itself runs under each axis alone and under all axes,
-    /// which do not count towards the budget.
-    pub replicates: u32,
 }
 
 /// Decides which subsets to run next for all configurations, each identified by its
@@ -42,7 +40,7 @@ pub fn plan<'a>(
 ) -> Vec<(&'a RolloutId, Vec<Request>)> {
     let mut candidates: Vec<Candidate<'a>> = configurations
         .iter()
-        .map(|(name, known)| Candidate::of(name, known, sample))
+        .map(|(name, known)| Candidate::of(name, known, sample.seed))
         .collect();
     // Configurations in progress come first; a new one starts only if it can be finished.
     candidates.sort_by_key(|candidate| (candidate.spent == 0, candidate.rank, candidate.name));
@@ -81,14 +79,14 @@ struct Candidate<'a> {
 }
 
 impl<'a> Candidate<'a> {
-    fn of(name: &'a RolloutId, known: &'a Known, sample: &Sample) -> Self {
-        let mut rng = ChaCha12Rng::seed_from_u64(sample.seed);
+    fn of(name: &'a RolloutId, known: &'a Known, seed: u64) -> Self {
+        let mut rng = ChaCha12Rng::seed_from_u64(seed);
         rng.set_stream(u64::from(rollout_seed(name)));
         Self {
             name,
             known,
             rank: rng.next_u64(),
-            spent: known.rollouts_beyond(sample.replicates),
+            spent: known.rollouts_beyond(),
         }
     }
 }
@@ -107,25 +105,25 @@ fn within(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
 }
 
 impl Known {
-    /// Returns the number of requested rollouts beyond those of a campaign with `replicates`
-    /// replicates. Nominal rollouts always belong to the campaign.
-    fn rollouts_beyond(&self, replicates: u32) -> u32 {
+    /// Returns the number of requested rollouts beyond those of the explained campaign, whose
+    /// outcomes are evidence only if they are not repeated.
+    fn rollouts_beyond(&self) -> u32 {
         let sets = self.tallies().filter(|(set, _)| !set.is_empty());
-        let beyond = sets.map(|(set, tally)| match self.is_of_campaign(set) {
-            true => tally.asked().saturating_sub(replicates),
-            false => tally.asked(),
+        let beyond = sets.map(|(set, tally)| match self.evidence() {
+            Evidence::Once if self.is_of_campaign(set) => tally.asked().saturating_sub(1),
+            _ => tally.asked(),
         });
         beyond.sum()
     }
 
     /// Returns the largest number of rollouts that may still be requested.
-    fn most_further_rollouts(&self) -> u32 {
+    pub fn most_further_rollouts(&self) -> u32 {
         let sets = self
             .full()
             .subsets()
             .into_iter()
             .filter(|set| !set.is_empty());
-        sets.map(|set| self.evidence().remaining(&self.tally(set)))
+        sets.map(|set| self.evidence().remaining(&self.tally(set), self.role(set)))
             .sum()
     }
 }
@@ -133,7 +131,6 @@ impl Known {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evidence::Evidence;
     use libero_ctrl::{AxisSet, Condition, Level, TaskRef};
     use paired::Outcome;
 
@@ -164,7 +161,6 @@ mod tests {
             budget,
             seed,
             strategy: Strategy::Adaptive,
-            replicates: 1,
         }
     }
 

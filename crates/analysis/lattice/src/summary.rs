@@ -39,9 +39,11 @@ pub struct SubsetOutcome {
     pub set: AxisSet,
     /// Verdict of the rollouts under the subset.
     pub verdict: Verdict,
-    /// Counts of the rollouts under the subset.
+    /// Counts of the rollouts under the subset that are evidence.
     pub tally: Tally,
-    /// With replicates, the Clopper–Pearson interval of the success probability
+    /// With repeats, counts of the outcomes of the explained campaign, which are not.
+    pub selecting: Option<Tally>,
+    /// With repeats, the Clopper–Pearson interval of the success probability
     /// at the level of one test; it excludes ½ if and only if the verdict is
     /// success or failure. Absent for a deterministic policy, and without a result.
     pub interval: Option<Interval>,
@@ -67,19 +69,17 @@ impl Explained {
 
 /// Returns the outcomes under every subset with a requested rollout, in order.
 pub fn outcomes(known: &Known) -> Vec<SubsetOutcome> {
-    let evidence = known.evidence();
-    let outcome = |(set, tally): (AxisSet, Tally)| SubsetOutcome {
-        set,
-        verdict: evidence.verdict(&tally),
-        tally,
-        interval: match evidence {
-            Evidence::Once => None,
-            Evidence::Repeated(repeats) => {
-                clopper_pearson(tally.count(), 1.0 - repeats.error_per_test())
-            }
-        },
+    let outcome = |set: AxisSet| {
+        let (tally, looks) = (known.tally(set), known.looks(set));
+        SubsetOutcome {
+            set,
+            verdict: known.verdict(set),
+            tally,
+            selecting: looks.map(|_| known.selecting(set)),
+            interval: looks.and_then(|looks| clopper_pearson(tally.count(), 1.0 - looks.level)),
+        }
     };
-    known.tallies().map(outcome).collect()
+    known.sets().map(outcome).collect()
 }
 
 /// Frequency of a minimal subset: a bar of an UpSet plot.

@@ -237,17 +237,20 @@ proptest! {
     #[test]
     fn a_decision_depends_on_what_is_known_and_not_on_its_order(
         rollouts in prop::collection::vec((prop::sample::select(full(4).subsets()), prop::sample::select(vec![
-            Outcome::Success, Outcome::Failure, Outcome::Missing, Outcome::Quarantined])), 0..60),
+            Outcome::Success, Outcome::Failure, Outcome::Missing, Outcome::Quarantined]), any::<bool>()), 0..60),
     ) {
         for evidence in [Evidence::Once, Evidence::Repeated(Repeats { batch: 2, most: 6, error: 0.5 })] {
             let mut forwards = Known::new(full(4), evidence).expect("four axes");
             let mut backwards = forwards.clone();
-            for (set, outcome) in &rollouts {
-                forwards.record(*set, *outcome).expect("a subset");
-            }
-            for (set, outcome) in rollouts.iter().rev() {
-                backwards.record(*set, *outcome).expect("a subset");
-            }
+            let add = |known: &mut Known, (set, outcome, selects): &(AxisSet, Outcome, bool)| {
+                let added = match selects {
+                    true => known.select(*set, *outcome),
+                    false => known.record(*set, *outcome),
+                };
+                added.expect("a subset");
+            };
+            rollouts.iter().for_each(|it| add(&mut forwards, it));
+            rollouts.iter().rev().for_each(|it| add(&mut backwards, it));
             for strategy in Strategy::ALL {
                 let decision = next(&forwards, strategy);
                 prop_assert_eq!(&decision, &next(&backwards, strategy));
@@ -296,7 +299,7 @@ proptest! {
         };
         for &set in &sets {
             if is_of_campaign(set, full(4)) {
-                known.record(set, outcome(set, 0)).expect("a subset");
+                known.select(set, outcome(set, 0)).expect("a subset");
             }
         }
         let mut batches = 0;
@@ -305,7 +308,7 @@ proptest! {
             prop_assert!(batches <= 16 * 3);
             for Request { set, rollouts } in batch {
                 for _ in 0..rollouts {
-                    let number = known.tally(set).asked();
+                    let number = known.replicates(set);
                     known.record(set, outcome(set, number)).expect("a subset");
                 }
                 prop_assert!(known.tally(set).asked() <= repeats.most);

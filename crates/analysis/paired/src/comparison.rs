@@ -3,12 +3,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use libero_ctrl::{Axis, Condition, Level, RolloutId};
+use libero_ctrl::{Axis, Condition, Directions, Level, RolloutId};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
 use crate::difference::{Difference, DifferenceBounds, Pair};
 use crate::outcomes::{Outcome, Record};
+use crate::progress::{Progress, ProgressDifference, ProgressPair};
 
 /// Reason why a rollout with the same id for both policies is not compared: its setup
 /// differs between them.
@@ -37,11 +38,36 @@ impl Obstacle {
     }
 }
 
+/// One of two policies that are compared.
+#[derive(Clone, Copy, Debug)]
+pub struct Compared<'a> {
+    /// Its rollouts, with or without an outcome.
+    pub records: &'a [Record],
+    /// Progress of the rollouts with an outcome, as far as known.
+    pub progress: &'a [Progress],
+    /// Assignment of directions to configurations in its campaign.
+    pub directions: Directions,
+}
+
+/// Records alone, whose directions are shared.
+impl<'a> From<&'a [Record]> for Compared<'a> {
+    fn from(records: &'a [Record]) -> Self {
+        Self {
+            records,
+            progress: &[],
+            directions: Directions::Shared,
+        }
+    }
+}
+
 /// Result of comparing two policies.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Comparison {
     /// Cells by replicate, level (nominal first) and condition.
     pub cells: Vec<ComparedCell>,
+    /// Assignment of directions that the intervals rest on: of its own to each task if both
+    /// campaigns have that, and otherwise shared, which makes no interval narrower.
+    pub directions: Directions,
     /// Rollouts that only A has.
     pub only_in_a: u64,
     /// Rollouts that only B has.
@@ -68,6 +94,8 @@ pub struct ComparedCell {
     pub quarantined: u64,
     /// Difference over all other rollouts; absent if there are none.
     pub difference: Option<Difference>,
+    /// Differences in partial progress; absent if nothing is known of both policies.
+    pub progress: Option<ProgressDifference>,
     /// Worst and best case; absent if no rollout is quarantined.
     pub bounds: Option<DifferenceBounds>,
 }
@@ -77,6 +105,9 @@ const MAX_NAMED: usize = 3;
 
 type Key = (u32, RolloutId);
 
+/// The rollouts of one cell, and their progress.
+type Cell = (Vec<Pair>, Vec<ProgressPair>);
+
 impl Comparison {
     /// Compares the records of A and B. Initial states and the axes of *simultaneous* are
     /// checked here; `obstacle` is called for every common rollout and checks properties
@@ -84,19 +115,30 @@ impl Comparison {
     ///
     /// Replicates are paired by number. If a rollout is recorded twice, only one record
     /// is used; [`Records`](crate::Records) rejects such input.
-    pub fn of(
-        a: &[Record],
-        b: &[Record],
+    pub fn of<'a>(
+        a: impl Into<Compared<'a>>,
+        b: impl Into<Compared<'a>>,
         bootstrap: &Bootstrap,
         obstacle: impl Fn(&Record) -> Option<Obstacle>,
     ) -> Self {
-        let [of_a, of_b] = [a, b].map(|records| {
-            let by_key = records.iter().map(|it| ((it.replicate, it.id), it));
+        let both: [Compared<'a>; 2] = [a.into(), b.into()];
+        let [of_a, of_b] = both.map(|it| {
+            let by_key = it.records.iter().map(|it| ((it.replicate, it.id), it));
             by_key.collect::<BTreeMap<Key, &Record>>()
         });
-        let axes = [a, b].map(axes);
-        let mut comparison = Self::default();
-        let mut cells: BTreeMap<(u32, Level, Condition), Vec<Pair>> = BTreeMap::new();
+        let progress = both.map(|it| {
+            let by_key = it.progress.iter().map(|it| ((it.replicate, it.id), it));
+            by_key.collect::<BTreeMap<Key, &Progress>>()
+        });
+        let axes = both.map(|it| axes(it.records));
+        let mut comparison = Self {
+            directions: match both.map(|it| it.directions) {
+                [Directions::Own, Directions::Own] => Directions::Own,
+                _ => Directions::Shared,
+            },
+            ..Self::default()
+        };
+        let mut cells: BTreeMap<(u32, Level, Condition), Cell> = BTreeMap::new();
         for (key, record) in &of_a {
             let Some(other) = of_b.get(key) else {
                 comparison.only_in_a += 1;
@@ -117,37 +159,61 @@ impl Comparison {
                 continue;
             }
             let cell = (record.replicate, id.level(), id.condition());
-            cells.entry(cell).or_default().push(Pair {
+            let (pairs, came) = cells.entry(cell).or_default();
+            let pair = Pair {
                 task: id.task(),
                 number: id.config().unwrap_or(record.init_id),
                 a: record.outcome,
                 b: other.outcome,
-            });
+            };
+            let has_outcomes = pair.a.success().is_some() && pair.b.success().is_some();
+            if let [Some(a), Some(b)] = progress.each_ref().map(|it| it.get(key))
+                && has_outcomes
+            {
+                came.push(ProgressPair {
+                    task: pair.task,
+                    number: pair.number,
+                    progress: [**a, **b],
+                });
+            }
+            pairs.push(pair);
         }
         let is_only_in_b = |key: &&Key| !of_a.contains_key(key);
         comparison.only_in_b = of_b.keys().filter(is_only_in_b).count() as u64;
-        let (keys, sets): (Vec<_>, Vec<_>) = cells.into_iter().unzip();
-        let differences = Difference::of_each(&sets, bootstrap);
-        let cells = keys.into_iter().zip(&sets).zip(differences);
+        let (keys, sets): (Vec<_>, Vec<Cell>) = cells.into_iter().unzip();
+        let (sets, came): (Vec<_>, Vec<_>) = sets.into_iter().unzip();
+        // Initial states, which take the place of directions in nominal rollouts, have the
+        // same numbers in all tasks.
+        let directions = keys.iter().map(|(_, _, condition)| match condition {
+            Condition::Clean => Directions::Shared,
+            _ => comparison.directions,
+        });
+        let directions: Vec<Directions> = directions.collect();
+        let differences = Difference::of_sets(&sets, &directions, bootstrap);
+        let progress = ProgressDifference::of_each(&came, &directions);
+        let cells = keys.into_iter().zip(&sets).zip(differences).zip(progress);
         comparison.cells = cells
-            .map(|(((replicate, level, condition), pairs), difference)| {
-                let missing = pairs
-                    .iter()
-                    .filter(|pair| is_either(pair, Outcome::Missing));
-                let missing = missing.count() as u64;
-                let n = difference.as_ref().map_or(0, |difference| difference.n);
-                let shared = pairs.len() as u64;
-                ComparedCell {
-                    replicate,
-                    level,
-                    condition,
-                    shared,
-                    missing,
-                    quarantined: shared - missing - n,
-                    difference,
-                    bounds: DifferenceBounds::of(pairs),
-                }
-            })
+            .map(
+                |((((replicate, level, condition), pairs), difference), progress)| {
+                    let missing = pairs
+                        .iter()
+                        .filter(|pair| is_either(pair, Outcome::Missing));
+                    let missing = missing.count() as u64;
+                    let n = difference.as_ref().map_or(0, |difference| difference.n);
+                    let shared = pairs.len() as u64;
+                    ComparedCell {
+                        replicate,
+                        level,
+                        condition,
+                        shared,
+                        missing,
+                        quarantined: shared - missing - n,
+                        difference,
+                        progress,
+                        bounds: DifferenceBounds::of(pairs),
+                    }
+                },
+            )
             .collect();
         comparison
     }

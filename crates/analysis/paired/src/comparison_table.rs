@@ -4,6 +4,7 @@ use libero_ctrl::Condition;
 
 use crate::bootstrap::Bootstrap;
 use crate::comparison::{ComparedCell, Comparison};
+use crate::comparison_further::{further_meanings, push_further, push_progress};
 use crate::difference::Difference;
 use crate::legend::of_intervals;
 use crate::text::{NOTHING, p_value, push_columns, push_legend, push_wrapped, separate};
@@ -25,6 +26,7 @@ pub fn comparison_table(comparison: &Comparison, bootstrap: &Bootstrap) -> Strin
         push_wrapped(&mut text, "worst and best A - B: ", &bounds.join("; "));
     }
     push_further(&mut text, comparison);
+    push_progress(&mut text, comparison);
     separate(&mut text);
     push_legend(&mut text, &legend(comparison, bootstrap));
     text
@@ -63,35 +65,6 @@ fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
         above = Some(cell);
     }
     rows
-}
-
-/// Appends the intervals for further targets, the equivalence test, and the numbers of tasks
-/// that differ.
-fn push_further(text: &mut String, comparison: &Comparison) {
-    let heads = ["directions", "all rows", "5 pts p", "tasks A:B"];
-    let mut rows = vec![(String::new(), heads.map(str::to_owned).to_vec())];
-    let first = comparison.cells.iter().filter(|cell| cell.replicate == 0);
-    for (cell, it) in first.filter_map(|cell| Some((cell, cell.difference.as_ref()?))) {
-        let interval = |ends: Option<[f64; 2]>| {
-            let ends = ends.map(|ends| ends.map(|end| format!("{:+.1}", 100.0 * end)));
-            ends.map_or_else(
-                || NOTHING.to_owned(),
-                |[low, high]| format!("[{low}, {high}]"),
-            )
-        };
-        let values = vec![
-            interval(it.estimate.new_tasks_and_directions),
-            interval(it.simultaneous_ci95),
-            it.equivalence_p.map_or_else(|| NOTHING.to_owned(), p_value),
-            format!("{}:{}", it.profile.a_better, it.profile.b_better),
-        ];
-        rows.push((cell.name(), values));
-    }
-    if rows.len() > 1 {
-        separate(text);
-        text.push_str("A - B for further targets\n");
-        push_columns(text, &rows);
-    }
 }
 
 /// Returns the columns of a cell without a rollout to compare.
@@ -167,22 +140,8 @@ fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, 
         "Holm p",
         "exact two-sided sign-flip test of A - B over tasks, corrected for the rows of the table",
     );
-    add(
-        "directions",
-        "95 % interval about new tasks and new directions (of nominal, initial states)",
-    );
-    add(
-        "all rows",
-        "intervals about new tasks that hold together with 95 %",
-    );
-    add(
-        "5 pts p",
-        "test that A and B differ by more than 5 points: if small, they are equivalent",
-    );
-    add(
-        "tasks A:B",
-        "tasks in which A, and in which B, succeeds more often",
-    );
+    entries.extend(further_meanings(comparison));
+    let mut add = |symbol, meaning: &str| entries.push((symbol, meaning.to_owned()));
     if comparison.cells.iter().any(|cell| cell.bounds.is_some()) {
         add(
             "worst and best",

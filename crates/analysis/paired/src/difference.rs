@@ -133,10 +133,20 @@ impl Tally {
 }
 
 impl Difference {
-    /// Computes the difference of each set of pairs; `None` if no rollout of the set has an
-    /// outcome for both policies. The order of pairs does not matter. Sets with the same
-    /// number of tasks share one pass of resampling.
+    /// Computes the difference of each set of pairs whose directions all tasks share; `None`
+    /// if no rollout of the set has an outcome for both policies. The order of pairs does not
+    /// matter. Sets with the same number of tasks share one pass of resampling.
     pub fn of_each(sets: &[Vec<Pair>], bootstrap: &Bootstrap) -> Vec<Option<Self>> {
+        Self::of_sets(sets, &vec![Directions::Shared; sets.len()], bootstrap)
+    }
+
+    /// Computes the difference of each set of pairs, as [`Difference::of_each`] does.
+    /// `directions` has one entry per set.
+    pub(crate) fn of_sets(
+        sets: &[Vec<Pair>],
+        directions: &[Directions],
+        bootstrap: &Bootstrap,
+    ) -> Vec<Option<Self>> {
         let clusters: Vec<Vec<Tally>> = sets.iter().map(|pairs| of_tasks(pairs)).collect();
         let mut of_size: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         for (set, tasks) in clusters.iter().enumerate() {
@@ -155,15 +165,22 @@ impl Difference {
                 intervals[*member] = Some(interval);
             }
         }
-        let each = sets.iter().zip(&clusters).zip(intervals);
+        let each = sets.iter().zip(directions).zip(&clusters).zip(intervals);
         let mut differences: Vec<Option<Self>> = each
-            .map(|((pairs, clusters), interval)| Self::new(pairs, clusters, interval))
+            .map(|(((pairs, directions), clusters), interval)| {
+                Self::new(pairs, *directions, clusters, interval)
+            })
             .collect();
         together(&mut differences, bootstrap);
         differences
     }
 
-    fn new(pairs: &[Pair], clusters: &[Tally], interval: Option<Interval>) -> Option<Self> {
+    fn new(
+        pairs: &[Pair],
+        directions: Directions,
+        clusters: &[Tally],
+        interval: Option<Interval>,
+    ) -> Option<Self> {
         let mut total = Tally::default();
         for task in clusters {
             total.both += task.both;
@@ -177,7 +194,7 @@ impl Difference {
         let interval = shown(clusters.len(), interval);
         let net = |task: &Tally| task.a_only as i64 - task.b_only as i64;
         let sign_flip_p = sign_flip_p(&clusters.iter().map(net).collect::<Vec<_>>());
-        let estimate = estimate(pairs)?;
+        let estimate = estimate(pairs, directions)?;
         Some(Self {
             equivalence_p: equivalence_p(&estimate),
             estimate,
@@ -259,13 +276,28 @@ fn rows(pairs: &[Pair]) -> Vec<Row> {
     rows.collect()
 }
 
-fn estimate(pairs: &[Pair]) -> Option<Estimate> {
+fn estimate(pairs: &[Pair], directions: Directions) -> Option<Estimate> {
     let rows = rows(pairs);
-    let sample = Sample::new(&rows, Directions::Shared)?;
+    let sample = Sample::new(&rows, directions)?;
     Estimate::of(&sample, Scale::Difference, &|sums| sums[1] / sums[0])
 }
 
 impl Profile {
+    /// Returns the tasks in which A is farthest behind B and farthest ahead of it, each with
+    /// A − B; of equal ones the first.
+    pub fn extremes(&self) -> Option<[(TaskRef, f64); 2]> {
+        let pick =
+            |worst: Option<(TaskRef, f64)>, (&task, &change): (&TaskRef, &f64), sign: f64| {
+                match worst {
+                    Some((_, there)) if sign * there <= sign * change => worst,
+                    _ => Some((task, change)),
+                }
+            };
+        let [least, most] =
+            [1.0, -1.0].map(|sign| self.tasks.iter().fold(None, |it, of| pick(it, of, sign)));
+        Some([least?, most?])
+    }
+
     fn of(pairs: &[Pair]) -> Option<Self> {
         let mut sums: BTreeMap<TaskRef, [f64; 2]> = BTreeMap::new();
         for row in rows(pairs) {

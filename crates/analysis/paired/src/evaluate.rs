@@ -72,6 +72,7 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
         findings: Vec::new(),
         components: Components::of_each(records.configurations()),
         notes: options.notes.clone(),
+        overstated: options.overstated.clone(),
         axes: records.axes().collect(),
         gate: options
             .published_nominal

@@ -67,6 +67,13 @@ pub fn legend(reports: &[&Report]) -> String {
              repetitions",
         );
     }
+    if has_pairs && reports.iter().any(|report| !report.overstated.is_empty()) {
+        add(
+            "*",
+            "overstated: the campaign ended because it was large at that look; its confidence \
+             sequence bounds it",
+        );
+    }
     if cells().any(|cell| cell.solvable.is_some()) {
         add(
             "solvable",

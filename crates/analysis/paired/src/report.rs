@@ -1,8 +1,8 @@
 //! A report: its cells, its nominal success, and the options that it is computed with.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use libero_ctrl::{Axis, AxisSet, Condition, Directions, Level, Suite};
+use libero_ctrl::{Axis, AxisSet, Condition, Directions, Level, Measure, Suite};
 use serde::{Deserialize, Serialize};
 
 use crate::bootstrap::Bootstrap;
@@ -32,6 +32,8 @@ pub struct Options {
     pub reported_nominal: Option<Count>,
     /// Assignment of directions to configurations.
     pub directions: Directions,
+    /// Measures that are overstated, because the campaign stopped when they were large.
+    pub overstated: BTreeSet<Measure>,
 }
 
 /// The statistics of one policy's records.
@@ -48,6 +50,10 @@ pub struct Report {
     /// The gates of single suites whose published figures are known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub suite_gates: Vec<SuiteGate>,
+    /// Measures whose values in `cells` are overstated, because the campaign stopped when
+    /// they were large.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub overstated: BTreeSet<Measure>,
     /// Cells, by replicate and level.
     pub cells: Vec<Cell>,
     /// Comparison of each further replicate with the first.

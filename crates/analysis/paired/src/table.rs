@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
-use libero_ctrl::{AxisSet, Condition};
+use libero_ctrl::{AxisSet, Condition, Measure};
 
 use crate::bounds::Bounds;
 use crate::count::Count;
@@ -55,7 +55,7 @@ pub fn table(report: &Report) -> String {
         push_subsets(&mut text, &cells, &of);
         if cells.iter().any(|cell| cell.simultaneous.is_some()) {
             for cells in cells.chunks(PAIRED_CELLS) {
-                push_paired(&mut text, cells, &of);
+                push_paired(&mut text, cells, &of, &report.overstated);
             }
             push_inference(&mut text, &cells, &of);
         }
@@ -273,7 +273,23 @@ const BOUNDS_LINES: [BoundsLine; 4] = [
     ("  R_c", |b| rate_interval(Some(b.r_c), None)),
 ];
 
-fn push_paired(text: &mut String, cells: &[&Cell], of: &str) {
+/// Marks the label of a measure that the campaign's early end overstates.
+fn starred(label: &str, overstated: &BTreeSet<Measure>) -> String {
+    let measure = match label {
+        "S_sim" => Some(Measure::SSim),
+        "I = S_sim-S_conj" => Some(Measure::I),
+        "R_e = b/n" => Some(Measure::RE),
+        "R_c = c/n" => Some(Measure::RC),
+        "R_d = R_e+R_c" => Some(Measure::RD),
+        _ => None,
+    };
+    match measure.is_some_and(|measure| overstated.contains(&measure)) {
+        true => format!("{label} *"),
+        false => label.to_owned(),
+    }
+}
+
+fn push_paired(text: &mut String, cells: &[&Cell], of: &str, overstated: &BTreeSet<Measure>) {
     separate(text);
     let _ = writeln!(text, "paired outcomes of complete configurations, %{of}");
     let levels = cells.iter().map(|cell| cell.level.to_string());
@@ -285,7 +301,8 @@ fn push_paired(text: &mut String, cells: &[&Cell], of: &str) {
     push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "n complete", complete);
     for (label, value) in PAIRED_LINES {
         let values = cells.iter().map(|cell| shown(cell.paired.as_ref(), value));
-        push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
+        let label = starred(label, overstated);
+        push_row(text, PAIRED_LABEL, PAIRED_COLUMN, &label, values);
     }
     let detectable = cells.iter().map(|cell| match cell.minimum_detectable_i {
         Some(i) => format!("{:.2}", 100.0 * i),

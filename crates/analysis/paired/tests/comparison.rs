@@ -173,7 +173,7 @@ fn what_differs_under_one_name_is_not_paired_and_named() {
         let is_third = record.id.config() == Some(2);
         is_third.then_some(Obstacle::Scene)
     };
-    let it = Comparison::of(&a, &b, &Bootstrap::default(), told);
+    let it = Comparison::of(a.as_slice(), b.as_slice(), &Bootstrap::default(), told);
     let unpaired: Vec<_> = it.unpaired.into_iter().collect();
     assert_eq!(
         unpaired,

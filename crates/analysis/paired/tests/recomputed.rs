@@ -5,10 +5,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-use libero_ctrl::{Level, RolloutId};
+use libero_ctrl::{Condition, Directions, Level, RolloutId, Suite};
 use paired::{
-    Bootstrap, ComparedCell, Comparison, Matched, Options, Outcome, Record, Records, report_of,
+    Bootstrap, Compared, ComparedCell, Comparison, Matched, Options, Outcome, Progress, Record,
+    Records, report_of,
 };
+use rollout_types::GoalProgress;
 use serde_json::{Value, json};
 
 // The coverage command uses the rest.
@@ -21,7 +23,12 @@ const EXAMPLES: [&str; 3] = ["openvla_oft", "student", "student_randomised"];
 const CAMPAIGNS: u64 = 200;
 const COMPARISONS: u64 = 20;
 
-fn example(name: &str) -> Vec<Record> {
+/// Published rate that the gates of all campaigns are held against, over all suites and of
+/// each.
+const PUBLISHED: f64 = 0.87;
+
+/// Records and progress of an example.
+fn example(name: &str) -> (Vec<Record>, Vec<Progress>) {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../examples");
     let path = root.join(name).join("rollouts.jsonl");
     let text = std::fs::read_to_string(&path).expect("the example");
@@ -32,27 +39,44 @@ fn example(name: &str) -> Vec<Record> {
             .expect("a text")
             .parse()
             .expect("an id");
-        Record {
+        let record = Record {
             id,
             init_id: row["init_id"].as_u64().expect("a number") as u16,
             replicate: 0,
             outcome: Outcome::from(row["success"].as_bool().expect("an outcome")),
-        }
+        };
+        let progress = Progress {
+            id,
+            replicate: 0,
+            steps: row["steps"].as_u64().map(|steps| steps as u32),
+            goal: None,
+        };
+        (record, progress)
     };
-    text.lines().map(record).collect()
+    text.lines().map(record).unzip()
 }
 
 /// Outcomes and report in the form that the script reads.
-fn campaign(name: &str, records: &[Record]) -> Value {
-    let records = Records::new(records).expect("each rollout once");
+fn campaign(name: &str, rows: &[Record]) -> Value {
+    let records = Records::new(rows).expect("each rollout once");
     let options = Options {
         // The paper's intervals are compared in tests/reference.rs.
         bootstrap: Bootstrap {
             replicates: 2,
             ..Bootstrap::default()
         },
+        published_nominal: Some(PUBLISHED),
+        published_by_suite: Suite::ALL.map(|suite| (suite, PUBLISHED)).into(),
         ..Options::default()
     };
+    let nominal = rows.iter().filter(|it| it.replicate == 0);
+    let nominal = nominal.filter(|it| it.id.condition() == Condition::Clean);
+    let nominal: Vec<Value> = nominal
+        .map(|it| {
+            let (task, success) = (it.id.task(), it.outcome.success().expect("an outcome"));
+            json!([task.suite() as u8, task.index(), u8::from(success)])
+        })
+        .collect();
     let mut levels: BTreeMap<Level, Vec<Value>> = BTreeMap::new();
     let row = |matched: &Matched| {
         let configuration = matched.configuration().expect("all outcomes");
@@ -69,39 +93,100 @@ fn campaign(name: &str, records: &[Record]) -> Value {
             u8::from(configuration.simultaneous),
         ])
     };
+    let mut replicated: BTreeMap<Level, Vec<Value>> = BTreeMap::new();
     for matched in records.configurations() {
-        levels.entry(matched.level).or_default().push(row(matched));
+        if matched.replicate == 0 {
+            levels.entry(matched.level).or_default().push(row(matched));
+        }
+        replicated.entry(matched.level).or_default().push(json!([
+            matched.task.suite() as u8,
+            matched.task.index(),
+            matched.config,
+            matched.simultaneous.success().map(u8::from),
+        ]));
     }
-    json!({"name": name, "levels": levels, "report": report_of(&records, &options)})
+    json!({
+        "name": name,
+        "levels": levels,
+        "nominal": nominal,
+        "published": PUBLISHED,
+        "suites": Suite::ALL.map(|suite| (suite, suite as u8)),
+        "replicated": replicated,
+        "report": report_of(&records, &options),
+    })
 }
 
 /// Pairs of outcomes and the comparison in the form that the script reads.
-fn comparison(name: &str, a: &[Record], b: &[Record]) -> Value {
+fn comparison(name: &str, a: Compared<'_>, b: Compared<'_>) -> Value {
     let found = Comparison::of(a, b, &Bootstrap::default(), |_| None);
-    let of_b: BTreeMap<RolloutId, &Record> = b.iter().map(|it| (it.id, it)).collect();
+    let of_b: BTreeMap<RolloutId, &Record> = b.records.iter().map(|it| (it.id, it)).collect();
+    let progress = [a, b].map(|it| {
+        let by_id = it.progress.iter().map(|it| (it.id, it));
+        by_id.collect::<BTreeMap<RolloutId, &Progress>>()
+    });
     let cell = |cell: &ComparedCell| {
         let of_cell =
             |it: &&Record| (it.id.level(), it.id.condition()) == (cell.level, cell.condition);
-        let pairs = a.iter().filter(of_cell).filter_map(|a| {
+        let pairs = a.records.iter().filter(of_cell).filter_map(|a| {
             let b = of_b.get(&a.id)?;
+            let came = progress.each_ref().map(|it| it.get(&a.id));
             Some(json!([
                 a.id.task().suite() as u8,
                 a.id.task().index(),
                 a.id.config().unwrap_or(a.init_id),
                 u8::from(a.outcome.success()?),
                 u8::from(b.outcome.success()?),
+                came.map(|it| it
+                    .and_then(|it| it.goal)
+                    .map(|it| [it.at_most, it.predicates])),
+                came.map(|it| it.and_then(|it| it.steps)),
             ]))
         });
         json!({
             "name": cell.name(),
+            "own_directions": found.directions == Directions::Own
+                && cell.condition != Condition::Clean,
             "pairs": pairs.collect::<Vec<_>>(),
             "difference": cell.difference,
+            "progress": cell.progress,
         })
     };
     json!({"name": name, "compared": found.cells.iter().map(cell).collect::<Vec<_>>()})
 }
 
-/// Two policies of one population over the same tasks and directions.
+/// Steps and predicates of rollouts; of every seventh no predicates are known.
+fn simulated_progress(records: &[Record], chance: &mut Chance) -> Vec<Progress> {
+    let progress = records.iter().map(|record| {
+        let success = record.outcome == Outcome::Success;
+        let steps = if success {
+            80.0 + 100.0 * chance.uniform()
+        } else {
+            280.0
+        };
+        let predicates = 1 + u32::from(record.id.task().index()) % 3;
+        let held = (chance.uniform() * f64::from(predicates)) as u32;
+        let at_most = if success {
+            predicates
+        } else {
+            held.min(predicates - 1)
+        };
+        let goal = GoalProgress {
+            predicates,
+            at_end: at_most,
+            at_most,
+        };
+        Progress {
+            id: record.id,
+            replicate: record.replicate,
+            steps: Some(steps as u32),
+            goal: (chance.uniform() > 1.0 / 7.0).then_some(goal),
+        }
+    });
+    progress.collect()
+}
+
+/// Two policies of one population over the same tasks and directions; every second pair of
+/// campaigns says that each task has directions of its own.
 fn simulated_comparison(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (20, 4)][seed as usize % 4];
     let population = Population::usual();
@@ -109,10 +194,21 @@ fn simulated_comparison(seed: u64) -> Value {
     let effects = population.tasks(tasks, &mut chance);
     let directions = population.directions(CONFIGURATIONS, &mut chance);
     let [a, b] = [0, 1].map(|_| population.campaign(&effects, suites, &directions, &mut chance));
-    comparison(&format!("simulated comparison {seed}"), &a, &b)
+    let [of_a, of_b] = [&a, &b].map(|it| simulated_progress(it, &mut chance));
+    let directions = match (seed / 4).is_multiple_of(2) {
+        true => Directions::Shared,
+        false => Directions::Own,
+    };
+    let [a, b] = [(&a, &of_a), (&b, &of_b)].map(|(records, progress)| Compared {
+        records,
+        progress,
+        directions,
+    });
+    comparison(&format!("simulated comparison {seed}"), a, b)
 }
 
-/// Two, five, ten, … tasks, with a placebo in every second campaign.
+/// Two, five, ten, … tasks, with a placebo in every second campaign and replicates in every
+/// third.
 fn simulated_campaign(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (10, 1), (20, 4)][seed as usize % 5];
     let population = Population::usual();
@@ -122,6 +218,14 @@ fn simulated_campaign(seed: u64) -> Value {
     let mut records = population.campaign(&effects, suites, &directions, &mut chance);
     if seed.is_multiple_of(2) {
         records.retain(|record| !record.id.is_placebo());
+    }
+    for replicate in 1..if seed.is_multiple_of(3) {
+        2 + seed as u32 % 2
+    } else {
+        1
+    } {
+        let again = population.campaign(&effects, suites, &directions, &mut chance);
+        records.extend(again.into_iter().map(|it| Record { replicate, ..it }));
     }
     campaign(&format!("simulated {seed}"), &records)
 }
@@ -136,12 +240,16 @@ fn three_examples_and_two_hundred_campaigns_are_recomputed_by_numpy_and_scipy() 
         println!("skipped: {} has no NumPy and SciPy", python.display());
         return;
     }
-    let examples = EXAMPLES.map(|name| campaign(name, &example(name)));
+    let examples = EXAMPLES.map(|name| campaign(name, &example(name).0));
     let campaigns = examples
         .into_iter()
         .chain((0..CAMPAIGNS).map(simulated_campaign));
     let [_, student, randomised] = EXAMPLES.map(example);
-    let students = comparison("students", &student, &randomised);
+    let [student, randomised] = [&student, &randomised].map(|(records, progress)| Compared {
+        progress,
+        ..Compared::from(records.as_slice())
+    });
+    let students = comparison("students", student, randomised);
     let comparisons = (0..COMPARISONS).map(simulated_comparison);
     let campaigns = campaigns.chain([students]).chain(comparisons);
     let campaigns: Vec<Value> = campaigns.collect();

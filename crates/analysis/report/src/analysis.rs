@@ -2,10 +2,10 @@
 //! the findings of a campaign that follows from another.
 
 use std::borrow::Cow;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
-use libero_ctrl::Level;
-use paired::{Cell, DuplicateRecord, Options, Outcome, Record, Records, Report};
+use libero_ctrl::{Condition, Level, RolloutId};
+use paired::{Cell, DuplicateRecord, Matched, Options, Outcome, Progress, Record, Records, Report};
 
 use crate::explanation::Findings;
 use crate::how_far::HowFar;
@@ -26,6 +26,8 @@ pub struct Analysis {
     pub records: Records,
     /// Records of the counted configurations; `None` if all of the subject's records count.
     counted: Option<Vec<Record>>,
+    /// Progress of the rollouts, by replicate and id.
+    progress: BTreeMap<(u32, RolloutId), Progress>,
     /// Confidence sequences, if the campaign may end early.
     pub sequential: Option<Sequential>,
     /// The statistics; without figures if the campaign follows from another, because it then
@@ -64,6 +66,9 @@ impl Analysis {
                 published_by_suite: subject.published_by_suite.clone(),
                 reported_nominal: subject.reported_nominal,
                 directions: subject.directions,
+                overstated: sequential
+                    .as_ref()
+                    .map_or_else(BTreeSet::new, |it| it.overstated.clone()),
                 ..Options::default()
             },
         );
@@ -86,6 +91,11 @@ impl Analysis {
             label,
             interactions: AxisInteractions::of(&subject).ok(),
             how_far: HowFar::of(&subject),
+            progress: subject
+                .progress
+                .iter()
+                .map(|it| ((it.replicate, it.id), *it))
+                .collect(),
             subject,
             records,
             counted,
@@ -121,6 +131,23 @@ impl Analysis {
             },
         )
         .collect()
+    }
+
+    /// Returns the progress of a configuration's rollout under a condition, if it is known.
+    pub(crate) fn progress(&self, matched: &Matched, condition: Condition) -> Option<&Progress> {
+        let id = match condition {
+            Condition::Clean => RolloutId::clean(matched.task, matched.init_id),
+            _ => {
+                let Matched {
+                    task,
+                    level,
+                    config,
+                    ..
+                } = *matched;
+                RolloutId::perturbed(task, condition, level, config).ok()?
+            }
+        };
+        self.progress.get(&(matched.replicate, id))
     }
 
     /// Returns the cells of replicate 0, by level.

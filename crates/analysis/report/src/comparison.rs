@@ -3,8 +3,8 @@
 
 use std::collections::BTreeSet;
 
-use libero_ctrl::{RolloutId, StopRule};
-use paired::{Bootstrap, MIN_TASKS, Obstacle, Record, comparison_table, push_wrapped};
+use libero_ctrl::{Directions, RolloutId, StopRule};
+use paired::{Bootstrap, Compared, MIN_TASKS, Obstacle, Record, comparison_table, push_wrapped};
 use serde::Serialize;
 
 use crate::analysis::Analysis;
@@ -85,6 +85,10 @@ impl Comparison {
                 .filter_map(|it| different(it, subjects, &sides)),
         );
         reasons.extend(different_realisation(subjects, &sides));
+        warnings.extend(different_directions(subjects, &sides));
+        let other_placebo = different_placebo(subjects, &sides);
+        let has_other_placebo = other_placebo.is_some();
+        warnings.extend(other_placebo);
         let notes = [a, b].into_iter().zip(&sides).flat_map(|(analysis, side)| {
             let notes = analysis.report.notes.iter();
             notes.map(move |note| format!("`{}`: {note}", side.label))
@@ -100,9 +104,17 @@ impl Comparison {
             return Err(refused(reasons));
         }
         let bootstrap = Bootstrap::default();
-        let [of_a, of_b] = analyses.map(Analysis::counted);
-        let statistics =
-            paired::Comparison::of(of_a, of_b, &bootstrap, |record| obstacle(record, setups));
+        let [of_a, of_b] = analyses.map(|analysis| Compared {
+            records: analysis.counted(),
+            progress: &analysis.subject.progress,
+            directions: analysis.subject.directions,
+        });
+        let statistics = paired::Comparison::of(of_a, of_b, &bootstrap, |record| {
+            match has_other_placebo && record.id.is_placebo() {
+                true => Some(Obstacle::Perturbation),
+                false => obstacle(record, setups),
+            }
+        });
         if statistics.shared() == 0 {
             let mut reasons = statistics.left_out();
             reasons.insert(
@@ -271,6 +283,38 @@ fn different_realisation([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<Str
             of_a.name(),
             sides[1].label,
             of_b.name()
+        )
+    })
+}
+
+/// Warns of campaigns whose designs assign directions differently.
+fn different_directions([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<String> {
+    let words = |of: Directions| match of {
+        Directions::Shared => "directions that all tasks share",
+        Directions::Own => "directions of its own for every task",
+    };
+    (a.directions != b.directions).then(|| {
+        format!(
+            "the designs differ in their directions (`{}`: {}, `{}`: {}), so that perturbed \
+             rollouts of one id are not the same: where they are paired, intervals about new \
+             directions take them as shared; create both campaigns with the same `--directions`, \
+             or say in a file's `about.json` that it has its own",
+            sides[0].label,
+            words(a.directions),
+            sides[1].label,
+            words(b.directions)
+        )
+    })
+}
+
+/// Warns of placebo levels of different radii, whose rollouts are not the same.
+fn different_placebo([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<String> {
+    let (of_a, of_b) = (a.placebo_radius?, b.placebo_radius?);
+    (of_a != of_b).then(|| {
+        format!(
+            "their placebo levels have different radii (`{}`: {of_a}, `{}`: {of_b}) and are not \
+             compared; create both campaigns with the same `--placebo-radius`",
+            sides[0].label, sides[1].label
         )
     })
 }

@@ -60,6 +60,7 @@ struct JsonReport<'a> {
     policy: &'a str,
     origin: &'a Origin,
     realisation: Option<&'a str>,
+    placebo_radius: Option<f64>,
     errors: &'a [Quarantined],
     #[serde(skip_serializing_if = "Option::is_none")]
     sequential: Option<&'a Sequential>,
@@ -130,6 +131,7 @@ impl Document {
             policy: &analysis.subject.policy,
             origin: &analysis.subject.origin,
             realisation: analysis.subject.realisation.map(|r| r.name()),
+            placebo_radius: analysis.subject.placebo_radius,
             errors: &analysis.subject.errors,
             sequential: analysis.sequential.as_ref(),
             report: &analysis.report,

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use lattice::{
-    Answer, Decision, Explained, KnownError, Occurrence, Sample, Unexplained, Verdict,
-    configurations, next, occurrences, plan,
+    Answer, Decision, Explained, Known, KnownError, Occurrence, Repeats, Sample, Unexplained,
+    Verdict, configurations, next, occurrences, plan, selected,
 };
 use libero_ctrl::{AxisSet, Explanation, JsonError};
 use paired::{Outcome, Record, Transition, push_wrapped};
@@ -32,6 +32,8 @@ pub struct Findings {
     pub transitions: u64,
     /// Transitions whose explanation is finished.
     pub explained: u64,
+    /// Transitions that repeats did not confirm, so that chance may have made them.
+    pub not_confirmed: u64,
     /// Emergent failures that are not explained because the nominal rollout fails too.
     pub nominal_fails: u64,
     /// Rollouts of the explaining campaign, finished or waiting.
@@ -48,21 +50,30 @@ impl Findings {
     /// Returns the number of transitions to explain and of rollouts that this would take.
     ///
     /// # Errors
-    /// If the campaign perturbs only one axis.
+    /// If the campaign perturbs only one axis, or so few repeats decide nothing.
     pub fn prospect(campaign: &Subject, explanation: &Explanation) -> Result<Prospect, KnownError> {
         let known = configurations(&campaign.counted(), &[], explanation)?;
         let mut prospect = Prospect {
             subjects: 0,
             most_rollouts: BTreeMap::new(),
         };
-        for (&configuration, known) in &known {
-            if Explained::of(configuration, known).is_ok() {
-                let several = known.full().subsets().into_iter();
-                let several = several.filter(|it| it.len() > 1 && *it != known.full());
-                let times = u64::from(explanation.repeats.unwrap_or(1));
+        for (configuration, known) in &known {
+            let axes = known.full().len();
+            if let Some(repeats) = explanation.repeats
+                && repeats < Repeats::fewest(axes)
+            {
+                let fewest = Repeats::fewest(axes);
+                return Err(KnownError::TooFewRepeats {
+                    axes,
+                    repeats,
+                    fewest,
+                });
+            }
+            if selected(known).is_ok() {
                 let suite = configuration.task().suite();
                 prospect.subjects += 1;
-                *prospect.most_rollouts.entry(suite).or_default() += several.count() as u64 * times;
+                *prospect.most_rollouts.entry(suite).or_default() +=
+                    u64::from(known.most_further_rollouts());
             }
         }
         if let Some(budget) = explanation.budget {
@@ -81,7 +92,7 @@ impl Findings {
             return Ok(None);
         };
         let known = configurations(records, &by.records, explanation)?;
-        let sample = Sample::of(explanation, records);
+        let sample = Sample::of(explanation);
         let mut findings = Self {
             campaign: explanation.campaign.clone(),
             explained_by: by.origin_name().to_owned(),
@@ -90,6 +101,7 @@ impl Findings {
             complete: records.iter().all(is_settled) && plan(&known, &sample).is_empty(),
             transitions: 0,
             explained: 0,
+            not_confirmed: 0,
             nominal_fails: 0,
             rollouts: by.records.len() as u64,
             waiting: 0,
@@ -103,15 +115,17 @@ impl Findings {
                     findings.nominal_fails += 1;
                     continue;
                 }
+                Err(why @ (Unexplained::AwaitsRepeats | Unexplained::NotConfirmed)) => {
+                    findings.transitions += 1;
+                    findings.not_confirmed += u64::from(why == Unexplained::NotConfirmed);
+                    findings.waiting += waiting(known);
+                    continue;
+                }
                 Err(Unexplained::Incomplete | Unexplained::Unchanged(_)) => continue,
             };
             findings.transitions += 1;
             findings.explained += u64::from(next(known, sample.strategy) == Decision::Done);
-            let pending = explained
-                .outcomes
-                .iter()
-                .map(|it| u64::from(it.tally.pending));
-            findings.waiting += pending.sum::<u64>();
+            findings.waiting += waiting(known);
             if explained.rollouts > 0 {
                 findings.configurations.push(explained);
             }
@@ -176,6 +190,13 @@ impl Findings {
         if *waiting > 0 {
             let _ = write!(words, ", of which {waiting} have no outcome yet");
         }
+        if self.not_confirmed > 0 {
+            let _ = write!(
+                words,
+                "; not confirmed by repeats, so that chance may have made them: {}",
+                self.not_confirmed
+            );
+        }
         if self.nominal_fails > 0 {
             let _ = write!(
                 words,
@@ -185,6 +206,14 @@ impl Findings {
         }
         words
     }
+}
+
+/// Returns the number of requested rollouts without an outcome.
+fn waiting(known: &Known) -> u64 {
+    known
+        .tallies()
+        .map(|(_, tally)| u64::from(tally.pending))
+        .sum()
 }
 
 fn is_settled(record: &Record) -> bool {

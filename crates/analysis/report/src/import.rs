@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 
 use libero_ctrl::{Condition, Directions, JsonError, Level, RolloutId, Suite};
 use libero_ctrl::{MAX_ROWS, Realisation};
-use paired::{Count, Outcome, Record};
+use paired::{Count, Outcome, Progress, Record};
+use rollout_types::GoalProgress;
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
@@ -101,10 +102,11 @@ struct About {
     realisation: Option<Realisation>,
     published_nominal: Option<f64>,
     nominal: Option<Count>,
+    directions: Directions,
 }
 
 /// A result row of the reference implementation. Fields that repeat parts of the id are
-/// checked against it; step counts and times are ignored.
+/// checked against it; times are ignored.
 #[derive(Deserialize)]
 struct Row {
     rollout_id: RolloutId,
@@ -118,6 +120,11 @@ struct Row {
     task_id: Option<u8>,
     config: Option<u16>,
     policy: Option<String>,
+    steps: Option<u32>,
+    placebo_radius: Option<f64>,
+    goal_predicates: Option<u32>,
+    goal_at_end: Option<u32>,
+    goal_at_most: Option<u32>,
 }
 
 /// Reads one policy's results from a folder, or from a file of rows.
@@ -198,7 +205,9 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         fingerprints: None,
         provenances: Vec::new(),
         published_nominal: about.published_nominal,
-        directions: Directions::default(),
+        directions: about.directions,
+        placebo_radius: reading.placebo_radius,
+        progress: reading.progress,
         published_by_suite: Vec::new(),
         reported_nominal: about.nominal,
         setups: Setups::default(),
@@ -226,6 +235,9 @@ fn read_about(path: &Path) -> Result<About, ImportError> {
 struct Reading {
     number: usize,
     records: Vec<Record>,
+    progress: Vec<Progress>,
+    /// Radius of the rows at the placebo level.
+    placebo_radius: Option<f64>,
     /// Line number of each rollout and replicate, to report duplicates.
     lines: HashMap<(RolloutId, u32), usize>,
     policy: Option<String>,
@@ -278,6 +290,25 @@ impl Reading {
             (None, Some(policy)) => self.policy = Some(policy),
             _ => {}
         }
+        match (self.placebo_radius, row.placebo_radius) {
+            (Some(one), Some(other)) if one != other => {
+                return Err(format!(
+                    "its `placebo_radius` is {other}, that of those before {one}: one radius per \
+                     file"
+                ));
+            }
+            (None, radius) => self.placebo_radius = radius,
+            _ => {}
+        }
+        let progress = Progress {
+            id: row.rollout_id,
+            replicate: row.replicate,
+            steps: row.steps,
+            goal: row.goal(),
+        };
+        if progress.steps.is_some() || progress.goal.is_some() {
+            self.progress.push(progress);
+        }
         Ok(Record {
             id: row.rollout_id,
             init_id: row.initial_state()?,
@@ -307,10 +338,29 @@ impl Row {
                     .is_none_or(|config| id.config().is_none_or(|own| own == config)),
             ),
         ];
-        match of_id.iter().find(|(_, agrees)| !agrees) {
-            Some((field, _)) => Err(format!("`{field}` is another than in its id {id}")),
-            None => Ok(()),
+        if let Some((field, _)) = of_id.iter().find(|(_, agrees)| !agrees) {
+            return Err(format!("`{field}` is another than in its id {id}"));
         }
+        match self
+            .goal()
+            .is_none_or(|goal| goal.agrees_with(self.success))
+        {
+            true => Ok(()),
+            false => Err(
+                "`goal_predicates`, `goal_at_end` and `goal_at_most` contradict one another or \
+                 `success`"
+                    .to_owned(),
+            ),
+        }
+    }
+
+    /// Returns how much of the goal held, if the row says all of it.
+    fn goal(&self) -> Option<GoalProgress> {
+        Some(GoalProgress {
+            predicates: self.goal_predicates?,
+            at_end: self.goal_at_end?,
+            at_most: self.goal_at_most?,
+        })
     }
 
     /// Returns the initial state given in the row, or the protocol's for configurations 0

@@ -1,7 +1,7 @@
 //! Confidence sequences of a campaign that may end early, valid at any look, and the
 //! rollouts that an early end saved.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
 use libero_ctrl::{Clause, Level, Measure, StopRule, Strata};
@@ -39,6 +39,10 @@ pub struct Sequential {
     /// Point estimates by level and measure, with strata weighted by their share of the
     /// campaign; only for levels with a known outcome in every stratum.
     pub estimates: BTreeMap<Level, BTreeMap<Measure, f64>>,
+    /// Measures whose estimates are overstated, because the campaign ended as soon as the
+    /// interval of the measure excluded a value. The end of the interval that is nearest to
+    /// this value bounds the overstatement.
+    pub overstated: BTreeSet<Measure>,
 }
 
 /// Describes an early stop: after how many configurations, by which rule, and how many
@@ -71,6 +75,10 @@ impl Sequential {
         let missing = missing.filter(|record| record.outcome == Outcome::Missing);
         Ok(look.map(|look| Self {
             estimates: look.estimates(&records, stop),
+            overstated: match has_stopped {
+                true => excluded(&stop.rule),
+                false => BTreeSet::new(),
+            },
             rule: stop.rule.clone(),
             seed: stop.seed,
             strata: stop.strata,
@@ -152,9 +160,10 @@ impl Sequential {
                 "{}; figures are of these {} configurations, and their bootstrap intervals and \
                  p-values are not valid, because they hold for one look that was settled \
                  beforehand: use the confidence sequences, whose estimates weigh suites as the \
-                 campaign has them. Other rates weigh them by what was drawn",
+                 campaign has them. Other rates weigh them by what was drawn{}",
                 stopped_in_words(configurations, &self.rule.to_string(), rollouts),
-                self.used
+                self.used,
+                self.overstated_in_words()
             ));
         }
         (self.used < self.configurations).then(|| {
@@ -167,12 +176,21 @@ impl Sequential {
         })
     }
 
-    /// Returns true if the campaign stopped because the interval of a measure excludes a value,
-    /// so that its estimate tends to be too extreme.
-    fn is_overstated(&self, measure: Measure) -> bool {
-        let mut clauses = self.rule.clauses().iter();
-        self.has_stopped
-            && clauses.any(|it| it.measure() == measure && !matches!(it, Clause::Width(..)))
+    /// Returns the clause of the warning about overstated measures; empty if there are none.
+    fn overstated_in_words(&self) -> String {
+        let names: Vec<&str> = self.overstated.iter().map(|it| it.name()).collect();
+        match names.as_slice() {
+            [] => String::new(),
+            names => format!(
+                "; overstated wherever it stands: {}, because the campaign ended when it was large",
+                names.join(", ")
+            ),
+        }
+    }
+
+    /// Returns true if the estimate of a measure tends to be too extreme.
+    pub(crate) fn is_overstated(&self, measure: Measure) -> bool {
+        self.overstated.contains(&measure)
     }
 
     /// Formats an estimate, percent or points, with a star if the early stop overstates it.
@@ -251,6 +269,13 @@ impl Sequential {
         push_wrapped(&mut text, "", &self.explanation());
         text
     }
+}
+
+/// Returns the measures that end a campaign by excluding a value.
+fn excluded(rule: &StopRule) -> BTreeSet<Measure> {
+    let clauses = rule.clauses().iter();
+    let clauses = clauses.filter(|it| !matches!(it, Clause::Width(..)));
+    clauses.map(Clause::measure).collect()
 }
 
 fn columns(measure: Measure) -> usize {

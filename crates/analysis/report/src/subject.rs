@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use libero_ctrl::{Directions, Explanation, Realisation, RolloutId, Stop, Suite, Thresholds};
-use paired::{CampaignLook, Count, Record};
+use paired::{CampaignLook, Count, Progress, Record};
 use rollout_types::{Fingerprints, Provenance};
 use serde::{Deserialize, Serialize};
 
@@ -44,6 +44,12 @@ pub struct Subject {
     /// Assignment of perturbation directions to configurations.
     #[serde(default)]
     pub directions: Directions,
+    /// Radius of the placebo level, if the campaign has one and it is known.
+    #[serde(default)]
+    pub placebo_radius: Option<f64>,
+    /// Progress of the rollouts with an outcome, as far as known.
+    #[serde(default)]
+    pub progress: Vec<Progress>,
     /// Digests of the rollouts' setups; empty if unknown.
     #[serde(default)]
     pub setups: Setups,

@@ -11,6 +11,11 @@ pub(crate) fn percent(rate: f64) -> String {
     minus(format!("{:.1}", 100.0 * rate))
 }
 
+/// Formats a number of control steps: `113.5`, `−4.0`.
+pub(crate) fn steps(steps: f64) -> String {
+    minus(format!("{steps:.1}"))
+}
+
 /// Formats a difference in percentage points: `+0.3`, `−6.0`.
 pub(crate) fn points(difference: f64) -> String {
     minus(format!("{:+.1}", 100.0 * difference))

@@ -206,7 +206,7 @@ pub(crate) fn search(
     let mut known = Known::new(AxisSet::ALL, evidence).expect("six axes");
     for set in AxisSet::ALL.subsets() {
         if set.len() < 2 || set == AxisSet::ALL {
-            known.record(set, outcome(set)).expect("a subset");
+            known.select(set, outcome(set)).expect("a subset");
         }
     }
     let (mut batches, mut rollouts) = (0, 0);

@@ -14,7 +14,7 @@ pub const FEWEST_TASKS: usize = 5;
 /// Error probability of an interval.
 const ALPHA: f64 = 0.05;
 
-/// A point estimate, a fraction, with a 95 % interval for each target population. An interval
+/// A point estimate, a fraction unless stated otherwise, with a 95 % interval for each target population. An interval
 /// is absent if the data do not allow it: fewer than [`FEWEST_TASKS`] tasks, a task with one
 /// configuration, or no variance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,8 +42,10 @@ pub(crate) enum Scale {
     /// A product of shares: ± t standard errors on the complementary log-log scale, because a
     /// product is skewed near 0 and near 1.
     Product,
-    /// A difference: ± t standard errors.
+    /// A difference of shares: ± t standard errors, within [−1, 1].
     Difference,
+    /// A difference of means in units of their own: ± t standard errors.
+    Mean,
 }
 
 impl Estimate {
@@ -65,7 +67,10 @@ impl Estimate {
             match scale {
                 Scale::Share => wilson(value, variance, units as f64),
                 Scale::Product => around_product(value, variance),
-                Scale::Difference => around(value, variance),
+                Scale::Difference => {
+                    around(value, variance).map(|[low, high]| [low.max(-1.0), high.min(1.0)])
+                }
+                Scale::Mean => around(value, variance),
             }
         };
         let tasks = task_wide(variances.new_tasks);
@@ -115,7 +120,7 @@ fn around(
         return None;
     }
     let half = two_sided_quantile(ALPHA, df) * variance.sqrt();
-    Some([(value - half).max(-1.0), (value + half).min(1.0)])
+    Some([value - half, value + half])
 }
 
 /// Returns the complementary log-log interval value^exp(±t·√V / (value·|ln value|)); `None`

@@ -1,8 +1,11 @@
 //! Differences between policies: a figure and a table for each pair, or the reason why
 //! the pair cannot be compared.
 
+use std::collections::BTreeSet;
+
+use libero_ctrl::{Condition, Directions, TaskRef};
 use maud::{Markup, html};
-use paired::{ComparedCell, Difference};
+use paired::{ComparedCell, Difference, Interval, MeanDifference, Profile};
 
 use super::findings::sentence;
 use super::panels::figure;
@@ -28,6 +31,8 @@ pub(super) fn of_pairs(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
                         h3 { (comparison.title()) }
                         (left_out(comparison, &comparison.warnings))
                         (cells(comparison))
+                        (profiles(comparison))
+                        (progress(comparison))
                         (sequential::of_two(comparison))
                     }
                     Err(refused) => {
@@ -58,6 +63,8 @@ pub(super) fn of_one(comparison: &Comparison) -> Markup {
         (left_out(comparison, &[]))
         (figure(CAPTION, figures::differences(comparison).into_iter().collect()))
         (cells(comparison))
+        (profiles(comparison))
+        (progress(comparison))
         (sequential::of_two(comparison))
         (explanation())
     }
@@ -100,6 +107,154 @@ fn cells(comparison: &Comparison) -> Markup {
         values
     });
     table(&comparison.title(), &heads, rows.collect())
+}
+
+/// Renders the further intervals and the profile of tasks: a row for each condition, then one
+/// for each task.
+fn profiles(comparison: &Comparison) -> Markup {
+    let heads = [
+        "rollouts",
+        "new tasks and directions",
+        "all rows together",
+        "beyond 5, p",
+        "tasks A:B",
+        "A better %",
+        "A − B least",
+        "A − B most",
+    ];
+    let row = |(cell, it): (&ComparedCell, &Difference)| {
+        let profile = &it.profile;
+        let better = &profile.improvement;
+        let extremes = profile.extremes().map(|of| of.map(of_task));
+        let [least, most] = extremes.map_or([None, None], |of| of.map(Some));
+        vec![
+            plain(cell.name()),
+            interval(it.estimate.new_tasks_and_directions, points),
+            interval(it.simultaneous_ci95, points),
+            or_dash(it.equivalence_p.map(words::p_value)),
+            plain(format!("{}:{}", profile.a_better, profile.b_better)),
+            with(
+                percent(better.value),
+                &words::rate_interval(better.new_tasks, None),
+            ),
+            or_dash(least),
+            or_dash(most),
+        ]
+    };
+    let rows: Vec<_> = compared(comparison).map(row).collect();
+    html! {
+        @if !rows.is_empty() {
+            h4 { "By task" }
+            (table("A − B by task", &heads, rows))
+            (tasks(comparison))
+            p.muted {
+                "New tasks and directions: 95 % interval of A − B"
+                @if comparison.statistics.directions == Directions::Own {
+                    "; every task has directions of its own, so that tasks stand for both"
+                }
+                ". All rows together: intervals about new tasks that hold together. Beyond 5, p: test \
+                that A and B differ by more than 5 points; if it is small, they are equivalent. Tasks \
+                A:B: in how many A, and B, succeeds more often. A better: probability of improvement, \
+                that A succeeds more often in a task drawn at random, where ties count half, with its \
+                interval about new tasks."
+            }
+        }
+    }
+}
+
+/// Renders A − B of each task, nominally and under all axes.
+fn tasks(comparison: &Comparison) -> Markup {
+    let is_whole = |condition| matches!(condition, Condition::Clean | Condition::Combination);
+    let columns = compared(comparison).filter(|(cell, _)| is_whole(cell.condition));
+    let columns: Vec<(String, &Profile)> = columns
+        .map(|(cell, it)| (cell.name(), &it.profile))
+        .collect();
+    let mut heads = vec!["task"];
+    heads.extend(columns.iter().map(|(name, _)| name.as_str()));
+    let tasks = columns.iter().flat_map(|(_, profile)| profile.tasks.keys());
+    let tasks: BTreeSet<&TaskRef> = tasks.collect();
+    let rows = tasks.into_iter().map(|task| {
+        let changes = columns
+            .iter()
+            .map(|(_, of)| or_dash(of.tasks.get(task).copied().map(points)));
+        [plain(task)].into_iter().chain(changes).collect()
+    });
+    html! {
+        details {
+            summary { "A − B of each task, points" }
+            (table("A − B of each task, points", &heads, rows.collect()))
+        }
+    }
+}
+
+/// Renders partial progress; empty if nothing is known of both policies.
+fn progress(comparison: &Comparison) -> Markup {
+    let heads = [
+        "rollouts",
+        "of",
+        "n",
+        "A",
+        "B",
+        "A − B",
+        "new tasks",
+        "new tasks and directions",
+        "Holm p",
+    ];
+    let row = |name: String, what: &str, it: &MeanDifference, number: fn(f64) -> String| {
+        let signed = |value: f64| match value < 0.0 {
+            true => number(value),
+            false => format!("+{}", number(value)),
+        };
+        vec![
+            plain(name),
+            plain(what),
+            plain(it.n),
+            plain(number(it.mean_a)),
+            plain(number(it.mean_b)),
+            plain(signed(it.difference.value)),
+            interval(it.difference.new_tasks, signed),
+            interval(it.difference.new_tasks_and_directions, signed),
+            or_dash(it.holm_p.map(words::p_value)),
+        ]
+    };
+    let cells = comparison.statistics.cells.iter();
+    let cells = cells.filter(|cell| cell.replicate == 0);
+    let rows = cells.flat_map(|cell| {
+        let of = cell.progress.as_ref();
+        let goal = of.and_then(|of| of.goal.as_ref());
+        let steps = of.and_then(|of| of.steps.as_ref());
+        let goal = goal.map(|it| row(cell.name(), "goal %", it, percent));
+        let steps = steps.map(|it| row(cell.name(), "steps", it, words::steps));
+        goal.into_iter().chain(steps)
+    });
+    let rows: Vec<_> = rows.collect();
+    html! {
+        @if !rows.is_empty() {
+            h4 { "Partial progress" }
+            (table("Partial progress", &heads, rows))
+            p.muted {
+                "Secondary to success. Goal: share of the goal's predicates, the most that held together \
+                at any step. Steps: until success, or until the end of the budget, so that no rollout is \
+                left out for its outcome. 95 % intervals; Holm p: t test over tasks, corrected for the \
+                rows of a measure."
+            }
+        }
+    }
+}
+
+/// Returns the cells of replicate 0 with a difference.
+fn compared(comparison: &Comparison) -> impl Iterator<Item = (&ComparedCell, &Difference)> {
+    let cells = comparison.statistics.cells.iter();
+    let cells = cells.filter(|cell| cell.replicate == 0);
+    cells.filter_map(|cell| Some((cell, cell.difference.as_ref()?)))
+}
+
+fn of_task((task, change): (TaskRef, f64)) -> String {
+    format!("{task} {}", points(change))
+}
+
+fn interval(ends: Option<Interval>, number: impl Fn(f64) -> String) -> Markup {
+    or_dash(ends.map(|[low, high]| format!("{} to {}", number(low), number(high))))
 }
 
 fn row(cell: &ComparedCell) -> Vec<Markup> {

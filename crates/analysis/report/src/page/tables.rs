@@ -1,8 +1,9 @@
 //! Tables of the page. A table wider than the page scrolls in its own box.
 
+use std::collections::BTreeSet;
 use std::fmt::Display;
 
-use libero_ctrl::{Axis, Condition};
+use libero_ctrl::{Axis, Condition, Measure};
 use maud::{Markup, Render, html};
 use paired::{
     Bounds, Cell, Count, Gap, GateVerdict, Interval, Measures, NoInterval, Nominal, NominalSource,
@@ -17,12 +18,19 @@ use crate::words::{self, percent, points, points_interval, rate_interval};
 struct Row<'a> {
     policy: &'a str,
     cell: &'a Cell,
+    overstated: &'a BTreeSet<Measure>,
 }
 
 fn rows(document: &Document) -> impl Iterator<Item = Row<'_>> {
     document.analyses.iter().flat_map(|analysis| {
         let policy = analysis.label.as_str();
-        analysis.cells().map(move |cell| Row { policy, cell })
+        let overstated = &analysis.report.overstated;
+        let row = move |cell| Row {
+            policy,
+            cell,
+            overstated,
+        };
+        analysis.cells().map(row)
     })
 }
 
@@ -104,12 +112,21 @@ const PAIRED: [Column; 12] = [
     ("McNemar p", |m| plain(words::p_value(m.mcnemar_p))),
 ];
 
+/// Meaning of the star beside a measure.
+const OVERSTATED: &str = "overstated, because the campaign ended when it was large; its confidence \
+    sequence bounds it";
+
 /// Renders the table of paired measures by policy and level.
 pub(super) fn paired(document: &Document) -> Markup {
     let mut heads = vec!["policy", "level", "n"];
     heads.extend(PAIRED.map(|(head, _)| head));
     heads.push("detectable |I|");
-    let values = |Row { policy, cell }: Row| {
+    let values = |row: Row| {
+        let Row {
+            policy,
+            cell,
+            overstated,
+        } = row;
         let completeness = &cell.completeness;
         let of = match completeness.complete < completeness.expected {
             true => format!("of {}", completeness.expected),
@@ -121,7 +138,15 @@ pub(super) fn paired(document: &Document) -> Markup {
             with(completeness.complete, &of),
         ];
         let measures = cell.paired.as_ref();
-        values.extend(PAIRED.map(|(_, value)| or_dash(measures.map(value))));
+        values.extend(PAIRED.map(|(head, value)| {
+            let is_overstated = overstated
+                .iter()
+                .any(|it| head.split(' ').next() == Some(it.name()));
+            html! {
+                @if is_overstated { abbr title=(OVERSTATED) { "*" } }
+                (or_dash(measures.map(value)))
+            }
+        }));
         values.push(or_dash(cell.minimum_detectable_i.map(percent)));
         values
     };
@@ -134,6 +159,7 @@ pub(super) fn paired(document: &Document) -> Markup {
             Emergent share: b of all simultaneous failures. In brackets, 95 % intervals; where \
             one would mislead, why (see Methods). Detectable |I|, in points: the smallest net effect \
             that so many configurations, with so many changes, show in four of five repetitions."
+            @if rows(document).any(|row| !row.overstated.is_empty()) { " *: " (OVERSTATED) "." }
         }
     }
 }
@@ -189,7 +215,7 @@ pub(super) fn single_axes(document: &Document) -> Markup {
     let mut heads = vec!["policy", "level"];
     heads.extend(names.iter().map(String::as_str));
     heads.push("simultaneous %");
-    let values = |Row { policy, cell }: Row| {
+    let values = |Row { policy, cell, .. }: Row| {
         let alone = |axis: &Axis| {
             let alone = cell.alone.get(axis);
             let loss = alone.and_then(|alone| alone.clean_relative_loss);
@@ -218,7 +244,7 @@ pub(super) fn single_axes(document: &Document) -> Markup {
 /// Renders the table of success under proper subsets of the axes, for campaigns that run
 /// them.
 pub(super) fn subsets(document: &Document) -> Markup {
-    let of_cell = |Row { policy, cell }: Row| {
+    let of_cell = |Row { policy, cell, .. }: Row| {
         let subsets = cell.subsets.iter();
         let subsets = subsets.map(|(axes, count)| {
             vec![
@@ -312,7 +338,7 @@ pub(super) fn replication(analysis: &Analysis) -> Markup {
 
 /// Renders the table of measures over solvable configurations only.
 pub(super) fn solvable(document: &Document) -> Markup {
-    let values = |Row { policy, cell }: Row| {
+    let values = |Row { policy, cell, .. }: Row| {
         let m = cell.solvable.as_ref()?;
         Some(vec![
             plain(policy),

@@ -1,10 +1,11 @@
 //! A row per policy, replicate, level, task and configuration, with all its outcomes.
 //!
 //! An outcome is true, false or empty; for an empty one, the column `unresolved` says
-//! whether it is missing or quarantined.
+//! whether it is missing or quarantined. Of each outcome, `…_goal` is the largest share of the
+//! goal's predicates that held together, and `…_steps` the control steps until its end.
 
 use libero_ctrl::{Axis, Condition};
-use paired::{Matched, Outcome};
+use paired::{Matched, Outcome, Progress};
 
 use super::form::{Column, Kind, Table, Value, text};
 use crate::analysis::Analysis;
@@ -24,8 +25,8 @@ pub(super) fn table(document: &Document) -> Table<Row<'_>> {
     }
 }
 
-fn columns<'a>() -> [Column<Row<'a>>; 19] {
-    use Kind::{Bool, Number, Text};
+fn columns<'a>() -> [Column<Row<'a>>; 35] {
+    use Kind::{Bool, Integer, Number, Real, Text};
     [
         ("policy", Text, |(a, _)| text(&a.label)),
         ("origin", Text, |(a, _)| text(a.subject.origin_name())),
@@ -59,11 +60,65 @@ fn columns<'a>() -> [Column<Row<'a>>; 19] {
             )
         }),
         ("unresolved", Text, |(_, m)| unresolved(m)),
+        ("nominal_goal", Real, |row| goal(row, Condition::Clean)),
+        ("nominal_steps", Integer, |row| steps(row, Condition::Clean)),
+        ("camera_goal", Real, |row| {
+            goal(row, Condition::Single(Axis::Camera))
+        }),
+        ("camera_steps", Integer, |row| {
+            steps(row, Condition::Single(Axis::Camera))
+        }),
+        ("lighting_goal", Real, |row| {
+            goal(row, Condition::Single(Axis::Lighting))
+        }),
+        ("lighting_steps", Integer, |row| {
+            steps(row, Condition::Single(Axis::Lighting))
+        }),
+        ("robot_goal", Real, |row| {
+            goal(row, Condition::Single(Axis::Robot))
+        }),
+        ("robot_steps", Integer, |row| {
+            steps(row, Condition::Single(Axis::Robot))
+        }),
+        ("sensor_goal", Real, |row| {
+            goal(row, Condition::Single(Axis::Sensor))
+        }),
+        ("sensor_steps", Integer, |row| {
+            steps(row, Condition::Single(Axis::Sensor))
+        }),
+        ("actuation_goal", Real, |row| {
+            goal(row, Condition::Single(Axis::Actuation))
+        }),
+        ("actuation_steps", Integer, |row| {
+            steps(row, Condition::Single(Axis::Actuation))
+        }),
+        ("language_goal", Real, |row| {
+            goal(row, Condition::Single(Axis::Language))
+        }),
+        ("language_steps", Integer, |row| {
+            steps(row, Condition::Single(Axis::Language))
+        }),
+        ("combination_goal", Real, |row| {
+            goal(row, Condition::Combination)
+        }),
+        ("combination_steps", Integer, |row| {
+            steps(row, Condition::Combination)
+        }),
     ]
 }
 
 fn alone(matched: &Matched, axis: Axis) -> Value {
     Value::Bool(matched.outcome(Condition::Single(axis)).success())
+}
+
+fn goal((analysis, matched): &Row<'_>, condition: Condition) -> Value {
+    let progress = analysis.progress(matched, condition);
+    Value::Real(progress.and_then(Progress::goal_share))
+}
+
+fn steps((analysis, matched): &Row<'_>, condition: Condition) -> Value {
+    let progress = analysis.progress(matched, condition);
+    Value::Integer(progress.and_then(|it| it.steps).map(i64::from))
 }
 
 /// Lists the campaign's conditions without an outcome.

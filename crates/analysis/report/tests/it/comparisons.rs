@@ -3,10 +3,10 @@
 
 use std::path::Path;
 
-use libero_ctrl::{Condition, RolloutId};
-use paired::{Obstacle, Outcome};
+use libero_ctrl::{Condition, Directions, RolloutId};
+use paired::{Obstacle, Outcome, Progress};
 use report::{Comparison, Document, Origin, Setups, Subject, Unpairable, figures, import, page};
-use rollout_types::{Pin, Provenance};
+use rollout_types::{GoalProgress, Pin, Provenance};
 use serde_json::{Value, json};
 
 /// The published outcomes of OpenVLA-OFT, as a campaign's.
@@ -290,4 +290,99 @@ fn quarantined_rollouts_of_either_are_in_no_rate_and_bounded() {
     for line in text.lines() {
         assert!(line.chars().count() <= 80, "{line}");
     }
+}
+
+/// Progress of all rollouts: the second policy takes four steps more and has a predicate less.
+fn with_progress(mut subject: Subject, more: u32) -> Subject {
+    let records = subject.records.iter().enumerate();
+    let progress = records.map(|(index, record)| Progress {
+        id: record.id,
+        replicate: record.replicate,
+        steps: Some(100 + index as u32 % 7 * (1 + more) + more),
+        goal: Some(GoalProgress {
+            predicates: 4,
+            at_end: 3 - more.min(1),
+            at_most: 3 - more.min(1),
+        }),
+    });
+    subject.progress = progress.collect();
+    subject
+}
+
+#[test]
+fn partial_progress_is_in_text_page_and_json_beside_success() {
+    let (a, b) = (campaign("first"), other("second"));
+    let without = compare(a.clone(), b.clone()).expect("comparable");
+    assert!(!without.text().contains("partial progress"));
+    let comparison = compare(with_progress(a, 0), with_progress(b, 4)).expect("comparable");
+    let json: Value = serde_json::from_str(&comparison.json().expect("written")).expect("JSON");
+    for cell in json["cells"].as_array().expect("cells") {
+        let (goal, steps) = (&cell["progress"]["goal"], &cell["progress"]["steps"]);
+        assert_eq!(
+            (&goal["n"], &steps["n"]),
+            (&cell["difference"]["n"], &cell["difference"]["n"])
+        );
+        assert_eq!(goal["difference"]["value"], 0.25);
+        assert!(
+            steps["difference"]["value"].as_f64() < Some(-4.0),
+            "{steps}"
+        );
+        assert!(
+            steps["difference"]["new_tasks"][1].as_f64() < Some(0.0),
+            "{steps}"
+        );
+        assert!(steps["holm_p"].as_f64() < Some(0.01), "{steps}");
+    }
+    let text = comparison.text();
+    assert!(
+        text.contains("partial progress: steps until success"),
+        "{text}"
+    );
+    assert!(
+        text.lines().all(|line| line.chars().count() <= 80),
+        "{text}"
+    );
+    let page = report::page_comparison(&comparison).into_string();
+    for words in [
+        "Partial progress",
+        "A − B of each task, points",
+        "A better %",
+    ] {
+        assert!(page.contains(words), "{words}");
+    }
+}
+
+#[test]
+fn designs_with_other_directions_or_placebos_are_said_to_differ() {
+    let (mut a, b) = (campaign("first"), other("second"));
+    let same = compare(a.clone(), b.clone()).expect("comparable");
+    assert_eq!(same.warnings, [] as [String; 0]);
+    a.directions = Directions::Own;
+    a.placebo_radius = Some(0.02);
+    let both = Subject {
+        directions: Directions::Own,
+        placebo_radius: Some(0.02),
+        ..b.clone()
+    };
+    let own = compare(a.clone(), both).expect("comparable");
+    let json: Value = serde_json::from_str(&own.json().expect("written")).expect("JSON");
+    assert_eq!(
+        (&json["directions"], &json["warnings"]),
+        (&json!("own"), &json!([]))
+    );
+    let mixed = Subject {
+        placebo_radius: Some(0.05),
+        ..b
+    };
+    let mixed = compare(a, mixed).expect("comparable");
+    let text = mixed
+        .text()
+        .split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ");
+    assert!(
+        text.contains("the designs differ in their directions (`first`: directions of its own")
+    );
+    assert!(text.contains("placebo levels have different radii (`first`: 0.02, `second`: 0.05)"));
+    assert_eq!(mixed.statistics.directions, Directions::Shared);
 }

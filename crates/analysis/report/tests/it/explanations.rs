@@ -4,8 +4,8 @@ use libero_ctrl::{AxisSet, Condition, Explanation, Level, RolloutId, TaskRef};
 use paired::{Outcome, Record, Transition};
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use report::{
-    AxisInteractions, Derived, NoInteractions, Purpose, Subject, figures, page, write_csv,
-    write_parquet,
+    AxisInteractions, Derived, Findings, NoInteractions, Purpose, Subject, figures, page,
+    write_csv, write_parquet,
 };
 
 use crate::subjects::{document, example};
@@ -301,5 +301,75 @@ fn without_a_whole_lattice_there_are_no_interactions_and_the_remedy_is_named() {
     assert_eq!(
         (found.levels[0].interactions.n, found.levels[0].left_out),
         (11, 1)
+    );
+}
+
+/// A campaign that repeats the first transition eight times; all axes together fail in
+/// `failures` of them.
+fn repeating(failures: u32) -> Subject {
+    let mut subject = explaining();
+    let derived = subject.derived.as_mut().expect("it explains");
+    let Purpose::Explanation(explanation) = &mut derived.purpose else {
+        panic!("it explains");
+    };
+    explanation.repeats = Some(24);
+    let first = records(|task, axes| task == 0 && is_of_campaign(axes) && !axes.is_empty());
+    let repeats = first.iter().flat_map(|record| {
+        (1..=8).map(move |replicate| Record {
+            replicate,
+            outcome: match record.id.condition() {
+                Condition::Combination => Outcome::from(replicate > failures),
+                _ => Outcome::Success,
+            },
+            ..*record
+        })
+    });
+    subject.records = repeats.collect();
+    subject
+}
+
+#[test]
+fn a_transition_that_its_repeats_do_not_show_is_not_confirmed_and_nothing_follows_from_it() {
+    let of = |failures| {
+        let findings = Findings::of(&repeating(failures)).expect("two axes");
+        findings.expect("findings")
+    };
+    let (shown, chance) = (of(8), of(4));
+    assert_eq!((shown.transitions, shown.not_confirmed), (12, 0));
+    assert_eq!((chance.transitions, chance.not_confirmed), (12, 1));
+    let text = |found: &Findings| {
+        found
+            .text()
+            .split_whitespace()
+            .collect::<Vec<_>>()
+            .join(" ")
+    };
+    let words = "not confirmed by repeats, so that chance may have made them: 1";
+    assert!(text(&chance).contains(words) && !text(&shown).contains("not confirmed"));
+}
+
+#[test]
+fn repeats_are_foreseen_for_every_subset_and_too_few_are_refused() {
+    let campaign = Subject {
+        records: records(|_, axes| is_of_campaign(axes)),
+        ..whole()
+    };
+    let of = |repeats| {
+        let explanation = Explanation {
+            campaign: "first".to_owned(),
+            budget: None,
+            seed: 0,
+            exhaustive: false,
+            repeats,
+        };
+        Findings::prospect(&campaign, &explanation)
+    };
+    let rollouts = |repeats| of(repeats).map(|it| (it.subjects, it.rollouts()));
+    assert_eq!(rollouts(None), Ok((12, 12 * 56)));
+    assert_eq!(rollouts(Some(12)), Ok((12, 12 * 63 * 12)));
+    let refused = rollouts(Some(11)).expect_err("2⁻¹⁰ is above 5 % of 56 subsets");
+    assert!(
+        refused.to_string().contains("allow 12 or more"),
+        "{refused}"
     );
 }

@@ -93,13 +93,16 @@ fn parquet_columns_have_types_and_say_so_to_pandas() {
         let expected = match (column.physical_type(), is_text) {
             (Physical::BOOLEAN, false) => "boolean",
             (Physical::BYTE_ARRAY, true) => "string",
+            (Physical::INT64, false) if column.name().ends_with("_steps") => "Int64",
             (Physical::INT64, false) => "int64",
+            (Physical::DOUBLE, false) => "float64",
             other => panic!("{name}: {other:?}"),
         };
         assert_eq!(said["numpy_type"], expected, "{name}");
     }
     let of = |kind: &str| said.iter().filter(|it| it["numpy_type"] == kind).count();
     assert_eq!((of("boolean"), of("int64"), of("string")), (9, 4, 6));
+    assert_eq!((of("float64"), of("Int64")), (8, 8));
 }
 
 #[test]
@@ -123,7 +126,7 @@ fn pandas_reads_the_parquet_table_without_a_column_of_mixed_kinds() {
     let told: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!(told["objects"], serde_json::json!([]), "{told}");
     let columns = told["columns"].as_object().expect("columns");
-    assert_eq!(columns.len(), 19);
+    assert_eq!(columns.len(), 35);
     let kinds = |name: &str| columns[name].to_string();
     assert_eq!(kinds("camera"), r#"["boolean",["bool"]]"#);
     assert_eq!(kinds("config"), r#"["int64",["int"]]"#);

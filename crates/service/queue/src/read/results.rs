@@ -1,6 +1,6 @@
 //! Results of a campaign for reports and exports.
 
-use rollout_types::{Fingerprints, Provenance};
+use rollout_types::{Fingerprints, GoalProgress, Provenance};
 
 use sqlx::types::Json;
 
@@ -65,6 +65,14 @@ pub struct RecordRow {
     pub success: Option<bool>,
     /// Realisation mode, once the job is committed.
     pub realisation: Option<String>,
+    /// The policy's control steps, once the job is committed.
+    pub steps: Option<u32>,
+    /// Predicates of the goal, if the worker reported them.
+    pub goal_predicates: Option<u32>,
+    /// Predicates of the goal that held at the end.
+    pub goal_at_end: Option<u32>,
+    /// Most predicates of the goal that held together.
+    pub goal_at_most: Option<u32>,
 }
 
 /// Manifest row and scene of a rollout.
@@ -78,6 +86,17 @@ pub struct SetupRow {
     pub scene_digest: Option<String>,
     /// SHA-256 of the initial state's bytes, once the job is committed.
     pub init_state_digest: Option<String>,
+}
+
+impl RecordRow {
+    /// Returns the progress towards the goal, if the worker reported it.
+    pub fn goal(&self) -> Option<GoalProgress> {
+        Some(GoalProgress {
+            predicates: self.goal_predicates?,
+            at_end: self.goal_at_end?,
+            at_most: self.goal_at_most?,
+        })
+    }
 }
 
 impl Edition {
@@ -143,7 +162,8 @@ impl View {
     pub async fn records(&mut self, campaign: CampaignId) -> Result<Vec<RecordRow>, StoreError> {
         sqlx::query_as(
             "SELECT j.rollout_id, j.replicate, j.init_id, j.state = 'quarantined' AS is_quarantined,
-                 r.success, v.realisation
+                 r.success, v.realisation, r.steps, r.goal_predicates, r.goal_at_end,
+                 r.goal_at_most
              FROM job j LEFT JOIN result r ON r.job_id = j.id
              LEFT JOIN provenance v ON v.id = r.provenance_id
              WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",

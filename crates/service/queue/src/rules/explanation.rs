@@ -31,9 +31,9 @@ pub(crate) fn wanted(
         return Vec::new();
     };
     let mut all = Vec::new();
-    for (&simultaneous, requests) in plan(&known, &Sample::of(explanation, explained)) {
+    for (&simultaneous, requests) in plan(&known, &Sample::of(explanation)) {
         for request in requests {
-            let asked = known[&simultaneous].tally(request.set).asked();
+            let asked = known[&simultaneous].replicates(request.set);
             all.push(Wanted {
                 simultaneous,
                 axes: request.set,

@@ -1,0 +1,154 @@
+//! Text about a comparison of two policies beyond success rates: further targets and tests,
+//! the profile of tasks, and partial progress.
+
+use libero_ctrl::Directions;
+
+use crate::bootstrap::Interval;
+use crate::comparison::{ComparedCell, Comparison};
+use crate::difference::Difference;
+use crate::progress::{MeanDifference, ProgressDifference};
+use crate::text::{NOTHING, p_value, push_columns, separate};
+
+/// Appends the intervals for further targets and the equivalence test, then the profile of
+/// tasks.
+pub(crate) fn push_further(text: &mut String, comparison: &Comparison) {
+    let cells = || first(comparison).filter_map(|cell| Some((cell, cell.difference.as_ref()?)));
+    let further = cells().map(|(cell, it)| {
+        let values = vec![
+            ends(it.estimate.new_tasks_and_directions, points),
+            ends(it.simultaneous_ci95, points),
+            it.equivalence_p.map_or_else(nothing, p_value),
+            format!("{}:{}", it.profile.a_better, it.profile.b_better),
+        ];
+        (cell.name(), values)
+    });
+    let heads = ["directions", "all rows", "5 pts p", "tasks A:B"];
+    push_block(text, "A - B for further targets", &heads, further.collect());
+    let by_task = cells().map(|(cell, it)| (cell.name(), profile(it)));
+    let heads = ["A better %", "95 %", "least", "most"];
+    push_block(text, "A - B by task", &heads, by_task.collect());
+}
+
+fn profile(it: &Difference) -> Vec<String> {
+    let better = &it.profile.improvement;
+    let mut values = vec![
+        format!("{:.0}", 100.0 * better.value),
+        ends(better.new_tasks, |value| format!("{:.0}", 100.0 * value)),
+    ];
+    values.extend(match it.profile.extremes() {
+        Some(of) => of.map(|(task, change)| {
+            let (suite, index) = (task.suite().short_name(), task.index());
+            format!("{suite}/t{index} {:+.0}", 100.0 * change)
+        }),
+        None => [nothing(), nothing()],
+    });
+    values
+}
+
+/// Appends partial progress: the goal's predicates, and steps. Empty if none is known.
+pub(crate) fn push_progress(text: &mut String, comparison: &Comparison) {
+    let heads = ["n", "A", "B", "A - B", "95 %", "Holm p"];
+    let rows = |of: fn(&ProgressDifference) -> Option<MeanDifference>, scale: f64| {
+        let rows = first(comparison).filter_map(|cell| {
+            let it = of(cell.progress.as_ref()?)?;
+            Some((cell.name(), mean(&it, scale)))
+        });
+        rows.collect::<Vec<_>>()
+    };
+    let title = "partial progress: predicates of the goal that held together at most, %";
+    push_block(text, title, &heads, rows(|it| it.goal, 100.0));
+    let title = "partial progress: steps until success, or until the end";
+    push_block(text, title, &heads, rows(|it| it.steps, 1.0));
+}
+
+fn mean(it: &MeanDifference, scale: f64) -> Vec<String> {
+    let signed = |value: f64| format!("{:+.1}", scale * value);
+    vec![
+        it.n.to_string(),
+        format!("{:.1}", scale * it.mean_a),
+        format!("{:.1}", scale * it.mean_b),
+        signed(it.difference.value),
+        ends(it.difference.new_tasks, signed),
+        it.holm_p.map_or_else(nothing, p_value),
+    ]
+}
+
+/// Returns the meanings of the columns that this module writes.
+pub(crate) fn further_meanings(comparison: &Comparison) -> Vec<(&'static str, String)> {
+    let directions = match comparison.directions {
+        Directions::Shared => {
+            "95 % interval about new tasks and new directions (of nominal, initial states)"
+        }
+        Directions::Own => {
+            "95 % interval about new tasks and new directions: every task has directions of its own, \
+             so that tasks stand for both (of nominal, new initial states)"
+        }
+    };
+    let mut entries = vec![
+        ("directions", directions),
+        (
+            "all rows",
+            "intervals about new tasks that hold together with 95 %",
+        ),
+        (
+            "5 pts p",
+            "test that A and B differ by more than 5 points: if small, they are equivalent",
+        ),
+        (
+            "tasks A:B",
+            "tasks in which A, and in which B, succeeds more often",
+        ),
+        (
+            "A better",
+            "probability of improvement: that A succeeds more often in a task drawn at random, ties \
+             counting half, with its interval about new tasks",
+        ),
+        (
+            "least, most",
+            "the tasks in which A - B is least and most, in points",
+        ),
+    ];
+    if first(comparison).any(|cell| cell.progress.is_some()) {
+        entries.push((
+            "progress",
+            "secondary to success; all rollouts count, a failure with the steps of its whole budget; \
+             intervals about new tasks, Holm p of a t test over tasks, corrected for the rows",
+        ));
+    }
+    let entries = entries.into_iter();
+    entries
+        .map(|(symbol, meaning)| (symbol, meaning.to_owned()))
+        .collect()
+}
+
+/// Returns the cells of replicate 0.
+fn first(comparison: &Comparison) -> impl Iterator<Item = &ComparedCell> {
+    let cells = comparison.cells.iter();
+    cells.filter(|cell| cell.replicate == 0)
+}
+
+fn push_block(text: &mut String, title: &str, heads: &[&str], rows: Vec<(String, Vec<String>)>) {
+    if rows.is_empty() {
+        return;
+    }
+    let heads = heads.iter().map(|head| (*head).to_owned()).collect();
+    let mut all = vec![(String::new(), heads)];
+    all.extend(rows);
+    separate(text);
+    text.push_str(title);
+    text.push('\n');
+    push_columns(text, &all);
+}
+
+fn points(value: f64) -> String {
+    format!("{:+.1}", 100.0 * value)
+}
+
+fn nothing() -> String {
+    NOTHING.to_owned()
+}
+
+fn ends(interval: Option<Interval>, format: impl Fn(f64) -> String) -> String {
+    let ends = interval.map(|ends| ends.map(format));
+    ends.map_or_else(nothing, |[low, high]| format!("[{low}, {high}]"))
+}

@@ -1,0 +1,161 @@
+//! Partial progress of two policies, and the design's directions, in a comparison.
+
+use libero_ctrl::{Condition, Directions, Level, RolloutId, TaskRef};
+use paired::{Bootstrap, Compared, Comparison, Outcome, Progress, Record, comparison_table};
+use rollout_types::GoalProgress;
+
+// The coverage command uses the rest.
+#[allow(dead_code)]
+mod simulated;
+
+use simulated::{CONFIGURATIONS, Chance, Population};
+
+/// One simultaneous rollout of each of ten tasks of a suite, and one nominal one.
+fn records(success: impl Fn(usize) -> bool) -> Vec<Record> {
+    let tasks = TaskRef::all().take(10).enumerate();
+    let of_task = tasks.flat_map(|(at, task)| {
+        let id = RolloutId::perturbed(task, Condition::Combination, Level::L2, 0).expect("an id");
+        [id, RolloutId::clean(task, 2)].map(|id| Record {
+            id,
+            init_id: 2,
+            replicate: 0,
+            outcome: Outcome::from(success(at)),
+        })
+    });
+    of_task.collect()
+}
+
+/// Progress of the simultaneous rollouts: steps, and predicates of three that held.
+fn progress(records: &[Record], of: impl Fn(usize) -> (u32, u32)) -> Vec<Progress> {
+    let perturbed = records.iter().filter(|it| it.id.level() == Level::L2);
+    let progress = perturbed.enumerate().map(|(at, record)| {
+        let (steps, held) = of(at);
+        Progress {
+            id: record.id,
+            replicate: 0,
+            steps: Some(steps),
+            goal: Some(GoalProgress {
+                predicates: 3,
+                at_end: held,
+                at_most: held,
+            }),
+        }
+    });
+    progress.collect()
+}
+
+fn compare(a: Compared<'_>, b: Compared<'_>) -> Comparison {
+    Comparison::of(a, b, &Bootstrap::default(), |_| None)
+}
+
+fn with<'a>(records: &'a [Record], progress: &'a [Progress]) -> Compared<'a> {
+    Compared {
+        progress,
+        ..Compared::from(records)
+    }
+}
+
+fn is_near(value: f64, expected: f64) -> bool {
+    (value - expected).abs() < 1e-6 * expected.abs().max(1.0)
+}
+
+#[test]
+fn steps_and_predicates_differ_as_worked_out_by_hand() {
+    let (a, b) = (records(|_| true), records(|_| false));
+    // A takes 1, 2, …, 10 steps more than B, and has one predicate of three more.
+    let of_a = progress(&a, |at| (101 + at as u32, 3));
+    let of_b = progress(&b, |_| (100, 2));
+    let it = compare(with(&a, &of_a), with(&b, &of_b));
+    let nominal = &it.cells[0];
+    assert_eq!(
+        (nominal.condition, nominal.progress),
+        (Condition::Clean, None)
+    );
+    let found = it.cells[1].progress.expect("progress");
+    let (goal, steps) = (found.goal.expect("goals"), found.steps.expect("steps"));
+    assert_eq!((steps.n, steps.tasks), (10, 10));
+    assert_eq!((steps.mean_a, steps.mean_b), (105.5, 100.0));
+    assert!(is_near(steps.difference.value, 5.5));
+    // SciPy: stats.ttest_1samp(range(1, 11), 0) and its confidence interval.
+    let [low, high] = steps.difference.new_tasks.expect("an interval");
+    assert!(
+        is_near(low, 3.334_149_7) && is_near(high, 7.665_850_3),
+        "{low} {high}"
+    );
+    assert!(
+        is_near(steps.p.expect("a spread"), 0.000278196),
+        "{:?}",
+        steps.p
+    );
+    assert_eq!(steps.holm_p, steps.p, "it is the only row with a spread");
+    assert!(is_near(goal.difference.value, 1.0 / 3.0));
+    assert_eq!((goal.p, goal.holm_p), (None, None), "all tasks are alike");
+    let text = comparison_table(&it, &Bootstrap::default());
+    assert!(
+        text.lines().all(|line| line.chars().count() <= 80),
+        "{text}"
+    );
+    assert!(text.contains("+5.5  [+3.3, +7.7]"), "{text}");
+
+    let back = compare(with(&b, &of_b), with(&a, &of_a));
+    let back = back.cells[1]
+        .progress
+        .and_then(|it| it.steps)
+        .expect("steps");
+    assert_eq!(back.difference.value, -steps.difference.value);
+    assert_eq!(back.p, steps.p);
+}
+
+#[test]
+fn what_is_known_of_one_policy_only_counts_nowhere() {
+    let (a, mut b) = (records(|_| true), records(|at| at % 2 == 0));
+    b[0].outcome = Outcome::Quarantined;
+    let of_a = progress(&a, |_| (100, 3));
+    let mut of_b = progress(&b, |_| (120, 3));
+    of_b[1].goal = None;
+    of_b.pop();
+    let it = compare(with(&a, &of_a), with(&b, &of_b));
+    let found = it.cells[1].progress.expect("progress");
+    assert_eq!(found.steps.map(|it| it.n), Some(8));
+    assert_eq!(found.goal.map(|it| it.n), Some(7));
+    let none = compare(with(&a, &of_a), Compared::from(b.as_slice()));
+    assert!(none.cells.iter().all(|cell| cell.progress.is_none()));
+    let text = comparison_table(&none, &Bootstrap::default());
+    assert!(!text.contains("partial progress"), "{text}");
+}
+
+#[test]
+fn only_campaigns_that_both_have_own_directions_are_compared_with_them() {
+    let population = Population::usual();
+    let mut chance = Chance::new(9);
+    let effects = population.tasks(20, &mut chance);
+    let directions = population.directions(CONFIGURATIONS, &mut chance);
+    let [a, b] = [0, 1].map(|_| population.campaign(&effects, 4, &directions, &mut chance));
+    let [own, shared] = [Directions::Own, Directions::Shared];
+    let of = |of_a, of_b| {
+        let [a, b] = [(&a, of_a), (&b, of_b)].map(|(records, directions)| Compared {
+            directions,
+            ..Compared::from(records.as_slice())
+        });
+        compare(a, b)
+    };
+    let both = of(own, own);
+    assert_eq!(both.directions, own);
+    let (mut nominal, mut differ) = (0, false);
+    for (cell, of_shared) in both.cells.iter().zip(of(shared, shared).cells) {
+        let [own, shared] = [cell.difference.as_ref(), of_shared.difference.as_ref()]
+            .map(|it| it.expect("outcomes").estimate);
+        assert_eq!(own.new_tasks, shared.new_tasks);
+        if cell.condition == Condition::Clean {
+            assert_eq!(own, shared, "initial states are shared");
+            nominal += 1;
+        } else {
+            assert_eq!(own.new_tasks_and_directions, own.new_tasks);
+            differ |= shared.new_tasks_and_directions != shared.new_tasks;
+        }
+    }
+    assert!(nominal == 1 && differ);
+    assert_eq!(of(own, shared).directions, shared);
+    let text = comparison_table(&both, &Bootstrap::default());
+    assert!(text.contains("directions of its own"), "{text}");
+}
