@@ -138,8 +138,7 @@ fn run_under(simulator: &mut Simulator, model: &str, dawdles: bool) -> Ran {
         dawdles,
         told: Vec::new(),
     };
-    let mut assignment = assignment(row());
-    assignment.execution = parsed(model);
+    let mut assignment = assignment(row().under(&parsed(model)));
     assignment.keep_actions = true;
     let mut sent = Sent::default();
     let mut stage = Stage::of_the_protocol(simulator).with_a_renderer_only_if_needed();
@@ -211,9 +210,8 @@ fn a_policy_whose_every_action_would_be_dropped_is_not_run() {
     let Some(mut simulator) = simulator(test) else {
         return;
     };
-    let mut assignment = assignment(row());
+    let mut assignment = assignment(row().under(&parsed("overlap:10")));
     assignment.policy = "nervous".to_owned();
-    assignment.execution = parsed("overlap:10");
     let mut actor = Nervous {
         dawdles: false,
         told: Vec::new(),

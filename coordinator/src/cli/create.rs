@@ -154,10 +154,10 @@ struct SpecFlags {
     /// The robot's conduct while an answer is under way, N control steps of 50 ms: `wait`;
     /// `hold:N`, the arm holds still; `overlap:N`, it goes on with the last answer;
     /// `overlap:N,rtc`, and the policy is told with what. Instead of N, `@FILE` draws from
-    /// latencies that `policy-gateway check --latency` measured.
-    #[arg(long, value_name = "MODEL", default_value = "wait", hide_short_help = true,
-        value_parser = execution_text)]
-    execution: String,
+    /// latencies that `policy-gateway check --latency` measured. Without it: that of the
+    /// manifest's rows, or else `wait`.
+    #[arg(long, value_name = "MODEL", hide_short_help = true, value_parser = execution_text)]
+    execution: Option<String>,
 }
 
 /// Checks an execution model as far as it needs no file.
@@ -358,6 +358,10 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
         Some(path) => Rollouts::Manifest(read_manifest(path)?),
         None => Rollouts::Design(design_of_flags(arguments).map_err(usage)?),
     };
+    let execution = match &arguments.flags.execution {
+        Some(text) => execution(text).map_err(usage)?,
+        None => rollouts.execution(),
+    };
     let spec = CampaignSpec {
         name: arguments.name.clone().unwrap_or_default(),
         policy: PolicyRoute {
@@ -380,7 +384,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             rule,
             seed: arguments.stop.stop_seed,
         }),
-        execution: execution(&arguments.flags.execution).map_err(usage)?,
+        execution,
     };
     spec.check().map_err(usage)?;
     Ok(spec)

@@ -12,6 +12,7 @@ mod clocks;
 mod compare;
 mod derived;
 mod disk;
+mod execution;
 mod explain;
 mod explained;
 mod failpoints;

@@ -111,6 +111,10 @@ fn protocol(messages: &mut Messages) {
         SpecError::Radius { .. } => SpecError::Radius {
             field: "thresholds.tolerance", given: 0.0, valid: [0.01, 100.0],
         },
+        SpecError::Execution { .. } => SpecError::Execution {
+            given: "hold:2".parse().expect("a model"),
+            of_rows: "overlap:4".parse().expect("a model"),
+        },
         SpecError::Stop(_) => SpecError::Stop(StopError::NotSimultaneous),
         SpecError::Design(_) => SpecError::Design(no_design()),
         SpecError::Manifest(_) => SpecError::Manifest(ManifestErrors::clone(&refused)),
@@ -135,6 +139,12 @@ fn protocol(messages: &mut Messages) {
         LineProblem::Duplicate { .. } => LineProblem::Duplicate { id: id(), first: 1 },
         LineProblem::Unpaired { .. } => LineProblem::Unpaired {
             id: id(), column: "init_id".to_owned(), first: 2,
+        },
+        LineProblem::Execution { .. } => LineProblem::Execution {
+            id: id(),
+            given: "hold:2".parse().expect("a model"),
+            expected: "overlap:4".parse().expect("a model"),
+            first: 1,
         },
         LineProblem::TooMany => LineProblem::TooMany,
         LineProblem::NoRows => LineProblem::NoRows,

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use libero_ctrl::{JsonError, Level};
+use libero_ctrl::{Execution, JsonError, Level};
 use paired::{DuplicateRecord, Measures, Report, push_wrapped};
 use serde::Serialize;
 
@@ -60,6 +60,7 @@ struct JsonReport<'a> {
     policy: &'a str,
     origin: &'a Origin,
     realisation: Option<&'a str>,
+    execution: &'a Execution,
     errors: &'a [Quarantined],
     #[serde(skip_serializing_if = "Option::is_none")]
     sequential: Option<&'a Sequential>,
@@ -130,6 +131,7 @@ impl Document {
             policy: &analysis.subject.policy,
             origin: &analysis.subject.origin,
             realisation: analysis.subject.realisation.map(|r| r.name()),
+            execution: &analysis.subject.execution,
             errors: &analysis.subject.errors,
             sequential: analysis.sequential.as_ref(),
             report: &analysis.report,
@@ -251,6 +253,10 @@ fn head(subject: &Subject) -> String {
         Some(realisation) => realisation.name(),
         None => "unknown",
     };
+    let execution = match &subject.execution {
+        Execution::Wait => String::new(),
+        execution => format!("execution model {execution}\n"),
+    };
     match &subject.origin {
         Origin::Campaign {
             name,
@@ -258,7 +264,7 @@ fn head(subject: &Subject) -> String {
             design,
         } => format!(
             "campaign {name}\npolicy {policy} at {endpoint}\n\
-             design {design}, realisation {realisation}\n"
+             design {design}, realisation {realisation}\n{execution}"
         ),
         Origin::File {
             name,
@@ -270,7 +276,9 @@ fn head(subject: &Subject) -> String {
                 push_wrapped(&mut head, "", source);
             }
             let digest = warnings::short(digest);
-            head.push_str(&format!("SHA-256 {digest}…, realisation {realisation}\n"));
+            head.push_str(&format!(
+                "SHA-256 {digest}…, realisation {realisation}\n{execution}"
+            ));
             head
         }
     }

@@ -10,7 +10,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use libero_ctrl::{Condition, Directions, JsonError, Level, RolloutId, Suite};
+use libero_ctrl::{Condition, Directions, Execution, JsonError, Level, RolloutId, Suite};
 use libero_ctrl::{MAX_ROWS, Realisation};
 use paired::{Count, Outcome, Record};
 use serde::Deserialize;
@@ -118,6 +118,8 @@ struct Row {
     task_id: Option<u8>,
     config: Option<u16>,
     policy: Option<String>,
+    #[serde(default)]
+    execution: Execution,
 }
 
 /// Reads one policy's results from a folder, or from a file of rows.
@@ -190,6 +192,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
             source: about.source,
         },
         realisation: about.realisation,
+        execution: reading.execution.unwrap_or_default(),
         records: reading.records,
         errors: Vec::new(),
         divergent: Vec::new(),
@@ -229,6 +232,8 @@ struct Reading {
     /// Line number of each rollout and replicate, to report duplicates.
     lines: HashMap<(RolloutId, u32), usize>,
     policy: Option<String>,
+    /// Execution model of the first row.
+    execution: Option<Execution>,
     bad: usize,
     named: Vec<BadLine>,
 }
@@ -277,6 +282,14 @@ impl Reading {
             }
             (None, Some(policy)) => self.policy = Some(policy),
             _ => {}
+        }
+        let of_first = self.execution.get_or_insert_with(|| row.execution.clone());
+        if *of_first != row.execution {
+            return Err(format!(
+                "it ran under execution model `{}`, those before under `{of_first}`: one model per \
+                 file",
+                row.execution
+            ));
         }
         Ok(Record {
             id: row.rollout_id,

@@ -75,19 +75,29 @@ pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
         ("MuJoCo version", "each is another simulator", mujoco as Of),
         ("asset pack", "each is another benchmark", pack),
         ("renderer", "each draws other pictures", renderer),
-        ("execution model", "each is another robot", execution),
     ];
     for (what, so, of) in comparable {
         let values = subjects.iter().flat_map(|s| s.provenances.iter().map(of));
-        let values: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
-        if values.len() > 1 {
-            warnings.push(format!(
-                "the policies were measured with more than one {what} ({so}): {}",
-                values.into_iter().collect::<Vec<_>>().join("; ")
-            ));
-        }
+        let values = values.filter(|value| !value.is_empty()).collect();
+        warnings.extend(more_than_one(what, so, values));
     }
+    let executions = subjects.iter().map(|subject| subject.execution.to_string());
+    warnings.extend(more_than_one(
+        "execution model",
+        "each is another robot",
+        executions.collect(),
+    ));
     warnings
+}
+
+fn more_than_one(what: &str, so: &str, values: BTreeSet<String>) -> Option<String> {
+    (values.len() > 1).then(|| {
+        let values: Vec<String> = values.into_iter().collect();
+        format!(
+            "the policies were measured with more than one {what} ({so}): {}",
+            values.join("; ")
+        )
+    })
 }
 
 pub(crate) type Of = fn(&Provenance) -> String;

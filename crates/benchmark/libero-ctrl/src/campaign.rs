@@ -79,6 +79,17 @@ impl Rollouts {
         }
     }
 
+    /// Returns the execution model of a campaign that names none: that of its manifest's rows,
+    /// which share one, or [`Execution::Wait`].
+    pub fn execution(&self) -> Execution {
+        match self {
+            Self::Manifest(rows) => rows
+                .first()
+                .map_or(Execution::Wait, |row| row.execution.clone()),
+            Self::Design(_) | Self::Explanation(_) | Self::Thresholds(_) => Execution::Wait,
+        }
+    }
+
     /// Sets the name of the campaign whose outcomes determine the rollouts.
     pub fn set_source(&mut self, name: &str) {
         match self {
@@ -181,6 +192,17 @@ pub enum SpecError {
         /// Valid range.
         valid: [f64; 2],
     },
+    /// The execution model differs from that of the manifest's rows.
+    #[error(
+        "read campaign specification: `execution` is {given}, and the rows of its manifest are \
+         under `{of_rows}`: leave `execution` out, or take it out of the rows"
+    )]
+    Execution {
+        /// The campaign's model.
+        given: Execution,
+        /// Model of the rows.
+        of_rows: Execution,
+    },
     /// The rule cannot end the campaign.
     #[error("read campaign specification: {0}")]
     Stop(StopError),
@@ -244,7 +266,14 @@ impl CampaignSpec {
         }
         match &self.rollouts {
             Rollouts::Design(design) => design.check()?,
-            Rollouts::Manifest(rows) => manifest::check(rows)?,
+            Rollouts::Manifest(rows) => {
+                manifest::check(rows)?;
+                let of_rows = self.rollouts.execution();
+                if !of_rows.is_wait() && of_rows != self.execution {
+                    let given = self.execution.clone();
+                    return Err(SpecError::Execution { given, of_rows });
+                }
+            }
             Rollouts::Explanation(explanation) => {
                 if explanation.campaign.is_empty() {
                     return empty("explains.campaign", "name the campaign to explain");
@@ -292,7 +321,7 @@ impl CampaignSpec {
     pub fn version(&self) -> DesignVersion {
         let version = match &self.rollouts {
             Rollouts::Design(design) => design.version(),
-            Rollouts::Manifest(rows) => DesignVersion::of_manifest(rows),
+            Rollouts::Manifest(rows) => DesignVersion::of_rows(rows),
             Rollouts::Explanation(explanation) => DesignVersion::of_explanation(explanation),
             Rollouts::Thresholds(thresholds) => DesignVersion::of_thresholds(thresholds),
         };
@@ -344,8 +373,8 @@ struct SpecText {
     renderer: Option<RendererKind>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     stop: Option<Stop>,
-    #[serde(default, skip_serializing_if = "Execution::is_wait")]
-    execution: Execution,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    execution: Option<Execution>,
 }
 
 /// Error in the combination of fields, or an unknown task.
@@ -384,7 +413,6 @@ impl TryFrom<SpecText> for CampaignSpec {
         Ok(Self {
             name: text.name,
             policy: text.policy,
-            rollouts,
             realisation: text.realisation,
             replicates: text.replicates,
             record: text.record,
@@ -393,7 +421,8 @@ impl TryFrom<SpecText> for CampaignSpec {
                 renderer: text.renderer,
             },
             stop: text.stop,
-            execution: text.execution,
+            execution: text.execution.unwrap_or_else(|| rollouts.execution()),
+            rollouts,
         })
     }
 }
@@ -422,7 +451,7 @@ impl From<CampaignSpec> for SpecText {
             assets: spec.wanted.assets,
             renderer: spec.wanted.renderer,
             stop: spec.stop,
-            execution: spec.execution,
+            execution: (!spec.execution.is_wait()).then_some(spec.execution),
         };
         match spec.rollouts {
             Rollouts::Manifest(rows) => text.manifest = Some(rows),

@@ -329,10 +329,20 @@ impl DesignVersion {
     /// those of v0.1 have the version v0.1; the reference's own manifest does not, because
     /// its paraphrases differ.
     pub fn of_manifest(rows: &[ManifestRow]) -> Self {
+        let version = Self::of_rows(rows);
+        match rows.first() {
+            Some(row) => version.under(&row.execution),
+            None => version,
+        }
+    }
+
+    /// Returns the version of imported rows regardless of their execution model.
+    pub(crate) fn of_rows(rows: &[ManifestRow]) -> Self {
         let text = |rows: &[ManifestRow]| {
-            let mut rows: Vec<&ManifestRow> = rows.iter().collect();
+            let rows = rows.iter().cloned().map(|row| row.under(&Execution::Wait));
+            let mut rows: Vec<ManifestRow> = rows.collect();
             rows.sort_by_key(|row| row.id);
-            manifest::to_text(rows)
+            manifest::to_text(&rows)
         };
         let ours = text(rows);
         let whole = Design::v0_1().expand().expect("v0.1 is a design");

@@ -18,19 +18,21 @@ use crate::row::ManifestRow;
 use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
 
 impl CampaignSpec {
-    /// Returns the campaign's rows in the order of [`Design::expand`]: those of its design,
-    /// or the unchanged rows of its manifest.
+    /// Returns the campaign's rows in the order of [`Design::expand`], under its execution model:
+    /// those of its design, or those of its manifest.
     ///
     /// # Errors
     /// If the specification is invalid.
     pub fn expand(&self) -> Result<Vec<ManifestRow>, SpecError> {
         self.check()?;
-        Ok(match &self.rollouts {
+        let rows = match &self.rollouts {
             Rollouts::Design(design) => design.expand()?,
             Rollouts::Manifest(rows) => paired_units_first(rows.clone()),
             // These rows are planned from outcomes at run time.
             Rollouts::Explanation(_) | Rollouts::Thresholds(_) => Vec::new(),
-        })
+        };
+        let rows = rows.into_iter().map(|row| row.under(&self.execution));
+        Ok(rows.collect())
     }
 }
 

@@ -8,6 +8,7 @@ use serde_json::{Map, Value};
 use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::condition::Condition;
+use crate::execution::Execution;
 use crate::level::Level;
 use crate::names::UnknownName;
 use crate::perturbation::{PerturbError, Perturbation};
@@ -46,6 +47,8 @@ pub struct ManifestRow {
     pub perturbation: Perturbation,
     /// Radius of a row at the placebo level; `None` for all other rows.
     pub placebo_radius: Option<Level>,
+    /// Behaviour of the robot while a response of its policy is pending.
+    pub execution: Execution,
 }
 
 impl ManifestRow {
@@ -61,6 +64,15 @@ impl ManifestRow {
             settle_steps: SETTLE_STEPS,
             perturbation,
             placebo_radius: None,
+            execution: Execution::Wait,
+        }
+    }
+
+    /// Returns the row under an execution model.
+    pub fn under(self, execution: &Execution) -> Self {
+        Self {
+            execution: execution.clone(),
+            ..self
         }
     }
 
@@ -176,6 +188,8 @@ struct FlatRow {
     policy_seed: u64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     placebo_radius: Option<f64>,
+    #[serde(default, skip_serializing_if = "Execution::is_wait")]
+    execution: Execution,
     #[serde(default)]
     perturb: Map<String, Value>,
 }
@@ -206,6 +220,7 @@ impl From<ManifestRow> for FlatRow {
             num_steps_wait: row.settle_steps,
             policy_seed: 0,
             placebo_radius: row.placebo_radius.map(Level::radius),
+            execution: row.execution,
             perturb: row.perturbation.to_manifest(id.condition()),
         }
     }
@@ -259,6 +274,7 @@ impl TryFrom<FlatRow> for ManifestRow {
             settle_steps: flat.num_steps_wait,
             perturbation,
             placebo_radius,
+            execution: flat.execution,
         })
     }
 }

@@ -1,6 +1,7 @@
 //! Tests of parsing and refusing campaign specifications.
 
 use super::*;
+use crate::design::DesignVersion;
 
 fn spec(changes: &[(&str, serde_json::Value)]) -> Result<CampaignSpec, SpecError> {
     let mut json = serde_json::json!({
@@ -87,6 +88,59 @@ fn a_manifest_stands_in_place_of_a_design() {
         error.to_string().contains("`configs` beside `manifest`"),
         "{error}"
     );
+}
+
+/// A manifest that was expanded under a model says so, in each row.
+#[test]
+fn a_campaign_runs_under_the_model_of_its_manifest() {
+    let late = spec(&[("execution", "overlap:4".into())]).expect("a specification");
+    let rows = late.expand().expect("rows");
+    assert!(rows.iter().all(|row| row.execution == late.execution));
+    let text = manifest::to_text(&rows);
+    let lines = text.matches(r#""execution":"overlap:4""#).count();
+    assert_eq!(lines, rows.len());
+    assert_eq!(manifest::parse(&text), Ok(rows.clone()));
+
+    let imported = |rows: &[ManifestRow], model: Option<&str>| {
+        let mut json = serde_json::json!({
+            "name": "imported",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "manifest": rows,
+        });
+        if let Some(model) = model {
+            json["execution"] = model.into();
+        }
+        CampaignSpec::from_json(&json.to_string())
+    };
+    let told = imported(&rows, None).expect("a specification");
+    assert_eq!(told.execution, late.execution);
+    assert_eq!(told.version(), DesignVersion::of_manifest(&rows));
+    assert_eq!(imported(&rows, Some("overlap:4")), Ok(told.clone()));
+    let error = imported(&rows, Some("hold:2")).expect_err("another model");
+    for part in [
+        "`execution` is hold:2",
+        "`overlap:4`",
+        "leave `execution` out",
+    ] {
+        assert!(error.to_string().contains(part), "{error}");
+    }
+    let silent: Vec<ManifestRow> = rows
+        .iter()
+        .map(|row| row.clone().under(&Execution::Wait))
+        .collect();
+    let given = imported(&silent, Some("overlap:4")).expect("a specification");
+    assert_eq!(given.expand().expect("rows"), rows);
+    assert_eq!(given.version(), told.version());
+    assert_ne!(
+        imported(&silent, None).expect("waits").version(),
+        told.version()
+    );
+
+    let mixed = [rows[0].clone(), silent[1].clone()];
+    let error = imported(&mixed, None).expect_err("two models");
+    for part in ["execution model `wait`", "`overlap:4` in line 1"] {
+        assert!(error.to_string().contains(part), "{error}");
+    }
 }
 
 #[test]

@@ -1,0 +1,92 @@
+//! The execution model of a campaign, in each form in which the campaign is told.
+
+use proto::coordinator::commit_response::Verdict;
+use serde_json::{Value, json};
+
+use crate::process::{CREATE, Serve, coordinator, text};
+
+const MODEL: &str = "overlap:3*812+4*188";
+
+fn json_of(printed: &[u8]) -> Value {
+    serde_json::from_str(text(printed)).expect("JSON")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn results_reports_and_tables_carry_the_execution_model() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let late = [&CREATE[..], &["--execution", MODEL]].concat();
+    let created = serve.command(&late);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+    let waits = [&CREATE[..2], &["--name", "waits"], &CREATE[4..]].concat();
+    assert!(serve.command(&waits).status.success());
+    let mut worker = serve.worker("a").await;
+    for lease in worker.claim(64).await {
+        assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    }
+
+    for (name, model) in [("demo", MODEL), ("waits", "wait")] {
+        let exported = serve.command(&["export", name, "--format", "jsonl"]);
+        let lines = text(&exported.stdout).lines();
+        assert_eq!(lines.clone().count(), 14);
+        for line in lines {
+            let row: Value = serde_json::from_str(line).expect("JSON");
+            // The reference's own rows have no such column.
+            let expected = (model != "wait").then(|| json!(model));
+            assert_eq!(row.get("execution"), expected.as_ref(), "{line}");
+        }
+        let report = serve.command(&["report", name, "--json"]);
+        assert_eq!(json_of(&report.stdout)["reports"][0]["execution"], model);
+        let report = serve.command(&["report", name, "--full"]);
+        let is_told = text(&report.stdout).contains(&format!("execution model {model}\n"));
+        assert_eq!(is_told, model != "wait", "{}", text(&report.stdout));
+    }
+
+    let rows = folder.path().join("rollouts.jsonl");
+    let (path, from) = (rows.to_string_lossy(), folder.path().to_string_lossy());
+    let exported = serve.command(&["export", "demo", "--format", "jsonl", "--output", &path]);
+    assert!(exported.status.success(), "{}", text(&exported.stderr));
+    let read = coordinator(&["report", "--from", &from, "--json"]);
+    assert_eq!(json_of(&read.stdout)["reports"][0]["execution"], MODEL);
+}
+
+#[test]
+fn a_dry_run_and_a_manifest_carry_the_execution_model() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let late = [&CREATE[..], &["--execution", MODEL]].concat();
+    // A dry run needs no coordinator.
+    let nowhere = ["--connect", "http://127.0.0.1:9"];
+    let run = |more: &[&str]| {
+        let output = coordinator(&[&late[..], more, &nowhere].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout).to_owned()
+    };
+    let told = run(&["--dry-run"]);
+    let line = format!("execution model {MODEL}: an answer takes effect after 150 to 200 ms");
+    assert!(told.contains(&line), "{told}");
+    let told = json_of(run(&["--dry-run", "--json"]).as_bytes());
+    assert_eq!(told["execution"], MODEL);
+    let waits = coordinator(&[&CREATE[..], &["--dry-run", "--json"], &nowhere].concat());
+    assert_eq!(json_of(&waits.stdout)["execution"], "wait");
+
+    let (spec, rows) = (path("late.json"), path("late.jsonl"));
+    std::fs::write(&spec, run(&["--print-spec"])).expect("written");
+    let expanded = coordinator(&["manifest", "expand", "--spec", &spec, "--output", &rows]);
+    assert!(expanded.status.success(), "{}", text(&expanded.stderr));
+    let written = std::fs::read_to_string(&rows).expect("written");
+    let column = format!(r#""execution":"{MODEL}""#);
+    assert!(written.lines().all(|line| line.contains(&column)));
+
+    // A campaign of the manifest runs under its model, and under no other.
+    let imported = |more: &[&str]| {
+        let flags = [&CREATE[..8], &["--manifest", &rows, "--print-spec"], more];
+        coordinator(&flags.concat())
+    };
+    let taken = imported(&[]);
+    assert_eq!(json_of(&taken.stdout)["execution"], MODEL);
+    let refused = imported(&["--execution", "hold:2"]);
+    assert_eq!(refused.status.code(), Some(2));
+    let told = text(&refused.stderr);
+    assert!(told.contains("`execution` is hold:2"), "{told}");
+}
