@@ -1,5 +1,6 @@
 //! `coordinator campaign create`.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
@@ -24,7 +25,7 @@ use terminal::{counted, decimal, number, number_from, wrapped};
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
 use super::planning::{self, Planning};
-use super::{forecast, stopping};
+use super::{forecast, horizon, stopping};
 
 /// Flags that conflict with `--manifest` (the first list) and with `--spec` (both lists).
 #[rustfmt::skip]
@@ -265,6 +266,9 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         let spec = serde_json::to_string_pretty(&spec).map_err(anyhow::Error::from)?;
         return Ok(print_line(&spec)?);
     }
+    let tasks = campaign.tasks();
+    let suites: BTreeSet<&str> = tasks.iter().filter_map(|it| it.split('/').next()).collect();
+    let unasked = horizon::check(&spec, suites, &arguments.connection).await?;
     if arguments.dry_run {
         let client = arguments.connection.patient_client(Duration::ZERO)?;
         let earlier = arguments.planning_from.as_deref();
@@ -277,7 +281,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         print_line(&format!("campaign {name} would have {total}"))?;
         tell_placebo(&campaign)?;
         tell_stop(&spec, &campaign)?;
-        tell_execution(&spec)?;
+        tell_execution(&spec, unasked.as_deref())?;
         print_line(&forecast::in_words(&answer, &campaign.policy))?;
         if let Some(words) = planning::in_words(&planning) {
             print_line(&words)?;
@@ -297,7 +301,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     let total = counted(created.jobs_total, "rollout");
     print_line(&format!("campaign {name} {happened}: {total}"))?;
     tell_stop(&spec, &campaign)?;
-    tell_execution(&spec)?;
+    tell_execution(&spec, unasked.as_deref())?;
     if created.priority != arguments.priority {
         let kept = created.priority;
         print_line(&format!(
@@ -307,8 +311,9 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     tell_size(&campaign)
 }
 
-/// Says under which execution model rollouts run, unless the world waits.
-fn tell_execution(spec: &CampaignSpec) -> Result<(), CommandError> {
+/// Says under which execution model rollouts run, unless the world waits, and why its policy was not
+/// asked for the length of its answers.
+fn tell_execution(spec: &CampaignSpec, unasked: Option<&str>) -> Result<(), CommandError> {
     let (Some(delays), execution) = (spec.execution.delays(), &spec.execution) else {
         return Ok(());
     };
@@ -320,6 +325,9 @@ fn tell_execution(spec: &CampaignSpec) -> Result<(), CommandError> {
     print_line(&format!(
         "execution model {execution}: an answer takes effect after {late}"
     ))?;
+    if let Some(unasked) = unasked {
+        print_line(&wrapped("", 2, unasked))?;
+    }
     Ok(())
 }
 

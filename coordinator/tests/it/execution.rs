@@ -1,7 +1,16 @@
 //! The execution model of a campaign, in each form in which the campaign is told.
 
 use proto::coordinator::commit_response::Verdict;
+use proto::policy::policy_server::{Policy, PolicyServer};
+use proto::policy::{
+    DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferBatchRequest,
+    InferBatchResponse, InferRequest, InferResponse, ResetRequest, ResetResponse,
+};
 use serde_json::{Value, json};
+use tokio::net::TcpListener;
+use tonic::transport::Server;
+use tonic::transport::server::TcpIncoming;
+use tonic::{Request, Response, Status};
 
 use crate::process::{CREATE, Serve, coordinator, text};
 
@@ -89,4 +98,98 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
     assert_eq!(refused.status.code(), Some(2));
     let told = text(&refused.stderr);
     assert!(told.contains("`execution` is hold:2"), "{told}");
+}
+
+/// A policy that only describes itself, with answers of ten actions.
+struct Described;
+
+type Answer<T> = Result<Response<T>, Status>;
+
+#[tonic::async_trait]
+impl Policy for Described {
+    async fn describe(&self, request: Request<DescribeRequest>) -> Answer<DescribeResponse> {
+        let DescribeRequest { policy, suite, .. } = request.into_inner();
+        assert_eq!(
+            (policy.as_str(), suite.as_str()),
+            ("expert", "libero_object")
+        );
+        Ok(Response::new(DescribeResponse {
+            protocol_version: proto::PROTOCOL_VERSION,
+            name: policy,
+            horizon: 10,
+            execute: 5,
+            ..DescribeResponse::default()
+        }))
+    }
+
+    async fn reset(&self, _: Request<ResetRequest>) -> Answer<ResetResponse> {
+        Err(Status::unimplemented("nobody asks"))
+    }
+
+    async fn infer(&self, _: Request<InferRequest>) -> Answer<InferResponse> {
+        Err(Status::unimplemented("nobody asks"))
+    }
+
+    async fn infer_batch(&self, _: Request<InferBatchRequest>) -> Answer<InferBatchResponse> {
+        Err(Status::unimplemented("nobody asks"))
+    }
+
+    async fn end(&self, _: Request<EndRequest>) -> Answer<EndResponse> {
+        Err(Status::unimplemented("nobody asks"))
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+    let endpoint = format!("http://{}", listener.local_addr().expect("an address"));
+    let policy = Server::builder().add_service(PolicyServer::new(Described));
+    let serving = tokio::spawn(policy.serve_with_incoming(TcpIncoming::from(listener)));
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let create = |name: &str, model: &str, more: &[&str]| {
+        let named = ["campaign", "create", "--name", name];
+        let policy = ["--policy", "expert", "--endpoint", &endpoint];
+        let rollouts = ["--tasks", "libero_object/0", "--execution", model];
+        serve.command(&[&named[..], &policy, &rollouts, more].concat())
+    };
+    for more in [&[][..], &["--dry-run"]] {
+        let refused = create("late", "overlap:10", more);
+        let told = text(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(2), "{told}");
+        for part in [
+            "create campaign late of policy `expert` at http://127.0.0.1:",
+            "`overlap:10` drops at least 10 actions of each answer",
+            "Choose a delay below 10, `hold:10`",
+        ] {
+            assert!(told.contains(part), "{told}");
+        }
+    }
+    // Some of the answers are executed; all of them are where the arm holds still.
+    for (name, model) in [("some", "overlap:9*1+12*9"), ("all", "hold:10")] {
+        let created = create(name, model, &[]);
+        assert!(created.status.success(), "{}", text(&created.stderr));
+        let told = text(&created.stdout);
+        assert!(!told.contains("does not say"), "{told}");
+    }
+    serving.abort();
+    let _ = serving.await;
+    let created = create("unknown", "overlap:10", &[]);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+    let told = text(&created.stdout)
+        .split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ");
+    for part in [
+        "does not say yet how long its answers are",
+        "if overlap:10 drops all",
+    ] {
+        assert!(told.contains(part), "{told}");
+    }
+    let listed = serve.command(&["campaign", "list"]);
+    assert!(
+        !text(&listed.stdout).contains("late"),
+        "{}",
+        text(&listed.stdout)
+    );
 }
