@@ -105,6 +105,11 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             perturbation=perturbation,
             absolute=self._absolute,
         )
+        if self.starts.execution != "wait":
+            raise ValueError(
+                f"make an environment under execution model {self.starts.execution!r}: this one "
+                "executes actions as they are given; use VectorEnvironment, or Schedule"
+            )
         self.observation_space = observation_space(cameras, height, width)
         self.action_space = action_space()
         self.render_mode = render_mode
