@@ -134,11 +134,15 @@ fn row() -> ManifestRow {
 }
 
 fn run_under(simulator: &mut Simulator, model: &str, dawdles: bool) -> Ran {
+    run_row(simulator, row().under(&parsed(model)), dawdles)
+}
+
+fn run_row(simulator: &mut Simulator, row: ManifestRow, dawdles: bool) -> Ran {
     let mut actor = Nervous {
         dawdles,
         told: Vec::new(),
     };
-    let mut assignment = assignment(row().under(&parsed(model)));
+    let mut assignment = assignment(row);
     assignment.keep_actions = true;
     let mut sent = Sent::default();
     let mut stage = Stage::of_the_protocol(simulator).with_a_renderer_only_if_needed();
@@ -181,6 +185,32 @@ fn outcomes_have_the_same_bits_however_long_the_policy_takes_by_the_clock() {
         let expected = model.ends_with("rtc").then_some("ignored by the server");
         assert_eq!(ignored, expected, "{model}");
     }
+}
+
+#[test]
+fn a_rollout_of_the_latency_axis_is_a_nominal_one_of_a_late_policy() {
+    let test = "a_rollout_of_the_latency_axis_is_a_nominal_one_of_a_late_policy";
+    let Some(mut simulator) = simulator(test) else {
+        return;
+    };
+    let short = |id: &str| {
+        let mut row = row_of(id.parse().expect("an id")).expect("a row");
+        row.max_steps = STEPS;
+        row
+    };
+    let late = short("spatial/t0/latency/L3/c00");
+    let nominal = short(&format!("spatial/t0/clean/i{:02}", late.init_id));
+    // A campaign's own model is not the axis's.
+    let ran = run_row(&mut simulator, late.under(&Execution::Wait), false);
+    let as_it = run_row(
+        &mut simulator,
+        nominal.clone().under(&parsed("overlap:4")),
+        false,
+    );
+    assert_eq!(ran.bits(), as_it.bits());
+    assert_ne!(ran.bits(), run_row(&mut simulator, nominal, false).bits());
+    let settings = &ran.simulated.finished.evidence.policy_settings;
+    assert_eq!(settings[EXECUTION], "overlap:4");
 }
 
 #[test]

@@ -217,7 +217,8 @@ struct StopFlags {
 #[command(next_help_heading = "Design")]
 struct DesignFlags {
     /// Axes, each alone and simultaneous: names, `metric` (all with numbers),
-    /// `all`, or `none`.
+    /// `all`, or `none`; and with a comma `latency`, a late policy, alone only:
+    /// by 1, 2 and 4 control steps at L1, L2 and L3, and half the radius at others.
     #[arg(long, value_delimiter = ',', default_value = "metric")]
     axes: Vec<String>,
     /// Further conditions: several axes with + between, such as `camera+robot`;
@@ -314,6 +315,9 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
 /// Says under which execution model rollouts run, unless the world waits, and why its policy was not
 /// asked for the length of its answers.
 fn tell_execution(spec: &CampaignSpec, unasked: Option<&str>) -> Result<(), CommandError> {
+    if let Some(unasked) = unasked {
+        print_line(&wrapped("", 2, unasked))?;
+    }
     let (Some(delays), execution) = (spec.execution.delays(), &spec.execution) else {
         return Ok(());
     };
@@ -325,9 +329,6 @@ fn tell_execution(spec: &CampaignSpec, unasked: Option<&str>) -> Result<(), Comm
     print_line(&format!(
         "execution model {execution}: an answer takes effect after {late}"
     ))?;
-    if let Some(unasked) = unasked {
-        print_line(&wrapped("", 2, unasked))?;
-    }
     Ok(())
 }
 
@@ -399,14 +400,18 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
 }
 
 fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
-    let axes = match arguments.design.axes.join(",").as_str() {
+    let mut given = arguments.design.axes.clone();
+    let is_late = |name: &String| name == "latency";
+    let latency = given.iter().any(is_late);
+    given.retain(|name| !is_late(name));
+    let axes = match given.join(",").as_str() {
         "metric" => Axis::METRIC.to_vec(),
         "all" => Axis::ALL.to_vec(),
-        "none" => Vec::new(),
-        _ => parsed(&arguments.design.axes)?,
+        "none" | "" => Vec::new(),
+        _ => parsed(&given)?,
     };
     // A design without axes has no perturbation to which a level could apply.
-    let levels: Vec<Level> = match axes.is_empty() {
+    let levels: Vec<Level> = match axes.is_empty() && !latency {
         true => Vec::new(),
         false => parsed(&arguments.design.levels)?,
     };
@@ -414,6 +419,7 @@ fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
     let design = Design {
         tasks: tasks(&arguments.flags.tasks)?,
         axes,
+        latency,
         subsets,
         levels,
         configs: configs(&arguments.design.configs)?,

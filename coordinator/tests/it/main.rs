@@ -22,6 +22,7 @@ mod fingerprints;
 mod harness;
 mod invariants;
 mod json;
+mod latency;
 mod launch;
 mod manifests;
 mod moving;

@@ -283,8 +283,12 @@ impl Reading {
             (None, Some(policy)) => self.policy = Some(policy),
             _ => {}
         }
-        let of_first = self.execution.get_or_insert_with(|| row.execution.clone());
-        if *of_first != row.execution {
+        let is_late = row.rollout_id.condition() == Condition::Latency;
+        let of_first = self.execution.get_or_insert_with(|| match is_late {
+            true => Execution::Wait,
+            false => row.execution.clone(),
+        });
+        if !is_late && *of_first != row.execution {
             return Err(format!(
                 "it ran under execution model `{}`, those before under `{of_first}`: one model per \
                  file",

@@ -4,13 +4,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::axis::Axis;
 use crate::axis_set::AxisSet;
-use crate::condition::Realisation;
+use crate::condition::{Condition, Realisation};
 use crate::design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
 use crate::directions::Directions;
 use crate::execution::Execution;
 use crate::explanation::Explanation;
+use crate::latency::AnyAxis;
 use crate::level::Level;
 use crate::manifest::{self, ManifestErrors};
 use crate::names::UnknownName;
@@ -83,9 +83,11 @@ impl Rollouts {
     /// which share one, or [`Execution::Wait`].
     pub fn execution(&self) -> Execution {
         match self {
-            Self::Manifest(rows) => rows
-                .first()
-                .map_or(Execution::Wait, |row| row.execution.clone()),
+            Self::Manifest(rows) => {
+                let mut others = rows.iter();
+                let other = others.find(|row| row.id.condition() != Condition::Latency);
+                other.map_or(Execution::Wait, |row| row.execution.clone())
+            }
             Self::Design(_) | Self::Explanation(_) | Self::Thresholds(_) => Execution::Wait,
         }
     }
@@ -203,6 +205,15 @@ pub enum SpecError {
         /// Model of the rows.
         of_rows: Execution,
     },
+    /// The latency axis, in a campaign whose policy is late anyway.
+    #[error(
+        "read campaign specification: axis `latency` with `execution` {given}: its rollouts are \
+         compared with some whose policy is not late; leave `execution` out, or take the axis out"
+    )]
+    Latency {
+        /// The campaign's model.
+        given: Execution,
+    },
     /// The rule cannot end the campaign.
     #[error("read campaign specification: {0}")]
     Stop(StopError),
@@ -265,7 +276,13 @@ impl CampaignSpec {
             return Err(SpecError::Assets { given });
         }
         match &self.rollouts {
-            Rollouts::Design(design) => design.check()?,
+            Rollouts::Design(design) => {
+                design.check()?;
+                if design.latency && !self.execution.is_wait() {
+                    let given = self.execution.clone();
+                    return Err(SpecError::Latency { given });
+                }
+            }
             Rollouts::Manifest(rows) => {
                 manifest::check(rows)?;
                 let of_rows = self.rollouts.execution();
@@ -338,7 +355,7 @@ struct SpecText {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     tasks: Option<Vec<String>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    axes: Option<Vec<Axis>>,
+    axes: Option<Vec<AnyAxis>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     subsets: Option<Vec<AxisSet>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -458,13 +475,13 @@ impl From<CampaignSpec> for SpecText {
             Rollouts::Explanation(explanation) => text.explains = Some(explanation),
             Rollouts::Thresholds(thresholds) => text.thresholds = Some(thresholds),
             Rollouts::Design(design) => {
+                text.axes = Some(design.any_axes());
                 if design.has_placebo() {
                     text.placebo_radius = Some(design.placebo.radius.radius());
                 }
                 text.placebo_configs = design.placebo.configs;
                 text.directions = Some(design.directions).filter(|it| *it != Directions::Shared);
                 text.tasks = Some(design.tasks.iter().map(TaskRef::to_string).collect());
-                text.axes = Some(design.axes);
                 text.subsets = Some(design.subsets).filter(|subsets| !subsets.is_empty());
                 text.levels = Some(design.levels);
                 text.configs = Some(design.configs);
@@ -510,9 +527,11 @@ fn design(text: &mut SpecText) -> Result<Design, TextError> {
     for name in names {
         tasks.extend(select_tasks(&name)?);
     }
+    let axes = text.axes.take().ok_or(TextError::Missing("axes"))?;
     let design = Design {
         tasks,
-        axes: text.axes.take().ok_or(TextError::Missing("axes"))?,
+        axes: Vec::new(),
+        latency: false,
         subsets: text.subsets.take().unwrap_or_default(),
         levels: text.levels.take().ok_or(TextError::Missing("levels"))?,
         configs: text
@@ -527,7 +546,7 @@ fn design(text: &mut SpecText) -> Result<Design, TextError> {
             configs: text.placebo_configs.take(),
         },
     };
-    Ok(design.in_order())
+    Ok(design.with_any_axes(&axes).in_order())
 }
 
 fn placebo_radius(given: Option<f64>) -> Result<Level, DesignError> {

@@ -11,6 +11,7 @@ use std::fmt::{self, Write};
 use serde_json::Value;
 
 use crate::axis::Axis;
+use crate::condition::Condition;
 use crate::execution::Execution;
 use crate::level::Level;
 use crate::presets::unit;
@@ -282,24 +283,28 @@ impl Checker {
             self.errors.add(line, problem);
         }
         let id = row.id;
-        let of_first = self
-            .execution
-            .get_or_insert_with(|| (row.execution.clone(), line));
-        if of_first.0 != row.execution {
-            let (expected, first) = of_first.clone();
-            let given = row.execution.clone();
-            let problem = LineProblem::Execution {
-                id,
-                given,
-                expected,
-                first,
-            };
-            self.errors.add(line, problem);
+        if id.condition() != Condition::Latency {
+            self.check_execution(line, row);
         }
         if let Some(first) = self.lines_of_ids.insert(id, line) {
             self.errors.add(line, LineProblem::Duplicate { id, first });
         } else if let Some((column, first)) = self.difference(line, row) {
             let problem = LineProblem::Unpaired { id, column, first };
+            self.errors.add(line, problem);
+        }
+    }
+
+    /// Compares the execution model with that of the first row; the latency axis has its own.
+    fn check_execution(&mut self, line: usize, row: &ManifestRow) {
+        let of_first = (row.execution.clone(), line);
+        let (expected, first) = self.execution.get_or_insert(of_first).clone();
+        if expected != row.execution {
+            let problem = LineProblem::Execution {
+                id: row.id,
+                given: row.execution.clone(),
+                expected,
+                first,
+            };
             self.errors.add(line, problem);
         }
     }

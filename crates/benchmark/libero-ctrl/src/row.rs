@@ -9,6 +9,7 @@ use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::condition::Condition;
 use crate::execution::Execution;
+use crate::latency::execution_at;
 use crate::level::Level;
 use crate::names::UnknownName;
 use crate::perturbation::{PerturbError, Perturbation};
@@ -68,11 +69,14 @@ impl ManifestRow {
         }
     }
 
-    /// Returns the row under an execution model.
+    /// Returns the row under an execution model. A row of the latency axis keeps its own.
     pub fn under(self, execution: &Execution) -> Self {
-        Self {
-            execution: execution.clone(),
-            ..self
+        match self.id.condition() {
+            Condition::Latency => self,
+            _ => Self {
+                execution: execution.clone(),
+                ..self
+            },
         }
     }
 
@@ -148,6 +152,19 @@ pub enum RowError {
         /// The row's radius.
         given: Option<f64>,
     },
+    /// A row of the latency axis has another delay than that of its level.
+    #[error(
+        "read row {id}: `execution` is {given}, write the delay of its level: {}",
+        expected.as_ref().map_or("L1, L2, L3 or an even radius".to_owned(), Execution::to_string)
+    )]
+    Latency {
+        /// The row's id.
+        id: RolloutId,
+        /// The row's execution model.
+        given: Execution,
+        /// Model of the row's level, if it has one.
+        expected: Option<Execution>,
+    },
     /// The row has a policy seed.
     #[error("read row {id}: `policy_seed` is {given}, but seeds follow from the id: write 0")]
     PolicySeed {
@@ -197,7 +214,10 @@ struct FlatRow {
 fn split(condition: Condition) -> &'static str {
     match condition {
         Condition::Clean => "clean",
-        Condition::Single(_) | Condition::Subset(_) | Condition::Combination => "eval",
+        Condition::Single(_)
+        | Condition::Latency
+        | Condition::Subset(_)
+        | Condition::Combination => "eval",
     }
 }
 
@@ -252,6 +272,16 @@ impl TryFrom<FlatRow> for ManifestRow {
         if flat.policy_seed != 0 {
             let given = flat.policy_seed;
             return Err(RowError::PolicySeed { id, given });
+        }
+        if condition == Condition::Latency {
+            let (given, expected) = (flat.execution.clone(), execution_at(id.level()));
+            if Some(&given) != expected.as_ref() {
+                return Err(RowError::Latency {
+                    id,
+                    given,
+                    expected,
+                });
+            }
         }
         let given = flat.placebo_radius;
         let placebo_radius = given.and_then(Level::of_radius);

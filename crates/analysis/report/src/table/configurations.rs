@@ -24,7 +24,7 @@ pub(super) fn table(document: &Document) -> Table<Row<'_>> {
     }
 }
 
-fn columns<'a>() -> [Column<Row<'a>>; 19] {
+fn columns<'a>() -> [Column<Row<'a>>; 20] {
     use Kind::{Bool, Number, Text};
     [
         ("policy", Text, |(a, _)| text(&a.label)),
@@ -46,6 +46,9 @@ fn columns<'a>() -> [Column<Row<'a>>; 19] {
         ("sensor", Bool, |(_, m)| alone(m, Axis::Sensor)),
         ("actuation", Bool, |(_, m)| alone(m, Axis::Actuation)),
         ("language", Bool, |(_, m)| alone(m, Axis::Language)),
+        ("latency", Bool, |(_, m)| {
+            Value::Bool(m.latency.and_then(Outcome::success))
+        }),
         ("conjunction", Bool, |(_, m)| {
             Value::Bool(m.configuration().map(|c| c.conjunction()))
         }),
@@ -70,6 +73,7 @@ fn alone(matched: &Matched, axis: Axis) -> Value {
 fn unresolved(matched: &Matched) -> Value {
     let alone = matched.alone.keys().copied().map(Condition::Single);
     let named = alone
+        .chain(matched.latency.map(|_| Condition::Latency))
         .chain([Condition::Combination])
         .filter_map(|condition| match matched.outcome(condition) {
             Outcome::Missing => Some(format!("{condition} missing")),
