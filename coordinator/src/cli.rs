@@ -13,6 +13,7 @@ mod explain;
 mod export;
 mod files;
 mod forecast;
+mod horizon;
 mod interactions;
 mod jobs;
 mod json;

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use futures_util::{Stream, StreamExt, TryStreamExt, stream};
-use libero_ctrl::{Condition, Level, ManifestRow, RolloutId, Suite};
+use libero_ctrl::{Condition, Execution, Level, ManifestRow, RolloutId, Suite};
 use queue::ids::CampaignName;
 use queue::read::ExportedRow;
 use queue::{Queue, QueueError};
@@ -16,7 +16,8 @@ use crate::reading::ReadError;
 const PAGE_ROWS: u32 = 1_000;
 
 /// Exported row: the reference's columns in its order, then optional columns: the replicate unless
-/// it is the first, the radius of a placebo, and the goal's progress if the worker reported it.
+/// it is the first, the radius of a placebo, the execution model unless it is `wait`, and the goal's
+/// progress if the worker reported it.
 #[derive(Serialize)]
 struct ExportRow<'a> {
     rollout_id: RolloutId,
@@ -36,6 +37,8 @@ struct ExportRow<'a> {
     replicate: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     placebo_radius: Option<f64>,
+    #[serde(skip_serializing_if = "Execution::is_wait")]
+    execution: Execution,
     #[serde(skip_serializing_if = "Option::is_none")]
     goal_predicates: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -98,6 +101,7 @@ fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
         ik_res_mm: result.ik_residual_mm,
         replicate: (result.replicate > 0).then_some(result.replicate),
         placebo_radius: row.placebo_radius.map(Level::radius),
+        execution: row.execution,
         goal_predicates: result.goal_predicates,
         goal_at_end: result.goal_at_end,
         goal_at_most: result.goal_at_most,

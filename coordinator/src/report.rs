@@ -2,7 +2,9 @@
 //! a report, which the `report` crate computes. The same results give the same subject, however
 //! many attempts they took.
 
-use libero_ctrl::{CampaignSpec, Directions, Level, ManifestRow, RolloutId, Rollouts, UnknownName};
+use libero_ctrl::{
+    CampaignSpec, Directions, Execution, Level, ManifestRow, RolloutId, Rollouts, UnknownName,
+};
 use paired::{Outcome, Progress, Record};
 use queue::read::{Campaign, RecordRow, SetupRow, View};
 use report::{
@@ -58,6 +60,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
             design: spec.version().to_string(),
         },
         realisation: Some(own.parse()?),
+        execution: spec.execution.clone(),
         progress: progress.collect(),
         placebo_radius: placebo.map(|design| design.placebo.radius.radius()),
         directions: design.map_or_else(Directions::default, |design| design.directions),
@@ -155,10 +158,11 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
             setups.scenes.insert(state, digest(&[&scene, &state_bytes]));
         }
         // The digest leaves out the state's slot in the design and the paraphrase's name, which the
-        // policy never observes.
+        // policy never observes, and the execution model, which a report compares by itself.
         let met = ManifestRow {
             init_slot: 0,
             variant_id: None,
+            execution: Execution::Wait,
             ..row
         };
         let id = met.id;

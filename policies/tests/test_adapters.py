@@ -8,13 +8,14 @@ what serves.
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from test_processing import pattern
 
-from rollout_policies import Camera, Episode, Observation, State
+from rollout_policies import Camera, Episode, Observation, State, UnderWay
 from rollout_policies.adapters import (
     MODULES,
     Options,
@@ -94,14 +95,17 @@ class RecordingFlow(Loaded):
     """Answers its noise, or what its generator would draw."""
 
     config = SimpleNamespace(chunk_size=50, max_action_dim=32)
+    chunks_in_real_time = True
 
     def __init__(self):
         self.seeds = []
+        self.calls = []
 
     def seed(self, seed):
         self.seeds.append(seed)
 
-    def chunks(self, observations, noise=None):
+    def chunks(self, observations, noise=None, under_way=None):
+        self.calls.append((len(observations), under_way))
         if noise is None:
             generator = np.random.default_rng(self.seeds[-1])
             noise = generator.standard_normal((len(observations), 50, 7))
@@ -119,6 +123,18 @@ def test_a_flow_policy_describes_its_chunk_and_what_is_executed():
     assert [camera.name for camera in described.cameras] == ["agentview", "robot0_eye_in_hand"]
     sent = {setting.name: setting.value for setting in described.to_message().settings}
     assert sent == Loaded.settings
+
+
+def test_a_flow_policy_hands_on_what_is_under_way_query_by_query():
+    under_way = UnderWay(np.ones((9, 7), np.float32), 4)
+    queries = [observation(seed) for seed in (1, 2, 3)]
+    queries[1] = replace(queries[1], under_way=under_way)
+    policy = flow(max_batch=4)
+    assert policy.description.real_time_chunking
+    alone = [policy.infer(one) for one in queries]
+    policy.model.calls.clear()
+    assert np.array_equal(policy.infer_batch(queries), alone)
+    assert policy.model.calls == [(1, under_way), (2, None)]
 
 
 def test_a_checkpoint_of_the_paper_executes_as_the_protocol_and_others_as_they_say():

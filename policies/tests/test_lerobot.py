@@ -9,6 +9,7 @@ Skipped where lerobot is not installed (it brings PyTorch):
 import contextlib
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ pytest.importorskip("lerobot", reason="lerobot is not installed")
 import random_lerobot  # noqa: E402
 from safetensors.torch import load_file, save_file  # noqa: E402
 
+from rollout_policies import UnderWay  # noqa: E402
 from rollout_policies.adapters import Options, load  # noqa: E402
 from rollout_policies.adapters.upstream import (  # noqa: E402
     UnusableCheckpoint,
@@ -127,6 +129,32 @@ def test_the_instruction_and_the_frames_matter(policy, checkpoint):
     assert (answers[0] != answers[1]).any()
     reads = checkpoint[0] != "act"
     assert (answers[0] != answers[2]).any() == reads
+
+
+def test_a_chunk_goes_on_from_what_is_executed_meanwhile(policy, checkpoint):
+    name, _ = checkpoint
+    assert policy.description.real_time_chunking == (name in ("smolvla", "pi05"))
+    if not policy.description.real_time_chunking:
+        return
+    seen = observation(1)
+    policy.reset(seen.episode)
+    free = policy.infer(seen)
+    # The rest of an earlier chunk, of another episode: whatever is in it, it is executed.
+    executed = policy.infer(observation(2))[2:].astype(np.float32)
+    delay = 4
+    told = policy.infer(replace(seen, under_way=UnderWay(executed, delay)))
+    assert told.shape == free.shape and np.isfinite(told).all()
+
+    def apart(chunk, steps):
+        return np.abs(chunk[steps] - executed[steps]).mean()
+
+    # lerobot's guidance fades from the delay on, and ends after ten actions.
+    until, later = slice(0, delay), slice(delay, 8)
+    assert apart(told, until) < apart(free, until) / 2
+    assert np.array_equal(policy.infer(seen), free), "a query that is told nothing is as ever"
+    # Beyond what is left of the last chunk nothing is asked of the new one.
+    short = policy.infer(replace(seen, under_way=UnderWay(executed[:delay], delay)))
+    assert apart(told, later) < apart(short, later)
 
 
 def test_a_batch_moves_low_order_bits_and_no_more(checkpoint):

@@ -28,6 +28,7 @@ RESULTS = {
     "ik_res_mm": NUMBER,
     "replicate": COUNT,
     "placebo_radius": NUMBER,
+    "execution": TEXT,
     "goal_predicates": INTEGER,
     "goal_at_end": INTEGER,
     "goal_at_most": INTEGER,

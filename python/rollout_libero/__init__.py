@@ -14,6 +14,7 @@ BusyError = _native.BusyError
 ClosedError = _native.ClosedError
 FilesError = _native.FilesError
 SimulationError = _native.SimulationError
+Schedule = _native.Schedule
 Snapshot = _native.Snapshot
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Environment",
     "FilesError",
     "MissingAssetsError",
+    "Schedule",
     "SimulationError",
     "Snapshot",
     "Task",

@@ -191,6 +191,33 @@ class Simulation:
     def contacts(self) -> NDArray[np.int32]:
         """[contacts, 2]: pairs of geoms."""
 
+class Schedule:
+    """Queries and commands of one rollout whose policy is late: those of a campaign's rollout
+    under the same execution model (`wait`, `hold:N`, `overlap:N`, `overlap:N,rtc`; N control
+    steps, or a distribution such as `3*812+4*188`). `execute` actions of each answer are
+    executed; all of them by default. The gripper starts open."""
+
+    def __init__(
+        self, execution: str, task: str, init_state: int, *, execute: int | None = None
+    ) -> None: ...
+    @property
+    def execution(self) -> str: ...
+    @property
+    def is_rtc(self) -> bool:
+        """True if the policy is told what is executed until its answer takes effect."""
+    def due(self) -> tuple[int, F64] | None:
+        """The query that is due before the next control step: the steps until its answer takes
+        effect, and the actions [n, 7] scheduled for the coming steps, of which the first so many
+        are executed whatever is answered. None if no query is due."""
+    def answer(self, actions: ArrayLike) -> None:
+        """Sets the answer to the due query, actions [n, 7]. ValueError if none is due, or none
+        of the actions would be executed."""
+    def advance(self) -> F64:
+        """The action [7] of the next control step. ValueError if a query is due."""
+    def until_due(self) -> F64:
+        """The actions [n, 7] of all control steps until the next query is due."""
+    def copy(self) -> Schedule: ...
+
 class Batch:
     """Simulations that begin or move on together, on threads. They stay usable one by one."""
 

@@ -27,6 +27,8 @@ class Start(NamedTuple):
     """None if objects are placed anew."""
     instruction: str
     max_steps: int
+    execution: str
+    """The robot's conduct while an answer is under way."""
     turn: int
     """The turn that follows it."""
     generator: np.random.Generator
@@ -50,6 +52,7 @@ class Starts:
         max_steps: int | None,
         perturbation: str | Mapping[str, Any] | None,
         absolute: bool,
+        execution: str | None = None,
         rank: int = 0,
         stride: int = 1,
     ) -> None:
@@ -63,6 +66,7 @@ class Starts:
         self._settle_steps = settle_steps
         self._max_steps = max_steps
         self._absolute = absolute
+        self._execution = execution
         self.rank = rank
         self._stride = stride
         self._turn = rank
@@ -80,14 +84,20 @@ class Starts:
             return self._max_steps
         return self._task.max_steps if self._perturbed is None else self._perturbed["max_steps"]
 
+    @property
+    def execution(self) -> str:
+        """The execution model of the next rollout: the one given, or else the row's."""
+        return self._execution_of(self._perturbed)
+
     def perturb(self, perturbation: str | Mapping[str, Any] | None) -> None:
         """Perturbs the rollouts that are begun from now on.
 
         Raises:
             ValueError: if there is no such configuration, or it distorts actions that are
-                poses; the configuration before it stays.
+                poses, or its execution model does not fit; the configuration before it stays.
         """
         row = None if perturbation is None else _row(self._task, perturbation)
+        self._check_execution(self._execution_of(row))
         if row is not None:
             axes = native.perturbed_axes(json.dumps(row))
             if self._absolute and "actuation" in axes:
@@ -146,8 +156,34 @@ class Starts:
         self, row: Mapping[str, Any], init_state: int | None, turn: int, generator: Any
     ) -> Start:
         return Start(
-            json.dumps(row), init_state, self.instruction, self.max_steps, turn, generator
+            json.dumps(row),
+            init_state,
+            self.instruction,
+            self.max_steps,
+            self.execution,
+            turn,
+            generator,
         )
+
+    def _execution_of(self, row: Mapping[str, Any] | None) -> str:
+        if self._execution is not None:
+            return self._execution
+        return "wait" if row is None else row.get("execution", "wait")
+
+    def _check_execution(self, execution: str) -> None:
+        """Refuses what a schedule of rollouts that begin here cannot do."""
+        native.Schedule(execution, self._task.name, 0)
+        if execution != "wait" and self._absolute:
+            raise ValueError(
+                f"run under execution model {execution!r}: an arm that holds still is commanded a "
+                "displacement of zero, and control='absolute' commands poses; use "
+                "control='relative'"
+            )
+        if "*" in execution and self._chosen == "sampled":
+            raise ValueError(
+                f"run under execution model {execution!r}: delays are drawn by the initial state's "
+                "number, and init_states='sampled' has none; choose one delay"
+            )
 
     def _nominal(self, init_state: int) -> dict[str, Any]:
         row: dict[str, Any] = json.loads(native.nominal_row(self._task.name, init_state))

@@ -105,6 +105,11 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             perturbation=perturbation,
             absolute=self._absolute,
         )
+        if self.starts.execution != "wait":
+            raise ValueError(
+                f"make an environment under execution model {self.starts.execution!r}: this one "
+                "executes actions as they are given; use VectorEnvironment, or Schedule"
+            )
         self._space = observation_space(cameras, height, width)
         self.observation_space = cast("gymnasium.Space[Observation]", self._space)
         self.action_space = cast("gymnasium.Space[NDArray[np.float32]]", action_space())

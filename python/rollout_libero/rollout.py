@@ -25,6 +25,9 @@ class Rollout:
     init_state: int | None = None
     is_begun: bool = False
     is_over: bool = False
+    schedule: native.Schedule | None = None
+    """Where its policy's next query stands, never changed in place; None if chunks are executed
+    as they are given."""
 
     def begin(self, start: Start) -> None:
         """Takes up a rollout that the simulator has begun."""

@@ -62,6 +62,12 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         init_states: where rollouts begin; see ``configuration.InitStates``. Environments of
             one task that take turns share the sequence: of *n* environments the *r*-th
             begins at place *r* and goes on by *n*, so no two are alike at a time.
+        execution: the robot's conduct while a policy's answer is under way, as of a campaign:
+            ``"wait"``, ``"hold:4"``, ``"overlap:4"`` or ``"overlap:4,rtc"``; by default that of
+            the perturbation's row, else ``"wait"``. ``step_chunk`` then takes the answers to the
+            observations of the call before, and goes on until each environment's next query.
+        execute: how many actions of an answer are executed before the next query; by default
+            all.
         autoreset_mode: as gymnasium defines it: ``NEXT_STEP`` begins a rollout in the
             step after the last, whose action is ignored; ``SAME_STEP`` at once, with the
             last observation in ``info["final_obs"]``; ``DISABLED`` not at all: reset with
@@ -89,6 +95,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         ) = None,
         control: Literal["relative", "absolute"] = "relative",
         renderer: str = "software",
+        execution: str | None = None,
+        execute: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
         names = [tasks] if isinstance(tasks, str) else list(tasks)
@@ -96,6 +104,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         if not names or self.num_envs < 1:
             raise ValueError("make environments: give one task at least, and num_envs from 1")
         self._absolute = is_absolute(control)
+        self._execute = execute
         self._mirrored = is_mirrored(orientation)
         self.tasks = [Task.of(names[at % len(names)]) for at in range(self.num_envs)]
         scenes = [scene_of_task(task, assets) for task in self.tasks]
@@ -116,6 +125,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
                 max_steps=budget,
                 perturbation=perturbed,
                 absolute=self._absolute,
+                execution=execution,
                 rank=ranks[task.name],
                 stride=sharing[task.name],
             )
@@ -133,6 +143,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         self._batch = native.Batch(self.simulations, self._threads)
         self._generators = [seeding.np_random()[0] for _ in self.tasks]
         self._rollouts = [Rollout(it.instruction, it.max_steps) for it in self.starts]
+        native.Schedule("wait", self.tasks[0].name, 0, execute=execute)
 
     @property
     def max_steps(self) -> NDArray[np.int64]:
@@ -214,6 +225,12 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         looks at the simulator's state: ``info["expert_action"]``, [environments, steps, 7],
         is what it would do there, NaN beyond the steps taken. Where ``expert`` is true it
         drives, and ``actions`` are added to its own.
+
+        Under an execution model, or with ``execute``, ``actions`` are the answers to the
+        observations of the call before. Each environment moves until its next query is due, in
+        ``info["taken"]`` steps, of which some are what was under way, or hold still.
+        ``info["delay"]`` counts the steps until the next answer takes effect, and with ``rtc``
+        ``info["under_way"]`` has the actions [n, 7] of the coming steps as they stand.
         """
         actions = np.asarray(actions, dtype=np.float64)
         missing = [at for at, it in enumerate(self._rollouts) if not it.is_begun]
@@ -228,6 +245,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             )
         starts = {at: self.starts[at].plan(self._generators[at], {}) for at in over}
         limits = [0 if it.is_over else it.max_steps - it.steps for it in self._rollouts]
+        actions, schedules = self._scheduled(actions, limits, expert is not None)
         shown = self._batch.advance(
             actions,
             limits,
@@ -244,6 +262,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         for at, rollout in enumerate(self._rollouts):
             if at not in starts:
                 truncated[at] = rollout.advance(int(taken[at]), bool(success[at]), errors[at])
+            if at in schedules and not isinstance(errors[at], UNTOUCHED):
+                rollout.schedule = schedules[at]
         observation, infos = self._observation(shown), self._infos(success)
         infos["taken"] = taken
         if expert is not None:
@@ -253,6 +273,37 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             self._begin_at_once(ended, observation, infos, render, errors)
         result = observation, success.astype(np.float64), success, truncated, infos
         return self._finished(result, infos, errors)
+
+    def _scheduled(
+        self, actions: NDArray[np.float64], limits: list[int], is_expert: bool
+    ) -> tuple[NDArray[np.float64], dict[int, native.Schedule]]:
+        """The actions [environments, steps, 7] until each one's next query is due, and the
+        schedules then; shortens ``limits`` to them. Changes no rollout."""
+        late = [at for at, it in enumerate(self._rollouts) if it.schedule and not it.is_over]
+        if not late:
+            return actions, {}
+        if is_expert:
+            raise ValueError(
+                "ask the expert: it is asked at every step, and an execution model or `execute` "
+                "executes answers; make environments without either"
+            )
+        if actions.ndim != 3 or len(actions) != self.num_envs:
+            raise ValueError(
+                f"step with actions of shape {actions.shape}: expected ({self.num_envs}, steps, "
+                f"{ACTION_WIDTH})"
+            )
+        schedules, rows = {}, {at: actions[at] for at in range(self.num_envs)}
+        for at in late:
+            schedule: Any = self._rollouts[at].schedule
+            schedules[at] = schedule.copy()
+            schedules[at].answer(actions[at])
+            rows[at] = schedules[at].until_due()
+            limits[at] = min(limits[at], len(rows[at]))
+        commands = np.zeros((self.num_envs, max(map(len, rows.values())), ACTION_WIDTH))
+        for at, row in rows.items():
+            limits[at] = min(limits[at], len(row))
+            commands[at, : len(row)] = row
+        return commands, schedules
 
     def set_perturbation(self, index: int, perturbation: str | Mapping[str, Any] | None) -> None:
         """Perturbs an environment otherwise, from its next rollout on.
@@ -332,8 +383,17 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             self._generators[at] = start.generator
             if error is None:
                 self._rollouts[at].begin(start)
+                self._rollouts[at].schedule = self._schedule(at, start)
             else:
                 self._rollouts[at].is_over = True
+
+    def _schedule(self, at: int, start: Start) -> native.Schedule | None:
+        """The schedule of a rollout; None if its chunks are executed as they are given."""
+        if start.execution == "wait" and self._execute is None:
+            return None
+        state = start.init_state or 0
+        task = self.tasks[at].name
+        return native.Schedule(start.execution, task, state, execute=self._execute)
 
     def _finished(
         self, result: Any, infos: dict[str, Any], errors: Sequence[Exception | None]
@@ -351,7 +411,16 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         return {name: shown[name] for name in self._space if name in shown}
 
     def _infos(self, success: NDArray[np.bool_]) -> dict[str, Any]:
-        return {
+        schedules = [it.schedule for it in self._rollouts]
+        queries = [None if it is None else it.due() for it in schedules]
+        late: dict[str, Any] = {}
+        if any(schedules):
+            late["delay"] = np.array([query[0] if query else 0 for query in queries], np.int64)
+        if any(it is not None and it.is_rtc for it in schedules):
+            late["under_way"] = np.full(self.num_envs, None, dtype=object)
+            for at, query in enumerate(queries):
+                late["under_way"][at] = None if query is None else query[1]
+        return late | {
             "success": success,
             "instruction": np.array([it.instruction for it in self._rollouts], dtype=object),
             "init_state": np.array([it.init_state for it in self._rollouts], dtype=object),

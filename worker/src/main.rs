@@ -10,7 +10,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::Context;
-use libero_ctrl::{Execution, ManifestRow, Realisation, TaskRef};
+use libero_ctrl::{ManifestRow, Realisation, TaskRef};
 use libero_family::protocol::Benchmark;
 use scene::pack::LIBERO;
 use scene::{AssetPack, Sources, TaskFiles};
@@ -262,8 +262,11 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
             file: arguments.output.join("video.mp4"),
             of: VideoOf::Everything,
         }),
-        execution: arguments.execution,
-        ..of_no_campaign(row, arguments.replicate, arguments.realisation)
+        ..of_no_campaign(
+            row.under(&arguments.execution),
+            arguments.replicate,
+            arguments.realisation,
+        )
     };
     let request = single::Request {
         assignment: &assignment,
@@ -341,7 +344,6 @@ fn of_no_campaign(row: ManifestRow, replicate: u32, realisation: Realisation) ->
         policy_seed: libero_ctrl::seeds::policy_seed(&row.id, replicate),
         row,
         realisation,
-        execution: Execution::Wait,
         policy: String::new(),
         policy_endpoint: String::new(),
         policy_deadline: POLICY_CALL_DEADLINE,

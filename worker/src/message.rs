@@ -10,7 +10,7 @@ use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use libero_ctrl::{Execution, ManifestRow, Realisation, RolloutId};
+use libero_ctrl::{ManifestRow, Realisation, RolloutId};
 use proto::coordinator::release_request::Reason;
 use rollout_types::{AttemptId, Motion, Realised, RolloutResult};
 use serde::{Deserialize, Serialize};
@@ -64,9 +64,6 @@ pub struct Assignment {
     pub row: ManifestRow,
     /// Source of the perturbation's random elements.
     pub realisation: Realisation,
-    /// The robot's conduct while an answer is under way.
-    #[serde(default, skip_serializing_if = "Execution::is_wait")]
-    pub execution: Execution,
     /// The policy's name at its endpoint.
     pub policy: String,
     /// URL of the policy or of a gateway.
@@ -310,12 +307,12 @@ mod tests {
             6,
             libero_ctrl::Perturbation::default(),
         );
+        let row = row.under(&"overlap:3*812+4*188,rtc".parse().expect("a model"));
         let command = SlotCommand::Run(Box::new(Assignment {
             attempt: attempt(),
             session: Session::new(&row.id, 0, attempt()),
             row,
             realisation: Realisation::Matched,
-            execution: "overlap:3*812+4*188,rtc".parse().expect("a model"),
             policy: "noop".to_owned(),
             policy_endpoint: "grpc://localhost:7000".to_owned(),
             policy_seed: 5,

@@ -31,8 +31,8 @@ use search::{Found, Search};
 /// Reason why the search failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RescueError {
-    /// The rollout has no perturbation to lift.
-    #[error("rescue {0}: it is not perturbed; name a failing rollout that is")]
+    /// The rollout has no perturbation to lift: it is nominal, or its policy is late.
+    #[error("rescue {0}: it has no perturbation to lift; name a failing rollout that has one")]
     NotPerturbed(RolloutId),
     /// The rollout succeeds, so there is nothing to rescue.
     #[error(
@@ -119,7 +119,7 @@ pub fn run(
     output: &Path,
 ) -> Result<Rescue, RescueError> {
     let id = assignment.row.id;
-    if id.condition() == Condition::Clean {
+    if matches!(id.condition(), Condition::Clean | Condition::Latency) {
         return Err(RescueError::NotPerturbed(id));
     }
     let write = |path: &Path, source| RescueError::Write {

@@ -145,7 +145,7 @@ pub(crate) fn run_after(
     // Describes the policy before every rollout: the results of a policy that was replaced
     // meanwhile must not carry its predecessor's digest.
     let description = actor.describe(assignment.policy_session())?;
-    let execution = &assignment.execution;
+    let execution = &assignment.row.execution;
     let horizon = description.horizon;
     execution
         .check(horizon)
@@ -293,7 +293,7 @@ impl Run<'_> {
     /// Alternates queries and steps until the goal holds or the step budget is spent.
     fn act(&mut self, episode: &mut Episode<'_>) -> Result<bool, RolloutError> {
         let row = &self.assignment.row;
-        let (execution, execute) = (self.assignment.execution.clone(), self.description.execute);
+        let (execution, execute) = (row.execution.clone(), self.description.execute);
         let mut schedule = Schedule::new(execution, execute, row.id.task(), row.init_id);
         if let Some([.., gripper]) = self.executed.last() {
             schedule = schedule.with_gripper(*gripper);
@@ -344,7 +344,7 @@ impl Run<'_> {
         let actions = by_clock(&mut self.parts.policy_secs, || {
             let session = self.assignment.policy_session();
             let horizon = self.description.horizon;
-            let under_way = self.assignment.execution.is_rtc().then_some(query);
+            let under_way = self.assignment.row.execution.is_rtc().then_some(query);
             self.actor
                 .infer(session, self.queries, observation, horizon, under_way)
         })?;

@@ -134,12 +134,15 @@ fn row() -> ManifestRow {
 }
 
 fn run_under(simulator: &mut Simulator, model: &str, dawdles: bool) -> Ran {
+    run_row(simulator, row().under(&parsed(model)), dawdles)
+}
+
+fn run_row(simulator: &mut Simulator, row: ManifestRow, dawdles: bool) -> Ran {
     let mut actor = Nervous {
         dawdles,
         told: Vec::new(),
     };
-    let mut assignment = assignment(row());
-    assignment.execution = parsed(model);
+    let mut assignment = assignment(row);
     assignment.keep_actions = true;
     let mut sent = Sent::default();
     let mut stage = Stage::of_the_protocol(simulator).with_a_renderer_only_if_needed();
@@ -185,6 +188,32 @@ fn outcomes_have_the_same_bits_however_long_the_policy_takes_by_the_clock() {
 }
 
 #[test]
+fn a_rollout_of_the_latency_axis_is_a_nominal_one_of_a_late_policy() {
+    let test = "a_rollout_of_the_latency_axis_is_a_nominal_one_of_a_late_policy";
+    let Some(mut simulator) = simulator(test) else {
+        return;
+    };
+    let short = |id: &str| {
+        let mut row = row_of(id.parse().expect("an id")).expect("a row");
+        row.max_steps = STEPS;
+        row
+    };
+    let late = short("spatial/t0/latency/L3/c00");
+    let nominal = short(&format!("spatial/t0/clean/i{:02}", late.init_id));
+    // A campaign's own model is not the axis's.
+    let ran = run_row(&mut simulator, late.under(&Execution::Wait), false);
+    let as_it = run_row(
+        &mut simulator,
+        nominal.clone().under(&parsed("overlap:4")),
+        false,
+    );
+    assert_eq!(ran.bits(), as_it.bits());
+    assert_ne!(ran.bits(), run_row(&mut simulator, nominal, false).bits());
+    let settings = &ran.simulated.finished.evidence.policy_settings;
+    assert_eq!(settings[EXECUTION], "overlap:4");
+}
+
+#[test]
 fn a_policy_is_told_what_is_executed_while_it_thinks_and_only_then() {
     let test = "a_policy_is_told_what_is_executed_while_it_thinks_and_only_then";
     let Some(mut simulator) = simulator(test) else {
@@ -211,9 +240,8 @@ fn a_policy_whose_every_action_would_be_dropped_is_not_run() {
     let Some(mut simulator) = simulator(test) else {
         return;
     };
-    let mut assignment = assignment(row());
+    let mut assignment = assignment(row().under(&parsed("overlap:10")));
     assignment.policy = "nervous".to_owned();
-    assignment.execution = parsed("overlap:10");
     let mut actor = Nervous {
         dawdles: false,
         told: Vec::new(),

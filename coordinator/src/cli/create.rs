@@ -1,5 +1,6 @@
 //! `coordinator campaign create`.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
@@ -24,7 +25,7 @@ use terminal::{counted, decimal, number, number_from, wrapped};
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
 use super::planning::{self, Planning};
-use super::{forecast, stopping};
+use super::{forecast, horizon, stopping};
 
 /// Flags that conflict with `--manifest` (the first list) and with `--spec` (both lists).
 #[rustfmt::skip]
@@ -154,10 +155,10 @@ struct SpecFlags {
     /// The robot's conduct while an answer is under way, N control steps of 50 ms: `wait`;
     /// `hold:N`, the arm holds still; `overlap:N`, it goes on with the last answer;
     /// `overlap:N,rtc`, and the policy is told with what. Instead of N, `@FILE` draws from
-    /// latencies that `policy-gateway check --latency` measured.
-    #[arg(long, value_name = "MODEL", default_value = "wait", hide_short_help = true,
-        value_parser = execution_text)]
-    execution: String,
+    /// latencies that `policy-gateway check --latency` measured. Without it: that of the
+    /// manifest's rows, or else `wait`.
+    #[arg(long, value_name = "MODEL", hide_short_help = true, value_parser = execution_text)]
+    execution: Option<String>,
 }
 
 /// Checks an execution model as far as it needs no file.
@@ -216,7 +217,8 @@ struct StopFlags {
 #[command(next_help_heading = "Design")]
 struct DesignFlags {
     /// Axes, each alone and simultaneous: names, `metric` (all with numbers),
-    /// `all`, or `none`.
+    /// `all`, or `none`; and with a comma `latency`, a late policy, alone only:
+    /// by 1, 2 and 4 control steps at L1, L2 and L3, and half the radius at others.
     #[arg(long, value_delimiter = ',', default_value = "metric")]
     axes: Vec<String>,
     /// Further conditions: several axes with + between, such as `camera+robot`;
@@ -265,6 +267,9 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         let spec = serde_json::to_string_pretty(&spec).map_err(anyhow::Error::from)?;
         return Ok(print_line(&spec)?);
     }
+    let tasks = campaign.tasks();
+    let suites: BTreeSet<&str> = tasks.iter().filter_map(|it| it.split('/').next()).collect();
+    let unasked = horizon::check(&spec, suites, &arguments.connection).await?;
     if arguments.dry_run {
         let client = arguments.connection.patient_client(Duration::ZERO)?;
         let earlier = arguments.planning_from.as_deref();
@@ -277,7 +282,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         print_line(&format!("campaign {name} would have {total}"))?;
         tell_placebo(&campaign)?;
         tell_stop(&spec, &campaign)?;
-        tell_execution(&spec)?;
+        tell_execution(&spec, unasked.as_deref())?;
         print_line(&forecast::in_words(&answer, &campaign.policy))?;
         if let Some(words) = planning::in_words(&planning) {
             print_line(&words)?;
@@ -297,7 +302,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     let total = counted(created.jobs_total, "rollout");
     print_line(&format!("campaign {name} {happened}: {total}"))?;
     tell_stop(&spec, &campaign)?;
-    tell_execution(&spec)?;
+    tell_execution(&spec, unasked.as_deref())?;
     if created.priority != arguments.priority {
         let kept = created.priority;
         print_line(&format!(
@@ -307,8 +312,12 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     tell_size(&campaign)
 }
 
-/// Says under which execution model rollouts run, unless the world waits.
-fn tell_execution(spec: &CampaignSpec) -> Result<(), CommandError> {
+/// Says under which execution model rollouts run, unless the world waits, and why its policy was not
+/// asked for the length of its answers.
+fn tell_execution(spec: &CampaignSpec, unasked: Option<&str>) -> Result<(), CommandError> {
+    if let Some(unasked) = unasked {
+        print_line(&wrapped("", 2, unasked))?;
+    }
     let (Some(delays), execution) = (spec.execution.delays(), &spec.execution) else {
         return Ok(());
     };
@@ -358,6 +367,10 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
         Some(path) => Rollouts::Manifest(read_manifest(path)?),
         None => Rollouts::Design(design_of_flags(arguments).map_err(usage)?),
     };
+    let execution = match &arguments.flags.execution {
+        Some(text) => execution(text).map_err(usage)?,
+        None => rollouts.execution(),
+    };
     let spec = CampaignSpec {
         name: arguments.name.clone().unwrap_or_default(),
         policy: PolicyRoute {
@@ -380,21 +393,25 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             rule,
             seed: arguments.stop.stop_seed,
         }),
-        execution: execution(&arguments.flags.execution).map_err(usage)?,
+        execution,
     };
     spec.check().map_err(usage)?;
     Ok(spec)
 }
 
 fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
-    let axes = match arguments.design.axes.join(",").as_str() {
+    let mut given = arguments.design.axes.clone();
+    let is_late = |name: &String| name == "latency";
+    let latency = given.iter().any(is_late);
+    given.retain(|name| !is_late(name));
+    let axes = match given.join(",").as_str() {
         "metric" => Axis::METRIC.to_vec(),
         "all" => Axis::ALL.to_vec(),
-        "none" => Vec::new(),
-        _ => parsed(&arguments.design.axes)?,
+        "none" | "" => Vec::new(),
+        _ => parsed(&given)?,
     };
     // A design without axes has no perturbation to which a level could apply.
-    let levels: Vec<Level> = match axes.is_empty() {
+    let levels: Vec<Level> = match axes.is_empty() && !latency {
         true => Vec::new(),
         false => parsed(&arguments.design.levels)?,
     };
@@ -402,6 +419,7 @@ fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
     let design = Design {
         tasks: tasks(&arguments.flags.tasks)?,
         axes,
+        latency,
         subsets,
         levels,
         configs: configs(&arguments.design.configs)?,

@@ -73,6 +73,7 @@ struct DryRun<'a> {
     policy: String,
     rollouts: usize,
     placebo_rollouts: usize,
+    execution: &'a str,
     planning: &'a Planning,
     forecast: Option<Forecast>,
     no_forecast: Option<String>,
@@ -106,7 +107,7 @@ struct Speed {
 impl<'a> DryRun<'a> {
     /// Describes a campaign for a dry run, with its forecast or the error that prevented it.
     fn of(
-        campaign: &NewCampaign,
+        campaign: &'a NewCampaign,
         answer: Result<wire::ForecastResponse, String>,
         planning: &'a Planning,
     ) -> DryRun<'a> {
@@ -119,6 +120,7 @@ impl<'a> DryRun<'a> {
             policy: campaign.policy.clone(),
             rollouts: campaign.jobs.len(),
             placebo_rollouts: campaign.jobs.iter().filter(|job| job.is_placebo()).count(),
+            execution: &campaign.execution,
             planning,
             forecast,
             no_forecast,

@@ -153,7 +153,9 @@ async fn begin(
 
 fn condition(text: &str) -> Result<Condition, &'static str> {
     match text.parse() {
-        Ok(Condition::Clean) | Err(_) => Err("write axes such as camera,robot, or simultaneous"),
+        Ok(Condition::Clean) | Err(_) => {
+            Err("write axes such as camera,robot, latency, or simultaneous")
+        }
         Ok(condition) => Ok(condition),
     }
 }

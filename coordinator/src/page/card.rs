@@ -1,7 +1,7 @@
 //! Card of one rollout on a configuration's page: outcome, video, perturbation, failed attempts and
 //! provenance.
 
-use libero_ctrl::{Axis, ManifestRow, RolloutId, seeds};
+use libero_ctrl::{Axis, Condition, ManifestRow, RolloutId, seeds};
 use maud::{Markup, html};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
 use rollout_types::GoalProgress;
@@ -140,8 +140,14 @@ fn perturbed(shown: &Shown) -> Markup {
         html! { ul.values { @for line in lines { li { (line) } } } }
     };
     html! {
+        @if !shown.row.execution.is_wait() {
+            p.muted { "Execution model " code { (shown.row.execution) } }
+        }
         @if is_told { p.instruction { "Instruction: “" (shown.row.instruction) "”" } }
         @match axes.as_slice() {
+            [] if shown.id.condition() == Condition::Latency => {
+                p.muted { "The policy is late, and nothing else perturbed." }
+            }
             [] => p.muted { "Nothing is perturbed." },
             [axis] => (values(*axis)),
             // Collapsed, since the cards of the single axes show the same values.

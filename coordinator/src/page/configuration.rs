@@ -140,6 +140,7 @@ fn siblings(asked: RolloutId) -> Vec<String> {
     // compared.
     let several = AxisSet::ALL.subsets().into_iter().map(Condition::of);
     let conditions = [Condition::Combination].into_iter().chain(several);
+    let conditions = conditions.chain([Condition::Latency]);
     let id = |condition| RolloutId::perturbed(asked.task(), condition, asked.level(), config);
     let ids = conditions.filter_map(|condition| id(condition).ok());
     ids.map(|id| id.to_string()).collect()

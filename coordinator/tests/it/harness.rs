@@ -350,6 +350,11 @@ impl Worker {
                 realisation: lease.realisation.clone(),
                 policy_name: lease.policy.clone(),
                 policy_checkpoint: "none".to_owned(),
+                policy_settings: row["execution"]
+                    .as_str()
+                    .map(|model| ("execution model".to_owned(), model.to_owned()))
+                    .into_iter()
+                    .collect(),
                 batch_mode: "deterministic".to_owned(),
                 program_version: "0.1.0".to_owned(),
                 ..wire::Provenance::default()

@@ -13,6 +13,7 @@ mod guarded;
 mod look;
 mod pack;
 mod scene;
+mod schedule;
 mod simulation;
 mod start;
 mod state;
@@ -32,6 +33,8 @@ mod _native {
     use super::look::Look;
     #[pymodule_export]
     use super::scene::Scene;
+    #[pymodule_export]
+    use super::schedule::Schedule;
     #[pymodule_export]
     use super::simulation::Simulation;
     #[pymodule_export]

@@ -98,6 +98,9 @@ fn protocol(messages: &mut Messages) {
         DesignError::NoParaphrase { .. } => DesignError::NoParaphrase {
             level: "r2.5".parse().expect("a level"),
         },
+        DesignError::Delay { .. } => DesignError::Delay {
+            level: "r3".parse().expect("a level"),
+        },
         DesignError::NoPlacebo { .. } => DesignError::NoPlacebo { field: "placebo_configs" },
         DesignError::PlaceboRadius { .. } => DesignError::PlaceboRadius { given: 2.0 },
         DesignError::PlaceboConfig { .. } => DesignError::PlaceboConfig { given: 12 },
@@ -114,6 +117,13 @@ fn protocol(messages: &mut Messages) {
         SpecError::Unmatched { .. } => SpecError::Unmatched { field: "explains" },
         SpecError::Radius { .. } => SpecError::Radius {
             field: "thresholds.tolerance", given: 0.0, valid: [0.01, 100.0],
+        },
+        SpecError::Execution { .. } => SpecError::Execution {
+            given: "hold:2".parse().expect("a model"),
+            of_rows: "overlap:4".parse().expect("a model"),
+        },
+        SpecError::Latency { .. } => SpecError::Latency {
+            given: "hold:2".parse().expect("a model"),
         },
         SpecError::Stop(_) => SpecError::Stop(StopError::NotSimultaneous),
         SpecError::Design(_) => SpecError::Design(no_design()),
@@ -140,6 +150,12 @@ fn protocol(messages: &mut Messages) {
         LineProblem::Unpaired { .. } => LineProblem::Unpaired {
             id: id(), column: "init_id".to_owned(), first: 2,
         },
+        LineProblem::Execution { .. } => LineProblem::Execution {
+            id: id(),
+            given: "hold:2".parse().expect("a model"),
+            expected: "overlap:4".parse().expect("a model"),
+            first: 1,
+        },
         LineProblem::TooMany => LineProblem::TooMany,
         LineProblem::NoRows => LineProblem::NoRows,
         LineProblem::Radius { .. } => LineProblem::Radius {
@@ -165,6 +181,11 @@ fn protocol(messages: &mut Messages) {
         },
         RowError::InitState { .. } => RowError::InitState { id: id(), given: 50 },
         RowError::Placebo { .. } => RowError::Placebo { id: id(), given: None },
+        RowError::Latency { .. } => RowError::Latency {
+            id: id(),
+            given: "hold:2".parse().expect("a model"),
+            expected: None,
+        },
         RowError::PolicySeed { .. } => RowError::PolicySeed { id: id(), given: 7 },
         RowError::Perturb { .. } => RowError::Perturb {
             id: id(),

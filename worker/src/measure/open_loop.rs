@@ -1,7 +1,7 @@
 //! A policy for measurements: its actions are fixed, it takes no time, and it asks for the same
 //! cameras and readings as the published policies.
 
-use libero_ctrl::{Execution, ManifestRow, Realisation};
+use libero_ctrl::{ManifestRow, Realisation};
 use policy_protocol::CAMERAS;
 use proto::PROTOCOL_VERSION;
 use proto::policy::{CameraRequest, DescribeResponse, StateField};
@@ -68,7 +68,6 @@ pub fn assignment(row: ManifestRow) -> Assignment {
         policy_deadline: POLICY_CALL_DEADLINE,
         session: Session::new(&row.id, 0, attempt),
         realisation: Realisation::Matched,
-        execution: Execution::Wait,
         video: None,
         keep_actions: false,
         row,

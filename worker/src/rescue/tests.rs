@@ -141,3 +141,24 @@ fn a_nudge_moves_the_hand_up_by_a_micrometre_and_no_object() {
     assert_ne!(before[..7], after[..7]);
     assert_eq!(before[7..], after[7..]);
 }
+
+#[test]
+fn what_has_no_perturbation_to_lift_is_refused() {
+    let test = "what_has_no_perturbation_to_lift_is_refused";
+    let Some(sources) = sources(test) else {
+        return;
+    };
+    let mut simulator = simulator(sources);
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for id in ["object/t0/clean/i00", "object/t0/latency/L2/c00"] {
+        let mut actor = Looking {
+            side: SIDE,
+            seen: Vec::new(),
+            instructions: Vec::new(),
+        };
+        let assignment = assignment(row(id), None);
+        let refused = run(&mut simulator, &mut actor, &assignment, folder.path());
+        assert!(matches!(refused, Err(RescueError::NotPerturbed(_))), "{id}");
+        assert!(actor.seen.is_empty(), "{id}");
+    }
+}

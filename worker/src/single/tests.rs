@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use libero_ctrl::{Axis, Execution, ManifestRow, Query, Realisation, row_of};
+use libero_ctrl::{Axis, ManifestRow, Query, Realisation, row_of};
 use policy_protocol::CAMERAS;
 use proto::policy as wire;
 use rollout_types::GoalProgress;
@@ -75,7 +75,6 @@ pub(crate) fn assignment(row: ManifestRow, video: Option<&Path>) -> Assignment {
         session: Session::new(&row.id, 0, attempt),
         row,
         realisation: Realisation::Matched,
-        execution: Execution::Wait,
         policy: String::new(),
         policy_endpoint: String::new(),
         policy_seed: 0,

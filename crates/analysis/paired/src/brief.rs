@@ -49,7 +49,8 @@ fn nominal(report: &Report) -> Option<Count> {
 
 /// Appends the success table: a row per level, a column per condition.
 fn push_success(text: &mut String, report: &Report) {
-    if report.axes.is_empty() {
+    let is_late = cells(report).any(|cell| cell.latency.is_some());
+    if report.axes.is_empty() && !is_late {
         return;
     }
     let has_simultaneous = cells(report).any(|cell| cell.simultaneous.is_some());
@@ -57,6 +58,7 @@ fn push_success(text: &mut String, report: &Report) {
     let columns: Vec<Condition> = [Condition::Clean]
         .into_iter()
         .chain(singles)
+        .chain(is_late.then_some(Condition::Latency))
         .chain(has_simultaneous.then_some(Condition::Combination))
         .collect();
     let head = columns.iter().map(|it| it.label().to_owned()).collect();
@@ -66,6 +68,7 @@ fn push_success(text: &mut String, report: &Report) {
             let count = match condition {
                 Condition::Clean => nominal(report),
                 Condition::Single(axis) => cell.alone.get(axis).map(|alone| alone.count),
+                Condition::Latency => cell.latency.as_ref().map(|late| late.count),
                 _ => cell.simultaneous,
             };
             match count.and_then(|count| count.rate()) {

@@ -138,6 +138,8 @@ fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
 /// Computes the cell of all configurations of one level and replicate.
 fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &Bootstrap) -> Cell {
     let mut conditions: Vec<Condition> = records.axes().map(Condition::Single).collect();
+    let is_late = matched.iter().any(|matched| matched.latency.is_some());
+    conditions.extend(is_late.then_some(Condition::Latency));
     if records.combines {
         conditions.push(Condition::Combination);
     }
@@ -175,6 +177,7 @@ fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &
         replicate: matched[0].replicate,
         level: matched[0].level,
         alone: alone.collect(),
+        latency: is_late.then(|| SingleAxis::new(counts[&Condition::Latency], clean)),
         subsets: subsets(matched),
         simultaneous: counts.get(&Condition::Combination).copied(),
         completeness: Completeness {

@@ -95,6 +95,9 @@ pub struct Matched {
     pub nominal: Outcome,
     /// Outcomes under each axis alone, all axes of the campaign.
     pub alone: BTreeMap<Axis, Outcome>,
+    /// Outcome with a late policy, which is in no conjunction; `None` if the campaign does not run
+    /// it at this level.
+    pub latency: Option<Outcome>,
     /// Outcomes under proper subsets of two or more axes, as far as recorded.
     pub subsets: BTreeMap<AxisSet, Outcome>,
     /// Outcome under simultaneous perturbation; also missing if the campaign does not run
@@ -195,6 +198,7 @@ impl Matched {
         match condition {
             Condition::Clean => self.nominal,
             Condition::Single(axis) => self.alone.get(&axis).copied().unwrap_or_default(),
+            Condition::Latency => self.latency.unwrap_or_default(),
             Condition::Subset(axes) => self.subsets.get(&axes).copied().unwrap_or_default(),
             Condition::Combination => self.simultaneous,
         }
@@ -206,6 +210,8 @@ impl Matched {
 pub struct Records {
     pub(crate) outcomes: BTreeMap<(u32, RolloutId), Outcome>,
     pub(crate) axes: BTreeSet<Axis>,
+    /// Levels at which the policy is late.
+    pub(crate) late: BTreeSet<Level>,
     pub(crate) combines: bool,
     pub(crate) matched: Vec<Matched>,
 }
@@ -227,6 +233,9 @@ impl Records {
                 Condition::Clean | Condition::Subset(_) => {}
                 Condition::Single(axis) => {
                     matching.axes.insert(axis);
+                }
+                Condition::Latency => {
+                    matching.late.insert(id.level());
                 }
                 Condition::Combination => matching.combines = true,
             }
@@ -258,6 +267,7 @@ impl Records {
         let nominal = RolloutId::clean(matched.task, matched.init_id);
         let nominal = self.outcomes.get(&(matched.replicate, nominal));
         let perturbed = matched.alone.values().chain(matched.subsets.values());
+        let perturbed = perturbed.chain(&matched.latency);
         let mut outcomes = perturbed.chain([&matched.simultaneous]).chain(nominal);
         outcomes.any(|outcome| *outcome == Outcome::Missing)
     }
@@ -281,6 +291,7 @@ impl Records {
                 init_id,
                 nominal: self.outcome(replicate, RolloutId::clean(id.task(), init_id)),
                 alone: self.axes().map(|axis| (axis, Outcome::Missing)).collect(),
+                latency: self.late.contains(&id.level()).then_some(Outcome::Missing),
                 subsets: BTreeMap::new(),
                 simultaneous: Outcome::Missing,
             });
@@ -291,6 +302,7 @@ impl Records {
                 Condition::Subset(axes) => {
                     entry.subsets.insert(axes, outcome);
                 }
+                Condition::Latency => entry.latency = Some(outcome),
                 Condition::Combination => entry.simultaneous = outcome,
                 Condition::Clean => {}
             }

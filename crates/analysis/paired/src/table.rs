@@ -142,12 +142,13 @@ fn gate_line(of: &str, gate: &Gate, rollouts: u64, remedy: &str) -> String {
 }
 
 fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
-    if report.axes.is_empty() {
+    let is_late = cells.iter().any(|cell| cell.latency.is_some());
+    if report.axes.is_empty() && !is_late {
         return;
     }
     separate(text);
     let losses = |cell: &&Cell| {
-        let mut axes = cell.alone.values();
+        let mut axes = cell.alone.values().chain(&cell.latency);
         axes.any(|axis| axis.clean_relative_loss.is_some())
     };
     let losses = cells.iter().any(losses);
@@ -159,6 +160,7 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
     let has_simultaneous = cells.iter().any(|cell| cell.simultaneous.is_some());
     let singles = report.axes.iter().copied().map(Condition::Single);
     let columns: Vec<Condition> = singles
+        .chain(is_late.then_some(Condition::Latency))
         .chain(has_simultaneous.then_some(Condition::Combination))
         .collect();
     let row = |label: &str, value: &dyn Fn(Condition) -> String| -> (String, Vec<String>) {
@@ -171,10 +173,16 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
     for cell in cells {
         let count = |condition| match condition {
             Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
+            Condition::Latency => cell.latency.as_ref().map(|late| late.count),
             _ => cell.simultaneous,
         };
         let loss = |condition| match condition {
             Condition::Single(axis) => percent(cell.alone[&axis].clean_relative_loss),
+            Condition::Latency => percent(
+                cell.latency
+                    .as_ref()
+                    .and_then(|late| late.clean_relative_loss),
+            ),
             _ => String::new(),
         };
         let success = |condition| match count(condition).and_then(|count| count.rate()) {

@@ -388,3 +388,42 @@ fn a_rollout_recorded_twice_is_refused() {
         })
     );
 }
+
+/// A late policy is beside the six axes: it has a rate, and nothing else changes.
+#[test]
+fn a_late_policy_has_a_rate_and_is_in_no_paired_measure() {
+    let record = |condition: Condition, index: usize, outcome| Record {
+        id: RolloutId::perturbed(task(index), condition, Level::L2, 0).expect("an id"),
+        init_id: 0,
+        replicate: 0,
+        outcome,
+    };
+    let mut records = Vec::new();
+    for index in 0..4 {
+        for axis in [Axis::Camera, Axis::Robot] {
+            records.push(record(Condition::Single(axis), index, Outcome::Success));
+        }
+        records.push(record(
+            Condition::Combination,
+            index,
+            Outcome::from(index > 0),
+        ));
+    }
+    let options = Options::default();
+    let without = report(&records, &options).expect("no duplicates");
+    let late = |index: usize| match index {
+        3 => Outcome::Missing,
+        _ => Outcome::Failure,
+    };
+    records.extend((0..4).map(|index| record(Condition::Latency, index, late(index))));
+    let with = report(&records, &options).expect("no duplicates");
+    assert_eq!((&with.axes, with.cells.len()), (&without.axes, 1));
+    let (cell, before) = (&with.cells[0], &without.cells[0]);
+    assert_eq!((&cell.paired, &cell.alone), (&before.paired, &before.alone));
+    assert_eq!(cell.completeness.complete, before.completeness.complete);
+    let count = cell.latency.as_ref().expect("a rate").count;
+    assert_eq!(count, Count { successes: 0, n: 3 });
+    assert_eq!(cell.completeness.gaps[&Condition::Latency].missing, 1);
+    assert_eq!(before.latency, None);
+    assert!(table(&with).contains("latency") && !table(&without).contains("latency"));
+}

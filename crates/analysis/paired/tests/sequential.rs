@@ -400,6 +400,7 @@ fn matched(camera: Outcome, robot: Outcome, simultaneous: Outcome) -> Matched {
         init_id: 0,
         nominal: Outcome::Missing,
         alone: [(Axis::Camera, camera), (Axis::Robot, robot)].into(),
+        latency: None,
         subsets: BTreeMap::new(),
         simultaneous,
     }

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use libero_ctrl::{JsonError, Level};
+use libero_ctrl::{Execution, JsonError, Level};
 use paired::{DuplicateRecord, Measures, Report, push_wrapped};
 use serde::Serialize;
 
@@ -61,6 +61,7 @@ struct JsonReport<'a> {
     origin: &'a Origin,
     realisation: Option<&'a str>,
     placebo_radius: Option<f64>,
+    execution: &'a Execution,
     errors: &'a [Quarantined],
     #[serde(skip_serializing_if = "Option::is_none")]
     sequential: Option<&'a Sequential>,
@@ -132,6 +133,7 @@ impl Document {
             origin: &analysis.subject.origin,
             realisation: analysis.subject.realisation.map(|r| r.name()),
             placebo_radius: analysis.subject.placebo_radius,
+            execution: &analysis.subject.execution,
             errors: &analysis.subject.errors,
             sequential: analysis.sequential.as_ref(),
             report: &analysis.report,
@@ -253,6 +255,10 @@ fn head(subject: &Subject) -> String {
         Some(realisation) => realisation.name(),
         None => "unknown",
     };
+    let execution = match &subject.execution {
+        Execution::Wait => String::new(),
+        execution => format!("execution model {execution}\n"),
+    };
     match &subject.origin {
         Origin::Campaign {
             name,
@@ -260,7 +266,7 @@ fn head(subject: &Subject) -> String {
             design,
         } => format!(
             "campaign {name}\npolicy {policy} at {endpoint}\n\
-             design {design}, realisation {realisation}\n"
+             design {design}, realisation {realisation}\n{execution}"
         ),
         Origin::File {
             name,
@@ -272,7 +278,9 @@ fn head(subject: &Subject) -> String {
                 push_wrapped(&mut head, "", source);
             }
             let digest = warnings::short(digest);
-            head.push_str(&format!("SHA-256 {digest}…, realisation {realisation}\n"));
+            head.push_str(&format!(
+                "SHA-256 {digest}…, realisation {realisation}\n{execution}"
+            ));
             head
         }
     }

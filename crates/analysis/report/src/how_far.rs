@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use libero_ctrl::{Condition, JsonError, Level, TaskRef, Thresholds};
+use libero_ctrl::{CONTROL_HZ, Condition, JsonError, Level, STEPS_PER_RADIUS, TaskRef, Thresholds};
 use paired::{Bootstrap, Outcome, Record, push_wrapped};
 use serde::Serialize;
 use thresholds::{Curve, Decision, Known, Measurement, Ray, Threshold};
@@ -354,10 +354,39 @@ fn push_half_success(text: &mut String, curves: &[&Curve]) {
         );
         push_wrapped(text, "", &words);
     }
+    let late = curves
+        .iter()
+        .find(|curve| curve.condition == Condition::Latency);
+    if let Some(words) = late.map(|curve| bears(curve)) {
+        push_wrapped(text, "", &words);
+    }
     if curves.iter().any(|curve| !curve.is_bisected) {
         let words = "where language is perturbed, there are wordings at L1, L2 and L3 and at no \
                      radius between or beyond";
         push_wrapped(text, "", words);
+    }
+}
+
+/// Says the delay up to which half of the configurations succeed, in whole control steps.
+pub(crate) fn bears(curve: &Curve) -> String {
+    let delay = |radius: f64| {
+        let steps = (radius * STEPS_PER_RADIUS).floor();
+        let milliseconds = steps * 1000.0 / f64::from(CONTROL_HZ);
+        let steps = things(steps as u64, "control step");
+        format!("{steps}, {milliseconds} ms")
+    };
+    match curve.half_success.radius {
+        Some(radius) => format!(
+            "latency: half of the configurations bear {}; a radius of 2 is one step",
+            delay(radius)
+        ),
+        None if curve.beyond * 2 > curve.n => format!(
+            "latency: more than half of the configurations bear {}, the longest delay that was run",
+            delay(curve.largest_radius)
+        ),
+        None => "latency: fewer than half of the configurations succeed without a delay, or it is \
+                 not known how many bear one"
+            .to_owned(),
     }
 }
 

@@ -10,7 +10,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use libero_ctrl::{Condition, Directions, JsonError, Level, RolloutId, Suite};
+use libero_ctrl::{Condition, Directions, Execution, JsonError, Level, RolloutId, Suite};
 use libero_ctrl::{MAX_ROWS, Realisation};
 use paired::{Count, Outcome, Progress, Record};
 use rollout_types::GoalProgress;
@@ -125,6 +125,8 @@ struct Row {
     goal_predicates: Option<u32>,
     goal_at_end: Option<u32>,
     goal_at_most: Option<u32>,
+    #[serde(default)]
+    execution: Execution,
 }
 
 /// Reads one policy's results from a folder, or from a file of rows.
@@ -197,6 +199,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
             source: about.source,
         },
         realisation: about.realisation,
+        execution: reading.execution.unwrap_or_default(),
         records: reading.records,
         errors: Vec::new(),
         divergent: Vec::new(),
@@ -241,6 +244,8 @@ struct Reading {
     /// Line number of each rollout and replicate, to report duplicates.
     lines: HashMap<(RolloutId, u32), usize>,
     policy: Option<String>,
+    /// Execution model of the first row.
+    execution: Option<Execution>,
     bad: usize,
     named: Vec<BadLine>,
 }
@@ -289,6 +294,18 @@ impl Reading {
             }
             (None, Some(policy)) => self.policy = Some(policy),
             _ => {}
+        }
+        let is_late = row.rollout_id.condition() == Condition::Latency;
+        let of_first = self.execution.get_or_insert_with(|| match is_late {
+            true => Execution::Wait,
+            false => row.execution.clone(),
+        });
+        if !is_late && *of_first != row.execution {
+            return Err(format!(
+                "it ran under execution model `{}`, those before under `{of_first}`: one model per \
+                 file",
+                row.execution
+            ));
         }
         match (self.placebo_radius, row.placebo_radius) {
             (Some(one), Some(other)) if one != other => {

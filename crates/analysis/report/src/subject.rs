@@ -3,7 +3,9 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use libero_ctrl::{Directions, Explanation, Realisation, RolloutId, Stop, Suite, Thresholds};
+use libero_ctrl::{
+    Directions, Execution, Explanation, Realisation, RolloutId, Stop, Suite, Thresholds,
+};
 use paired::{CampaignLook, Count, Progress, Record};
 use rollout_types::{Fingerprints, Provenance};
 use serde::{Deserialize, Serialize};
@@ -17,6 +19,9 @@ pub struct Subject {
     pub origin: Origin,
     /// Source of the perturbations' random elements, if known.
     pub realisation: Option<Realisation>,
+    /// Behaviour of the robot while a response of its policy was pending.
+    #[serde(default)]
+    pub execution: Execution,
     /// Every planned rollout, with or without an outcome.
     pub records: Vec<Record>,
     /// The last errors of the quarantined rollouts.

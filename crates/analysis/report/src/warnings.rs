@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use paired::Outcome;
 
-use libero_ctrl::Condition;
+use libero_ctrl::{Condition, delay_at};
 use rollout_types::{Fingerprints, Provenance};
 
 use crate::subject::Subject;
@@ -23,8 +23,13 @@ pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
     let mut warnings = Vec::new();
     warnings.extend(left_out(subject));
     for (what, so, of) in MIXTURES {
-        warnings.extend(mixed(provenances, what, so, of));
+        warnings.extend(mixed(provenances.iter().map(of), what, so));
     }
+    warnings.extend(mixed(
+        executions(subject),
+        "execution model",
+        "never pooled: each is another robot",
+    ));
     warnings.extend(subject.fingerprints.as_ref().map(fingerprints_in_words));
     if provenances.iter().any(|p| p.pin.asset_pack == PRIMITIVES) {
         warnings.push(format!(
@@ -75,26 +80,36 @@ pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
         ("MuJoCo version", "each is another simulator", mujoco as Of),
         ("asset pack", "each is another benchmark", pack),
         ("renderer", "each draws other pictures", renderer),
-        ("execution model", "each is another robot", execution),
     ];
     for (what, so, of) in comparable {
         let values = subjects.iter().flat_map(|s| s.provenances.iter().map(of));
-        let values: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
-        if values.len() > 1 {
-            warnings.push(format!(
-                "the policies were measured with more than one {what} ({so}): {}",
-                values.into_iter().collect::<Vec<_>>().join("; ")
-            ));
-        }
+        let values = values.filter(|value| !value.is_empty()).collect();
+        warnings.extend(more_than_one(what, so, values));
     }
+    let executions = subjects.iter().map(|subject| subject.execution.to_string());
+    warnings.extend(more_than_one(
+        "execution model",
+        "each is another robot",
+        executions.collect(),
+    ));
     warnings
+}
+
+fn more_than_one(what: &str, so: &str, values: BTreeSet<String>) -> Option<String> {
+    (values.len() > 1).then(|| {
+        let values: Vec<String> = values.into_iter().collect();
+        format!(
+            "the policies were measured with more than one {what} ({so}): {}",
+            values.join("; ")
+        )
+    })
 }
 
 pub(crate) type Of = fn(&Provenance) -> String;
 
 /// Properties that all results of a campaign should share, and the consequence if they
 /// differ.
-const MIXTURES: [(&str, &str, Of); 7] = [
+const MIXTURES: [(&str, &str, Of); 6] = [
     (
         "MuJoCo version",
         "never pooled: each is another simulator",
@@ -116,11 +131,6 @@ const MIXTURES: [(&str, &str, Of); 7] = [
         "never pooled: each draws other pictures",
         renderer,
     ),
-    (
-        "execution model",
-        "never pooled: each is another robot",
-        execution,
-    ),
     ("program version", "compare with care", |p| {
         p.program_version.clone()
     }),
@@ -139,8 +149,18 @@ pub(crate) fn renderer(p: &Provenance) -> String {
     p.pin.renderer.clone()
 }
 
-fn execution(p: &Provenance) -> String {
-    p.execution().to_owned()
+/// Returns the execution models of the results, without those of the latency axis.
+fn executions(subject: &Subject) -> impl Iterator<Item = String> {
+    let late = subject.records.iter().map(|record| record.id);
+    let late = late.filter(|id| id.condition() == Condition::Latency);
+    let late: BTreeSet<String> = late
+        .filter_map(|id| Some(format!("overlap:{}", delay_at(id.level())?)))
+        .collect();
+    let models = subject
+        .provenances
+        .iter()
+        .map(|it| it.execution().to_owned());
+    models.filter(move |model| !late.contains(model))
 }
 
 fn checkpoint(p: &Provenance) -> String {
@@ -148,8 +168,7 @@ fn checkpoint(p: &Provenance) -> String {
     format!("{} {} ({digest})", p.policy_name, p.policy_checkpoint)
 }
 
-fn mixed(provenances: &[Provenance], what: &str, so: &str, of: Of) -> Option<String> {
-    let values = provenances.iter().map(of);
+fn mixed(values: impl Iterator<Item = String>, what: &str, so: &str) -> Option<String> {
     let values: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
     (values.len() > 1).then(|| {
         let values: Vec<String> = values.into_iter().collect();

@@ -11,9 +11,6 @@ use crate::found::{Threshold, found};
 use crate::ray::Known;
 use crate::search::Search;
 
-/// Rounding error by which a bracket may exceed the tolerance: radii have six decimals.
-const ROUNDING: f64 = 1e-5;
-
 /// Next step for a ray.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Decision {
@@ -50,12 +47,7 @@ pub fn next(known: &Known, search: &Search) -> Decision {
     else {
         return Decision::Done;
     };
-    let [low, high] = [succeeds_at.radius(), fails_at.radius()];
-    let is_wide = search
-        .tolerance
-        .is_some_and(|it| high - low > it + ROUNDING);
-    let halfway = Level::of_radius(f64::midpoint(low, high)).filter(|_| is_wide);
-    match halfway {
+    match search.halfway([succeeds_at.radius(), fails_at.radius()]) {
         // A rollout exists halfway and did not narrow the bracket, so it is quarantined: the
         // bracket cannot be narrowed further.
         Some(level) if known.at(level).is_none() => Decision::Run(vec![level]),

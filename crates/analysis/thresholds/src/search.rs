@@ -1,6 +1,9 @@
 //! Parameters of the search for thresholds: grid and tolerance.
 
-use libero_ctrl::{Axis, AxisSet, Condition, Level, Thresholds};
+use libero_ctrl::{Axis, AxisSet, Condition, Level, STEPS_PER_RADIUS, Thresholds, delay_at};
+
+/// Rounding error by which a bracket may exceed the tolerance: radii have six decimals.
+const ROUNDING: f64 = 1e-5;
 
 /// Parameters of the search for a threshold.
 ///
@@ -15,25 +18,53 @@ pub struct Search {
     /// Largest width of a finished bracket, in units of radius; `None` if no radii between
     /// those of the grid exist.
     pub tolerance: Option<f64>,
+    /// Distance between radii that can be run, where not every radius can.
+    pub spacing: Option<f64>,
 }
 
 impl Search {
     /// Returns the search for the thresholds of a condition in a campaign of the given axes.
     /// Language has wordings only at the protocol's levels, so that a condition that
-    /// perturbs it is run only at those.
+    /// perturbs it is run only at those. A policy is late by whole control steps.
     pub fn of(thresholds: &Thresholds, condition: Condition, axes: AxisSet) -> Self {
         let mut grid = thresholds.grid();
+        if condition == Condition::Latency {
+            let spacing = 1.0 / STEPS_PER_RADIUS;
+            grid.retain(|level| delay_at(*level).is_some());
+            return Self {
+                grid,
+                tolerance: Some(thresholds.tolerance.max(spacing)),
+                spacing: Some(spacing),
+            };
+        }
         if !condition.axes(axes).contains(Axis::Language) {
             return Self {
                 grid,
                 tolerance: Some(thresholds.tolerance),
+                spacing: None,
             };
         }
         grid.retain(|level| level.is_named());
         Self {
             grid,
             tolerance: None,
+            spacing: None,
         }
+    }
+
+    /// Returns the radius that halves a bracket; `None` if it is narrow enough, or no radius that
+    /// can be run lies within.
+    pub(crate) fn halfway(&self, [low, high]: [f64; 2]) -> Option<Level> {
+        let tolerance = self.tolerance?;
+        if high - low <= tolerance + ROUNDING {
+            return None;
+        }
+        let middle = f64::midpoint(low, high);
+        let middle = match self.spacing {
+            Some(spacing) => (middle / spacing).floor() * spacing,
+            None => middle,
+        };
+        Level::of_radius(middle).filter(|_| middle > low)
     }
 
     /// Returns the largest radius of the grid.

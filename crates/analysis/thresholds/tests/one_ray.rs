@@ -178,6 +178,40 @@ proptest! {
     }
 }
 
+/// A policy is late by whole steps: radii of 2, 4, 6, …
+#[test]
+fn a_delay_is_found_to_the_control_step() {
+    for (max_radius, grid) in [
+        (16.0, "L1 L2 L3 r16"),
+        (14.0, "L1 L2 L3 r14"),
+        (5.5, "L1 L2"),
+    ] {
+        let measured = thresholds(0.5, max_radius);
+        let search = Search::of(&measured, Condition::Latency, AxisSet::ALL);
+        let radii: Vec<String> = search.grid.iter().map(Level::to_string).collect();
+        assert_eq!(radii.join(" "), grid);
+        for bears in 0..=7_u16 {
+            let radius = 2.0 * f64::from(bears);
+            let outcome = |level: Level| Outcome::from(level.radius() <= radius);
+            let known = run(&search, outcome);
+            let steps = |level: Level| level.radius() / 2.0;
+            assert!(known.points().all(|(level, _)| steps(level).fract() == 0.0));
+            let largest = search.largest().expect("a radius");
+            let expected = match radius >= largest.radius() {
+                true => Threshold::Beyond,
+                false => Threshold::Between {
+                    succeeds_at: match bears {
+                        0 => Level::L0,
+                        _ => level(radius),
+                    },
+                    fails_at: level(radius + 2.0),
+                },
+            };
+            assert_eq!(found(&known, &search).threshold, expected, "{bears} steps");
+        }
+    }
+}
+
 #[test]
 fn what_fails_nominally_is_not_perturbed_further() {
     let search = search(0.5, 16.0);

@@ -4,13 +4,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::axis::Axis;
 use crate::axis_set::AxisSet;
-use crate::condition::Realisation;
+use crate::condition::{Condition, Realisation};
 use crate::design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
 use crate::directions::Directions;
 use crate::execution::Execution;
 use crate::explanation::Explanation;
+use crate::latency::AnyAxis;
 use crate::level::Level;
 use crate::manifest::{self, ManifestErrors};
 use crate::names::UnknownName;
@@ -76,6 +76,19 @@ impl Rollouts {
             Self::Design(_) | Self::Manifest(_) => None,
             Self::Explanation(Explanation { campaign, .. })
             | Self::Thresholds(Thresholds { campaign, .. }) => Some(campaign),
+        }
+    }
+
+    /// Returns the execution model of a campaign that names none: that of its manifest's rows,
+    /// which share one, or [`Execution::Wait`].
+    pub fn execution(&self) -> Execution {
+        match self {
+            Self::Manifest(rows) => {
+                let mut others = rows.iter();
+                let other = others.find(|row| row.id.condition() != Condition::Latency);
+                other.map_or(Execution::Wait, |row| row.execution.clone())
+            }
+            Self::Design(_) | Self::Explanation(_) | Self::Thresholds(_) => Execution::Wait,
         }
     }
 
@@ -181,6 +194,26 @@ pub enum SpecError {
         /// Valid range.
         valid: [f64; 2],
     },
+    /// The execution model differs from that of the manifest's rows.
+    #[error(
+        "read campaign specification: `execution` is {given}, and the rows of its manifest are \
+         under `{of_rows}`: leave `execution` out, or take it out of the rows"
+    )]
+    Execution {
+        /// The campaign's model.
+        given: Execution,
+        /// Model of the rows.
+        of_rows: Execution,
+    },
+    /// The latency axis, in a campaign whose policy is late anyway.
+    #[error(
+        "read campaign specification: axis `latency` with `execution` {given}: its rollouts are \
+         compared with some whose policy is not late; leave `execution` out, or take the axis out"
+    )]
+    Latency {
+        /// The campaign's model.
+        given: Execution,
+    },
     /// The rule cannot end the campaign.
     #[error("read campaign specification: {0}")]
     Stop(StopError),
@@ -243,8 +276,21 @@ impl CampaignSpec {
             return Err(SpecError::Assets { given });
         }
         match &self.rollouts {
-            Rollouts::Design(design) => design.check()?,
-            Rollouts::Manifest(rows) => manifest::check(rows)?,
+            Rollouts::Design(design) => {
+                design.check()?;
+                if design.latency && !self.execution.is_wait() {
+                    let given = self.execution.clone();
+                    return Err(SpecError::Latency { given });
+                }
+            }
+            Rollouts::Manifest(rows) => {
+                manifest::check(rows)?;
+                let of_rows = self.rollouts.execution();
+                if !of_rows.is_wait() && of_rows != self.execution {
+                    let given = self.execution.clone();
+                    return Err(SpecError::Execution { given, of_rows });
+                }
+            }
             Rollouts::Explanation(explanation) => {
                 if explanation.campaign.is_empty() {
                     return empty("explains.campaign", "name the campaign to explain");
@@ -292,7 +338,7 @@ impl CampaignSpec {
     pub fn version(&self) -> DesignVersion {
         let version = match &self.rollouts {
             Rollouts::Design(design) => design.version(),
-            Rollouts::Manifest(rows) => DesignVersion::of_manifest(rows),
+            Rollouts::Manifest(rows) => DesignVersion::of_rows(rows),
             Rollouts::Explanation(explanation) => DesignVersion::of_explanation(explanation),
             Rollouts::Thresholds(thresholds) => DesignVersion::of_thresholds(thresholds),
         };
@@ -309,7 +355,7 @@ struct SpecText {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     tasks: Option<Vec<String>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    axes: Option<Vec<Axis>>,
+    axes: Option<Vec<AnyAxis>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     subsets: Option<Vec<AxisSet>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -344,8 +390,8 @@ struct SpecText {
     renderer: Option<RendererKind>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     stop: Option<Stop>,
-    #[serde(default, skip_serializing_if = "Execution::is_wait")]
-    execution: Execution,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    execution: Option<Execution>,
 }
 
 /// Error in the combination of fields, or an unknown task.
@@ -384,7 +430,6 @@ impl TryFrom<SpecText> for CampaignSpec {
         Ok(Self {
             name: text.name,
             policy: text.policy,
-            rollouts,
             realisation: text.realisation,
             replicates: text.replicates,
             record: text.record,
@@ -393,7 +438,8 @@ impl TryFrom<SpecText> for CampaignSpec {
                 renderer: text.renderer,
             },
             stop: text.stop,
-            execution: text.execution,
+            execution: text.execution.unwrap_or_else(|| rollouts.execution()),
+            rollouts,
         })
     }
 }
@@ -422,20 +468,20 @@ impl From<CampaignSpec> for SpecText {
             assets: spec.wanted.assets,
             renderer: spec.wanted.renderer,
             stop: spec.stop,
-            execution: spec.execution,
+            execution: (!spec.execution.is_wait()).then_some(spec.execution),
         };
         match spec.rollouts {
             Rollouts::Manifest(rows) => text.manifest = Some(rows),
             Rollouts::Explanation(explanation) => text.explains = Some(explanation),
             Rollouts::Thresholds(thresholds) => text.thresholds = Some(thresholds),
             Rollouts::Design(design) => {
+                text.axes = Some(design.any_axes());
                 if design.has_placebo() {
                     text.placebo_radius = Some(design.placebo.radius.radius());
                 }
                 text.placebo_configs = design.placebo.configs;
                 text.directions = Some(design.directions).filter(|it| *it != Directions::Shared);
                 text.tasks = Some(design.tasks.iter().map(TaskRef::to_string).collect());
-                text.axes = Some(design.axes);
                 text.subsets = Some(design.subsets).filter(|subsets| !subsets.is_empty());
                 text.levels = Some(design.levels);
                 text.configs = Some(design.configs);
@@ -481,9 +527,11 @@ fn design(text: &mut SpecText) -> Result<Design, TextError> {
     for name in names {
         tasks.extend(select_tasks(&name)?);
     }
+    let axes = text.axes.take().ok_or(TextError::Missing("axes"))?;
     let design = Design {
         tasks,
-        axes: text.axes.take().ok_or(TextError::Missing("axes"))?,
+        axes: Vec::new(),
+        latency: false,
         subsets: text.subsets.take().unwrap_or_default(),
         levels: text.levels.take().ok_or(TextError::Missing("levels"))?,
         configs: text
@@ -498,7 +546,7 @@ fn design(text: &mut SpecText) -> Result<Design, TextError> {
             configs: text.placebo_configs.take(),
         },
     };
-    Ok(design.in_order())
+    Ok(design.with_any_axes(&axes).in_order())
 }
 
 fn placebo_radius(given: Option<f64>) -> Result<Level, DesignError> {

@@ -6,6 +6,7 @@ use std::str::FromStr;
 
 use crate::axis::Axis;
 use crate::axis_set::AxisSet;
+use crate::latency::LATENCY;
 use crate::names::{UnknownName, serde_as_text};
 
 /// Perturbed axes of a rollout.
@@ -15,6 +16,8 @@ pub enum Condition {
     Clean,
     /// One axis alone.
     Single(Axis),
+    /// A late policy, alone: an axis beside the protocol's six, which no set of axes has.
+    Latency,
     /// Two to five axes; constructed by [`Self::of`].
     Subset(AxisSet),
     /// Simultaneous: all axes of the campaign at once. Rollout ids use the published name
@@ -35,10 +38,11 @@ impl Condition {
         }
     }
 
-    /// Returns the axes that the condition perturbs in a campaign of the given axes.
+    /// Returns the axes of the protocol that the condition perturbs in a campaign of the given
+    /// axes.
     pub const fn axes(self, campaign: AxisSet) -> AxisSet {
         match self {
-            Self::Clean => AxisSet::EMPTY,
+            Self::Clean | Self::Latency => AxisSet::EMPTY,
             Self::Single(axis) => AxisSet::of(axis),
             Self::Subset(axes) => axes,
             Self::Combination => campaign,
@@ -51,6 +55,7 @@ impl Condition {
         match self {
             Self::Clean => "clean",
             Self::Single(axis) => axis.name(),
+            Self::Latency => LATENCY,
             Self::Subset(axes) => axes.name(),
             Self::Combination => "combination",
         }
@@ -61,6 +66,7 @@ impl Condition {
         match self {
             Self::Clean => "nominal",
             Self::Single(axis) => axis.name(),
+            Self::Latency => LATENCY,
             Self::Subset(axes) => axes.name(),
             Self::Combination => "simultaneous",
         }
@@ -81,11 +87,13 @@ impl FromStr for Condition {
         match text {
             "nominal" | "clean" => Ok(Self::Clean),
             "simultaneous" | "combination" => Ok(Self::Combination),
+            LATENCY => Ok(Self::Latency),
             axes => match axes.parse() {
                 Ok(axes) if axes != AxisSet::EMPTY => Ok(Self::of(axes)),
                 _ => {
                     let mut valid = vec!["nominal", "simultaneous"];
                     valid.extend(Axis::ALL.map(Axis::name));
+                    valid.push(LATENCY);
                     valid.push("several axes such as camera+robot");
                     Err(UnknownName::new("condition", text, &valid))
                 }

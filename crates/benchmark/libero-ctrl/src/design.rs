@@ -11,6 +11,7 @@ use crate::condition::Condition;
 use crate::directions::{Directions, MAX_CONFIGS};
 use crate::execution::Execution;
 use crate::explanation::Explanation;
+use crate::latency::{AnyAxis, LATENCY, delay_at};
 use crate::level::Level;
 use crate::manifest;
 use crate::names::{UnknownName, serde_as_text};
@@ -27,6 +28,8 @@ pub struct Design {
     pub tasks: Vec<TaskRef>,
     /// Perturbed axes: each alone and, if there are two or more, all simultaneously.
     pub axes: Vec<Axis>,
+    /// True if the policy is also late, alone: the latency axis beside the six.
+    pub latency: bool,
     /// Further conditions: proper subsets of two or more axes.
     pub subsets: Vec<AxisSet>,
     /// Levels of every axis. L0 is the placebo level.
@@ -117,6 +120,15 @@ pub enum DesignError {
         /// The level.
         level: Level,
     },
+    /// The latency axis has no whole number of control steps at a level.
+    #[error(
+        "axis `latency` is late by whole control steps, half as many as the radius, and has none \
+         at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, or take it out of `axes`"
+    )]
+    Delay {
+        /// The level.
+        level: Level,
+    },
     /// The design has more than [`MAX_ROWS`] rows.
     #[error("it has {rows} rollouts, at most {MAX_ROWS} are expanded: divide it")]
     TooLarge {
@@ -131,6 +143,7 @@ impl Design {
         Self {
             tasks: TaskRef::all().collect(),
             axes: Axis::ALL.to_vec(),
+            latency: false,
             subsets: Vec::new(),
             levels: Level::PERTURBED.to_vec(),
             configs: (0..PRESETS).collect(),
@@ -167,8 +180,9 @@ impl Design {
         if self.tasks.is_empty() {
             return empty("tasks", "write for example libero_goal/3 or all");
         }
-        if self.axes.is_empty() != self.levels.is_empty() {
-            let missing = match self.axes.is_empty() {
+        let perturbs_nothing = self.axes.is_empty() && !self.latency;
+        if perturbs_nothing != self.levels.is_empty() {
+            let missing = match perturbs_nothing {
                 true => "axes",
                 false => "levels",
             };
@@ -177,7 +191,7 @@ impl Design {
                 "axes and levels go together: give both, or neither for nominal rollouts",
             );
         }
-        if self.axes.is_empty() && self.nominal == Nominal::None {
+        if perturbs_nothing && self.nominal == Nominal::None {
             return empty("axes", "and no nominal rollouts are asked for either");
         }
         let axes = self.axis_set();
@@ -200,6 +214,12 @@ impl Design {
         let unnamed = self.levels.iter().find(|level| !is_spoken(level));
         if let (true, Some(&level)) = (self.axes.contains(&Axis::Language), unnamed) {
             return Err(DesignError::NoParaphrase { level });
+        }
+        let mut levels = self.levels.iter().filter(|level| **level != Level::L0);
+        if self.latency
+            && let Some(&level) = levels.find(|level| delay_at(**level).is_none())
+        {
+            return Err(DesignError::Delay { level });
         }
         match self.rows_at_most() {
             rows if rows > MAX_ROWS => Err(DesignError::TooLarge { rows }),
@@ -245,16 +265,40 @@ impl Design {
         level != Level::L0 || self.placebo.has(config)
     }
 
+    /// Returns the axes as a specification names them.
+    pub fn any_axes(&self) -> Vec<AnyAxis> {
+        let axes = self.axes.iter().copied().map(AnyAxis::Protocol);
+        axes.chain(self.latency.then_some(AnyAxis::Latency))
+            .collect()
+    }
+
+    /// Sets the axes that a specification names.
+    pub fn with_any_axes(mut self, axes: &[AnyAxis]) -> Self {
+        self.latency = axes.contains(&AnyAxis::Latency);
+        let protocols = axes.iter().filter_map(|axis| match axis {
+            AnyAxis::Protocol(axis) => Some(*axis),
+            AnyAxis::Latency => None,
+        });
+        self.axes = protocols.collect();
+        self
+    }
+
+    /// Returns true if a condition is run at a level: at the placebo level, a late policy is none.
+    pub(crate) fn has(&self, condition: Condition, level: Level) -> bool {
+        condition != Condition::Latency || level != Level::L0
+    }
+
     /// Returns the set of all axes of the design.
     pub fn axis_set(&self) -> AxisSet {
         self.axes.iter().copied().collect()
     }
 
-    /// Returns the perturbed conditions: each axis alone, the subsets and, if there are two
-    /// axes or more, their combination.
+    /// Returns the perturbed conditions: each axis alone, latency, the subsets and, if there are
+    /// two of the six axes or more, their combination.
     pub fn conditions(&self) -> Vec<Condition> {
         let mut conditions: Vec<Condition> =
             self.axes.iter().copied().map(Condition::Single).collect();
+        conditions.extend(self.latency.then_some(Condition::Latency));
         conditions.extend(self.subsets.iter().copied().map(Condition::of));
         if self.axes.len() > 1 {
             conditions.push(Condition::Combination);
@@ -283,6 +327,9 @@ impl Design {
         // The same holds for designs with shared directions and without a placebo.
         if self.directions == Directions::Own {
             text.push_str("own directions");
+        }
+        if self.latency {
+            text.push_str(LATENCY);
         }
         if self.has_placebo() {
             let Placebo { radius, configs } = &self.placebo;
@@ -329,10 +376,21 @@ impl DesignVersion {
     /// those of v0.1 have the version v0.1; the reference's own manifest does not, because
     /// its paraphrases differ.
     pub fn of_manifest(rows: &[ManifestRow]) -> Self {
+        let version = Self::of_rows(rows);
+        let mut others = rows.iter();
+        match others.find(|row| row.id.condition() != Condition::Latency) {
+            Some(row) => version.under(&row.execution),
+            None => version,
+        }
+    }
+
+    /// Returns the version of imported rows regardless of their execution model.
+    pub(crate) fn of_rows(rows: &[ManifestRow]) -> Self {
         let text = |rows: &[ManifestRow]| {
-            let mut rows: Vec<&ManifestRow> = rows.iter().collect();
+            let rows = rows.iter().cloned().map(|row| row.under(&Execution::Wait));
+            let mut rows: Vec<ManifestRow> = rows.collect();
             rows.sort_by_key(|row| row.id);
-            manifest::to_text(rows)
+            manifest::to_text(&rows)
         };
         let ours = text(rows);
         let whole = Design::v0_1().expand().expect("v0.1 is a design");

@@ -8,6 +8,7 @@ use crate::campaign::{CampaignSpec, Rollouts, SpecError};
 use crate::condition::Condition;
 use crate::design::{Design, DesignError, Nominal};
 use crate::directions::{direction, init_id};
+use crate::latency::execution_at;
 use crate::level::Level;
 use crate::paraphrase::paraphrase;
 use crate::perturbation::Perturbation;
@@ -18,19 +19,21 @@ use crate::row::ManifestRow;
 use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
 
 impl CampaignSpec {
-    /// Returns the campaign's rows in the order of [`Design::expand`]: those of its design,
-    /// or the unchanged rows of its manifest.
+    /// Returns the campaign's rows in the order of [`Design::expand`], under its execution model:
+    /// those of its design, or those of its manifest.
     ///
     /// # Errors
     /// If the specification is invalid.
     pub fn expand(&self) -> Result<Vec<ManifestRow>, SpecError> {
         self.check()?;
-        Ok(match &self.rollouts {
+        let rows = match &self.rollouts {
             Rollouts::Design(design) => design.expand()?,
             Rollouts::Manifest(rows) => paired_units_first(rows.clone()),
             // These rows are planned from outcomes at run time.
             Rollouts::Explanation(_) | Rollouts::Thresholds(_) => Vec::new(),
-        })
+        };
+        let rows = rows.into_iter().map(|row| row.under(&self.execution));
+        Ok(rows.collect())
     }
 }
 
@@ -55,7 +58,9 @@ impl Design {
                     if !self.runs(level, config) {
                         continue;
                     }
-                    for condition in self.conditions() {
+                    let mut conditions = self.conditions();
+                    conditions.retain(|condition| self.has(*condition, level));
+                    for condition in conditions {
                         rows.push(self.perturbed_row(task, condition, level, config));
                     }
                 }
@@ -74,7 +79,8 @@ impl Design {
     /// including levels that the design does not run; the direction does not depend on it.
     ///
     /// # Errors
-    /// If the condition perturbs language and the level has no paraphrases.
+    /// If the condition perturbs language and the level has no paraphrases, or it is latency and
+    /// the level no delay.
     pub fn row_at(
         &self,
         task: TaskRef,
@@ -85,6 +91,7 @@ impl Design {
         let of_one = Self {
             tasks: vec![task],
             axes: condition.axes(self.axis_set()).axes().collect(),
+            latency: condition == Condition::Latency,
             subsets: Vec::new(),
             levels: vec![level],
             configs: vec![config],
@@ -98,6 +105,9 @@ impl Design {
             ..self.clone()
         };
         of_one.check()?;
+        if !self.has(condition, level) {
+            return Err(DesignError::Delay { level });
+        }
         Ok(self.perturbed_row(task, condition, level, config))
     }
 
@@ -124,6 +134,9 @@ impl Design {
             placebo_radius,
             ..ManifestRow::new(id, config, init_id, perturbation)
         };
+        if condition == Condition::Latency {
+            row.execution = execution_at(level).expect("a validated design has delays");
+        }
         if axes.contains(Axis::Language) {
             // There are ten variants; configurations beyond ten repeat them.
             let paraphrase = paraphrase(task, level, config % PRESETS);

@@ -20,6 +20,7 @@ mod directions;
 mod execution;
 mod expansion;
 mod explanation;
+mod latency;
 mod level;
 mod measurable;
 mod names;
@@ -49,6 +50,7 @@ pub use execution::{
     CONTROL_HZ, Delays, Execution, ExecutionError, LatencyFileError, MAX_DELAY, TooLate,
 };
 pub use explanation::Explanation;
+pub use latency::{AnyAxis, STEPS_PER_RADIUS, delay_at};
 pub use level::Level;
 pub use measurable::NotMeasurable;
 pub use names::UnknownName;

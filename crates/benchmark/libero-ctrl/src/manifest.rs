@@ -3,7 +3,7 @@
 //! the rows.
 //!
 //! An imported manifest is authoritative: its values and instructions are run
-//! unchanged. Inconsistent rows are therefore rejected, with their line numbers.
+//! unchanged, under the rows' execution model. Inconsistent rows are therefore rejected, with their line numbers.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Write};
@@ -11,6 +11,8 @@ use std::fmt::{self, Write};
 use serde_json::Value;
 
 use crate::axis::Axis;
+use crate::condition::Condition;
+use crate::execution::Execution;
 use crate::level::Level;
 use crate::presets::unit;
 use crate::rollout_id::RolloutId;
@@ -182,6 +184,21 @@ pub enum LineProblem {
         /// Line of the row that it should agree with.
         first: usize,
     },
+    /// The execution model differs from that of the rows before.
+    #[error(
+        "{id}: execution model `{given}`, and `{expected}` in line {first}: make it a manifest \
+             of its own"
+    )]
+    Execution {
+        /// The row.
+        id: RolloutId,
+        /// The row's model.
+        given: Execution,
+        /// Model of the first row.
+        expected: Execution,
+        /// Line of the first row.
+        first: usize,
+    },
     /// The manifest has more than [`MAX_ROWS`] rows.
     #[error("more than {MAX_ROWS} rows: divide it")]
     TooMany,
@@ -248,6 +265,8 @@ impl std::error::Error for ManifestErrors {}
 struct Checker {
     lines_of_ids: BTreeMap<RolloutId, usize>,
     configurations: BTreeMap<(TaskRef, Level, u16), Configuration>,
+    /// Execution model of the first row, and its line.
+    execution: Option<(Execution, usize)>,
     errors: ManifestErrors,
 }
 
@@ -264,10 +283,28 @@ impl Checker {
             self.errors.add(line, problem);
         }
         let id = row.id;
+        if id.condition() != Condition::Latency {
+            self.check_execution(line, row);
+        }
         if let Some(first) = self.lines_of_ids.insert(id, line) {
             self.errors.add(line, LineProblem::Duplicate { id, first });
         } else if let Some((column, first)) = self.difference(line, row) {
             let problem = LineProblem::Unpaired { id, column, first };
+            self.errors.add(line, problem);
+        }
+    }
+
+    /// Compares the execution model with that of the first row; the latency axis has its own.
+    fn check_execution(&mut self, line: usize, row: &ManifestRow) {
+        let of_first = (row.execution.clone(), line);
+        let (expected, first) = self.execution.get_or_insert(of_first).clone();
+        if expected != row.execution {
+            let problem = LineProblem::Execution {
+                id: row.id,
+                given: row.execution.clone(),
+                expected,
+                first,
+            };
             self.errors.add(line, problem);
         }
     }

@@ -204,7 +204,10 @@ impl Perturbation {
                 Some(Value::Object(flat)) => flat.clone(),
                 _ => Map::new(),
             },
-            Condition::Clean | Condition::Subset(_) | Condition::Combination => nested,
+            Condition::Clean
+            | Condition::Latency
+            | Condition::Subset(_)
+            | Condition::Combination => nested,
         }
     }
 
@@ -217,10 +220,12 @@ impl Perturbation {
         perturb: Map<String, Value>,
     ) -> Result<Self, PerturbError> {
         let nested = match condition {
-            Condition::Clean | Condition::Single(Axis::Language) if !perturb.is_empty() => {
+            Condition::Clean | Condition::Latency | Condition::Single(Axis::Language)
+                if !perturb.is_empty() =>
+            {
                 return Err(PerturbError::NotEmpty { condition });
             }
-            Condition::Clean | Condition::Single(Axis::Language) => Map::new(),
+            Condition::Clean | Condition::Latency | Condition::Single(Axis::Language) => Map::new(),
             Condition::Single(axis) => {
                 Map::from_iter([(axis.name().to_owned(), Value::Object(perturb))])
             }

@@ -8,6 +8,8 @@ use serde_json::{Map, Value};
 use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::condition::Condition;
+use crate::execution::Execution;
+use crate::latency::execution_at;
 use crate::level::Level;
 use crate::names::UnknownName;
 use crate::perturbation::{PerturbError, Perturbation};
@@ -46,6 +48,8 @@ pub struct ManifestRow {
     pub perturbation: Perturbation,
     /// Radius of a row at the placebo level; `None` for all other rows.
     pub placebo_radius: Option<Level>,
+    /// Behaviour of the robot while a response of its policy is pending.
+    pub execution: Execution,
 }
 
 impl ManifestRow {
@@ -61,6 +65,18 @@ impl ManifestRow {
             settle_steps: SETTLE_STEPS,
             perturbation,
             placebo_radius: None,
+            execution: Execution::Wait,
+        }
+    }
+
+    /// Returns the row under an execution model. A row of the latency axis keeps its own.
+    pub fn under(self, execution: &Execution) -> Self {
+        match self.id.condition() {
+            Condition::Latency => self,
+            _ => Self {
+                execution: execution.clone(),
+                ..self
+            },
         }
     }
 
@@ -136,6 +152,19 @@ pub enum RowError {
         /// The row's radius.
         given: Option<f64>,
     },
+    /// A row of the latency axis has another delay than that of its level.
+    #[error(
+        "read row {id}: `execution` is {given}, write the delay of its level: {}",
+        expected.as_ref().map_or("L1, L2, L3 or an even radius".to_owned(), Execution::to_string)
+    )]
+    Latency {
+        /// The row's id.
+        id: RolloutId,
+        /// The row's execution model.
+        given: Execution,
+        /// Model of the row's level, if it has one.
+        expected: Option<Execution>,
+    },
     /// The row has a policy seed.
     #[error("read row {id}: `policy_seed` is {given}, but seeds follow from the id: write 0")]
     PolicySeed {
@@ -176,6 +205,8 @@ struct FlatRow {
     policy_seed: u64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     placebo_radius: Option<f64>,
+    #[serde(default, skip_serializing_if = "Execution::is_wait")]
+    execution: Execution,
     #[serde(default)]
     perturb: Map<String, Value>,
 }
@@ -183,7 +214,10 @@ struct FlatRow {
 fn split(condition: Condition) -> &'static str {
     match condition {
         Condition::Clean => "clean",
-        Condition::Single(_) | Condition::Subset(_) | Condition::Combination => "eval",
+        Condition::Single(_)
+        | Condition::Latency
+        | Condition::Subset(_)
+        | Condition::Combination => "eval",
     }
 }
 
@@ -206,6 +240,7 @@ impl From<ManifestRow> for FlatRow {
             num_steps_wait: row.settle_steps,
             policy_seed: 0,
             placebo_radius: row.placebo_radius.map(Level::radius),
+            execution: row.execution,
             perturb: row.perturbation.to_manifest(id.condition()),
         }
     }
@@ -238,6 +273,16 @@ impl TryFrom<FlatRow> for ManifestRow {
             let given = flat.policy_seed;
             return Err(RowError::PolicySeed { id, given });
         }
+        if condition == Condition::Latency {
+            let (given, expected) = (flat.execution.clone(), execution_at(id.level()));
+            if Some(&given) != expected.as_ref() {
+                return Err(RowError::Latency {
+                    id,
+                    given,
+                    expected,
+                });
+            }
+        }
         let given = flat.placebo_radius;
         let placebo_radius = given.and_then(Level::of_radius);
         let fits = match placebo_radius {
@@ -259,6 +304,7 @@ impl TryFrom<FlatRow> for ManifestRow {
             settle_steps: flat.num_steps_wait,
             perturbation,
             placebo_radius,
+            execution: flat.execution,
         })
     }
 }

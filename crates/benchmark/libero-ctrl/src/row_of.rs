@@ -2,6 +2,7 @@
 
 use crate::axis::Axis;
 use crate::axis_set::AxisSet;
+use crate::condition::Condition;
 use crate::design::{Design, Nominal};
 use crate::expansion::clean_row;
 use crate::rollout_id::RolloutId;
@@ -39,11 +40,15 @@ pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
     let design = Design {
         tasks: vec![id.task()],
         axes: id.condition().axes(combined).axes().collect(),
+        latency: id.condition() == Condition::Latency,
         levels: vec![id.level()],
         configs: vec![config],
         nominal: Nominal::None,
         ..Design::v0_1()
     };
     design.check().map_err(|error| problem(error.to_string()))?;
+    if !design.has(id.condition(), id.level()) {
+        return Err(problem("a late policy has no placebo level".to_owned()));
+    }
     Ok(design.perturbed_row(id.task(), id.condition(), id.level(), config))
 }

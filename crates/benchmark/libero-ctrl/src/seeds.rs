@@ -27,7 +27,7 @@ pub fn reference_seed(id: &RolloutId, axis: Axis) -> u64 {
         Condition::Subset(_) | Condition::Combination => {
             Axis::METRIC.iter().position(|&other| other == axis)
         }
-        Condition::Clean | Condition::Single(_) => None,
+        Condition::Clean | Condition::Single(_) | Condition::Latency => None,
     };
     u64::from(rollout_seed(id)) + 1000 * part.unwrap_or(0) as u64
 }

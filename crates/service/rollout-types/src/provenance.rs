@@ -142,7 +142,7 @@ impl Provenance {
 
     /// Describes the first difference between the policies of two results of one campaign and
     /// suite; `None` if they are the same. The reported training assets are ignored: they affect no
-    /// action, and a server may start to report them.
+    /// action, and a server may start to report them. So is the execution model, which is the row's.
     pub fn other_policy(&self, pinned: &Provenance) -> Option<String> {
         let differs = |what: &str, here: &str, there: &str| {
             (here != there).then(|| format!("{what} is `{here}` now and was `{there}`"))
@@ -162,7 +162,7 @@ impl Provenance {
                 }
                 let mut names: BTreeSet<&String> =
                     settings.keys().chain(self.policy_settings.keys()).collect();
-                names.retain(|name| *name != TAUGHT_ON);
+                names.retain(|name| ![TAUGHT_ON, EXECUTION].contains(&name.as_str()));
                 names.into_iter().find_map(|name| {
                     let [here, there] = [&self.policy_settings, settings]
                         .map(|of| of.get(name).map_or("not given", String::as_str));

@@ -34,6 +34,7 @@ class FlowPolicy(Policy):
             execute=execute,
             stochastic=True,
             max_batch=max_batch,
+            real_time_chunking=model.chunks_in_real_time,
             settings=model.settings,
         )
 
@@ -41,6 +42,7 @@ class FlowPolicy(Policy):
     def load(cls, entry: Entry, options: Options, *, kind: str, **replaced: Any) -> FlowPolicy:
         """Loads a checkpoint of this kind of lerobot's; see `LerobotModel.load`."""
         model = LerobotModel.load(entry, options, kind=kind, **replaced)
+        model.chunk_in_real_time()
         config = model.config
         execute = executed(entry, options, chunk=config.chunk_size, own=config.n_action_steps)
         return cls(entry, model, execute=execute, max_batch=options.max_batch)
@@ -52,7 +54,18 @@ class FlowPolicy(Policy):
         return self.infer_batch([observation])[0]
 
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
-        return list(self.model.chunks(observations, self.noise(observations)))
+        """Answers each query. Those that are told what is executed meanwhile are answered one
+        by one, since a network's call has one delay."""
+        heeds = self.description.real_time_chunking
+        answers: dict[int, np.ndarray] = {}
+        for at, one in enumerate(observations):
+            if heeds and one.under_way is not None:
+                answers[at] = self.model.chunks([one], self.noise([one]), one.under_way)[0]
+        others = [at for at in range(len(observations)) if at not in answers]
+        if others:
+            rest = [observations[at] for at in others]
+            answers.update(zip(others, self.model.chunks(rest, self.noise(rest))))
+        return [answers[at] for at in range(len(observations))]
 
     def noise(self, observations: Sequence[Observation]) -> np.ndarray:
         """Where the flow starts, [batch, n, width]: each row from its own

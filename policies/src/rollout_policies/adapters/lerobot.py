@@ -20,7 +20,7 @@ import numpy as np
 
 from ..catalogue import Entry
 from ..description import Camera
-from ..episode import Observation
+from ..episode import Observation, UnderWay
 from ..processing.images import unit_planes
 from ..processing.robot import STATE_FIELDS, state_vector
 from . import Options
@@ -185,22 +185,54 @@ class LerobotModel:
         """How many numbers were learnt."""
         return sum(parameter.numel() for parameter in self.network.parameters())
 
+    @property
+    def chunks_in_real_time(self) -> bool:
+        """True if a chunk can go on from what is executed meanwhile."""
+        config = getattr(self.config, "rtc_config", None)
+        return config is not None and config.enabled
+
+    def chunk_in_real_time(self) -> None:
+        """Has chunks go on from what is executed meanwhile, where lerobot's policy can: by its
+        guidance of the flow, with the checkpoint's settings or else lerobot's. Chunks of queries
+        that are told nothing have the same bits."""
+        if not hasattr(self.config, "rtc_config") or not hasattr(
+            self.network, "init_rtc_processor"
+        ):
+            return
+        if self.config.rtc_config is None:
+            from lerobot.policies.rtc.configuration_rtc import RTCConfig
+
+            self.config.rtc_config = RTCConfig()
+        self.config.rtc_config.enabled = True
+        self.network.init_rtc_processor()
+
     def chunks(
-        self, observations: Sequence[Observation], noise: np.ndarray | None = None
+        self,
+        observations: Sequence[Observation],
+        noise: np.ndarray | None = None,
+        under_way: UnderWay | None = None,
     ) -> np.ndarray:
         """Chunks of actions [batch, n, 7], in the world's units.
 
         `noise` is where the flow starts, [batch, n, width]; without it the
-        network draws from torch's generator.
+        network draws from torch's generator. `under_way` is executed meanwhile;
+        the first chunk goes on from it, and there is no other.
         """
         import torch
 
-        batch = self._prepared(observations)
-        given = {}
+        batch = self._prepared(observations, under_way)
+        given: dict[str, Any] = {}
         if noise is not None:
             device = next(self.network.parameters()).device
             given["noise"] = torch.from_numpy(noise.astype(np.float32)).to(device)
-        with torch.inference_mode():
+        if under_way is not None:
+            # As lerobot keeps its last chunk: normalised, from this observation's step on.
+            given["prev_chunk_left_over"] = batch.pop(ACTION)
+            given["inference_delay"] = under_way.delay
+            guided = self.config.rtc_config.execution_horizon
+            given["execution_horizon"] = max(guided, under_way.delay)
+        # Guidance is a gradient, which inference mode has none of.
+        with torch.inference_mode() if under_way is None else torch.no_grad():
             chunks = self.network.predict_action_chunk(batch, **given)
             flat = self.after(chunks.reshape(-1, chunks.shape[-1]))
         return flat.float().cpu().numpy().reshape(tuple(chunks.shape[:2]) + (-1,))
@@ -235,10 +267,16 @@ class LerobotModel:
         memory.update({key: vars(self.network)[key] for key in memory})
         return action.float().cpu().numpy()[0]
 
-    def _prepared(self, observations: Sequence[Observation]) -> dict[str, Any]:
+    def _prepared(
+        self, observations: Sequence[Observation], under_way: UnderWay | None = None
+    ) -> dict[str, Any]:
         import torch
 
         batch = batch_of(observations, self.slots, self.with_state)
+        if under_way is not None:
+            # lerobot's processor normalises actions as it does for training.
+            left = under_way.actions[: self.config.chunk_size]
+            batch[ACTION] = np.array(left, dtype=np.float32)[np.newaxis]
         return self.before(
             {
                 key: torch.from_numpy(value) if isinstance(value, np.ndarray) else value

@@ -173,16 +173,18 @@ impl Supervisor {
 
     /// Builds a slot's assignment from a lease. The error reads after "failed to …".
     fn assignment(&self, attempt: AttemptId, lease: Lease) -> Result<Assignment, String> {
-        let row: libero_ctrl::ManifestRow =
+        let mut row: libero_ctrl::ManifestRow =
             serde_json::from_str(&lease.manifest_row).map_err(|error| {
                 let problem = libero_ctrl::JsonError::from(error);
                 format!("read the manifest row of job {}: {problem}", lease.job_id)
             })?;
         let realisation = lease.realisation.parse();
-        let execution = match lease.execution.as_str() {
-            "" => Ok(libero_ctrl::Execution::Wait),
-            text => text.parse(),
-        };
+        // Rows of campaigns from before rows had an execution model.
+        if row.execution.is_wait() && !lease.execution.is_empty() {
+            let execution = lease.execution.parse();
+            row.execution =
+                execution.map_err(|error: libero_ctrl::ExecutionError| error.to_string())?;
+        }
         let endpoint = self.config.policy_endpoint.clone();
         let of = match lease.record_failures_only {
             true => VideoOf::Failures,
@@ -197,7 +199,6 @@ impl Supervisor {
             session: Session::new(&row.id, lease.replicate, attempt),
             realisation: realisation
                 .map_err(|error: libero_ctrl::UnknownName| error.to_string())?,
-            execution: execution.map_err(|error: libero_ctrl::ExecutionError| error.to_string())?,
             policy: lease.policy,
             policy_endpoint: endpoint.unwrap_or(lease.policy_endpoint),
             policy_seed: lease.policy_seed,

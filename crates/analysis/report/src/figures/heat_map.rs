@@ -49,7 +49,8 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
         rows.iter()
             .any(|(_, cell)| count(cell, *condition).is_some())
     };
-    let columns: Vec<Condition> = all.chain([Condition::Combination]).filter(any).collect();
+    let beside = [Condition::Latency, Condition::Combination];
+    let columns: Vec<Condition> = all.chain(beside).filter(any).collect();
     let width = (WIDTH - LABELS - 6.0) / columns.len().max(1) as f64;
     let counts = rows.iter().flat_map(|(_, cell)| {
         let counts = columns
@@ -88,6 +89,7 @@ fn count(cell: &Cell, condition: Condition) -> Option<Count> {
     match condition {
         Condition::Clean | Condition::Subset(_) => None,
         Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
+        Condition::Latency => cell.latency.as_ref().map(|late| late.count),
         Condition::Combination => cell.simultaneous,
     }
 }

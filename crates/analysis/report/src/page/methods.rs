@@ -120,6 +120,7 @@ fn of_policy(analysis: &Analysis) -> Markup {
             }
             dt { "realisation" }
             dd { (subject.realisation.map_or("not known", |realisation| realisation.name())) }
+            dt { "execution model" } dd { (subject.execution) }
             @for checkpoint in &checkpoints { dt { "checkpoint" } dd { (checkpoint) } }
             @for pack in &packs { dt { "asset pack" } dd { (pack) } }
             @for (name, values) in entries {

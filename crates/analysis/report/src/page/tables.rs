@@ -214,6 +214,8 @@ pub(super) fn single_axes(document: &Document) -> Markup {
     let names: Vec<String> = axes.iter().map(|axis| format!("{axis} %")).collect();
     let mut heads = vec!["policy", "level"];
     heads.extend(names.iter().map(String::as_str));
+    let is_late = rows(document).any(|row| row.cell.latency.is_some());
+    heads.extend(is_late.then_some("latency %"));
     heads.push("simultaneous %");
     let values = |Row { policy, cell, .. }: Row| {
         let alone = |axis: &Axis| {
@@ -224,6 +226,11 @@ pub(super) fn single_axes(document: &Document) -> Markup {
         };
         let mut values = vec![plain(policy), plain(cell.level)];
         values.extend(axes.iter().map(alone));
+        values.extend(is_late.then(|| {
+            let late = cell.latency.as_ref();
+            let loss = late.and_then(|late| late.clean_relative_loss);
+            success(cell, Condition::Latency, late.map(|late| late.count), loss)
+        }));
         values.push(success(
             cell,
             Condition::Combination,

@@ -25,7 +25,7 @@ pub(super) fn table(document: &Document) -> Table<Row<'_>> {
     }
 }
 
-fn columns<'a>() -> [Column<Row<'a>>; 35] {
+fn columns<'a>() -> [Column<Row<'a>>; 36] {
     use Kind::{Bool, Integer, Number, Real, Text};
     [
         ("policy", Text, |(a, _)| text(&a.label)),
@@ -47,6 +47,9 @@ fn columns<'a>() -> [Column<Row<'a>>; 35] {
         ("sensor", Bool, |(_, m)| alone(m, Axis::Sensor)),
         ("actuation", Bool, |(_, m)| alone(m, Axis::Actuation)),
         ("language", Bool, |(_, m)| alone(m, Axis::Language)),
+        ("latency", Bool, |(_, m)| {
+            Value::Bool(m.latency.and_then(Outcome::success))
+        }),
         ("conjunction", Bool, |(_, m)| {
             Value::Bool(m.configuration().map(|c| c.conjunction()))
         }),
@@ -125,6 +128,7 @@ fn steps((analysis, matched): &Row<'_>, condition: Condition) -> Value {
 fn unresolved(matched: &Matched) -> Value {
     let alone = matched.alone.keys().copied().map(Condition::Single);
     let named = alone
+        .chain(matched.latency.map(|_| Condition::Latency))
         .chain([Condition::Combination])
         .filter_map(|condition| match matched.outcome(condition) {
             Outcome::Missing => Some(format!("{condition} missing")),

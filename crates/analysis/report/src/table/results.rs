@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use libero_ctrl::JsonError;
+use libero_ctrl::{Execution, JsonError};
 use serde::Deserialize;
 
 use super::form::{Column, Kind, Table, TableError, Value, text};
@@ -25,6 +25,8 @@ pub struct ResultRow {
     wall_s: f64,
     ik_res_mm: Option<f64>,
     placebo_radius: Option<f64>,
+    #[serde(default)]
+    execution: Execution,
     goal_predicates: Option<u32>,
     goal_at_end: Option<u32>,
     goal_at_most: Option<u32>,
@@ -57,7 +59,7 @@ pub fn write_results_parquet(
     table.parquet(out)
 }
 
-fn columns() -> [Column<ResultRow>; 17] {
+fn columns() -> [Column<ResultRow>; 18] {
     use Kind::{Bool, Integer, Number, Real, Text};
     [
         ("rollout_id", Text, |it| text(&it.rollout_id)),
@@ -76,6 +78,7 @@ fn columns() -> [Column<ResultRow>; 17] {
         ("wall_s", Real, |it| Value::Real(Some(it.wall_s))),
         ("ik_res_mm", Real, |it| Value::Real(it.ik_res_mm)),
         ("placebo_radius", Real, |it| Value::Real(it.placebo_radius)),
+        ("execution", Text, |it| text(&it.execution.to_string())),
         ("goal_predicates", Integer, |it| {
             Value::Integer(it.goal_predicates.map(i64::from))
         }),

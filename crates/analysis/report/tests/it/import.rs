@@ -6,6 +6,8 @@ use std::path::Path;
 use paired::Outcome;
 use report::{ImportError, Origin, import};
 
+use crate::subjects::document;
+
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../examples/openvla_oft");
 
 /// A row as the reference writes it.
@@ -63,6 +65,30 @@ fn a_row_of_the_reference_is_read_with_or_without_what_its_id_says() {
     assert_eq!((clean.init_id, clean.replicate), (6, 2));
     let alone = import(&folder.path().join("rollouts.jsonl")).expect("a file too");
     assert_eq!(alone.records, subject.records);
+}
+
+/// A row without a model waited, as the reference's did.
+#[test]
+fn a_file_has_one_execution_model() {
+    let late = ROW.replace("\"success\"", r#""execution": "overlap:4", "success""#);
+    let subject = import(file(&[&late]).path()).expect("read");
+    assert_eq!(subject.execution.to_string(), "overlap:4");
+    let waited = import(file(&[ROW]).path()).expect("read");
+    assert!(waited.execution.is_wait());
+    let other = late
+        .replace("c01", "c02")
+        .replace("\"config\": 1", "\"config\": 2");
+    let told = refused(&[ROW, &other]);
+    assert!(
+        told.contains(
+            "line 2: it ran under execution model `overlap:4`, those before under `wait`"
+        ),
+        "{told}"
+    );
+    let text = document(vec![subject, waited]).text();
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(text.contains("more than one execution model"), "{text}");
+    assert!(text.contains("overlap:4; wait"), "{text}");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The table of configurations, as CSV and as Parquet.
 
 use parquet::file::reader::{FileReader, SerializedFileReader};
-use report::{Document, write_csv, write_parquet};
+use report::{Document, ResultRow, write_csv, write_parquet, write_results_parquet};
 use serde_json::Value;
 
 use crate::subjects::{broken, document, example};
@@ -101,8 +101,39 @@ fn parquet_columns_have_types_and_say_so_to_pandas() {
         assert_eq!(said["numpy_type"], expected, "{name}");
     }
     let of = |kind: &str| said.iter().filter(|it| it["numpy_type"] == kind).count();
-    assert_eq!((of("boolean"), of("int64"), of("string")), (9, 4, 6));
+    assert_eq!((of("boolean"), of("int64"), of("string")), (10, 4, 6));
     assert_eq!((of("float64"), of("Int64")), (8, 8));
+}
+
+#[test]
+fn a_table_of_results_has_a_column_for_the_execution_model() {
+    let row = |more: &str| {
+        let line = format!(
+            r#"{{"rollout_id": "goal/t0/clean/i06", "success": true, "steps": 113, "axis": "clean",
+                "level": "L0", "suite": "libero_goal", "task_id": 0, "init_id": 6, "config": null,
+                "policy": "oft", "wall_s": 7.2{more}}}"#
+        );
+        ResultRow::from_json(&line).expect("a row")
+    };
+    let rows = vec![row(""), row(r#", "execution": "overlap:4,rtc""#)];
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("results.parquet");
+    let file = std::fs::File::create(&path).expect("created");
+    write_results_parquet(rows, file).expect("written");
+    let reader = SerializedFileReader::new(std::fs::File::open(&path).expect("opened"));
+    let reader = reader.expect("Parquet");
+    let models = reader.get_row_iter(None).expect("rows").map(|row| {
+        let row = row.expect("a row");
+        let mut columns = row.get_column_iter();
+        let (_, model) = columns
+            .find(|(name, _)| *name == "execution")
+            .expect("a column");
+        model.to_string()
+    });
+    assert_eq!(
+        models.collect::<Vec<_>>(),
+        ["\"wait\"", "\"overlap:4,rtc\""]
+    );
 }
 
 #[test]

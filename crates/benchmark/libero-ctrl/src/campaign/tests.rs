@@ -1,6 +1,12 @@
 //! Tests of parsing and refusing campaign specifications.
 
 use super::*;
+use crate::axis::Axis;
+use crate::design::DesignVersion;
+use crate::latency::delay_at;
+use crate::perturbation::Perturbation;
+use crate::rollout_id::RolloutId;
+use crate::row_of::row_of;
 
 fn spec(changes: &[(&str, serde_json::Value)]) -> Result<CampaignSpec, SpecError> {
     let mut json = serde_json::json!({
@@ -86,6 +92,147 @@ fn a_manifest_stands_in_place_of_a_design() {
     assert!(
         error.to_string().contains("`configs` beside `manifest`"),
         "{error}"
+    );
+}
+
+/// A manifest that was expanded under a model says so, in each row.
+#[test]
+fn a_campaign_runs_under_the_model_of_its_manifest() {
+    let late = spec(&[("execution", "overlap:4".into())]).expect("a specification");
+    let rows = late.expand().expect("rows");
+    assert!(rows.iter().all(|row| row.execution == late.execution));
+    let text = manifest::to_text(&rows);
+    let lines = text.matches(r#""execution":"overlap:4""#).count();
+    assert_eq!(lines, rows.len());
+    assert_eq!(manifest::parse(&text), Ok(rows.clone()));
+
+    let imported = |rows: &[ManifestRow], model: Option<&str>| {
+        let mut json = serde_json::json!({
+            "name": "imported",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "manifest": rows,
+        });
+        if let Some(model) = model {
+            json["execution"] = model.into();
+        }
+        CampaignSpec::from_json(&json.to_string())
+    };
+    let told = imported(&rows, None).expect("a specification");
+    assert_eq!(told.execution, late.execution);
+    assert_eq!(told.version(), DesignVersion::of_manifest(&rows));
+    assert_eq!(imported(&rows, Some("overlap:4")), Ok(told.clone()));
+    let error = imported(&rows, Some("hold:2")).expect_err("another model");
+    for part in [
+        "`execution` is hold:2",
+        "`overlap:4`",
+        "leave `execution` out",
+    ] {
+        assert!(error.to_string().contains(part), "{error}");
+    }
+    let silent: Vec<ManifestRow> = rows
+        .iter()
+        .map(|row| row.clone().under(&Execution::Wait))
+        .collect();
+    let given = imported(&silent, Some("overlap:4")).expect("a specification");
+    assert_eq!(given.expand().expect("rows"), rows);
+    assert_eq!(given.version(), told.version());
+    assert_ne!(
+        imported(&silent, None).expect("waits").version(),
+        told.version()
+    );
+
+    let mixed = [rows[0].clone(), silent[1].clone()];
+    let error = imported(&mixed, None).expect_err("two models");
+    for part in ["execution model `wait`", "`overlap:4` in line 1"] {
+        assert!(error.to_string().contains(part), "{error}");
+    }
+}
+
+#[test]
+fn latency_is_an_axis_beside_the_six_and_never_simultaneous() {
+    let axes = serde_json::json!(["camera", "robot", "latency"]);
+    let levels = serde_json::json!(["L0", "L1", "L3", "r6"]);
+    let late = [("axes", axes), ("levels", levels)];
+    let late = spec(&late).expect("a specification");
+    let text = serde_json::to_string(&late).expect("JSON");
+    assert!(
+        text.contains(r#""axes":["camera","robot","latency"]"#),
+        "{text}"
+    );
+    assert_eq!(CampaignSpec::from_json(&text), Ok(late.clone()));
+    let rows = late.expand().expect("rows");
+    let is_late = |row: &&ManifestRow| row.id.condition() == Condition::Latency;
+    let (latency, others): (Vec<&ManifestRow>, Vec<&ManifestRow>) = rows.iter().partition(is_late);
+    // Two tasks, ten configurations, three levels: a late policy has no placebo.
+    assert_eq!(latency.len(), 2 * 10 * 3);
+    assert!(others.iter().all(|row| row.execution.is_wait()));
+    for row in &latency {
+        let steps = delay_at(row.id.level()).expect("a delay");
+        assert_eq!(row.execution.to_string(), format!("overlap:{steps}"));
+        assert_eq!(row.perturbation, Perturbation::default());
+        let camera = RolloutId::perturbed(
+            row.id.task(),
+            Condition::Single(Axis::Camera),
+            row.id.level(),
+            row.id.number(),
+        );
+        let camera = camera.expect("an id");
+        let camera = others.iter().find(|other| other.id == camera);
+        assert_eq!(camera.expect("a row").init_id, row.init_id);
+        assert_eq!(row_of(row.id).expect("a row"), **row);
+    }
+    let combined = others
+        .iter()
+        .find(|row| row.id.condition() == Condition::Combination);
+    let both = AxisSet::from_iter([Axis::Camera, Axis::Robot]);
+    assert_eq!(combined.expect("a row").axes(), both);
+    let without: Vec<ManifestRow> = others.into_iter().cloned().collect();
+    let axes = serde_json::json!(["camera", "robot"]);
+    let levels = serde_json::json!(["L0", "L1", "L3", "r6"]);
+    let waits = spec(&[("axes", axes), ("levels", levels)]).expect("a specification");
+    assert_eq!(
+        waits.expand().expect("rows"),
+        without,
+        "the others are as without it"
+    );
+    assert_ne!(late.version(), waits.version());
+
+    // As a manifest, in which the latency rows have models of their own.
+    let text = manifest::to_text(&rows);
+    assert_eq!(manifest::parse(&text), Ok(rows.clone()));
+    let wrong = text.replace(r#""execution":"overlap:4""#, r#""execution":"overlap:2""#);
+    let error = manifest::parse(&wrong).expect_err("another delay than its level's");
+    assert!(
+        error.to_string().contains("its level: overlap:4"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_delay_that_is_no_whole_step_or_beside_another_is_refused() {
+    let refused = |axes: serde_json::Value, levels: serde_json::Value, model: &str| {
+        let changes = [
+            ("axes", axes),
+            ("levels", levels),
+            ("execution", model.into()),
+        ];
+        spec(&changes).expect_err("refused").to_string()
+    };
+    let latency = serde_json::json!(["latency"]);
+    let error = refused(latency.clone(), serde_json::json!(["r3"]), "wait");
+    assert!(error.contains("half as many as the radius"), "{error}");
+    let error = refused(latency, serde_json::json!(["L1"]), "hold:2");
+    assert!(
+        error.contains("axis `latency` with `execution` hold:2"),
+        "{error}"
+    );
+    for id in ["goal/t0/latency/L0/c00", "goal/t0/latency/r3/c00"] {
+        assert!(row_of(id.parse().expect("an id")).is_err(), "{id}");
+    }
+    assert!(
+        "goal/t0/camera+latency/L1/c00"
+            .parse::<RolloutId>()
+            .is_err()
     );
 }
 

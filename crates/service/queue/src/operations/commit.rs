@@ -1,6 +1,7 @@
 //! End of an attempt with a result. Results that arrive together are judged one after the other;
 //! the accepted ones are stored by the same statements.
 
+use libero_ctrl::Condition;
 use rollout_types::{AttemptId, Digests, Motion, Provenance, Realised, RolloutResult};
 
 use super::context::Context;
@@ -147,12 +148,17 @@ impl Context<'_> {
             };
             return self.refuse(attempt, reason, detail).await;
         }
-        let (wanted, ran) = (&campaign.execution, report.provenance.execution());
+        let of_campaign = &campaign.execution;
+        let wanted = match attempt.row.id.condition() {
+            Condition::Latency => attempt.row.execution.to_string(),
+            _ => of_campaign.clone(),
+        };
+        let ran = report.provenance.execution();
         if ran != wanted {
-            let name = &campaign.name;
+            let (name, id) = (&campaign.name, attempt.row.id);
             let detail = format!(
-                "campaign `{name}` runs under execution model `{wanted}` and this result under \
-                 `{ran}`: update the worker's program"
+                "{id} of campaign `{name}` runs under execution model `{wanted}` and this result \
+                 under `{ran}`: update the worker's program"
             );
             return self.refuse(attempt, FailureReason::Unpaired, detail).await;
         }

@@ -142,13 +142,16 @@ async fn following(
     campaign: &Derived,
     source: Arc<Vec<Record>>,
 ) -> Result<Vec<NewJob>, StoreError> {
-    let rollouts = match specification(&campaign.spec)?.rollouts {
+    let spec = specification(&campaign.spec)?;
+    let rollouts = match spec.rollouts {
         Rollouts::Explanation(explanation) => subsets(tx, campaign, source, explanation).await?,
         Rollouts::Thresholds(thresholds) => radii(tx, campaign, source, thresholds).await?,
         Rollouts::Design(_) | Rollouts::Manifest(_) => Vec::new(),
     };
     let jobs = (campaign.jobs..).zip(rollouts);
-    let jobs = jobs.map(|(place, (row, replicate))| NewJob::new(&row, replicate, place));
+    let jobs = jobs.map(|(place, (row, replicate))| {
+        NewJob::new(&row.under(&spec.execution), replicate, place)
+    });
     let jobs: Result<_, _> = jobs.collect();
     jobs.map_err(undecodable).doing("write a rollout's row")
 }

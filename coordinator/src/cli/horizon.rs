@@ -1,0 +1,96 @@
+//! Length of a policy's answers, as its endpoint describes it. A campaign whose execution model
+//! drops every action of them is refused when it is created, if the policy is served by then.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use anyhow::Context;
+use libero_ctrl::{CampaignSpec, Condition, Delays, Execution, Level, Rollouts, delay_at};
+use proto::PROTOCOL_VERSION;
+use proto::policy::DescribeRequest;
+use proto::policy::policy_client::PolicyClient;
+use transport::{Access, parse_endpoint};
+
+use super::command::{CommandError, Connection, usage};
+
+/// Longest wait for a description: a policy may be served later than its campaign is created.
+const DEADLINE: Duration = Duration::from_secs(3);
+
+/// Refuses a campaign under `overlap`, or with the latency axis, whose delays are as long as its
+/// policy's answers in one of the suites. Returns a sentence if the policy cannot be asked; the
+/// first rollout then finds out.
+pub(super) async fn check(
+    spec: &CampaignSpec,
+    suites: impl IntoIterator<Item = &str>,
+    connection: &Connection,
+) -> Result<Option<String>, CommandError> {
+    let models = overlaps(spec);
+    let Some(longest) = models.last() else {
+        return Ok(None);
+    };
+    let access = connection.policy_access()?;
+    let policy = &spec.policy;
+    for suite in suites {
+        let horizon = match tokio::time::timeout(DEADLINE, horizon(spec, suite, &access)).await {
+            Ok(Ok(horizon)) => horizon,
+            Ok(Err(problem)) => return Ok(Some(unknown(spec, longest, &problem))),
+            Err(_) => {
+                let problem = format!("no answer within {} s", DEADLINE.as_secs());
+                return Ok(Some(unknown(spec, longest, &problem)));
+            }
+        };
+        for model in &models {
+            let refused = model.check(horizon).with_context(|| {
+                let (name, endpoint) = (&policy.name, &policy.endpoint);
+                let campaign = &spec.name;
+                format!("create campaign {campaign} of policy `{name}` at {endpoint}")
+            });
+            refused.map_err(usage)?;
+        }
+    }
+    Ok(None)
+}
+
+/// Returns the models under which rollouts of a campaign drop actions: its own, if it does, and
+/// those of the latency axis, the longest delay last.
+fn overlaps(spec: &CampaignSpec) -> Vec<Execution> {
+    let levels: BTreeSet<Level> = match &spec.rollouts {
+        Rollouts::Design(design) if design.latency => design.levels.iter().copied().collect(),
+        Rollouts::Manifest(rows) => {
+            let ids = rows.iter().map(|row| row.id);
+            let late = ids.filter(|id| id.condition() == Condition::Latency);
+            late.map(|id| id.level()).collect()
+        }
+        _ => BTreeSet::new(),
+    };
+    let late = levels.into_iter().filter_map(|level| {
+        let delays = Delays::fixed(delay_at(level)?)?;
+        Some(Execution::Overlap { delays, rtc: false })
+    });
+    let own = Some(spec.execution.clone());
+    let own = own.filter(|it| matches!(it, Execution::Overlap { .. }));
+    own.into_iter().chain(late).collect()
+}
+
+/// Asks the endpoint for the most actions of an answer. The error is a clause.
+async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<usize, String> {
+    let endpoint = parse_endpoint(&spec.policy.endpoint).map_err(|error| error.to_string())?;
+    let connection = access.connect_lazy(endpoint);
+    let connection = connection.map_err(|error| transport::chain(&error))?;
+    let request = DescribeRequest {
+        protocol_version: PROTOCOL_VERSION,
+        policy: spec.policy.name.clone(),
+        suite: suite.to_owned(),
+    };
+    let described = PolicyClient::new(connection).describe(request).await;
+    let described = described.map_err(|status| transport::answer(&status))?;
+    Ok(described.into_inner().horizon as usize)
+}
+
+fn unknown(spec: &CampaignSpec, model: &Execution, problem: &str) -> String {
+    let (name, endpoint) = (&spec.policy.name, &spec.policy.endpoint);
+    format!(
+        "policy {name} at {endpoint} does not say yet how long its answers are ({problem}): its \
+         first rollout fails if {model} drops all of them"
+    )
+}

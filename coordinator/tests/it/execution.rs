@@ -1,0 +1,202 @@
+//! The execution model of a campaign, in each form in which the campaign is told.
+
+use proto::coordinator::commit_response::Verdict;
+use proto::policy::policy_server::{Policy, PolicyServer};
+use proto::policy::{
+    DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferBatchRequest,
+    InferBatchResponse, InferRequest, InferResponse, ResetRequest, ResetResponse,
+};
+use serde_json::{Value, json};
+use tokio::net::TcpListener;
+use tonic::transport::Server;
+use tonic::transport::server::TcpIncoming;
+use tonic::{Request, Response, Status};
+
+use crate::process::{CREATE, Serve, coordinator, text};
+
+const MODEL: &str = "overlap:3*812+4*188";
+
+fn json_of(printed: &[u8]) -> Value {
+    serde_json::from_str(text(printed)).expect("JSON")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn results_reports_and_tables_carry_the_execution_model() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let late = [&CREATE[..], &["--execution", MODEL]].concat();
+    let created = serve.command(&late);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+    let waits = [&CREATE[..2], &["--name", "waits"], &CREATE[4..]].concat();
+    assert!(serve.command(&waits).status.success());
+    let mut worker = serve.worker("a").await;
+    for lease in worker.claim(64).await {
+        assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
+    }
+
+    for (name, model) in [("demo", MODEL), ("waits", "wait")] {
+        let exported = serve.command(&["export", name, "--format", "jsonl"]);
+        let lines = text(&exported.stdout).lines();
+        assert_eq!(lines.clone().count(), 14);
+        for line in lines {
+            let row: Value = serde_json::from_str(line).expect("JSON");
+            // The reference's own rows have no such column.
+            let expected = (model != "wait").then(|| json!(model));
+            assert_eq!(row.get("execution"), expected.as_ref(), "{line}");
+        }
+        let report = serve.command(&["report", name, "--json"]);
+        assert_eq!(json_of(&report.stdout)["reports"][0]["execution"], model);
+        let report = serve.command(&["report", name, "--full"]);
+        let is_told = text(&report.stdout).contains(&format!("execution model {model}\n"));
+        assert_eq!(is_told, model != "wait", "{}", text(&report.stdout));
+    }
+
+    let rows = folder.path().join("rollouts.jsonl");
+    let (path, from) = (rows.to_string_lossy(), folder.path().to_string_lossy());
+    let exported = serve.command(&["export", "demo", "--format", "jsonl", "--output", &path]);
+    assert!(exported.status.success(), "{}", text(&exported.stderr));
+    let read = coordinator(&["report", "--from", &from, "--json"]);
+    assert_eq!(json_of(&read.stdout)["reports"][0]["execution"], MODEL);
+}
+
+#[test]
+fn a_dry_run_and_a_manifest_carry_the_execution_model() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let late = [&CREATE[..], &["--execution", MODEL]].concat();
+    // A dry run needs no coordinator.
+    let nowhere = ["--connect", "http://127.0.0.1:9"];
+    let run = |more: &[&str]| {
+        let output = coordinator(&[&late[..], more, &nowhere].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout).to_owned()
+    };
+    let told = run(&["--dry-run"]);
+    let line = format!("execution model {MODEL}: an answer takes effect after 150 to 200 ms");
+    assert!(told.contains(&line), "{told}");
+    let told = json_of(run(&["--dry-run", "--json"]).as_bytes());
+    assert_eq!(told["execution"], MODEL);
+    let waits = coordinator(&[&CREATE[..], &["--dry-run", "--json"], &nowhere].concat());
+    assert_eq!(json_of(&waits.stdout)["execution"], "wait");
+
+    let (spec, rows) = (path("late.json"), path("late.jsonl"));
+    std::fs::write(&spec, run(&["--print-spec"])).expect("written");
+    let expanded = coordinator(&["manifest", "expand", "--spec", &spec, "--output", &rows]);
+    assert!(expanded.status.success(), "{}", text(&expanded.stderr));
+    let written = std::fs::read_to_string(&rows).expect("written");
+    let column = format!(r#""execution":"{MODEL}""#);
+    assert!(written.lines().all(|line| line.contains(&column)));
+
+    // A campaign of the manifest runs under its model, and under no other.
+    let imported = |more: &[&str]| {
+        let flags = [&CREATE[..8], &["--manifest", &rows, "--print-spec"], more];
+        coordinator(&flags.concat())
+    };
+    let taken = imported(&[]);
+    assert_eq!(json_of(&taken.stdout)["execution"], MODEL);
+    let refused = imported(&["--execution", "hold:2"]);
+    assert_eq!(refused.status.code(), Some(2));
+    let told = text(&refused.stderr);
+    assert!(told.contains("`execution` is hold:2"), "{told}");
+}
+
+/// A policy that only describes itself, with answers of ten actions.
+struct Described;
+
+type Answer<T> = Result<Response<T>, Status>;
+
+#[tonic::async_trait]
+impl Policy for Described {
+    async fn describe(&self, request: Request<DescribeRequest>) -> Answer<DescribeResponse> {
+        let DescribeRequest { policy, suite, .. } = request.into_inner();
+        assert_eq!(
+            (policy.as_str(), suite.as_str()),
+            ("expert", "libero_object")
+        );
+        Ok(Response::new(DescribeResponse {
+            protocol_version: proto::PROTOCOL_VERSION,
+            name: policy,
+            horizon: 10,
+            execute: 5,
+            ..DescribeResponse::default()
+        }))
+    }
+
+    async fn reset(&self, _: Request<ResetRequest>) -> Answer<ResetResponse> {
+        Err(Status::unimplemented("nobody asks"))
+    }
+
+    async fn infer(&self, _: Request<InferRequest>) -> Answer<InferResponse> {
+        Err(Status::unimplemented("nobody asks"))
+    }
+
+    async fn infer_batch(&self, _: Request<InferBatchRequest>) -> Answer<InferBatchResponse> {
+        Err(Status::unimplemented("nobody asks"))
+    }
+
+    async fn end(&self, _: Request<EndRequest>) -> Answer<EndResponse> {
+        Err(Status::unimplemented("nobody asks"))
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+    let endpoint = format!("http://{}", listener.local_addr().expect("an address"));
+    let policy = Server::builder().add_service(PolicyServer::new(Described));
+    let serving = tokio::spawn(policy.serve_with_incoming(TcpIncoming::from(listener)));
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let create = |name: &str, model: &str, more: &[&str]| {
+        let named = ["campaign", "create", "--name", name];
+        let policy = ["--policy", "expert", "--endpoint", &endpoint];
+        let rollouts = ["--tasks", "libero_object/0", "--execution", model];
+        serve.command(&[&named[..], &policy, &rollouts, more].concat())
+    };
+    for more in [&[][..], &["--dry-run"]] {
+        let refused = create("late", "overlap:10", more);
+        let told = text(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(2), "{told}");
+        for part in [
+            "create campaign late of policy `expert` at http://127.0.0.1:",
+            "`overlap:10` drops at least 10 actions of each answer",
+            "Choose a delay below 10, `hold:10`",
+        ] {
+            assert!(told.contains(part), "{told}");
+        }
+    }
+    // Of the latency axis, too: r20 is ten steps late.
+    let axis = ["--axes", "camera,latency", "--levels", "r20"];
+    let named = ["campaign", "create", "--name", "axis", "--policy", "expert"];
+    let rest = ["--endpoint", &endpoint, "--tasks", "libero_object/0"];
+    let refused = serve.command(&[&named[..], &rest, &axis].concat());
+    let told = text(&refused.stderr);
+    assert!(told.contains("`overlap:10` drops at least 10"), "{told}");
+    // Some of the answers are executed; all of them are where the arm holds still.
+    for (name, model) in [("some", "overlap:9*1+12*9"), ("all", "hold:10")] {
+        let created = create(name, model, &[]);
+        assert!(created.status.success(), "{}", text(&created.stderr));
+        let told = text(&created.stdout);
+        assert!(!told.contains("does not say"), "{told}");
+    }
+    serving.abort();
+    let _ = serving.await;
+    let created = create("unknown", "overlap:10", &[]);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+    let told = text(&created.stdout)
+        .split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ");
+    for part in [
+        "does not say yet how long its answers are",
+        "if overlap:10 drops all",
+    ] {
+        assert!(told.contains(part), "{told}");
+    }
+    let listed = serve.command(&["campaign", "list"]);
+    assert!(
+        !text(&listed.stdout).contains("late"),
+        "{}",
+        text(&listed.stdout)
+    );
+}

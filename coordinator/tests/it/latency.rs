@@ -1,0 +1,159 @@
+//! The latency axis, from a campaign's creation to its thresholds.
+
+use std::time::{Duration, Instant};
+
+use libero_ctrl::{Condition, RolloutId, delay_at};
+use paired::Outcome;
+use proto::coordinator::commit_response::Verdict;
+use serde_json::{Value, json};
+
+use crate::derived::{PATIENCE, run_all};
+use crate::harness::rollout_id;
+use crate::page::ask;
+use crate::process::{Serve, text};
+
+/// Longest delay that the policy bears, control steps.
+const BEARS: u16 = 3;
+
+fn outcome(id: &RolloutId) -> Outcome {
+    let is_late = id.condition() == Condition::Latency;
+    Outcome::from(!is_late || delay_at(id.level()).is_some_and(|delay| delay <= BEARS))
+}
+
+fn json_of(serve: &Serve, arguments: &[&str]) -> Value {
+    let output = serve.command(&[arguments, &["--json"]].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+#[rustfmt::skip]
+const CREATE: [&str; 16] = [
+    "campaign", "create", "--name", "late", "--policy", "p",
+    "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/0-1", "--levels", "L1,L3",
+    "--configs", "0-1", "--axes", "camera,robot,latency",
+];
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_late_policy_is_a_condition_of_its_own() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    let refused = serve.command(&[&CREATE[..], &["--execution", "hold:2"]].concat());
+    assert_eq!(refused.status.code(), Some(2));
+    let told = text(&refused.stderr);
+    assert!(
+        told.contains("axis `latency` with `execution` hold:2"),
+        "{told}"
+    );
+    let created = serve.command(&CREATE);
+    assert!(created.status.success(), "{}", text(&created.stderr));
+
+    // A worker that leaves the delay out is refused.
+    let mut worker = serve.worker("w").await;
+    let mut tried = false;
+    for lease in worker.claim(64).await {
+        let id: RolloutId = rollout_id(&lease).parse().expect("an id");
+        if !tried && id.condition() == Condition::Latency {
+            tried = true;
+            let mut report = worker.report(&lease, true);
+            let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
+            settings.remove("execution model").expect("it has a model");
+            let (verdict, detail) = worker.commit_request(report).await;
+            assert_eq!(verdict, Verdict::Unpaired, "{detail}");
+            assert!(
+                detail.contains("runs under execution model `overlap:"),
+                "{detail}"
+            );
+            continue;
+        }
+        let success = outcome(&id) == Outcome::Success;
+        assert_eq!(worker.commit(&lease, success).await, Verdict::Accepted);
+    }
+    assert!(tried);
+    let began = Instant::now();
+    while !text(&serve.command(&["campaign", "status", "late"]).stdout).contains("finished") {
+        run_all(&mut worker, outcome).await;
+        assert!(
+            began.elapsed() < PATIENCE,
+            "the refused rollout is leased again"
+        );
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+
+    let exported = serve.command(&["export", "late", "--format", "jsonl"]);
+    let rows = text(&exported.stdout).lines();
+    let rows = rows.map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
+    let late: Vec<Value> = rows.filter(|row| !row["execution"].is_null()).collect();
+    assert_eq!(late.len(), 2 * 2 * 2);
+    for row in late {
+        let expected = if row["level"] == "L1" {
+            "overlap:1"
+        } else {
+            "overlap:4"
+        };
+        assert_eq!(
+            (&row["axis"], &row["execution"]),
+            (&json!("latency"), &json!(expected))
+        );
+    }
+
+    // Success with a late policy, and no paired figure that knows of it.
+    let report = json_of(&serve, &["report", "late"]);
+    let cells = report["reports"][0]["cells"].as_array().expect("cells");
+    for (cell, successes) in cells.iter().zip([4, 0]) {
+        let count = json!({"successes": successes, "n": 4});
+        assert_eq!(cell["latency"]["count"], count, "{cell}");
+        assert_eq!(
+            (&cell["paired"]["n"], &cell["paired"]["s_conj"]),
+            (&json!(4), &json!(1.0))
+        );
+    }
+    let notes = report["reports"][0]["notes"].to_string();
+    assert!(!notes.contains("execution model"), "{notes}");
+    let full = serve.command(&["report", "late", "--full"]);
+    let head = text(&full.stdout)
+        .lines()
+        .find(|line| line.contains("latency"));
+    let words: Vec<&str> = head.expect("a column").split_whitespace().collect();
+    assert_eq!(words, ["camera", "robot", "latency", "simultaneous"]);
+    let page = ask(&serve.url, "GET /campaigns/late").await.text();
+    assert!(page.contains("latency"), "{page}");
+    let one = ask(
+        &serve.url,
+        "GET /campaigns/late/configurations/object/t0/latency/L3/c00",
+    )
+    .await;
+    assert!(one.text().contains("overlap:4"), "{}", one.text());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_delay_that_a_policy_bears_is_found_in_whole_control_steps() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(folder.path());
+    assert!(serve.command(&CREATE).status.success());
+    let mut worker = serve.worker("w").await;
+    let began = Instant::now();
+    let ask = ["thresholds", "late", "--axes", "latency", "--create"];
+    let found = loop {
+        run_all(&mut worker, outcome).await;
+        let found = json_of(&serve, &ask);
+        if found["complete"] == json!(true) {
+            break found;
+        }
+        assert!(began.elapsed() < PATIENCE, "{found}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    };
+    assert_eq!(
+        (&found["looked_for"], &found["found"]),
+        (&json!(4), &json!(4))
+    );
+    for threshold in found["thresholds"].as_array().expect("a list") {
+        assert_eq!(threshold["condition"], "latency");
+        let bracket = [&threshold["succeeds_at"], &threshold["fails_at"]];
+        assert_eq!(bracket, [&json!(6.0), &json!(8.0)], "three steps and four");
+    }
+    let said = serve.command(&["thresholds", "late"]);
+    let words: Vec<&str> = text(&said.stdout).split_whitespace().collect();
+    let words = words.join(" ");
+    let bears = "half of the configurations bear 3 control steps, 150 ms";
+    assert!(words.contains(bears), "{words}");
+}

@@ -1,0 +1,116 @@
+//! Python class of a late policy's schedule.
+
+use libero_ctrl::{ACTION_WIDTH, Action, Execution, TaskRef};
+use numpy::{PyArrayDyn, PyUntypedArrayMethods};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use crate::action::{self, Numbers};
+use crate::error::value;
+use crate::state::shaped;
+
+/// Number of control steps until a response takes effect, and the commands scheduled for the next
+/// steps, [n, 7].
+type Query<'py> = (u32, Bound<'py, PyArrayDyn<f64>>);
+
+/// Queries and commands of one rollout whose policy is late, as of a campaign's rollout under the
+/// same execution model.
+#[pyclass(module = "rollout_libero._native")]
+pub(crate) struct Schedule {
+    execution: Execution,
+    inner: libero_ctrl::Schedule,
+}
+
+#[pymethods]
+impl Schedule {
+    /// Creates the schedule of a rollout of `task` from an initial state, which executes `execute`
+    /// actions of each response; all of them by default. The gripper starts open.
+    #[new]
+    #[pyo3(signature = (execution, task, init_state, *, execute = None))]
+    fn new(execution: &str, task: &str, init_state: u16, execute: Option<usize>) -> PyResult<Self> {
+        let execution: Execution = execution.parse().map_err(value)?;
+        let task: TaskRef = task.parse().map_err(value)?;
+        if execute == Some(0) {
+            return Err(PyValueError::new_err(
+                "choose execute 0: it is 1 or more actions of each answer, or None for all",
+            ));
+        }
+        let execute = execute.unwrap_or(usize::MAX);
+        let inner = libero_ctrl::Schedule::new(execution.clone(), execute, task, init_state);
+        Ok(Self { execution, inner })
+    }
+
+    /// Execution model.
+    #[getter]
+    fn execution(&self) -> String {
+        self.execution.to_string()
+    }
+
+    /// True if the policy is told what is executed until its response takes effect.
+    #[getter]
+    fn is_rtc(&self) -> bool {
+        self.execution.is_rtc()
+    }
+
+    /// Returns the query that is due before the next control step; `None` if none is.
+    fn due<'py>(&self, py: Python<'py>) -> PyResult<Option<Query<'py>>> {
+        let query = self.inner.due();
+        let query = query.map(|query| Ok((query.delay, rows(py, query.under_way)?)));
+        query.transpose()
+    }
+
+    /// Sets the response to the due query: actions, [n, 7].
+    fn answer(&mut self, actions: Numbers<'_>) -> PyResult<()> {
+        if self.inner.due().is_none() {
+            return Err(PyValueError::new_err(
+                "answer a query: none is due; call advance until due() returns one",
+            ));
+        }
+        let count = match *actions.shape() {
+            [count, _] if count > 0 => count,
+            ref shape => {
+                return Err(PyValueError::new_err(format!(
+                    "answer a query with actions of shape {shape:?}: expected [n, {ACTION_WIDTH}]"
+                )));
+            }
+        };
+        self.execution.check(count).map_err(value)?;
+        let actions = action::actions(&actions, &[count, ACTION_WIDTH])?;
+        self.inner.answer(actions);
+        Ok(())
+    }
+
+    /// Returns the action of the next control step, [7], and goes on by one.
+    fn advance<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        if self.inner.due().is_some() {
+            return Err(PyValueError::new_err(
+                "advance a schedule: a query is due; call answer first",
+            ));
+        }
+        let command = self.inner.advance();
+        shaped(py, command.action.to_vec(), &[ACTION_WIDTH])
+    }
+
+    /// Returns the actions of all control steps until the next query is due, [n, 7], and goes on
+    /// by as many.
+    fn until_due<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let mut actions = Vec::new();
+        while self.inner.due().is_none() {
+            actions.push(self.inner.advance().action);
+        }
+        rows(py, actions)
+    }
+
+    /// Returns a copy that goes on by itself.
+    fn copy(&self) -> Self {
+        Self {
+            execution: self.execution.clone(),
+            inner: self.inner.clone(),
+        }
+    }
+}
+
+fn rows(py: Python<'_>, actions: Vec<Action>) -> PyResult<Bound<'_, PyArrayDyn<f64>>> {
+    let shape = [actions.len(), ACTION_WIDTH];
+    shaped(py, actions.into_flattened(), &shape)
+}

@@ -1,0 +1,93 @@
+//! Delays of a policy server as they are measured, and a campaign that draws from them, through
+//! real processes.
+
+use std::process::Command;
+
+use libero_ctrl::Delays;
+use serde_json::Value;
+use tests::programs::{Campaigns, Process, program};
+
+/// A server whose every batch takes 120 ms, made with the package that policies' authors use.
+const SLOW: &str = "\
+import time
+import numpy as np
+from rollout_policies import Description, Policy, serve
+
+class Slow(Policy):
+    description = Description(name='slow', horizon=40, execute=10, max_batch=8)
+
+    def reset(self, episode):
+        pass
+
+    def infer(self, observation):
+        return self.infer_batch([observation])[0]
+
+    def infer_batch(self, observations):
+        time.sleep(0.12)
+        return [np.zeros((40, 7), np.float32) for _ in observations]
+
+serve(Slow())
+";
+/// Control steps of 50 ms in which no answer of that server comes.
+const AT_LEAST: u16 = 3;
+/// Answers that are measured: 20 rounds of 8 episodes of 5 queries.
+const ANSWERS: u64 = 800;
+
+#[test]
+fn a_campaign_draws_its_delays_from_a_servers_measured_latencies() {
+    let Some(python) = std::env::var_os("ROLLOUT_PYTHON") else {
+        let test = "a_campaign_draws_its_delays_from_a_servers_measured_latencies";
+        eprintln!("SKIPPED {test}: `cargo xtask test` names the interpreter");
+        return;
+    };
+    let data = tempfile::tempdir().unwrap();
+    let policy = Process::serve(Command::new(python).args(["-u", "-c", SLOW]));
+    let mut campaigns = Campaigns::start(data.path());
+    let route = format!("slow={}", policy.url.replacen("http://", "grpc://", 1));
+    let mut gateway = Command::new(program("policy-gateway"));
+    gateway.args(["--listen", "127.0.0.1:0", "--route", &route]);
+    campaigns.gateway = Process::serve(&mut gateway);
+    let endpoint = campaigns.gateway.url.clone();
+
+    let file = data.path().join("slow.json");
+    let path = file.to_str().expect("UTF-8");
+    let url = endpoint.replacen("http://", "grpc://", 1);
+    let checked = Command::new(program("policy-gateway"))
+        .args(["check", &url, "--policy", "slow", "--latency", path])
+        .output()
+        .expect("the check runs");
+    let told = String::from_utf8_lossy(&checked.stdout);
+    let complaint = String::from_utf8_lossy(&checked.stderr);
+    assert!(checked.status.success(), "{told}\n{complaint}");
+    let text = std::fs::read_to_string(&file).expect("a file of latencies");
+    let written: Value = serde_json::from_str(&text).expect("JSON");
+    assert_eq!(written["policy"], "slow");
+    let counts = written["delay_steps"].as_object().expect("counts");
+    let counted: u64 = counts.values().filter_map(Value::as_u64).sum();
+    assert_eq!((counted, &written["answers"]), (ANSWERS, &ANSWERS.into()));
+    let delays = Delays::from_json(&text).expect("delays");
+    assert!(delays.shortest() >= AT_LEAST, "{text}");
+    for part in [
+        "latency with 8 rollouts at once: median ".to_owned(),
+        format!("--execution overlap:@{path}` draws from them: overlap:{delays}"),
+    ] {
+        assert!(told.contains(&part), "{part}: {told}");
+    }
+
+    #[rustfmt::skip]
+    let created = campaigns.succeed(&[
+        "campaign", "create", "--name", "measured", "--policy", "slow", "--endpoint", &endpoint,
+        "--tasks", "libero_object/0", "--axes", "none", "--configs", "0",
+        "--execution", &format!("overlap:@{path}"),
+    ]);
+    let model = format!("overlap:{delays}");
+    let line = format!("execution model {model}: an answer takes effect after ");
+    assert!(created.contains(&line), "{created}");
+    assert!(!created.contains("does not say"), "{created}");
+    let _worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
+    campaigns.wait_for_commits("measured", None);
+    let outcomes = campaigns.outcomes("measured");
+    assert_eq!(outcomes.len(), 1);
+    let row: Value = serde_json::from_str(&outcomes[0]).expect("JSON");
+    assert_eq!(row["execution"], model, "{row}");
+}
