@@ -3,7 +3,7 @@
 fn main() {
     println!("cargo:rerun-if-env-changed=MUJOCO_DYNAMIC_LINK_DIR");
     let folder = std::env::var_os("MUJOCO_DYNAMIC_LINK_DIR").map(std::path::PathBuf::from);
-    // Where the link leads: the programs outlive this checkout.
+    // The link's target is used, because the programs outlive this checkout.
     if let Some(folder) = folder.and_then(|folder| folder.canonicalize().ok()) {
         println!("cargo:rustc-link-arg=-Wl,-rpath,{}", folder.display());
     }

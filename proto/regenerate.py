@@ -1,12 +1,12 @@
 """Generates the Python code of the .proto files, where packages keep it.
 
-The generated files are kept under version control, so that installing a
-package needs no protocol compiler; `python proto/regenerate.py --check` fails
-when they are not what the .proto files say.
+The generated files are kept under version control, so that installing a package
+needs no protocol compiler; `python proto/regenerate.py --check` fails if they
+do not match the .proto files.
 
 The generator is pinned to grpcio-tools 1.62.3, the last series whose output
-runs with every protobuf from 3.20 on and demands no particular grpcio: these
-packages live in environments that other people's packages dictate.
+runs with every protobuf from 3.20 on and does not require a particular grpcio:
+the versions in these packages' environments are chosen by other packages.
 """
 
 import argparse
@@ -25,17 +25,17 @@ ROOT = HERE.parent
 class Generated:
     """The code of one .proto file in one package."""
 
-    #: Relative to this folder.
+    #: The .proto file, relative to this folder.
     source: str
     #: The folder that holds the package, relative to the checkout.
     sources: str
-    #: The package's folder below it.
+    #: The package's folder below `sources`.
     package: str
-    #: Whether type stubs are kept beside the code.
+    #: True if type stubs are kept beside the code.
     has_stubs: bool
 
     def files(self) -> list[str]:
-        """What is generated, below `sources`."""
+        """Returns the names of the generated files, below `sources`."""
         stem = f"{self.package}/{pathlib.Path(self.source).stem}_pb2"
         return [f"{stem}.py", f"{stem}_grpc.py"] + [f"{stem}.pyi"] * self.has_stubs
 

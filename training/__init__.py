@@ -1,1 +1,1 @@
-"""Teaches a small network by the scripted expert; README.md has the commands in order."""
+"""Trains a small network to imitate the scripted expert; README.md lists the commands in order."""

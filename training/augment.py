@@ -1,6 +1,6 @@
-"""Changes to pictures and instructions that should not change what the student does.
+"""Augmentation of pictures and instructions that must not change the student's actions.
 
-All of it is drawn and computed where the batch is, on the GPU.
+Everything is drawn and computed on the batch's device, the GPU.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from training.text import features
 from training.wordings import TASK_NAMES, draw
 
 MOST_SHIFT = 4
-"""Pixels of 128, in each direction."""
+"""Largest shift in each direction, of 128 pixels."""
 GAIN = 0.12
 TINT = 0.06
 LIFT = 0.08
@@ -31,12 +31,12 @@ CANONICAL_SHARE = 0.2
 """Share of the instructions in the benchmark's own words."""
 MOST_WORDS_LOST = 0.25
 MOST_PAIRS_LOST = 0.6
-"""Greatest share of the words, and of the pairs left, that an instruction loses: as if they
-were words that training has never seen."""
+"""Largest share of the words, and of the remaining pairs, that an instruction loses, as if
+they were words that never occur in training."""
 
 
 class PictureChange(NamedTuple):
-    """What happens to the two pictures of n frames."""
+    """Changes to the two pictures of n frames."""
 
     shift: Tensor
     """[n, 2, 2] int64: rows and columns, pixels."""
@@ -49,7 +49,7 @@ class PictureChange(NamedTuple):
 
 
 def draw_changes(n: int, device: torch.device) -> PictureChange:
-    """Changes for n frames."""
+    """Draws changes for n frames."""
     shift = torch.randint(-MOST_SHIFT, MOST_SHIFT + 1, (n, 2, 2), device=device)
     contrast = GAIN * torch.randn(n, 2, 1, 1, 1, device=device)
     tint = TINT * torch.randn(n, 2, 1, 1, 3, device=device)
@@ -59,14 +59,14 @@ def draw_changes(n: int, device: torch.device) -> PictureChange:
 
 
 def changed(pictures: Tensor, change: PictureChange) -> tuple[Tensor, Tensor]:
-    """Both cameras' pictures as the network takes them.
+    """Returns both cameras' changed pictures in the network's input format.
 
     Args:
         pictures: uint8 [n, 2, 128, 128, 3].
 
     Returns:
-        Twice [n, 3, 128, 128], channels last in memory. Where a shift uncovers an edge, the
-        picture's own edge is repeated.
+        Two tensors [n, 3, 128, 128], channels last in memory. Where a shift
+        uncovers an edge, the picture's own edge is repeated.
     """
     n, device = len(pictures), pictures.device
     places = torch.arange(PICTURE, device=device)
@@ -80,7 +80,7 @@ def changed(pictures: Tensor, change: PictureChange) -> tuple[Tensor, Tensor]:
 
 
 class Wordings:
-    """Many wordings of each task, as features, where the batch is."""
+    """Many wordings of each task, as features on the batch's device."""
 
     def __init__(self, per_task: int, seed: int, device: torch.device, processes: int = 1) -> None:
         found = _all_features(per_task, seed, processes)
@@ -99,10 +99,10 @@ class Wordings:
         self._per_task = per_task
 
     def draw(self, task: Tensor) -> tuple[Tensor, Tensor]:
-        """A wording for each of n samples of tasks [n], some with words missing.
+        """Draws a wording for each of n samples of tasks [n], some with words missing.
 
         Returns:
-            Rows [n, w] int64, and 1 where there is a feature [n, w].
+            Rows [n, w] int64, and a mask [n, w]: 1 where there is a feature.
         """
         n, device = len(task), task.device
         number = torch.randint(self._per_task, (n,), device=device)
@@ -115,7 +115,7 @@ class Wordings:
         return torch.cat([words, pairs], dim=1).long(), torch.cat([kept, both], dim=1).float()
 
     def canonical(self, task: Tensor) -> tuple[Tensor, Tensor]:
-        """The benchmark's own instructions, as ``draw`` gives them."""
+        """Returns the benchmark's own instructions, in the form of ``draw``."""
         words, pairs = self._words[task, 0], self._pairs[task, 0]
         there = torch.arange(words.shape[1], device=task.device) < self._lengths[task, 0, None]
         both = there[:, 1:] & there[:, :-1]
@@ -123,7 +123,7 @@ class Wordings:
 
 
 def _kept(features_of: Tensor, most_lost: float, whole: Tensor) -> Tensor:
-    """Which features stay: all where ``whole``, and in half of the other rows."""
+    """Mask of the features to keep: all where ``whole``, and in half of the other rows."""
     n, device = len(features_of), features_of.device
     lost = most_lost * torch.rand(n, 1, device=device)
     lost = torch.where(whole[:, None] | (torch.rand(n, 1, device=device) < 0.5), 0.0, lost)

@@ -2,10 +2,10 @@
 
     python -m training.check_expert --driver stranger --states 10
 
-In each rollout the expert drives, and every now and then something else does: ``pushes`` add
-a push to its actions, a ``stranger`` stands still, wanders, or takes the expert's actions of a
-second ago, with a gripper of its own. The expert begins at the benchmark's released states and
-has twice the benchmark's steps. Nothing is drawn.
+In each rollout the expert drives, with interruptions: ``pushes`` adds a push to its
+actions; a ``stranger`` stands still, wanders, or repeats the expert's actions of a
+second ago, with a gripper command of its own. The expert begins at the benchmark's
+released states and has twice the benchmark's steps. Nothing is drawn.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ import rollout_libero
 from training.wordings import TASK_NAMES
 
 STRETCH = (5, 40)
-"""Least and most steps that something else drives."""
+"""Least and most steps of a disturbance."""
 BETWEEN = (20, 80)
-"""Least and most steps that the expert drives before each."""
+"""Least and most steps that the expert drives before each disturbance."""
 STRETCHES = 3
-"""Of a rollout. What is dropped while something else drives may be out of reach for good."""
+"""Disturbances of a rollout. An object dropped during one may stay out of reach."""
 DELAY = 20
-"""Steps by which a stranger is late, one control step being 50 ms."""
+"""Delay of the actions that a stranger repeats, control steps of 50 ms."""
 WANDERING = np.array([0.5, 0.5, 0.5, 0.1, 0.1, 0.1])
-"""Largest action of a stranger that wanders, and a third of a push. Turned much further, the
-arm ends at the limits of its joints, from where no policy that commands the hand comes back."""
+"""Largest action of a wandering stranger, and a third of a push. Larger turns would end at the
+joint limits, from which no policy that commands the hand recovers."""
 LATE, STILL, WANDERS = range(3)
 
 
 def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool, int]:
-    """Whether one rollout succeeds, and after how many steps."""
+    """Returns whether one rollout succeeded, and its number of steps."""
     disturbed = arguments.driver != "none"
     env = rollout_libero.VectorEnvironment(
         name,
@@ -79,13 +79,13 @@ def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool,
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Runs the rollouts on some threads and prints who succeeded."""
+    """Runs the rollouts on some threads and prints the successes."""
     tasks = [it for it in TASK_NAMES if any(it.startswith(own) for own in arguments.tasks)]
     states = range(arguments.first, arguments.first + arguments.states)
     begun, solved = time.monotonic(), 0
     with ThreadPoolExecutor(arguments.threads) as pool:
         for name in tasks:
-            # One environment stays, so that the task's scene is compiled once.
+            # One environment stays open, so that the task's scene is compiled once.
             kept = rollout_libero.VectorEnvironment(name, 1, arguments.assets, cameras=())
             ended = list(pool.map(partial(rollout, name, arguments=arguments), states))
             kept.close()

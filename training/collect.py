@@ -4,8 +4,8 @@
     python -m training.collect --into data/driven --seconds 300 --driver student \\
         --weights runs/first/student.safetensors
 
-Objects are placed anew in every episode; the released initial states of the benchmark are
-never used. What was collected stays: a further run adds shards, with other seeds.
+Objects are placed anew in every episode; the benchmark's released initial states are
+never used. Earlier collections are kept: a further run adds shards, with other seeds.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from training.student import Student
 from training.wordings import TASK_NAMES, draw
 
 STEPS_PER_FRAME = 4
-"""Control steps from frame to frame. They divide the student's eight actions."""
+"""Control steps between frames. It must divide the student's eight actions."""
 SEVERAL = 2.0
-"""Environments of one task of libero_10 for each of another's: its episodes are longer, and
-a step there is seldom seen twice."""
+"""Environments per task of libero_10, relative to other suites: its episodes are longer, and
+few of its steps resemble each other."""
 FAILURES_WEIGHT = 3.0
-"""How many times as many environments a task has that the student always fails."""
+"""Factor on the number of environments of a task that the student always fails."""
 BUDGETS = 2
-"""Steps of an episode, in the benchmark's budgets: a student is slow where it has to learn."""
+"""Step limit of an episode, in multiples of the benchmark's: a learning student is slow."""
 OUTCOMES = "outcomes.json"
-"""In the folder of shards: of each task how often the student succeeded alone, and of how many."""
+"""File in the folder of shards: by task, successes and episodes of the student alone."""
 REPORT_SECONDS = 10.0
 WORDINGS = 200
-"""Of each task, that the student is told."""
+"""Number of wordings of each task that the student may be given."""
 
 SINGLE_AXES = ("camera", "lighting", "robot", "sensor", "actuation")
 COMBINATION_SHARE = 0.5
@@ -54,11 +54,11 @@ COMBINATION_SHARE = 0.5
 RADII = (0.5, 8.0)
 """Least and greatest radius; the benchmark's L3 is 8."""
 CONFIGURATIONS = (10, 999)
-"""First and last; 0 to 9 are the benchmark's own directions."""
+"""First and last configuration; 0 to 9 are the benchmark's own directions."""
 
 
 class Tally:
-    """Counts, for lines of progress. Safe to use from several threads."""
+    """Counters for progress lines. Safe to use from several threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -68,18 +68,18 @@ class Tally:
         self._ended: list[tuple[int, Driver, bool]] = []
 
     def add_steps(self, steps: int, frames: int) -> None:
-        """Counts what was done."""
+        """Adds steps and frames."""
         with self._lock:
             self.steps += steps
             self.frames += frames
 
     def add_episode(self, task: int, driver: Driver, success: bool) -> None:
-        """Counts an episode that has ended."""
+        """Adds a finished episode."""
         with self._lock:
             self._ended.append((task, driver, success))
 
     def line(self) -> str:
-        """How far it is."""
+        """Returns a progress line."""
         with self._lock:
             seconds = time.monotonic() - self._begun
             ended = list(self._ended)
@@ -98,7 +98,7 @@ class Tally:
 
 
     def alone(self) -> dict[str, list[int]]:
-        """Of each task how often the student succeeded alone, and of how many episodes."""
+        """Returns for each task the student's successes alone and the number of such episodes."""
         found: dict[str, list[int]] = {}
         with self._lock:
             for task, driver, success in self._ended:
@@ -114,7 +114,7 @@ def _suite(task: int) -> str:
 
 
 def _rates(ended: Sequence[tuple[str, bool]]) -> str:
-    """Per cent of success by suite: ``spatial 99 object 100``."""
+    """Success rates in per cent by suite: ``spatial 99 object 100``."""
     shown = []
     for suite in dict.fromkeys(name.split("/")[0] for name in TASK_NAMES):
         own = [success for of, success in ended if of == suite]
@@ -124,7 +124,7 @@ def _rates(ended: Sequence[tuple[str, bool]]) -> str:
 
 
 class Pilot:
-    """The student's weights, from a file that may change or not be there yet."""
+    """The student's weights, from a file that may change or may not exist yet."""
 
     def __init__(self, file: Path | None, device: torch.device) -> None:
         self._file = file
@@ -134,7 +134,7 @@ class Pilot:
         self._lock = threading.Lock()
 
     def student(self) -> Student | None:
-        """The newest student, if there is one."""
+        """Returns the newest student, or None."""
         if self._file is None:
             return None
         with self._lock:
@@ -148,8 +148,8 @@ class Pilot:
 class Group:
     """Environments that step together, and the episodes that run in them.
 
-    Two groups take turns with the processor's cores: while one group's environments step,
-    the other's frames are shrunk and filed.
+    Two groups alternate on the processor's cores: while one group's
+    environments step, the other's frames are shrunk and filed.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class Group:
         )
         self._by_expert = ExpertDrives(n, self._rng)
         self._in_turns = InTurns(n, self._rng)
-        # Once a student is there, it takes part in the episodes that begin from then on.
+        # True for episodes that began after a student existed, in which it takes part.
         self._takes_part = np.zeros(n, bool)
         self._perturbations = [""] * n
         self._instructions = [""] * n
@@ -199,7 +199,7 @@ class Group:
         most_frames = -(-most_steps // self._k)
         self._frame_count = np.zeros(n, np.int64)
         self._step_count = np.zeros(n, np.int64)
-        # Pages of these are only taken once they are written to.
+        # The system allocates pages of these arrays only when they are written.
         self._frames = np.empty((n, most_frames, 2, PICTURE, PICTURE, 3), np.uint8)
         self._state = np.empty((n, most_frames, STATE), np.float32)
         self._frame_step = np.empty((n, most_frames), np.int32)
@@ -208,13 +208,13 @@ class Group:
         self._source = np.empty((n, most_steps), np.uint8)
 
     def run(self, until: float) -> None:
-        """Collects until a time of the monotonic clock."""
+        """Collects until this time of the monotonic clock."""
         try:
             while time.monotonic() < until:
                 try:
                     self._run(until)
                 except rollout_libero.SimulationError as error:
-                    # Rare: a push that the physics did not survive.
+                    # Rare: the physics diverged after a push.
                     print(f"begin {len(self._tasks)} episodes anew: {error}", flush=True)
         finally:
             self._env.close()
@@ -237,7 +237,7 @@ class Group:
             )
             self._file_steps(orders, info["taken"], info["expert_action"])
             self._tally.add_steps(int(info["taken"].sum()), len(acting))
-            # Environments whose rollout had ended have begun the next one in this call.
+            # Environments whose rollout had ended began the next one in this call.
             if begins.any():
                 self._begin(np.flatnonzero(begins))
             begins = terminated | truncated
@@ -254,7 +254,7 @@ class Group:
         return frames(observation, self._device), robot_state(observation)
 
     def _orders(self, seen: torch.Tensor, state: NDArray[np.float32]) -> Orders:
-        """What the environments do next, whoever drives them."""
+        """Returns the environments' next actions from their drivers."""
         by_expert = self._by_expert.next(self._k)
         student = self._pilot.student()
         if student is None or not self._takes_part.any():
@@ -277,19 +277,19 @@ class Group:
         )
 
     def _begin(self, which: NDArray[np.int64]) -> None:
-        """Begins episodes, whose first frame is seen next."""
+        """Begins episodes, whose first frame is observed next."""
         self._by_expert.begin(which)
         self._in_turns.begin(which)
         self._takes_part[which] = self._pilot.student() is not None
         self._frame_count[which] = self._step_count[which] = 0
         for index in which:
             wordings = self._wordings[self._tasks[index]]
-            # Half of the episodes in the benchmark's own words.
+            # Half of the episodes use the benchmark's own words.
             at = 0 if self._rng.random() < 0.5 else int(self._rng.integers(len(wordings)))
             self._instructions[index] = wordings[at]
 
     def _perturb(self, index: int) -> None:
-        """Chooses what the environment's next rollout is perturbed by."""
+        """Chooses the perturbation of the environment's next rollout."""
         chosen = ""
         if self._rng.random() < self._perturbed:
             chosen = perturbation(self._rng)
@@ -324,7 +324,7 @@ class Group:
         self._step_count += taken
 
     def _end(self, index: int, outcome: Outcome) -> None:
-        """Files an episode."""
+        """Files a finished episode."""
         seen, steps = self._frame_count[index], self._step_count[index]
         self._frame_count[index] = 0
         drives = self._in_turns if self._takes_part[index] else self._by_expert
@@ -351,7 +351,7 @@ class Group:
 
 
 def perturbation(rng: np.random.Generator) -> str:
-    """A configuration of the benchmark's axes, in none of the benchmark's directions."""
+    """Returns a configuration on the benchmark's axes, with none of the benchmark's directions."""
     combined = rng.random() < COMBINATION_SHARE
     axis = "combination" if combined else SINGLE_AXES[rng.integers(len(SINGLE_AXES))]
     first, last = CONFIGURATIONS
@@ -359,7 +359,7 @@ def perturbation(rng: np.random.Generator) -> str:
 
 
 def read_outcomes(folders: Sequence[Path]) -> dict[str, list[int]]:
-    """How often the student succeeded alone in the collections of these folders, by task."""
+    """Returns the student's successes alone and episodes in these folders' collections, by task."""
     total: dict[str, list[int]] = {}
     for folder in folders:
         file = folder / OUTCOMES
@@ -372,12 +372,12 @@ def read_outcomes(folders: Sequence[Path]) -> dict[str, list[int]]:
 def tasks_of_environments(
     count: int, suites: Sequence[str], outcomes: Mapping[str, Sequence[int]]
 ) -> list[int]:
-    """The tasks of so many environments: those of libero_10 more often, and those that the
-    student fails; each once at least, if there is room."""
+    """Returns the tasks of ``count`` environments. Tasks of libero_10 and tasks that the student
+    fails get more environments; each task gets at least one, if there is room."""
     shares = np.zeros(len(TASK_NAMES))
     for number, name in enumerate(TASK_NAMES):
         solved, tried = outcomes.get(name, (0, 0))
-        # As if it had been tried twice more, once with success.
+        # Smoothing: two more tries are assumed, one of them successful.
         failing = 1 - (solved + 1) / (tried + 2) if outcomes else 0.0
         weight = 1 + (FAILURES_WEIGHT - 1) * failing
         suite = name.split("/")[0]
@@ -387,15 +387,15 @@ def tasks_of_environments(
         return [int(chosen[at * len(chosen) // count]) for at in range(count)]
     given = (shares > 0).astype(int)
     for _ in range(count - len(chosen)):
-        # Whose turn it is: the one furthest behind its share.
+        # The next environment goes to the task furthest below its share.
         given[np.argmax(shares / np.maximum(given, 1))] += 1
-    # Spread, so that groups get alike shares of each.
+    # Interleaved, so that each group gets a similar share of every task.
     turns = [np.flatnonzero(given > turn).tolist() for turn in range(int(given.max()))]
     return [task for turn in turns for task in turn]
 
 
 def compile_scenes(tasks: Iterable[int], assets: str, threads: int) -> None:
-    """Compiles the tasks' scenes side by side; they are kept."""
+    """Compiles the tasks' scenes concurrently; they are kept."""
 
     def compiled(task: int) -> Any:
         return scene_of_task(rollout_libero.Task.of(TASK_NAMES[task]), assets)
@@ -405,11 +405,11 @@ def compile_scenes(tasks: Iterable[int], assets: str, threads: int) -> None:
 
 
 SCENES: list[Any] = []
-"""Compiled scenes, which would be dropped with the last environment that uses them."""
+"""Keeps compiled scenes alive, which would be dropped with the last environment in them."""
 
 
 def collect(arguments: argparse.Namespace) -> None:
-    """Runs the groups until the time is over."""
+    """Runs the groups until the time is spent."""
     until = time.monotonic() + arguments.seconds
     if arguments.driver == "student" and arguments.weights is None:
         raise SystemExit("collect with --driver student: name the student's file with --weights")
@@ -419,7 +419,7 @@ def collect(arguments: argparse.Namespace) -> None:
     tally = Tally()
     pilot = Pilot(arguments.weights if arguments.driver == "student" else None, device)
     wordings = [draw(task, WORDINGS, arguments.seed) for task in TASK_NAMES]
-    # A run that goes on must not see the scenes of the last one again.
+    # A resumed run must not repeat the scenes of earlier runs.
     run = next_number(arguments.into)
     outcomes = read_outcomes(arguments.failures) if arguments.failures else {}
     groups_of = tasks_of_environments(arguments.envs, arguments.suites, outcomes)

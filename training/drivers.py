@@ -1,6 +1,6 @@
-"""Who drives: the expert, the expert disturbed, or the student in turns with the expert.
+"""Drivers of an episode: the expert, the disturbed expert, or student and expert in turns.
 
-All of it is arithmetic on n environments at once, with a random generator.
+Everything is arithmetic on n environments at once, with a random generator.
 """
 
 from __future__ import annotations
@@ -18,45 +18,45 @@ WIDTH = ARM + 1
 CLEAN_SHARE = 0.2
 """Share of the expert's episodes that nothing disturbs."""
 NOISE = (0.05, 0.4)
-"""Least and greatest standard deviation of the noise on the arm's numbers."""
+"""Least and greatest standard deviation of the noise on the six numbers of the arm."""
 QUIET_SHARE = 0.25
-"""Share of the stretches without noise in a disturbed episode."""
+"""Share of a disturbed episode's stretches that are without noise."""
 NOISE_STEPS = (10, 60)
-"""Least and most steps of a stretch with one standard deviation."""
+"""Least and most steps of a stretch, in which the standard deviation is constant."""
 PUSH_CHANCE = 1 / 120
-"""Of a push to begin, in a step of a disturbed episode."""
+"""Probability that a push begins in a step of a disturbed episode."""
 PUSH_STEPS = (3, 10)
 PUSH_SIZE = (0.5, 1.5)
-"""Largest of a push's numbers of translation, which are added to the expert's. From 2 on,
-nothing would be left of those."""
+"""Largest translation of a push, which is added to the expert's action. From 2 on, it would
+outweigh the expert entirely."""
 PUSH_ROTATION = 0.4
-"""How much smaller a push's numbers of rotation are."""
+"""Factor on a push's rotation relative to its translation."""
 
 ALONE_SHARE = 0.2
 """Share of the episodes that the student drives to their end."""
 DISTURBED_SHARE = 0.5
-"""Share of the episodes in turns where the expert's own turns are disturbed."""
+"""Share of the episodes in turns in which the expert's turns are disturbed."""
 STUDENT_STEPS = (16, 160)
 EXPERT_STEPS = (12, 60)
-"""Least and most steps of a turn."""
+"""Least and most steps of a turn of each."""
 HORIZONS = (CHUNK, CHUNK, CHUNK // 2)
-"""How many actions of an answer the student does before it is asked again; one is drawn for
-each turn."""
+"""Number of actions of an answer that the student executes before the next query; one is
+drawn for each turn."""
 
 
 class Orders(NamedTuple):
-    """What n environments do in their next k steps."""
+    """Actions of n environments in their next k steps."""
 
     actions: NDArray[np.float64]
-    """[n, k, 7]: added to the expert's where it drives, done as they are elsewhere."""
+    """[n, k, 7]: added to the expert's where it drives, executed unchanged elsewhere."""
     expert: NDArray[np.bool_]
-    """[n, k]: where the expert drives."""
+    """[n, k]: True where the expert drives."""
     source: NDArray[np.uint8]
     """[n, k]"""
 
 
 class Disturbance:
-    """Noise in stretches, and pushes, in some of n environments."""
+    """Stretches of noise, and pushes, in some of n environments."""
 
     def __init__(self, n: int, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -73,7 +73,7 @@ class Disturbance:
         self._push_left[which] = 0
 
     def next(self, steps: int) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """What to add to the arm in the next steps, [n, steps, 6], and sources [n, steps]."""
+        """Returns additions to the arm's next actions, [n, steps, 6], and sources [n, steps]."""
         done = [self._step() for _ in range(steps)]
         added, source = zip(*done, strict=True)
         return np.stack(added, axis=1), np.stack(source, axis=1)
@@ -99,7 +99,7 @@ class Disturbance:
         return added, np.where(pushed, Source.PUSH, source).astype(np.uint8)
 
     def _directions(self, count: int) -> NDArray[np.float64]:
-        """Pushes in random directions, [count, 6]."""
+        """Draws pushes in random directions, [count, 6]."""
         push = self._rng.normal(size=(count, ARM))
         push /= np.abs(push[:, :3]).max(axis=1, keepdims=True)
         push[:, 3:] = np.clip(PUSH_ROTATION * push[:, 3:], -1.0, 1.0)
@@ -121,15 +121,15 @@ class ExpertDrives:
         self.driver[which] = np.where(disturbed, Driver.DISTURBED, Driver.CLEAN)
 
     def next(self, steps: int) -> Orders:
-        """What happens in the next steps."""
+        """Returns the orders for the next steps."""
         added, source = self._disturbance.next(steps)
         return Orders(_with_gripper(added), np.ones(source.shape, bool), source)
 
 
 class InTurns:
-    """Student and expert drive n environments in turns; in some episodes the student alone.
+    """Student and expert drive n environments in turns; some episodes are the student's alone.
 
-    A chunk of steps is done by one of them: turns begin and end between chunks.
+    One of them drives a whole chunk of steps: turns begin and end between chunks.
     """
 
     def __init__(self, n: int, rng: np.random.Generator) -> None:
@@ -148,12 +148,12 @@ class InTurns:
         alone = rng.random(count) < ALONE_SHARE
         self._disturbance.begin(which, rng.random(count) < DISTURBED_SHARE)
         self.driver[which] = np.where(alone, Driver.STUDENT, Driver.IN_TURNS)
-        # The next call of `asks` begins a turn of the other one.
+        # The next call of `asks` ends this turn and begins the other driver's.
         self._student[which] = rng.random(count) < 0.5
         self._turn_left[which] = 0
 
     def asks(self) -> NDArray[np.bool_]:
-        """Which environments need an answer of the student for their next steps, [n].
+        """Mask [n] of the environments that need the student's answer for their next steps.
 
         Call it once before each ``next``.
         """
@@ -169,12 +169,12 @@ class InTurns:
         return self._student & (over | (self._used >= self._horizon))
 
     def answer(self, which: NDArray[np.bool_], answers: NDArray[np.float64]) -> None:
-        """The student's answers, [m, 8, 7], for the m environments that ask."""
+        """Stores the student's answers, [m, 8, 7], for the m environments that ask."""
         self._answers[which] = answers
         self._used[which] = 0
 
     def next(self, steps: int) -> Orders:
-        """What happens in the next steps, which must divide the horizons."""
+        """Returns the orders for the next steps, whose number must divide the horizons."""
         added, source = self._disturbance.next(steps)
         places = np.minimum(self._used[:, np.newaxis] + np.arange(steps), CHUNK - 1)
         answers = np.take_along_axis(self._answers, places[:, :, np.newaxis], axis=1)
@@ -191,5 +191,5 @@ def _between(rng: np.random.Generator, limits: tuple[int, int], n: int) -> NDArr
 
 
 def _with_gripper(arm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Adds a gripper's zero to the arm's numbers, which are added to the expert's."""
+    """Appends a zero for the gripper to additions to the expert's arm actions."""
     return np.concatenate([arm, np.zeros((*arm.shape[:-1], 1))], axis=-1)

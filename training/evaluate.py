@@ -2,7 +2,7 @@
 
     python -m training.evaluate --weights runs/second/student.safetensors --episodes 5
 
-It is no study: campaigns of the product measure students, on the benchmark's own states.
+It is not a study: the product's campaigns measure students, on the benchmark's own states.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from training.student import Student
 from training.wordings import TASK_NAMES, canonical, draw
 
 UNSEEN_SEED = 1_000_003
-"""Of wordings and of placements; no training has it by default."""
+"""Seed of wordings and placements. No training uses it by default."""
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
-    """Runs the episodes side by side and prints how many succeeded."""
+    """Runs the episodes concurrently and prints the number of successes."""
     device = torch.device(arguments.device)
     student = Student(arguments.weights, device)
     tasks = [name for name in TASK_NAMES if any(name.startswith(own) for own in arguments.tasks)]
     compile_scenes([TASK_NAMES.index(name) for name in tasks], arguments.assets, arguments.threads)
-    # Each environment has several episodes, one after the other; long ones come first.
+    # Each environment runs several episodes in succession; long ones come first.
     most = max(1, arguments.envs // len(tasks))
     each = -(-arguments.episodes // most)
     at_once = -(-arguments.episodes // each)
@@ -83,9 +83,9 @@ def evaluate(arguments: argparse.Namespace) -> None:
 def report(
     arguments: argparse.Namespace, ended: Mapping[str, Sequence[tuple[int, bool]]], seconds: float
 ) -> None:
-    """Prints successes by suite and task, and writes them if asked to."""
+    """Prints successes by suite and task, and writes them if requested."""
     if arguments.states == "released":
-        # Environments that take turns may go round once more than there are states.
+        # Environments that take turns may begin one round more than there are states.
         ended = {
             name: [it for it in dict(own).items() if it[0] < arguments.episodes]
             for name, own in ended.items()

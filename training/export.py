@@ -3,8 +3,8 @@
     python -m training.export --run runs/second --name student --into student.safetensors \\
         --reference queries.safetensors
 
-The reference has four queries of scenes placed anew and the answers of the rounded weights,
-computed in single precision on the processor.
+The reference has four queries of scenes placed anew, and the answers of the
+rounded weights, computed in single precision on the processor.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from training.wordings import canonical, draw
 REFERENCE_TASKS = ("libero_spatial/0", "libero_object/3", "libero_goal/5", "libero_10/9")
 REFERENCE_SEED = 2_000_003
 REFERENCE_STEPS = 24
-"""Steps of the expert's before the queries, so that the arm is somewhere else in each."""
+"""Steps of the expert before the queries, so that the arm's position differs in each."""
 
 
 def export(run: Path, name: str, into: Path) -> None:
-    """Rounds the running mean of a run's weights to half precision and writes it."""
+    """Rounds the running mean of a run's weights to half precision and writes it to a file."""
     state = torch.load(run / CHECKPOINT, map_location="cpu", weights_only=True)
     save_weights(state["mean"], into, name)
     print(f"{into}: {into.stat().st_size:,} bytes, step {state['step']:,}")
 
 
 def write_reference(weights: Path, into: Path, assets: str) -> None:
-    """Queries, and what the weights answer."""
+    """Writes queries with the weights' answers."""
     from gymnasium.vector import AutoresetMode
 
     import rollout_libero
@@ -53,7 +53,7 @@ def write_reference(weights: Path, into: Path, assets: str) -> None:
     )
     n = len(REFERENCE_TASKS)
     env.reset(seed=[REFERENCE_SEED + at for at in range(n)])
-    # Each a little further than the one before it.
+    # Each arm moves a little further than the one before it.
     sizes = np.linspace(0.0, 1.0, n)[:, np.newaxis, np.newaxis]
     nothing = np.zeros((n, REFERENCE_STEPS, 7))
     _, _, _, _, info = env.step_chunk(nothing, "none", expert=np.ones((n, REFERENCE_STEPS), bool))

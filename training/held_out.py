@@ -1,4 +1,4 @@
-"""Writes the digests of the evaluation's wordings, so that no training sees them.
+"""Writes digests of the evaluation's wordings, so that training can exclude them.
 
 python -m training.held_out
 """
@@ -15,7 +15,7 @@ PRESETS = 10
 
 
 def evaluation_sentences() -> list[str]:
-    """What the language axis and the combination say in the benchmark's configurations."""
+    """Returns the benchmark's wordings of the language axis and of the combination."""
     from rollout_libero._library import native
 
     found = set()

@@ -1,6 +1,6 @@
 """The network: two pictures, the robot's state and an instruction in, eight actions out.
 
-It keeps nothing between queries. Its parameters' names are those of the weights file.
+It keeps no state between queries. Its parameters have the names of the weights file.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from training.text import BUCKETS
 CHUNK = 8
 """Actions of one query."""
 ARM = 6
-"""Numbers of an action that move the arm; a seventh moves the gripper."""
+"""Numbers of an action for the arm; a seventh number is for the gripper."""
 STATE = 14
 """Numbers of the robot's state: position (3), rotation matrix (9), fingers (2)."""
 PICTURE = 128
@@ -26,22 +26,22 @@ WORD_WIDTH = 48
 TEXT_WIDTH = 128
 POINTS = 64
 GRID = 32
-"""Height and width of the map that points are looked for in, twice the last features'."""
+"""Side of the map in which points are located; twice that of the last features."""
 HEAD = 512
 GROUPS = 8
 
 
 class Actions(NamedTuple):
-    """What the network says, before it is cut to what a robot takes."""
+    """The network's output, before it is clipped to the robot's range."""
 
     arm: Tensor
     """[n, 8, 6]"""
     gripper: Tensor
-    """[n, 8]: positive closes."""
+    """[n, 8]: a positive value closes the gripper."""
 
 
 class Stem(nn.Module):
-    """From 128 × 128 pixels to 32 channels of 64 × 64."""
+    """Convolution of 128 × 128 pixels to 32 channels of 64 × 64."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -53,7 +53,7 @@ class Stem(nn.Module):
 
 
 class Block(nn.Module):
-    """A residual block that the instruction scales and shifts."""
+    """A residual block, scaled and shifted by the instruction."""
 
     def __init__(self, channels: int, out: int, stride: int) -> None:
         super().__init__()
@@ -75,8 +75,8 @@ class Block(nn.Module):
 class Encoder(nn.Module):
     """One camera: a picture [n, 3, 128, 128] to [n, 320].
 
-    The 320 are, of 64 learned points, the columns, the rows and the peaks, and the means of
-    128 channels.
+    The 320 numbers are the columns, rows and peaks of 64 learned points, and
+    the means of 128 channels.
     """
 
     def __init__(self) -> None:
@@ -86,13 +86,13 @@ class Encoder(nn.Module):
         self.block2 = Block(48, 96, stride=2)
         self.block3 = Block(96, 128, stride=1)
         self.points = nn.Conv2d(128, POINTS, 1)
-        # Where exactly, by features that are twice as fine.
+        # Refines the points' positions with features of twice the resolution.
         self.fine = nn.Conv2d(48, POINTS, 1, bias=False)
 
     def forward(self, picture: Tensor, text: Tensor) -> Tensor:
         fine = self.block1(self.stem(picture), text)
         x = self.block3(self.block2(fine, text), text)
-        # Exponentials and coordinates in single precision, whatever the rest is computed in.
+        # Exponentials and coordinates use single precision, whatever the other layers use.
         coarse = functional.interpolate(self.points(x).float(), scale_factor=2, mode="nearest")
         scores = (coarse + self.fine(fine).float()).flatten(2)
         chance = scores.softmax(dim=2).unflatten(2, (GRID, GRID))
@@ -123,17 +123,17 @@ class Network(nn.Module):
         self.gripper = nn.Linear(HEAD, CHUNK)
         self.register_buffer("state_mean", torch.zeros(STATE))
         self.register_buffer("state_std", torch.ones(STATE))
-        # So that words which training never sees add nothing.
+        # Zero, so that words never seen in training add nothing.
         nn.init.zeros_(self.words.weight)
 
     def forward(
         self, agentview: Tensor, wrist: Tensor, state: Tensor, rows: Tensor, present: Tensor
     ) -> Actions:
-        """Actions for n queries.
+        """Returns actions for n queries.
 
         Args:
             agentview, wrist: [n, 3, 128, 128], from -1 to 1.
-            state: [n, 14], as it is read: m, and numbers of a rotation matrix.
+            state: [n, 14], unscaled: metres, and elements of a rotation matrix.
             rows: [n, w] int64: the instruction's features, padded.
             present: [n, w]: 1 where there is a feature, 0 where there is padding.
         """
@@ -148,11 +148,11 @@ class Network(nn.Module):
 
 
 def parameters(network: nn.Module) -> int:
-    """How many numbers training may change."""
+    """Number of trainable parameters."""
     return sum(it.numel() for it in network.parameters())
 
 
 def to_actions(said: Actions) -> Tensor:
-    """As a robot takes them, [n, 8, 7]: the arm from -1 to 1, the gripper 1 or -1."""
+    """Converts outputs to the robot's actions, [n, 8, 7]: arm -1 to 1, gripper 1 or -1."""
     gripper = torch.where(said.gripper > 0, 1.0, -1.0)
     return torch.cat([said.arm.clamp(-1.0, 1.0), gripper[:, :, None]], dim=2)

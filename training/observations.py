@@ -1,4 +1,4 @@
-"""What an environment shows, as the network takes it."""
+"""Conversion of an environment's observations to the network's input."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from training.network import STATE
 from training.text import features
 
 Observation = Mapping[str, NDArray[Any]]
-"""``rollout_libero``'s with ``orientation="upright"``: n rows under each name."""
+"""Observation of ``rollout_libero`` with ``orientation="upright"``: n rows under each name."""
 
 CAMERAS = ("agentview", "robot0_eye_in_hand")
-"""In the order of a frame's pictures."""
+"""Cameras in the order of a frame's pictures."""
 RENDERED = 256
-"""Height and width that pictures are drawn at. Noise and blur are defined there."""
+"""Height and width of rendered pictures. Noise and blur are defined at this size."""
 
 
 def shrink(pictures: Tensor) -> Tensor:
-    """Half the height and width, by integer area mean.
+    """Halves height and width by integer area mean.
 
     Args:
         pictures: uint8 [..., 2h, 2w, channels].
@@ -39,14 +39,14 @@ def shrink(pictures: Tensor) -> Tensor:
 
 
 def frames(observation: Observation, device: torch.device) -> Tensor:
-    """Both cameras' pictures, uint8 [n, 2, 128, 128, 3] on the device, oriented as the
-    observation's. The student is trained on upright ones."""
+    """Returns both cameras' pictures, uint8 [n, 2, 128, 128, 3] on the device,
+    in the observation's orientation. The student is trained on upright ones."""
     views = [shrink(torch.from_numpy(observation[camera]).to(device)) for camera in CAMERAS]
     return torch.stack(views, dim=1)
 
 
 def rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation matrices [n, 9], row by row, of quaternions [n, 4], x y z w."""
+    """Converts quaternions [n, 4], x y z w, to rotation matrices [n, 9], row by row."""
     x, y, z, w = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
     return np.stack(
         [
@@ -59,7 +59,7 @@ def rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def robot_state(observation: Observation) -> NDArray[np.float32]:
-    """The robot's state [n, 14]: position, rotation matrix of the hand, fingers."""
+    """Returns the robot's state [n, 14]: position, rotation matrix of the hand, fingers."""
     position, fingers = observation["eef_pos"], observation["gripper_pos"]
     matrix = rotation(observation["eef_quat"])
     state = np.concatenate([position, matrix, fingers], axis=1, dtype=np.float32)
@@ -68,12 +68,12 @@ def robot_state(observation: Observation) -> NDArray[np.float32]:
 
 
 def scaled(picture: Tensor) -> Tensor:
-    """Bytes [n, h, w, 3] to numbers from -1 to 1, [n, 3, h, w], channels last in memory."""
+    """Scales bytes [n, h, w, 3] to -1 to 1, [n, 3, h, w], channels last in memory."""
     return picture.permute(0, 3, 1, 2).float() / 127.5 - 1.0
 
 
 def instruction_rows(texts: Sequence[str]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Features of n instructions, padded to the longest: rows [n, w], and where there are any."""
+    """Features of n instructions, padded to the longest: rows [n, w] and presence [n, w]."""
     found = [[*singles, *pairs] for singles, pairs in map(features, texts)]
     longest = max(1, *map(len, found))
     rows = np.zeros((len(found), longest), np.int64)

@@ -5,10 +5,10 @@
     python -m training.pipeline --data data --stage evaluate --minutes 4
 
 ``teach`` collects on the processor's cores while the GPU trains. In the first round the expert
-drives, mostly disturbed; in each later round the student, with its newest weights, takes turns
-with the expert, and the tasks that the student failed before get more environments. Training
-keeps the frames of all rounds. A call ends after ``--minutes``, and the same command resumes it;
-the learning rate falls over ``--total-minutes``, the training time of all calls.
+drives, mostly disturbed. In each later round the student, with its newest weights, takes turns with
+the expert, and tasks that the student failed before get more environments. Training keeps the
+frames of all rounds. A call ends after ``--minutes``, and the same command resumes it; the learning
+rate decays over ``--total-minutes``, the training time of all calls.
 
 ``evaluate`` exports the weights and measures the student on the benchmark's released initial
 states, which no stage has seen.
@@ -35,17 +35,17 @@ THREADS = 16
 
 
 def python(module: str, *arguments: object) -> list[str]:
-    """A command of this package."""
+    """Returns the command line of a module of this package."""
     return [sys.executable, "-u", "-m", f"training.{module}", *map(str, arguments)]
 
 
 def rounds(data: Path) -> list[Path]:
-    """The folders of the rounds so far, in order."""
+    """Returns the folders of the rounds so far, in order."""
     return sorted(it for it in data.glob("round_*") if it.is_dir())
 
 
 def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess.Popen[bytes]]:
-    """Begins a round with all cores."""
+    """Begins a round on all cores."""
     number = len({it.name.split("_")[1] for it in rounds(arguments.data)})
     count = max(1, arguments.workers // THREADS)
     begun = []
@@ -63,7 +63,7 @@ def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess
         if any((folder / OUTCOMES).exists() for folder in earlier):
             command += ["--failures", *map(str, earlier)]
         log = (arguments.data / f"{into.name}.log").open("wb")
-        # The first GPU trains; a second one is the collectors'.
+        # The first GPU trains; collectors use a second one, if there is one.
         last = max(0, torch.cuda.device_count() - 1)
         environment = os.environ | {"CUDA_VISIBLE_DEVICES": str(last)} if last else None
         begun.append(
@@ -73,10 +73,10 @@ def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess
 
 
 def teach(arguments: argparse.Namespace) -> None:
-    """Collects and trains side by side until this call is over."""
+    """Collects and trains concurrently until this call's time is spent."""
     end = time.monotonic() + 60 * arguments.minutes - LEAVE_SECONDS
     arguments.data.mkdir(parents=True, exist_ok=True)
-    # The trainer looks for shards in all rounds that there may be.
+    # The trainer looks for shards in all possible rounds.
     numbers = [f"{at:02}_{process}" for at in range(40) for process in range(8)]
     folders = [arguments.data / f"round_{number}" for number in numbers]
     trainer = subprocess.Popen(
@@ -109,7 +109,7 @@ def teach(arguments: argparse.Namespace) -> None:
 
 
 def show_rounds(data: Path) -> None:
-    """Prints what each round brought: the last line of each collection, and its failures."""
+    """Prints each round's results: the last line of each collection, and its failures."""
     for folder in rounds(data):
         log = data / f"{folder.name}.log"
         lines = [it for it in log.read_text().splitlines() if " steps (" in it]

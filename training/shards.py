@@ -1,20 +1,20 @@
-"""What was collected, on disk: folders of shards, each of some dozens of episodes.
+"""Collected episodes on disk: folders of shards, each of some dozens of episodes.
 
-A shard has F frames, S control steps and E episodes. Frames are seen before every few
-steps; labels are of every step.
+A shard has F frames, S control steps and E episodes. There is a frame before
+every few steps, and a label for every step.
 
     frames.npy       uint8   [F, 2, 128, 128, 3]  both cameras, row 0 at the top
     table.npz:
       state          float32 [F, 14]  of the robot, at the frame
       frame_step     int32   [F]      the step that follows the frame, counted in the shard
-      label          float32 [S, 7]   what the expert would have done
-      executed       float32 [S, 7]   what was done
-      source         uint8   [S]      who did it
-      frames, steps  int32   [E]      how many of each an episode has
-      task           int16   [E]      its place in ``wordings.TASK_NAMES``
+      label          float32 [S, 7]   the expert's action
+      executed       float32 [S, 7]   the executed action
+      source         uint8   [S]      the driver of the step
+      frames, steps  int32   [E]      number of each in an episode
+      task           int16   [E]      index in ``wordings.TASK_NAMES``
       outcome        uint8   [E]
       driver         uint8   [E]
-      perturbation   str     [E]      "" where nothing was perturbed
+      perturbation   str     [E]      "" if there was none
 """
 
 from __future__ import annotations
@@ -35,50 +35,50 @@ from training.network import CHUNK
 FRAMES_PER_SHARD = 2_000
 PREFIX = "shard_"
 MOST_DRIFT = 0.5
-"""Within a chunk, the student's actions may differ from the expert's by this much in their
-sum, along any axis (0.025 m), before the expert's later labels no longer count."""
+"""Bound on the sum of the differences between the student's and the expert's actions within a
+chunk, along any axis (0.025 m). Beyond it, the expert's later labels no longer count."""
 
 
 STALL_FRAMES = 12
 STALL_M = 0.008
-"""A hand and fingers that have stayed within this for so many frames have stalled."""
+"""The robot has stalled if hand and fingers stay within this range for so many frames."""
 
 
 class Source(IntEnum):
-    """Who did a step."""
+    """Driver of a step."""
 
     EXPERT = 0
     NOISE = 1
-    """The expert, with Gaussian noise."""
+    """The expert's action with Gaussian noise."""
     PUSH = 2
-    """The expert, pushed aside."""
+    """The expert's action plus a push."""
     STUDENT = 3
 
 
 class Outcome(IntEnum):
-    """How an episode ended."""
+    """End of an episode."""
 
     FAILURE = 0
     SUCCESS = 1
     UNFINISHED = 2
-    """The collection was over before it was."""
+    """The collection ended before the episode."""
 
 
 class Driver(IntEnum):
-    """Who drove in an episode."""
+    """Driver of an episode."""
 
     CLEAN = 0
     """The expert, undisturbed."""
     DISTURBED = 1
     """The expert, with noise and pushes."""
     IN_TURNS = 2
-    """Student and expert."""
+    """Student and expert in turns."""
     STUDENT = 3
     """The student alone."""
 
 
 class Episode(NamedTuple):
-    """One rollout; ``frame_step`` counts from its first step."""
+    """One rollout; ``frame_step`` is counted from its first step."""
 
     task: int
     outcome: Outcome
@@ -93,7 +93,7 @@ class Episode(NamedTuple):
 
 
 class Shard(NamedTuple):
-    """A shard as it is read."""
+    """A shard's contents."""
 
     frames: NDArray[np.uint8]
     state: NDArray[np.float32]
@@ -109,25 +109,25 @@ class Shard(NamedTuple):
     perturbation: NDArray[np.str_]
 
     def of_frames(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values of episodes, [E], repeated for each of their frames, [F]."""
+        """Repeats values of episodes, [E], for each of their frames, [F]."""
         return np.repeat(values, self.episode_frames)
 
 
 class Targets(NamedTuple):
-    """What the network should say at each of F frames."""
+    """The network's target output at each of F frames."""
 
     actions: NDArray[np.float32]
-    """[F, 8, 7]: the expert's."""
+    """[F, 8, 7]: the expert's actions."""
     valid: NDArray[np.bool_]
-    """[F, 8]: whether the action counts."""
+    """[F, 8]: True if the action counts."""
 
 
 def targets(shard: Shard) -> Targets:
-    """The expert's next eight actions at each frame, and which of them count.
+    """Returns the expert's next eight actions at each frame, and a mask of those that count.
 
-    An action counts up to the episode's end, and while the robot has done what the expert
-    would have: not after a step in which it was pushed, nor after the student has closed or
-    opened the gripper otherwise or gone elsewhere. Noise does not matter: its mean is zero.
+    An action counts until the episode's end or a deviation from the expert: a step in
+    which the robot was pushed, or in which the student moved the gripper differently or
+    drifted too far. Noise does not matter: its mean is zero.
     """
     first = shard.frame_step[:, np.newaxis]
     steps = first + np.arange(CHUNK)
@@ -148,13 +148,13 @@ def targets(shard: Shard) -> Targets:
 
 
 def _before(values: NDArray[Any]) -> NDArray[Any]:
-    """The sum of the values of all earlier steps."""
+    """Returns the sum of the values of all earlier steps, for each step."""
     total = np.cumsum(values, axis=0)
     return np.concatenate([np.zeros_like(total[:1]), total[:-1]])
 
 
 def worth_learning(shard: Shard) -> NDArray[np.bool_]:
-    """Which episodes, [E], training takes: not those in which the expert itself failed."""
+    """Mask [E] of the episodes for training: all except those in which the expert itself failed."""
     by_expert = (shard.driver == Driver.CLEAN) | (shard.driver == Driver.DISTURBED)
     return np.asarray(~(by_expert & (shard.outcome == Outcome.FAILURE)), bool)
 
@@ -162,14 +162,14 @@ def worth_learning(shard: Shard) -> NDArray[np.bool_]:
 def stalled(shard: Shard) -> NDArray[np.bool_]:
     """Returns a mask [F] of the frames in which the robot has not moved for a while.
 
-    There the expert has not found a way, or the student ignores it: a few frames of it teach
-    something, hundreds only weigh.
+    In these frames the expert has not found a way, or the student ignores it. A
+    few of them are instructive; hundreds only add weight.
     """
     first = shard.of_frames(np.cumsum(shard.episode_frames) - shard.episode_frames)
     number = np.arange(len(shard.state)) - first
     seen = np.concatenate([shard.state[:, :3], shard.state[:, -2:]], axis=1)
     moved = np.zeros(len(seen), np.float32)
-    # Each of the last frames, as far as the episode goes back.
+    # Compares with each of the last frames, within the episode.
     for back in range(1, STALL_FRAMES + 1):
         earlier = np.maximum(np.arange(len(seen)) - back, first)
         moved = np.maximum(moved, np.abs(seen - seen[earlier]).max(axis=1))
@@ -177,17 +177,17 @@ def stalled(shard: Shard) -> NDArray[np.bool_]:
 
 
 def shard_folders(folder: Path) -> list[Path]:
-    """The shards of a folder, in order."""
+    """Returns the shards of a folder, in order."""
     return sorted(it for it in folder.glob(f"{PREFIX}*") if not it.name.endswith(".part"))
 
 
 def next_number(folder: Path) -> int:
-    """The number of the shard to be written next."""
+    """Returns the number of the next shard."""
     return max((int(it.name.removeprefix(PREFIX)) + 1 for it in shard_folders(folder)), default=0)
 
 
 def write(folder: Path, number: int, episodes: list[Episode]) -> Path:
-    """Writes a shard, which appears whole or not at all."""
+    """Writes a shard atomically."""
     steps = np.array([len(it.label) for it in episodes], np.int32)
     begun = np.cumsum(steps, dtype=np.int32) - steps
     table: dict[str, Any] = {
@@ -216,7 +216,7 @@ def write(folder: Path, number: int, episodes: list[Episode]) -> Path:
 
 
 def read(folder: Path) -> Shard:
-    """Reads one shard's folder."""
+    """Reads a shard from its folder."""
     with np.load(folder / "table.npz") as table:
         return Shard(
             np.load(folder / "frames.npy"),
@@ -227,7 +227,7 @@ def read(folder: Path) -> Shard:
 
 
 class Writer:
-    """Gathers episodes into shards and writes them on a thread of its own."""
+    """Gathers episodes into shards and writes them on a separate thread."""
 
     def __init__(self, folder: Path, frames_per_shard: int = FRAMES_PER_SHARD) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -237,14 +237,14 @@ class Writer:
         self._gathered: list[Episode] = []
         self._frames = 0
         self._lock = threading.Lock()
-        # Short, so that a slow disk slows the collection instead of filling the memory.
+        # A short queue, so that a slow disk slows the collection rather than filling the memory.
         self._full: queue.Queue[list[Episode] | None] = queue.Queue(maxsize=4)
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._write_all)
         self._thread.start()
 
     def add(self, episode: Episode) -> None:
-        """Takes an episode, from any thread."""
+        """Adds an episode, from any thread."""
         full = None
         with self._lock:
             self._gathered.append(episode)
@@ -255,7 +255,7 @@ class Writer:
             self._hand_over(full)
 
     def close(self) -> None:
-        """Writes what is left."""
+        """Writes the remaining episodes."""
         if self._gathered:
             self._hand_over(self._gathered)
             self._gathered = []

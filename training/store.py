@@ -1,4 +1,4 @@
-"""Frames and targets in the memory of the device that trains."""
+"""Frames and targets in the memory of the training device."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from training.wordings import TASK_NAMES
 
 FRAME_BYTES = 2 * PICTURE * PICTURE * 3
 WORD = 8
-"""Bytes that a frame is copied by at a time."""
+"""Bytes per word; frames are stored and copied in words."""
 READERS = 8
 """Threads that read shards."""
 HELD_OUT = 50
-"""Every so many episodes, one is kept for validation."""
+"""One in so many episodes is kept for validation."""
 
 
 class Batch(NamedTuple):
-    """n samples."""
+    """A batch of n samples."""
 
     pictures: Tensor
     """uint8 [n, 2, 128, 128, 3]"""
@@ -40,12 +40,12 @@ class Batch(NamedTuple):
 
 
 class Store:
-    """Samples with room for more, and a weight for each."""
+    """Samples with a weight for each, up to a capacity."""
 
     def __init__(self, capacity: int, device: torch.device) -> None:
         self.count = 0
         self.capacity = capacity
-        # Rows of long words: a byte each would make a gather eight times as slow.
+        # Rows consist of 64-bit words: with bytes, a gather would be eight times as slow.
         self._frames = torch.empty(capacity, FRAME_BYTES // WORD, dtype=torch.int64, device=device)
         self._state = torch.empty(capacity, STATE, device=device)
         self._task = torch.empty(capacity, dtype=torch.int64, device=device)
@@ -55,8 +55,8 @@ class Store:
         self._chances = torch.empty(0, dtype=torch.float64, device=device)
 
     def add(self, shard: Shard, which: NDArray[np.int64], suite_weights: Tensor) -> int:
-        """Copies frames ``which`` of a shard; once there is no room, in the place of others,
-        drawn at random. Returns how many."""
+        """Copies frames ``which`` of a shard. Once the store is full, they
+        replace others drawn at random. Returns their number."""
         which = which[: self.capacity]
         if not len(which):
             return 0
@@ -80,12 +80,12 @@ class Store:
         return len(which)
 
     def draw(self, n: int) -> Batch:
-        """n samples, with replacement, by their weights."""
+        """Draws n samples, with replacement, by their weights."""
         at = torch.rand(n, dtype=torch.float64, device=self._chances.device) * self._chances[-1]
         return self.batch(torch.searchsorted(self._chances, at).clamp(max=self.count - 1))
 
     def batch(self, which: Tensor) -> Batch:
-        """The samples of these places, [n]."""
+        """Returns the samples at these indices, [n]."""
         frames = self._frames.index_select(0, which).view(torch.uint8)
         return Batch(
             frames.view(len(which), 2, PICTURE, PICTURE, 3),
@@ -96,9 +96,9 @@ class Store:
         )
 
     def state_scale(self) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation of the robot's state, [14] each."""
+        """Returns mean and standard deviation of the robot's state, [14] each."""
         state = self._state[: self.count]
-        # A number that hardly changes must not become one that changes wildly.
+        # Without the lower limit, a nearly constant number would be scaled up to large values.
         return state.mean(0), state.std(0).clamp(min=0.01)
 
 
@@ -121,13 +121,13 @@ class Library:
         self.by_suite = np.zeros(4, np.int64)
 
     def refresh(self) -> int:
-        """Loads the shards that are new. Returns how many frames that were."""
+        """Loads the new shards. Returns the number of their frames."""
         before = self.training.count + self.held_out.count
         paths = [path for folder in self._folders for path in shard_folders(folder)]
         new = [path for path in paths if path not in self._known]
         self._known.update(new)
         with ThreadPoolExecutor(READERS) as readers:
-            # Not all at once: what is read but not on the device yet fills the host's memory.
+            # In groups, because shards that are not on the device yet occupy the host's memory.
             for first in range(0, len(new), READERS):
                 some = new[first : first + READERS]
                 for path, shard in zip(some, readers.map(read, some), strict=True):
@@ -148,6 +148,6 @@ class Library:
 
 
 def _held_out(path: Path, episodes: int) -> NDArray[np.bool_]:
-    """Which of a shard's episodes are for validation, the same whenever it is read."""
+    """Mask of a shard's episodes for validation, the same at every reading."""
     number = int(path.name.split("_")[1])
     return np.equal(np.arange(episodes) % HELD_OUT, (7 * number) % HELD_OUT)

@@ -1,4 +1,4 @@
-"""A trained student that acts."""
+"""A trained student as a policy."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ IN_SINGLE_PRECISION = ("state_mean", "state_std")
 
 
 def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str) -> None:
-    """Writes a weights file: half precision but for the state's scale.
+    """Writes a weights file in half precision, except the state's scale.
 
-    The file appears whole or not at all, so that a running collection can read it.
+    The file is written atomically, so that a running collection can read it.
     """
     rounded = {
         key: (value.float() if key in IN_SINGLE_PRECISION else value.half()).cpu().contiguous()
@@ -36,7 +36,7 @@ def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str) -> None:
 
 
 def load_network(file: Path, device: torch.device) -> Network:
-    """The network with the weights of a file, computing in single precision."""
+    """Returns the network with the weights of a file, in single precision."""
     network = Network()
     network.load_state_dict({key: value.float() for key, value in load_file(file).items()})
     return network.eval().requires_grad_(False).to(device)
@@ -50,7 +50,7 @@ class Student:
         self._network = load_network(file, device)
 
     def act(self, observation: Observation, instructions: Sequence[str]) -> NDArray[np.float64]:
-        """Eight actions for each of n observations, [n, 8, 7]."""
+        """Returns eight actions for each of n observations, [n, 8, 7]."""
         state = torch.from_numpy(robot_state(observation)).to(self._device)
         return self.act_on(frames(observation, self._device), state, instructions)
 
@@ -58,7 +58,7 @@ class Student:
     def act_on(
         self, pictures: Tensor, state: Tensor, instructions: Sequence[str]
     ) -> NDArray[np.float64]:
-        """The same of pictures, uint8 [n, 2, 128, 128, 3], and states [n, 14]."""
+        """The same for pictures, uint8 [n, 2, 128, 128, 3], and states [n, 14]."""
         rows, present = (
             torch.from_numpy(it).to(self._device) for it in instruction_rows(instructions)
         )

@@ -1,4 +1,4 @@
-"""An instruction as the network reads it: hashed words and pairs of neighbouring words."""
+"""An instruction as the network's input: hashed words and pairs of neighbouring words."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _WORD = re.compile(r"[a-z0-9]+")
 
 
 def words(text: str) -> list[str]:
-    """The words of a text: lower-cased, longest runs of a–z and 0–9."""
-    # Only ASCII letters are lowered: str.lower would make an ASCII "k" of the Kelvin sign.
+    """Returns the words of a text: maximal runs of a–z and 0–9, in lower case."""
+    # Only ASCII letters are lowered: str.lower would turn the Kelvin sign into an ASCII "k".
     lowered = "".join(it.lower() if it.isascii() else it for it in text)
     return _WORD.findall(lowered)
 
 
 def fnv1a(text: str) -> int:
-    """The 32-bit FNV-1a hash of a text's UTF-8 bytes."""
+    """Returns the 32-bit FNV-1a hash of a text's UTF-8 bytes."""
     value = 0x811C9DC5
     for byte in text.encode():
         value = ((value ^ byte) * 0x01000193) & 0xFFFFFFFF
@@ -29,12 +29,12 @@ def fnv1a(text: str) -> int:
 
 @lru_cache(maxsize=1 << 18)
 def bucket(feature: str) -> int:
-    """The row of the table for a word, or for two joined by one space."""
+    """Returns the table's row for a word, or for two words joined by one space."""
     return fnv1a(feature) % BUCKETS
 
 
 def features(text: str) -> tuple[list[int], list[int]]:
-    """Rows of the n words of a text, and of its n - 1 pairs of neighbours."""
+    """Returns rows of the n words of a text, and of its n - 1 pairs of neighbours."""
     found = words(text)
     pairs = [f"{a} {b}" for a, b in pairwise(found)]
     return [bucket(word) for word in found], [bucket(pair) for pair in pairs]

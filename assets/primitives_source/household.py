@@ -1,7 +1,7 @@
 """The household objects: dishes, mugs, pots, the bottle, the book, the basket.
 
-Every entry gives the folder, what the placement sampler is told and the mass: facts taken from
-LIBERO, as are the overall dimensions (the pack's README says how); the shapes are this pack's own.
+Every entry gives the folder, the mass and the extent for the placement sampler. These facts and the
+overall dimensions are LIBERO's (the pack's README says how); the shapes are this pack's own.
 """
 
 from colours import *
@@ -10,7 +10,7 @@ from shapes import box, capsule, cylinder, felt, moved, octagon, seen, slab, tur
 
 SCANNED, TURBOSQUID = "stable_scanned_objects", "turbosquid_objects"
 
-# What the placement sampler is told of all of them.
+# Extent of all of them for the placement sampler.
 EXTENT = Extent(bottom=-0.06, top=0.04, radius=0.025)
 
 
@@ -62,7 +62,7 @@ def frying_pan():
 
 
 def moka_pot():
-    """Slim enough for the gripper to take by the body, as LIBERO's is across its flats."""
+    """A moka pot slim enough for the gripper to grasp its body, as across the flats of LIBERO's."""
     return (
         octagon(0.0365, -0.0661, 0.0670)
         + seen(

@@ -1,9 +1,9 @@
 """Writes objects as MJCF in the structure that LIBERO's loader expects.
 
-That structure is: an unnamed body that holds the body `object` and, beside it, three sites by
-which the placement sampler knows the object's extent. Geoms of group 0 collide and are hidden,
-geoms of group 1 are drawn; each comes from one of two default classes, which the loader writes
-out into every geom. What the objects look like is not decided here.
+In this structure, an unnamed body holds the body `object` and three sites that tell the placement
+sampler the object's extent. Geoms of group 0 collide and are hidden; geoms of group 1 are drawn.
+Each geom has one of two default classes, which the loader writes out into every geom. The
+appearance of objects is defined elsewhere.
 """
 
 import xml.etree.ElementTree as ET
@@ -47,16 +47,16 @@ class Part:
     parts: list = field(default_factory=list)
     pos: tuple = (0, 0, 0)
     quat: tuple = (1, 0, 0, 0)
-    # The default class of its felt shapes.
+    # Default class of its colliding shapes.
     felt_as: str = "solid"
-    # (mass, moment of inertia about every axis); None: from the shapes.
+    # (mass, moment of inertia about each axis); if None, computed from the shapes.
     inertia: tuple | None = None
 
 
 @dataclass(frozen=True)
 class Extent:
-    """What the placement sampler is told: z of the bottom and top site, xy of the radius site,
-    and the (never drawn) size of the three sites."""
+    """Extent of an object for the placement sampler: z of the bottom and top sites, xy of the
+    radius site, and the size of the three sites, which are never drawn."""
 
     bottom: float
     top: float
@@ -65,8 +65,8 @@ class Extent:
 
 
 def density_for(mass, shapes):
-    """The density in kg/m³ that gives these shapes this mass in kg. MuJoCo counts overlapping
-    volume twice, and so does this."""
+    """The density in kg/m³ at which these shapes have this mass in kg. Like MuJoCo, the function
+    counts overlapping volume twice."""
     return mass / sum(shape.volume for shape in shapes if shape.felt)
 
 
@@ -94,9 +94,9 @@ def document(model, root, extent, density, extra_classes=None):
 
 
 def write_colours(asset, colours):
-    """A material per colour. It is a one-coloured texture rather than `rgba`, because MuJoCo
-    limits the light on a surface before a texture is applied but after `rgba` is: so a colour
-    stays itself in the brightest arena and under the lighting perturbation."""
+    """A material per colour: a one-coloured texture rather than `rgba`, because MuJoCo limits the
+    light on a surface before it applies a texture, but after it applies `rgba`. A colour therefore
+    looks the same in the brightest arena and under the lighting perturbation."""
     for name, rgb in sorted(set(colours)):
         ET.SubElement(asset, "texture", name=name, type="2d", builtin="flat", rgb1=numbers(rgb), width="2", height="2")
         ET.SubElement(asset, "material", name=name, texture=name, specular="0.3", shininess="0.3")
@@ -110,7 +110,7 @@ def write_classes(mujoco, classes):
 
 
 def write_shapes(body, shapes, felt_as="solid"):
-    """Every felt shape as a geom of class `felt_as`, every seen one as a geom of class `drawn`."""
+    """Writes colliding shapes as geoms of class `felt_as`, and visible ones as geoms of `drawn`."""
     for shape in shapes:
         place = {"type": shape.kind, "size": numbers(shape.size), "pos": numbers(shape.pos)}
         if number(shape.quat[0]) != "1":

@@ -1,8 +1,8 @@
-"""The shapes the pack is made of: boxes, cylinders and capsules, and what is assembled from them.
+"""The shapes that the pack is made of: boxes, cylinders, capsules, and assemblies of them.
 
 Lengths are metres, angles degrees, quaternions (w, x, y, z); z is up unless a shape has been turned.
-A shape is *felt* (it collides and has mass), *seen* (it is drawn), or both, which is the rule.
-How a shape becomes MJCF is not decided here, but in `mjcf.py`.
+A shape is *felt* (it collides and has mass), *seen* (it is drawn) or, usually, both.
+`mjcf.py` converts shapes to MJCF.
 """
 
 import math
@@ -15,7 +15,7 @@ UNTURNED = (1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Shape:
-    """One geom: `kind` and `size` as MuJoCo means them (half-lengths, radii)."""
+    """One geom, with `kind` and `size` as in MuJoCo (half-lengths, radii)."""
 
     kind: str
     size: tuple
@@ -62,12 +62,12 @@ def capsule(start, end, radius, colour=None):
 
 
 def seen(*shapes):
-    """Only drawn."""
+    """Copies of shapes that are drawn but do not collide."""
     return [replace(shape, felt=False) for shape in shapes]
 
 
 def felt(*shapes):
-    """Only collided with."""
+    """Copies of shapes that collide but are not drawn."""
     return [replace(shape, colour=None) for shape in shapes]
 
 
@@ -92,8 +92,8 @@ def standing_along_y(shapes):
 
 def octagon(radius, bottom, top):
     """A felt octagonal prism (`radius` to its corners): four boxes through one another, because
-    box against box gives a stable set of contacts. Every other box ends half a millimetre
-    earlier, so that two carry the weight: half the contacts, and as steady."""
+    contacts between boxes are stable. Two of the boxes are half a millimetre shorter at either end,
+    so that only the other two carry the weight: half the contacts, and as steady."""
     long, short = radius * math.cos(math.pi / 8), radius * math.sin(math.pi / 8)
     bars = [slab(long, short, bottom + inset, top - inset) for inset in (0, 0.0005, 0, 0.0005)]
     return [piece for number, bar in enumerate(bars) for piece in turned([bar], "z", 45 * number)]

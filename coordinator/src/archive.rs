@@ -137,7 +137,7 @@ pub enum ArchiveError {
         /// The difference.
         problem: String,
     },
-    /// The database cannot be opened, violates an invariant or holds another number of campaigns.
+    /// The database cannot be opened, violates an invariant or does not hold exactly one campaign.
     #[error("use member {member} of archive {archive}: archive the campaign again")]
     Content {
         /// The file.

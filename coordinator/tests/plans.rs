@@ -1,7 +1,7 @@
-//! Query plans: the calls of workers cost the same in any campaign, and so do those of pages,
-//! metrics and the queue's own tasks: every statement is caught on its way, and SQLite's plan for
-//! it walks an index or a table of a few rows, never the jobs or their results. A process of its
-//! own, so that no other test's statements are caught.
+//! Query plans: the cost of workers' calls, pages, metrics and the queue's own tasks does not
+//! depend on the size of a campaign. Every statement is captured, and SQLite's plan for it walks an
+//! index or a table of a few rows, never all jobs or results. A separate process, so that no
+//! statements of other tests are captured.
 
 use std::collections::BTreeSet;
 use std::fmt::Debug;
@@ -26,8 +26,8 @@ use tracing::field::{Field, Visit};
 use tracing_subscriber::layer::{Context, Layer, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// Tables of a few rows, by the names that statements give them: campaigns,
-/// their tasks, policies, workers, origins.
+/// Tables of a few rows, by the names and aliases that statements give them: campaigns, their
+/// tasks, policies, workers, origins.
 const SMALL: [&str; 10] = [
     "c",
     "t",
@@ -40,9 +40,9 @@ const SMALL: [&str; 10] = [
     "worker",
     "ending_tally",
 ];
-/// Indices that hold the leased, the backed-off, or the lone jobs only.
+/// Indices that hold only jobs that are leased, backed off or run alone.
 const OF_FEW_JOBS: [&str; 4] = ["job_leased", "job_held", "job_backed_off", "job_alone"];
-/// Indices that the hot statements must be seen to walk.
+/// Indices that frequent statements must walk.
 const WALKED: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_seen"];
 
 /// Evidence that a loop of the table in docs/ARCHITECTURE.md walks no campaign, or the reason why it
@@ -100,7 +100,7 @@ fn loops_of_the_map() -> Vec<&'static str> {
         .collect()
 }
 
-/// Catches the statements that sqlx executes.
+/// Collects the statements that sqlx executes.
 #[derive(Clone, Default)]
 struct Caught(Arc<Mutex<BTreeSet<String>>>);
 
@@ -187,7 +187,7 @@ fn report(attempt: AttemptId) -> CommitReport {
     }
 }
 
-/// Everything that workers ask for, and the sweeps, good and bad.
+/// Makes every kind of call by workers, successful and failing, and sweeps.
 async fn everything(queue: &Queue, clock: &ManualClock) {
     let mut claims = 0;
     let mut lease = async |warm: Option<&str>| -> Option<AttemptId> {
@@ -195,7 +195,7 @@ async fn everything(queue: &Queue, clock: &ManualClock) {
         let request = claim(claims, warm);
         let claimed = queue.claim(&request, Duration::ZERO).await;
         let attempt = claimed.expect("an answer").job.map(|job| job.attempt);
-        // The answer was lost: it is asked for again.
+        // The claim is repeated, as if its answer had been lost.
         let again = queue.claim(&request, Duration::ZERO).await;
         assert_eq!(
             again.expect("an answer").job.map(|job| job.attempt),
@@ -239,8 +239,8 @@ async fn everything(queue: &Queue, clock: &ManualClock) {
     }
 }
 
-/// Campaigns that are done or wait, one that explains, one that may stop early and one that is
-/// filmed among them, are asked for, while a rollout of another campaign is settled.
+/// Returns the statements for campaigns that are done or waiting, among them one that explains, one
+/// that may stop early and one that is filmed, while a rollout of another campaign is settled.
 async fn asked_all_the_while(queue: &Queue, caught: &Caught) -> BTreeSet<String> {
     let name = |name: &str| CampaignName::parse(name).expect("a name");
     let create = async |name: &str, priority: i32, fields: &serde_json::Value| {
@@ -305,7 +305,7 @@ async fn asked_all_the_while(queue: &Queue, caught: &Caught) -> BTreeSet<String>
     caught.lock().clone()
 }
 
-/// Waits until the queue's tasks have looked at everything that was settled.
+/// Waits until the queue's tasks have processed every settled job.
 async fn is_looked_at(queue: &Queue) {
     for _ in 0..1_000 {
         let mut view = queue.view().await.expect("a view");
@@ -321,7 +321,7 @@ async fn is_looked_at(queue: &Queue) {
     panic!("what was settled is not looked at");
 }
 
-/// SQLite's plan of a statement, line by line.
+/// Returns SQLite's plan of a statement, line by line.
 async fn plan(connection: &mut SqliteConnection, statement: &str) -> Vec<String> {
     let explain = format!("EXPLAIN QUERY PLAN {statement}");
     let lines: Vec<(i64, i64, i64, String)> = sqlx::query_as(sqlx::AssertSqlSafe(explain))
@@ -344,7 +344,7 @@ async fn look_at(
         let index = index.and_then(|place| words.get(place + 1)).copied();
         walked.extend(index.map(str::to_owned));
         let is_scan = words[0] == "SCAN" && words[1] != "CONSTANT";
-        // `json_each` walks what the statement brought along.
+        // `json_each` walks values that the statement itself contains.
         let is_small = SMALL.contains(&words[1])
             || words[1].starts_with('(')
             || line.contains("VIRTUAL TABLE");
@@ -355,7 +355,7 @@ async fn look_at(
     (faults, walked)
 }
 
-/// Lines of SQLite's plan that walk all jobs, or all results, of a campaign.
+/// Returns the lines of SQLite's plan that walk all jobs or all results of a campaign.
 async fn campaign_walks(connection: &mut SqliteConnection, statement: &str) -> Vec<String> {
     let lines = plan(connection, statement).await;
     let walks = |line: &String| {
@@ -392,7 +392,7 @@ async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
         "levels": ["L1", "L2", "L3"],
         "configs": [0, 1, 2],
     });
-    // Two of them, which share the workers.
+    // Two campaigns, which share the workers.
     for name in ["plans", "more"] {
         let mut spec = spec.clone();
         spec["name"] = name.into();
@@ -443,7 +443,7 @@ async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
         assert!(walked.contains(index), "{index} is not walked: {walked:?}");
     }
 
-    // Findings B5, B10 and B14: what is done was counted, derived and looked through again.
+    // Findings B5, B10, B14: finished campaigns were counted, derived and scanned again.
     assert!(asked.len() >= 15, "{asked:#?}");
     for part in [
         "FROM derivation d JOIN",

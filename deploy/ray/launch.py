@@ -2,11 +2,11 @@
 
     python launch.py --connect http://login1:7411 --max-workers 16
 
-A worker is an actor with a `sim` resource and a CPU for each slot, so that it runs on
-the nodes that were started with `ray start --resources '{"sim": N}'`, N at a time. The
-number of actors that are asked for follows the coordinator's queue; Ray's autoscaler
-adds nodes for those that find no room. Workers that have had no work for a while end by
-themselves. A node that goes takes its workers with it, and others are asked for.
+A worker is an actor with a `sim` resource and a CPU for each slot, so it runs on nodes
+started with `ray start --resources '{"sim": N}'`, N at a time. The number of requested
+actors follows the coordinator's queue; Ray's autoscaler adds nodes for actors that find
+no room. Workers without work for a while end by themselves. A lost node takes its
+workers with it, and replacements are requested.
 """
 
 from __future__ import annotations
@@ -29,15 +29,14 @@ from ray.exceptions import RayActorError, RayTaskError
 
 log = logging.getLogger("launch")
 
-# Workers that fail one after the other before the launcher gives up: what is wrong
-# with one is wrong with all.
+# Consecutive worker failures after which the launcher gives up: they probably have the same cause.
 FAILURES_IN_A_ROW = 5
-# A worker needs so long to give back what it does not finish, seconds.
+# Time that a worker needs to give back its unfinished rollouts, seconds.
 GIVE_BACK = 15.0
-# Ray kills with SIGKILL what its actors started, unless it is told not to: a worker
-# could give nothing back.
+# By default, Ray kills the processes that its actors started with SIGKILL, and a worker could give
+# nothing back.
 CHILDREN_LIVE = {"RAY_kill_child_processes_on_worker_exit": "0"}
-# What a worker reads from its environment: names of files, on every node.
+# Variables that a worker reads from its environment: names of files on every node.
 ENVIRONMENT = ("ROLLOUT_TOKEN_FILE", "ROLLOUT_CA", "ROLLOUT_SOURCES", "RUST_LOG")
 
 
@@ -50,13 +49,13 @@ class SimWorker:
         self.process: subprocess.Popen[bytes] | None = None
 
     def node(self) -> str:
-        """Where it is. It is answered once the actor has found room."""
+        """Returns the node's id. Ray answers once the actor has been placed."""
         return ray.get_runtime_context().get_node_id()
 
     def run(self) -> int:
         """Starts the worker, and returns its exit code when it ends."""
-        # A node that goes kills its actors and their process groups. Outside of them, and
-        # told to end when the actor is gone, the worker gives its rollouts back.
+        # A lost node kills its actors and their process groups. The worker is outside these groups
+        # and gets SIGTERM when its actor is gone, so it gives its rollouts back.
         guarded = ["setpriv", "--pdeathsig", "TERM", "--", *self.command]
         self.process = subprocess.Popen(guarded, start_new_session=True)
         return self.process.wait()
@@ -69,10 +68,10 @@ class SimWorker:
 
 @dataclass
 class Placed:
-    """An actor that was asked for."""
+    """A requested actor."""
 
     actor: ActorHandle[Any]
-    # Resolves once the actor has found room, and once its worker has ended.
+    # Resolve when the actor has been placed, and when its worker has ended.
     node: ray.ObjectRef[str]
     end: ray.ObjectRef[int]
 
@@ -82,7 +81,7 @@ class TooManyFailures(Exception):
 
 
 class Fleet:
-    """The actors, and what became of them."""
+    """The actors and their results."""
 
     def __init__(self, command: list[str], slots: int) -> None:
         self.command = command
@@ -91,7 +90,7 @@ class Fleet:
         self.failures = 0
 
     def look(self, wait: float) -> None:
-        """Takes note of workers that have ended, waiting so long for one."""
+        """Records workers that have ended, waiting `wait` seconds for one."""
         if not self.placed:
             time.sleep(wait)
             return
@@ -106,7 +105,7 @@ class Fleet:
         try:
             code = ray.get(it.end)
         except RayActorError as error:
-            # No failure of the worker's: another takes its place.
+            # The worker itself did not fail: a replacement is started.
             log.warning("a worker is gone with its node: %s", str(error).splitlines()[0])
             return
         except RayTaskError as error:
@@ -124,7 +123,7 @@ class Fleet:
             raise TooManyFailures(f"{self.failures} workers failed one after the other")
 
     def grow_to(self, wanted: int) -> None:
-        """Asks for more workers, or for fewer of those that have found no room yet."""
+        """Requests more workers, or cancels surplus ones that have not been placed yet."""
         while len(self.placed) < wanted:
             self.placed.append(self._start())
         waiting = [it for it in self.placed if not ray.wait([it.node], timeout=0)[0]]
@@ -157,7 +156,7 @@ class Fleet:
 
 
 def depth(coordinator: str, connect: str) -> int | None:
-    """Rollouts that wait or are being run; none if the coordinator does not say."""
+    """Returns the number of waiting and running rollouts, or None if the coordinator gives none."""
     command = [coordinator, "campaign", "status", "--json", "--connect", connect]
     told = subprocess.run(command, check=False, capture_output=True, text=True)
     if told.returncode != 0:
@@ -186,7 +185,7 @@ def arguments(words: list[str] | None = None) -> argparse.Namespace:
 
 
 def run(given: argparse.Namespace) -> None:
-    """Keeps workers running until it is told to end, or nothing is left to do."""
+    """Keeps workers running until a signal ends it or no work is left."""
     worker, coordinator = (os.path.join(given.programs, it) for it in ("worker", "coordinator"))
     command = [worker, "--connect", given.connect, "--assets", given.assets]
     command += ["--slots", str(given.slots), "--drain-secs", str(given.drain_secs)]
@@ -206,12 +205,12 @@ def run(given: argparse.Namespace) -> None:
 
 
 def main() -> int:
-    """Runs the command line; 1 if no worker can run."""
+    """Runs the command line; returns 1 if no worker can run."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     given = arguments()
     ray.init(address=given.address, log_to_driver=True)
-    # SIGTERM ends it as Ctrl-C does: the workers are told first. Ray has a handler of
-    # its own until here.
+    # SIGTERM acts as Ctrl-C: the workers are told first. Until this point Ray's own handler is in
+    # place.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         run(given)

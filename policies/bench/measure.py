@@ -1,8 +1,8 @@
 """What a GPU policy answers per second: the network alone, behind the Python
 server, and behind the gateway too.
 
-Writes one JSON object. Slots are those of `bench_gateway slots`: each asks again
-as soon as it is answered, over a connection of its own.
+Writes one JSON object. Slots are those of `bench_gateway slots`: each sends its
+next query at once after an answer, over a connection of its own.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from simulated_smolvla import BATCHES, CAMERAS, STATE, SimulatedSmolvla
 from rollout_policies import Episode, Observation
 
 HERE = Path(__file__).parent
-#: How long a server may take to make its network ready.
+#: Time limit for a server to prepare its network, s.
 READY_SECS = 300
 
 
 def observations(policy: SimulatedSmolvla, count: int) -> list[Observation]:
-    """Made-up ones, each of an episode of its own."""
+    """Returns made-up observations, each of a separate episode."""
     made = []
     for seed in range(count):
         episode = Episode(f"s{seed}", "libero_object", "pick up the butter", seed)
@@ -42,7 +42,7 @@ def observations(policy: SimulatedSmolvla, count: int) -> list[Observation]:
 
 
 def limit(policy: SimulatedSmolvla, batch: int, secs: float) -> dict:
-    """The network alone, in this process, one batch after the other."""
+    """Measures the network alone, in this process, batch after batch."""
     asked = observations(policy, batch)
     for _ in range(3):
         policy.infer_batch(asked)
@@ -50,7 +50,7 @@ def limit(policy: SimulatedSmolvla, batch: int, secs: float) -> dict:
     ends = time.perf_counter() + secs
     while time.perf_counter() < ends:
         began = time.perf_counter()
-        # Answers come back to the processor, so that the batch is done.
+        # The answers are copied to the processor, so the batch is complete.
         policy.infer_batch(asked)
         took.append(time.perf_counter() - began)
     millis = 1e3 * np.array(took)
@@ -66,7 +66,7 @@ def limit(policy: SimulatedSmolvla, batch: int, secs: float) -> dict:
 
 @contextlib.contextmanager
 def running(command: list[str]):
-    """A server process, by the address that it prints; ends with the block."""
+    """Context of a server process; yields the address that it prints."""
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         line = process.stdout.readline().split()
@@ -79,7 +79,7 @@ def running(command: list[str]):
 
 
 def slots(programs: dict, address: str, count: int, secs: int) -> dict:
-    """A closed loop of slots on a server."""
+    """Runs a closed loop of slots against a server."""
     command = [programs["bench"], "slots", "--address", address]
     command += ["--slots", str(count), "--secs", str(secs)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
@@ -87,8 +87,8 @@ def slots(programs: dict, address: str, count: int, secs: int) -> dict:
 
 
 def served(programs: dict, arguments: argparse.Namespace, max_batch: int) -> dict:
-    """The same network behind the Python server, asked directly and through the
-    gateway."""
+    """Measures the same network behind the Python server, queried directly and
+    through the gateway."""
     command = [sys.executable, str(HERE / "simulated_smolvla.py"), "--device", arguments.device]
     command += ["--max-batch", str(max_batch)] + ["--tiny"] * arguments.tiny
     with running(command) as server:
@@ -128,7 +128,7 @@ def main() -> None:
         "torch": torch.__version__,
         "model_alone": limits,
     }
-    # The servers need the memory.
+    # Frees the memory for the servers.
     del policy
     report["served"] = [served(programs, arguments, max_batch) for max_batch in (16, 32)]
     arguments.output.write_text(json.dumps(report, indent=2) + "\n")

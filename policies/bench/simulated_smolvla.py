@@ -1,16 +1,16 @@
-"""A policy of SmolVLA's size and shape with random weights, to be timed.
+"""A policy of SmolVLA's size and shape with random weights, for timing.
 
-Not SmolVLA: nothing is loaded, and what it answers means nothing. What it costs
-is alike: two frames enlarged to 512 x 512 and encoded to 64 tokens each; a
-prefix of frames, instruction and state through sixteen layers, once per query;
-a smaller network beside them that turns noise into 50 actions, attending to the
-prefix, in ten steps of flow matching. Sizes as in the publications of SmolVLM2
-(500 M) and SmolVLA: 399 M parameters, in bfloat16. The 450 M of SmolVLA include
-a head for words, which no action depends on and which is left out here.
+It is not SmolVLA: no weights are loaded, and its answers mean nothing. Its cost is
+similar: two frames enlarged to 512 x 512 and encoded to 64 tokens each; a prefix of
+frames, instruction and state through sixteen layers, once per query; a smaller network
+beside them that turns noise into 50 actions, attending to the prefix, in ten steps of
+flow matching. Sizes are those of the publications of SmolVLM2 (500 M) and SmolVLA: 399
+M parameters, in bfloat16. The 450 M of SmolVLA include a head for words, which does not
+affect actions and is omitted here.
 
-Needs PyTorch, NumPy and this package. On a GPU every batch size that is served
-is captured as a CUDA graph, because launching its kernels one by one takes
-longer than running them.
+Needs PyTorch, NumPy and this package. On a GPU every served batch size is
+captured as a CUDA graph, because launching its kernels one by one takes longer
+than running them.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from torch.nn import functional
 
 from rollout_policies import Camera, Description, Episode, Observation, Policy, State, serve
 
-#: Actions of one answer, and their width inside the network.
+#: Number of actions in an answer, and their width inside the network.
 CHUNK, WIDTH = 50, 32
 FLOW_STEPS = 10
 LANGUAGE_TOKENS = 48
-#: Batches that are captured; others are filled up to the next.
+#: Batch sizes that are captured; other batches are padded to the next size.
 BATCHES = (1, 2, 4, 8, 16, 32)
 CAMERAS = (Camera("agentview", 256, 256), Camera("robot0_eye_in_hand", 256, 256))
 STATE = (State.EEF_POS, State.EEF_AXIS_ANGLE, State.GRIPPER_POS)
@@ -38,11 +38,11 @@ STATE = (State.EEF_POS, State.EEF_AXIS_ANGLE, State.GRIPPER_POS)
 
 @dataclass(frozen=True)
 class Size:
-    """How large the network is."""
+    """Dimensions of the network."""
 
     side: int = 512
     patch: int = 16
-    #: Sides of the square of patches that become one token.
+    #: Side of the square of patches that becomes one token.
     merge: int = 4
     vision_width: int = 768
     vision_layers: int = 12
@@ -55,12 +55,12 @@ class Size:
     words: int = 49_280
 
 
-#: For a processor, to try the programs with.
+#: A small size for testing the programs on a processor.
 TINY = Size(128, 16, 4, 64, 2, 60, 30, 2, 3, 1, 16, 256)
 
 
 class VisionLayer(nn.Module):
-    """Attention among a frame's patches."""
+    """A layer of attention among a frame's patches."""
 
     def __init__(self, width: int, head: int) -> None:
         super().__init__()
@@ -96,8 +96,8 @@ class Layer(nn.Module):
         self.down = nn.Linear(hidden, width, bias=False)
 
     def forward(self, x: Tensor, before: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """`before`: keys and values [2, batch, kv heads, n, head] to attend to
-        besides its own. Returns its own, too."""
+        """Attends to `before`, keys and values [2, batch, kv heads, n, head],
+        besides its own. Returns its own keys and values, too."""
         batch, count, _ = x.shape
         normed = self.norms[0](x)
         query = self.query(normed).view(batch, count, -1, self.size.head).transpose(1, 2)
@@ -113,7 +113,7 @@ class Layer(nn.Module):
 
 
 class Network(nn.Module):
-    """Frames, words and state to a chunk of actions."""
+    """Maps frames, words and state to a chunk of actions."""
 
     def __init__(self, size: Size) -> None:
         super().__init__()
@@ -153,7 +153,7 @@ class Network(nn.Module):
         return actions
 
     def see(self, frames: Tensor) -> Tensor:
-        """Tokens of frames, [2 b, n, width]."""
+        """Returns the tokens of frames, [2 b, n, width]."""
         size = self.size
         frames = frames.flatten(0, 1).permute(0, 3, 1, 2).to(self.places.dtype) / 127.5 - 1
         frames = functional.interpolate(frames, (size.side, size.side), mode="bilinear")
@@ -166,7 +166,7 @@ class Network(nn.Module):
 
 
 class SimulatedSmolvla(Policy):
-    """The network behind the class that policies' authors subclass."""
+    """The network as a subclass of Policy, as authors write it."""
 
     def __init__(self, device: str, max_batch: int, tiny: bool = False) -> None:
         torch.manual_seed(0)
@@ -200,7 +200,7 @@ class SimulatedSmolvla(Policy):
 
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
         count = len(observations)
-        # A batch is filled up to one that is captured.
+        # A batch is padded to a captured size.
         places = next(size for size in BATCHES if size >= count) if self.graphs else count
         padded = [*observations, *[observations[0]] * (places - count)]
         answers = self._run(self._inputs(padded))[:count, :, :7]
@@ -235,15 +235,15 @@ class SimulatedSmolvla(Policy):
         return answer
 
     def _capture(self, count: int):
-        """A CUDA graph of one batch size, where its inputs go, and where its
-        answer appears."""
+        """Captures a CUDA graph of one batch size. Returns it with its input
+        and output tensors."""
         into = [
             torch.zeros(count, 2, 256, 256, 3, dtype=torch.uint8, device=self.device),
             torch.zeros(count, LANGUAGE_TOKENS, dtype=torch.int64, device=self.device),
             torch.zeros(count, WIDTH, dtype=self.dtype, device=self.device),
             torch.zeros(count, CHUNK, WIDTH, dtype=self.dtype, device=self.device),
         ]
-        # Libraries choose their kernels at the first calls, outside the graph.
+        # Libraries choose their kernels at the first calls, which must precede the capture.
         side = torch.cuda.Stream()
         side.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(side):

@@ -1,4 +1,4 @@
-"""Real servers on free ports of the loopback, and a client of them."""
+"""Real servers on free loopback ports, and a client for them."""
 
 import contextlib
 import os
@@ -14,7 +14,7 @@ from rollout_policies.proto import policy_pb2_grpc as pb_grpc
 
 
 class Client:
-    """Speaks to a server as a worker would."""
+    """Calls a server as a worker does."""
 
     def __init__(self, address):
         self.channel = grpc.insecure_channel(address)
@@ -41,7 +41,7 @@ class Client:
 
 @pytest.fixture
 def serving():
-    """Starts servers that are stopped at the end: `serving(policy) -> Client`."""
+    """Starts servers and stops them at the end: `serving(policy) -> Client`."""
     with contextlib.ExitStack() as stack:
 
         def start_one(policy):
@@ -55,7 +55,7 @@ def serving():
 
 
 class Noisy(Policy):
-    """Answers random numbers and counts how often it was asked."""
+    """Answers random numbers and counts its queries."""
 
     description = Description(name="noisy", horizon=4, stochastic=True)
 
@@ -71,7 +71,7 @@ class Noisy(Policy):
 
 
 class Seeing(Policy):
-    """Keeps the observations that it is given."""
+    """Keeps the observations that it receives."""
 
     description = Description(
         name="seeing",
@@ -88,7 +88,7 @@ class Seeing(Policy):
 
 
 class Answering(Policy):
-    """Answers, or raises, what it was made with."""
+    """Answers, or raises, its constructor's argument."""
 
     description = Description(name="crooked", horizon=2)
 
@@ -105,14 +105,14 @@ class Answering(Policy):
 
 
 def refusal(call, *arguments, **fields):
-    """Code and text of a call that is refused."""
+    """Returns code and text of a refused call."""
     with pytest.raises(grpc.RpcError) as caught:
         call(*arguments, **fields)
     return caught.value.code(), caught.value.details()
 
 
 def gateway_program():
-    """The program that the environment variable POLICY_GATEWAY names."""
+    """The program named by the environment variable POLICY_GATEWAY."""
     program = os.environ.get("POLICY_GATEWAY")
     if program is None:
         pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
@@ -120,7 +120,7 @@ def gateway_program():
 
 
 def assert_gateway_finds_that_it_conforms(url, *arguments):
-    """Has the gateway's conformance check look at a server."""
+    """Runs the gateway's conformance check on a server."""
     check = subprocess.run(
         [gateway_program(), "check", url, *arguments], capture_output=True, text=True, check=False
     )
@@ -129,7 +129,7 @@ def assert_gateway_finds_that_it_conforms(url, *arguments):
 
 
 def assert_conforms(policy):
-    """Serves `policy` and has the gateway's conformance check look at it."""
+    """Serves `policy` and runs the gateway's conformance check on it."""
     gateway_program()
     server = start(policy)
     try:
@@ -140,7 +140,7 @@ def assert_conforms(policy):
 
 @contextlib.contextmanager
 def running(*command, **options):
-    """A server as a process of its own, and what it says after `listening on`."""
+    """Runs a server as a separate process; yields its output after `listening on`."""
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **options)
     try:
         line = process.stdout.readline()

@@ -1,4 +1,4 @@
-"""Programs that print where they listen, and a gateway before them.
+"""Programs that print their address, and a gateway in front of them.
 
 The gateway is the program that the environment variable POLICY_GATEWAY names.
 """
@@ -13,7 +13,7 @@ from conftest import Client
 
 @contextlib.contextmanager
 def running(command):
-    """A program that prints `listening on ADDRESS` first: that address."""
+    """Runs a program whose first line is `listening on ADDRESS`; yields the address."""
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         line = process.stdout.readline()
@@ -34,7 +34,7 @@ def gateway_program():
 
 @contextlib.contextmanager
 def client_behind(program, *arguments):
-    """A client of a gateway with these arguments."""
+    """Returns a client of a gateway with these arguments."""
     with running([program, "--listen", "127.0.0.1:0", *arguments]) as address:
         client = Client(address)
         yield client

@@ -1,8 +1,8 @@
 """Small policies of lerobot with RANDOM weights, saved as checkpoints.
 
 Their architecture is the real one, reduced in width and depth; their tokeniser
-knows a few words; their statistics are made up. They answer nonsense, through
-all of the real code.
+knows a few words; their statistics are made up. Their answers are meaningless,
+but all of the real code computes them.
 
     python policies/tests/random_lerobot.py smolvla FOLDER
 """
@@ -23,7 +23,7 @@ from tokenizers import Tokenizer, models, pre_tokenizers
 from transformers import PreTrainedTokenizerFast
 
 WORDS = "pick up the butter and place it in basket open drawer Task State Action : ; , ?".split()
-#: A seed, so that two folders made alike hold the same weights.
+#: A fixed seed, so that repeated runs save the same weights.
 SEED = 20260914
 
 
@@ -39,7 +39,7 @@ ACTIONS = {"action": PolicyFeature(type=FeatureType.ACTION, shape=(7,))}
 
 
 def made_up_statistics() -> dict[str, dict[str, torch.Tensor]]:
-    """Numbers of every kind that lerobot's normalisation may ask for."""
+    """Returns every kind of statistics that lerobot's normalisation may need."""
 
     def of(width: int, spread: float) -> dict[str, torch.Tensor]:
         ends = torch.full((width,), spread)
@@ -52,13 +52,13 @@ def made_up_statistics() -> dict[str, dict[str, torch.Tensor]]:
             "q99": ends,
         }
 
-    # Random weights leave much of a flow's noise as it is, and that is wide.
+    # Random weights leave much of a flow's wide noise unchanged.
     return {"observation.state": of(8, 2.0), "action": of(7, 0.5)}
 
 
 def tokeniser(folder: Path, extra: list[str], **special: str) -> PreTrainedTokenizerFast:
-    """One token per known word, saved into a folder; `special` names tokens
-    that the tokeniser is asked for by name."""
+    """Saves a tokeniser with one token per known word into a folder; `special`
+    names the tokens that are looked up by name."""
     tokens = ["<unk>", "<pad>", "<s>", "</s>", "\n", *WORDS, *map(str, range(256)), *extra]
     vocabulary = {token: index for index, token in enumerate(dict.fromkeys(tokens))}
     words = Tokenizer(models.WordLevel(vocabulary, unk_token="<unk>"))
@@ -77,7 +77,7 @@ def tokeniser(folder: Path, extra: list[str], **special: str) -> PreTrainedToken
 
 
 def smolvla(folder: Path) -> None:
-    """SmolVLA: two layers in place of sixteen, a tenth of the width."""
+    """SmolVLA with two layers instead of sixteen, and a tenth of the width."""
     from lerobot.policies.smolvla.configuration_smolvla import SmolVLAConfig
     from transformers import (
         SmolVLMConfig,
@@ -123,7 +123,7 @@ def smolvla(folder: Path) -> None:
     config = SmolVLAConfig(
         vlm_model_name=str(backbone),
         num_vlm_layers=2,
-        # As in the released checkpoint: a third camera that never comes.
+        # As in the released checkpoint: a third camera that never provides images.
         input_features={
             "observation.images.camera1": visual(),
             "observation.images.camera2": visual(),
@@ -138,7 +138,7 @@ def smolvla(folder: Path) -> None:
 
 @contextlib.contextmanager
 def small_pi05() -> Iterator[None]:
-    """lerobot fixes π0.5's sizes in its code; inside this, they are small."""
+    """Replaces π0.5's sizes, which are fixed in lerobot's code, by small ones."""
     from lerobot.policies.pi05 import modeling_pi05 as upstream
     from transformers import CONFIG_MAPPING
 
@@ -166,8 +166,8 @@ def small_pi05() -> Iterator[None]:
 
 
 def pi05(folder: Path) -> None:
-    """π0.5: two layers in place of eighteen and twenty-seven, and frames of 56 x 56
-    in place of 224 x 224."""
+    """π0.5 with two layers instead of eighteen and twenty-seven, and frames of 56 x 56
+    instead of 224 x 224."""
     from lerobot.policies.pi05.configuration_pi05 import PI05Config
 
     words = folder / "words"
@@ -186,7 +186,7 @@ def pi05(folder: Path) -> None:
         output_features=ACTIONS,
         device="cpu",
     )
-    # The name of the tokeniser, too, is fixed in lerobot's code.
+    # The tokeniser's name is fixed in lerobot's code, too.
     replaced = mock.patch(
         "lerobot.policies.pi05.processor_pi05.TokenizerProcessorStep",
         _with_tokeniser(str(words)),
@@ -205,7 +205,7 @@ def _with_tokeniser(name: str) -> Callable[..., Any]:
 
 
 def vla_jepa(folder: Path) -> None:
-    """VLA-JEPA without its world model: two layers, a thirtieth of the width."""
+    """VLA-JEPA without its world model, with two layers and a thirtieth of the width."""
     from lerobot.policies.vla_jepa.configuration_vla_jepa import VLAJEPAConfig
     from transformers import (
         Qwen2VLImageProcessorFast,
@@ -219,7 +219,7 @@ def vla_jepa(folder: Path) -> None:
     marks = ["start", "end"]
     special = [f"<|vision_{mark}|>" for mark in marks] + [f"<|im_{mark}|>" for mark in marks]
     special += ["<|image_pad|>", "<|video_pad|>"]
-    # Seven actions, four tokens each, and the one that the actions hang on.
+    # Seven actions of four tokens each, and the token from which actions are computed.
     actions = [*(f"<|action_{index}|>" for index in range(28)), "<|embodied_action|>"]
     words = tokeniser(backbone, [*special, *actions])
     tokens = dict(zip(special, words.convert_tokens_to_ids(special)))
@@ -281,8 +281,8 @@ def vla_jepa(folder: Path) -> None:
 
 
 def act(folder: Path) -> None:
-    """lerobot's ACT, which keeps chunks in an ensemble: what can stand in
-    MINERVA's place where MINERVA cannot be installed."""
+    """lerobot's ACT, which keeps chunks in an ensemble. It replaces MINERVA
+    where that cannot be installed."""
     from lerobot.configs.types import NormalizationMode
     from lerobot.policies.act.configuration_act import ACTConfig
 
@@ -312,7 +312,7 @@ def act(folder: Path) -> None:
 
 
 def save(config, folder: Path) -> None:
-    """Draws weights and saves them with their processors."""
+    """Makes a policy with random weights, and saves it with its processors."""
     torch.manual_seed(SEED)
     network = get_policy_class(config.type)(config)
     network.save_pretrained(folder)

@@ -1,5 +1,5 @@
-"""A model server of the real vla-eval, around a policy whose answers follow from
-the instruction. What it receives goes into a file, one JSON object a message.
+"""A model server of the real vla-eval, around a policy whose answers depend on
+the instruction. It records its messages in a file, one JSON object per message.
 """
 
 import argparse
@@ -21,7 +21,7 @@ GRIPPERS = (0.3, -0.2, 0.0, -1.5)
 
 
 def scripted(step):
-    """The action of a step; its gripper is rarely -1 or 1."""
+    """Returns the action of a step, whose gripper is rarely -1 or 1."""
     action = np.linspace(-1.2, 0.6, 7) + 0.01 * step
     action[6] = GRIPPERS[step % len(GRIPPERS)]
     return action
@@ -72,7 +72,7 @@ class Policy(PredictModelServer):
 
 
 def described(value):
-    """What JSON can hold of what was received."""
+    """Converts a received value to one that JSON can hold."""
     if isinstance(value, dict):
         return {key: described(it) for key, it in value.items()}
     if isinstance(value, np.ndarray) and value.dtype == np.uint8:
@@ -84,7 +84,7 @@ def described(value):
 
 
 def wire_forms(data):
-    """How the frames of a message travelled."""
+    """Returns the encodings of the frames of a message."""
     images = msgpack.unpackb(data)["payload"].get("images", {})
     return {name: it.get("format", it.get("dtype")) for name, it in images.items()}
 

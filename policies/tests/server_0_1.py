@@ -1,8 +1,8 @@
-"""A policy server of the first release, as it was: for tests, in a process of its
-own, because its messages have the names of this package's.
+"""The first release's policy server, unchanged, for tests. It runs in a
+separate process because its messages have the same names as this package's.
 
-It knows nothing of this package, speaks proto/released/policy_v1.proto, whose
-code is generated when it starts, and is not to be brought up to date.
+It uses nothing of this package, speaks proto/released/policy_v1.proto, whose
+code is generated at its start, and must not be updated.
 """
 
 import importlib
@@ -20,7 +20,7 @@ RELEASED = pathlib.Path(__file__).resolve().parents[2] / "proto" / "released"
 
 
 def generated():
-    """The modules of the released protocol."""
+    """Returns the modules of the released protocol."""
     with tempfile.TemporaryDirectory() as folder:
         status = protoc.main(
             ["protoc", f"-I{RELEASED}", f"--python_out={folder}", f"--grpc_python_out={folder}",

@@ -1,9 +1,9 @@
-"""A server that behaves towards its clients as openpi's WebsocketPolicyServer
-does, around a simulated policy: a metadata message first, then one msgpack
-message answered after the other; a traceback as text, and the end, when the
-policy raises. Messages are packed by the real openpi-client.
+"""A server with the interface of openpi's WebsocketPolicyServer around a
+simulated policy. It sends a metadata message first, then answers one msgpack
+message after another; if the policy raises, it sends the traceback as text and
+closes. Messages are packed by the real openpi-client.
 
-What it was shown goes into a file, one JSON object a line, for a test to look at.
+Its inputs are recorded in a file, one JSON object per line, for a test to examine.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from websockets.asyncio.server import serve
 
 
 class SimulatedPolicy:
-    """Ten actions, with noise of a stream that runs on from query to query."""
+    """Answers ten actions with noise of a single stream across queries."""
 
     def __init__(self, shown, width):
         self.noise = np.random.default_rng()

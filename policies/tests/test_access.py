@@ -1,4 +1,4 @@
-"""Who may connect: certificates and tokens as the gateway's server takes them."""
+"""Access control: certificates and tokens in the form that the gateway's server takes."""
 
 import subprocess
 import sys
@@ -25,7 +25,7 @@ TOKENS = {role: f"{role}-0123456789abcdef" for role in ("worker", "operator", "v
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """An authority, a certificate for localhost, its key, and files of tokens,
-    made as docs/OPERATING.md says."""
+    made as in docs/OPERATING.md."""
     folder = tmp_path_factory.mktemp("access")
     names = "subjectAltName=DNS:localhost,IP:127.0.0.1\nbasicConstraints=CA:FALSE\n"
     (folder / "names").write_text(names)
@@ -48,7 +48,7 @@ def files(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def guarded(files):
-    """The address of a server that asks for tokens over TLS, for all machines."""
+    """The address of a server on all interfaces that requires tokens and TLS."""
     command = [*COLOUR_SERVO, "--listen", "0.0.0.0:0"]
     command += ["--tls-cert", files / "cert.pem", "--tls-key", files / "key.pem"]
     with running(*command, "--token-file", files / "tokens") as (_, address):
@@ -56,7 +56,7 @@ def guarded(files):
 
 
 class TlsClient(Client):
-    """Shows a token over TLS."""
+    """Sends a token over TLS."""
 
     def __init__(self, address, ca, token=None):
         credentials = grpc.ssl_channel_credentials(ca.read_bytes())
@@ -89,7 +89,7 @@ def test_others_are_refused_and_told_why(files, guarded, token, code, expected):
         with pytest.raises(grpc.RpcError) as caught:
             call()
         assert caught.value.code() == code and expected in caught.value.details()
-    # Whether a server is up is no secret.
+    # The health service needs no token.
     assert client.channel.unary_unary("/grpc.health.v1.Health/Check")(b"") == b"\x08\x01"
     client.channel.close()
 
@@ -203,6 +203,6 @@ def test_files_that_are_no_use_are_named(files, tmp_path):
             exposed.chmod(mode)
             with pytest.raises(AccessError, match=rf"{exposed}: .*{mode:04o}.*chmod 600"):
                 use(exposed)
-    # The key of another certificate.
+    # The key does not match the certificate.
     with pytest.raises(AccessError, match="ca-key.pem"):
         serve(Noisy(), tls=(files / "cert.pem", files / "ca-key.pem"))

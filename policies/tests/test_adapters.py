@@ -1,8 +1,8 @@
-"""The adapters up to the call of the upstream network, which is recorded.
+"""The adapters up to the call of the upstream network, whose arguments are recorded.
 
-The recording stand-ins answer what a test gives them; everything around them,
-from the observation to the arguments and from the answer to the actions, is
-what serves.
+The recording stand-ins answer as a test specifies. Everything around them, from
+the observation to the arguments and from the answer to the actions, is
+production code.
 """
 
 import os
@@ -40,7 +40,7 @@ from rollout_policies.adapters.vla_jepa import VlaJepa
 from rollout_policies.catalogue import NoCheckpoint, entries, entry
 from rollout_policies.description import Language
 
-#: Half a turn about x: a hand that points down.
+#: Half a turn about x: the orientation of a hand that points down.
 POINTING_DOWN = [1.0, 0.0, 0.0, 0.0]
 
 
@@ -63,7 +63,7 @@ def next_one(earlier, query_index):
     return Observation(earlier.episode, query_index, earlier.images, earlier.state)
 
 
-# What lerobot runs.
+# Policies that lerobot runs.
 
 
 def test_lerobot_gets_turned_frames_and_eight_numbers():
@@ -72,7 +72,7 @@ def test_lerobot_gets_turned_frames_and_eight_numbers():
     batch = batch_of([observation(), observation(instruction="other")], slots)
     frames = batch["observation.images.image"]
     assert frames.shape == (2, 3, 256, 256) and frames.dtype == np.float32
-    # The last pixel of the last row comes first.
+    # The last pixel of the last row is first after the turn.
     assert (frames[0, :, 0, 0] == pattern(256)[255, 255] / np.float32(255)).all()
     assert (frames[0, :, 0, 1] == pattern(256)[255, 254] / np.float32(255)).all()
     assert batch["observation.state"].dtype == np.float32
@@ -83,7 +83,7 @@ def test_lerobot_gets_turned_frames_and_eight_numbers():
 
 
 class Loaded:
-    """What a model says of itself."""
+    """Properties that a loaded model reports."""
 
     checkpoint, checkpoint_digest, parameters = "weights", "d1", 3
     cameras = (Camera("agentview"), Camera("robot0_eye_in_hand"))
@@ -92,7 +92,7 @@ class Loaded:
 
 
 class RecordingFlow(Loaded):
-    """Answers its noise, or what its generator would draw."""
+    """Answers its noise, or a draw of its generator."""
 
     config = SimpleNamespace(chunk_size=50, max_action_dim=32)
     chunks_in_real_time = True
@@ -145,7 +145,7 @@ def test_a_checkpoint_of_the_paper_executes_as_the_protocol_and_others_as_they_s
     assert executed(smolvla, Options(checkpoint="me/mine"), **own) == 10
     assert executed(smolvla, Options(execute=5), **own) == 5
     assert executed(smolvla, Options(checkpoint="me/mine", execute=5), **own) == 5
-    # A chunk that is shorter than what the paper executes of its own checkpoint's.
+    # This chunk is shorter than the number that the paper executes for its own checkpoint.
     assert executed(entry("pi05"), Options(checkpoint="me/mine"), chunk=5, own=5) == 5
 
 
@@ -179,7 +179,7 @@ def test_noise_depends_on_seed_and_query_and_on_no_neighbour(cls, name):
 
 
 class RecordingLerobot(Loaded):
-    """Keeps a count per episode, as lerobot's queues would."""
+    """Counts the queries of each episode, as lerobot's queues would."""
 
     def fresh_memory(self):
         return {"count": 0}
@@ -225,7 +225,7 @@ def test_openvla_oft_is_asked_with_cropped_frames_a_prompt_and_percentiles():
     assert (scene == openvla_oft.frame(pattern(256)[::-1, ::-1])).all()
     assert (wrist == openvla_oft.frame(pattern(256)[:, ::-1])).all()
     assert text == "In: What action should the robot take to open the drawer?\nOut:"
-    # pi and -0.04 lie beyond the percentiles.
+    # pi and -0.04 are outside the percentiles.
     assert state == pytest.approx([-0.8, -0.6, -0.4, 1, -1, -1, -0.92, -1], abs=1e-6)
     assert actions.shape == (8, 7)
     assert (actions[:, 6] == -1).all() and (actions[:, :6] == 0.9).all()
@@ -254,7 +254,7 @@ class RecordingUnivla:
     def chunk(self, pixels, text, generator):
         self.asked.append((text, generator))
         self.pixels = pixels
-        # The n-th chunk says n, and its gripper is open.
+        # The n-th chunk holds n / 10 everywhere except the gripper, which is open.
         chunk = np.full((12, 7), len(self.asked) / 10)
         chunk[:, 6] = 1
         return chunk, [32001, 2, 32032, 32005], ("after", generator)
@@ -275,9 +275,9 @@ def test_univla_carries_latent_actions_and_chunks_from_query_to_query():
     assert second[0] == pytest.approx(2 * (0.2 + weight * 0.1) / (1 + weight))
     question = "In: What action should the robot take to open the drawer?"
     assert model.asked[0][0] == f"{question}\nOut:"
-    # The end of the sentence, token 2, is no latent action.
+    # Token 2, the end of the sentence, is not a latent action.
     assert model.asked[1][0] == f"{question} History action <ACT_0><ACT_31><ACT_4>\nOut:"
-    # A new episode starts from nothing, and draws as its seed says.
+    # A new episode starts without history and with its own seed.
     again = observation()
     policy.reset(again.episode)
     policy.infer(again)
@@ -354,7 +354,7 @@ def test_cached_statistics_are_looked_for_in_the_package(tmp_path):
     assert predvla._cache("/elsewhere/cache", tmp_path) == "/elsewhere/cache"
 
 
-# All of them.
+# All adapters.
 
 
 @pytest.mark.parametrize("name", ["openvla-oft", "univla", "predvla"])
@@ -382,7 +382,7 @@ def test_weights_of_predvla_are_those_of_its_repository(tmp_path):
         "libero_goal": "checkpoints/predvla_goal_s1.pt",
         "libero_10": "checkpoints/predvla_long_s1.pt",
     }
-    # They are found in the authors' repository, wherever the server is started.
+    # They are searched in the authors' repository, independent of the working directory.
     file = tmp_path / listed["libero_goal"]
     file.parent.mkdir()
     file.write_bytes(b"weights")

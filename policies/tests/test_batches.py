@@ -1,4 +1,4 @@
-"""Several queries at once: neighbours change nothing, and only the guilty fails."""
+"""Batched queries: the others in a batch change no answer, and only the faulty query fails."""
 
 import pathlib
 import re
@@ -39,7 +39,7 @@ def test_one_query_of_a_batch_fails_alone_and_neighbours_change_nothing(serving)
 
 
 class Batching(Policy):
-    """Cannot answer the session that is called "bad"."""
+    """Fails to answer the session named "bad"."""
 
     def __init__(self, error, stateful=False):
         self.description = Description(name="batching", max_batch=4, stateful=stateful)
@@ -91,7 +91,7 @@ def test_a_batch_that_answers_too_little_is_asked_one_by_one(serving):
     "policy",
     [
         Batching(RuntimeError("CUDA error: device-side assert triggered")),
-        # Its episodes' memories may have moved on.
+        # Its episodes' memories may have advanced already.
         Batching(KeyError("butter"), stateful=True),
     ],
     ids=["from which no process recovers", "stateful"],

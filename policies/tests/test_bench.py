@@ -1,4 +1,4 @@
-"""The policy that is timed keeps the protocol, in its tiny version."""
+"""The policy for timing keeps the protocol, in its tiny size."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Which camera feeds which image slot."""
+"""Assignment of cameras to image slots."""
 
 import pytest
 
@@ -69,7 +69,7 @@ def test_unknown_or_doubtful_names_are_refused_with_the_flag_to_write(names):
 def test_the_command_line_decides_where_names_do_not():
     given = {"scene": "right", "wrist": "observation.images.left"}
     assert by_name("left", "right", given=given) == {"right": SCENE, "left": WRIST}
-    # It may say the opposite of the names, and leave a slot empty.
+    # The command line may contradict the names, and may leave a slot empty.
     given = {"wrist": "image"}
     assert by_name("image", "image2", given=given) == {"image": WRIST}
 

@@ -1,5 +1,5 @@
-"""This package's own conformance check: servers that keep the protocol pass, and
-every way not to keep it is found at its point."""
+"""This package's own conformance check: servers that keep the protocol pass,
+and every violation is found at its point."""
 
 import dataclasses
 import itertools
@@ -62,7 +62,7 @@ def test_a_policy_that_keeps_the_protocol_passes_every_point(policy, skipped):
 
 
 class Faulty(Noisy):
-    """A policy with one fault, which its class overrides."""
+    """A policy with one fault, which a subclass overrides."""
 
     description = Description(name="faulty", horizon=4, stochastic=True, max_batch=4)
     calls = itertools.count()
@@ -83,7 +83,7 @@ class SecretlyStochastic(Faulty):
 
 
 class Sharing(Faulty):
-    """Keeps in itself what belongs to an episode."""
+    """Keeps an episode's state in itself."""
 
     def reset(self, episode):
         self.seed = episode.seed
@@ -93,7 +93,7 @@ class Sharing(Faulty):
 
 
 class Carrying(Faulty):
-    """Keeps something between queries without saying so."""
+    """Keeps undeclared state between queries."""
 
     def reset(self, episode):
         episode.memory = 0.0
@@ -165,7 +165,7 @@ def test_a_policy_of_one_suite_is_checked_with_a_task_of_it():
 
 
 class Wire(pb_grpc.PolicyServicer):
-    """A server written by hand, with the faults that are named to it."""
+    """A handwritten server with the given faults."""
 
     def __init__(self, *faults):
         self.faults = set(faults)
@@ -241,12 +241,12 @@ def test_a_servers_fault_is_found_at_its_point(fault, failing, expected):
         assert failed == {}
     else:
         assert expected in failed[failing]
-    # A server that numbers its answers is at odds with every comparison.
+    # The fault "retry" numbers the answers, so every comparison fails.
     if fault not in (None, "retry"):
         assert len(failed) == 1
 
 
-# The command.
+# Command line.
 
 
 def command(*arguments):
@@ -294,7 +294,7 @@ def test_a_command_that_can_check_nothing_says_why(arguments, code, expected):
     assert expected in done.stderr and "Traceback" not in done.stderr
 
 
-# Made-up observations.
+# Tests of made-up observations.
 
 EVERYTHING = Description(
     name="everything",
@@ -311,7 +311,7 @@ def test_a_made_up_observation_is_of_the_shape_that_was_asked_for():
     }
     assert all(frame.dtype == np.uint8 for frame in made.images.values())
     assert len(made.vector()) == sum(field.size for field in State)
-    # As the robot's own are.
+    # The robot's own readings have this range.
     assert all(np.abs(reading).max() < 4 for reading in made.state.values())
 
 
@@ -335,7 +335,7 @@ def test_made_up_readings_describe_one_posture():
     ]
     assert state[State.EEF_ROTATION].reshape(3, 3) == pytest.approx(np.array(rotation))
     assert state[State.EEF_AXIS_ANGLE] == pytest.approx(axis_angle(quaternion))
-    # Fingers down.
+    # The fingers point down.
     assert state[State.EEF_ROTATION][8] == pytest.approx(-1)
 
 

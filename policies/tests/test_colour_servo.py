@@ -1,4 +1,4 @@
-"""The example answers from pixels, in the right direction."""
+"""The example uses the pixels, and its actions go in the right direction."""
 
 import numpy as np
 import pytest
@@ -6,12 +6,12 @@ import pytest
 from rollout_policies import Episode, Observation, State
 from rollout_policies.examples.colour_servo import SIDE, WRIST, ColourServo, find_blob
 
-#: A hand that points down, its x axis along the world's.
+#: A hand that points down, with its x axis along the world's.
 POINTING_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 def upright_frame(row, column, size=12):
-    """Grey, with a red square around a place."""
+    """Returns a grey frame with a red square around a position."""
     frame = np.full((SIDE, SIDE, 3), 120, dtype=np.uint8)
     half = size // 2
     frame[row - half : row + half, column - half : column + half] = (200, 20, 20)
@@ -38,7 +38,7 @@ def test_the_blob_is_found_where_it_is():
 def test_the_hand_moves_towards_the_colour():
     far_up, right, left = upright_frame(10, 64), upright_frame(90, 118), upright_frame(90, 10)
     assert answer(far_up)[0] > 0.5  # up in the picture: the hand's x
-    # Right in the picture is the hand's y, which points against the world's.
+    # Right in the picture is the hand's y axis, opposite to the world's.
     assert answer(right)[1] < -0.3 < 0.3 < answer(left)[1]
     turned = POINTING_DOWN @ np.diag([-1.0, -1.0, 1.0])
     assert answer(far_up, turned)[0] < -0.5

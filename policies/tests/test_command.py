@@ -1,4 +1,4 @@
-"""The command line that `run` makes of a policy's constructor."""
+"""The command line that `run` generates from a policy's constructor."""
 
 import subprocess
 import sys
@@ -46,7 +46,7 @@ class Flags(Policy):
 
 @pytest.fixture
 def ran(monkeypatch):
-    """Runs a command line, and returns the policy that would be served, and how."""
+    """Runs a command line. Returns the policy that would be served and its options."""
 
     def run_it(policy_class, *arguments):
         served = []

@@ -18,7 +18,7 @@ class Batched(Noisy):
 
 
 class Remembering(Policy):
-    """Wants everything there is, and keeps a number per episode."""
+    """Requests every input, and keeps a number per episode."""
 
     description = Description(
         name="remembering",
@@ -37,7 +37,7 @@ class Remembering(Policy):
 
 
 class ComputedOft:
-    """In the place of OpenVLA-OFT's network: brightness and state."""
+    """Replaces OpenVLA-OFT's network by a function of brightness and state."""
 
     parameters = 0
     proprio_statistics = {"q01": [-1.0] * 8, "q99": [1.0] * 8}
@@ -47,7 +47,7 @@ class ComputedOft:
 
 
 class ComputedUnivla:
-    """In the place of UniVLA's networks: chance, brightness and the prompt."""
+    """Replaces UniVLA's networks by a function of chance, brightness and the prompt."""
 
     parameters = 0
 
@@ -58,7 +58,7 @@ class ComputedUnivla:
 
 
 class ComputedPredvla:
-    """In the place of PredVLA's networks: a running mean."""
+    """Replaces PredVLA's networks by a running mean."""
 
     parameters, stride = 0, 4
 
@@ -72,8 +72,8 @@ class ComputedPredvla:
 
 
 def around_computed_networks():
-    """Adapters of policies whose upstream no registry has. The check asks about
-    a task of libero_object."""
+    """Adapters of policies whose upstream is in no registry. The check plays a
+    task of libero_object."""
     served = {"suite": "libero_object", "checkpoint": "none: computed in the network's place"}
     bounds = {"q01": [-1.0] * 7, "q99": [1.0] * 7, "mask": [True] * 6 + [False]}
     return [

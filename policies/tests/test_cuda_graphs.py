@@ -1,4 +1,4 @@
-"""A compiled network with CUDA graphs, which belongs to the thread that made it.
+"""A compiled network with CUDA graphs, which only its creating thread can use.
 
 Runs where PyTorch finds a GPU, and is skipped elsewhere.
 """

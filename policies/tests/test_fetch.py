@@ -1,4 +1,4 @@
-"""Checkpoints of folders and of the hub, which a stand-in plays here."""
+"""Checkpoints from folders and from the hub, for which a stand-in is used."""
 
 import sys
 from types import SimpleNamespace
@@ -15,7 +15,7 @@ COMMIT = "0123456789abcdef0123456789abcdef01234567"
 
 @pytest.fixture
 def hub(tmp_path, monkeypatch):
-    """A hub with one repository; it keeps what it is asked."""
+    """A hub with one repository; it records its requests."""
     snapshot = tmp_path / "models--me--mine" / "snapshots" / COMMIT
     (snapshot / "ckpt" / "small").mkdir(parents=True)
     asked = []
@@ -43,7 +43,7 @@ def test_a_folder_here_is_taken_as_it_is_and_has_no_revision(hub, tmp_path):
     assert (fetched.folder, fetched.settings, hub.asked) == (tmp_path, {}, [])
     with pytest.raises(UnusableOption, match="--revision names a commit of the hub"):
         fetch(entry("smolvla"), str(tmp_path), "v2")
-    # One of the hub's own folders says which commit it is.
+    # The path of one of the hub's own folders contains its commit.
     assert fetch(entry("smolvla"), str(hub.snapshot)).revision == COMMIT
 
 

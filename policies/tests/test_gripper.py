@@ -1,4 +1,4 @@
-"""What the seventh number of an action means."""
+"""Meaning of the seventh number of an action."""
 
 import logging
 
@@ -35,7 +35,7 @@ def test_a_declared_gripper_convention_becomes_the_simulators(serving, gripper, 
 @pytest.mark.parametrize(("gripper", "warnings"), [(0.5, 1), (-0.5, 0)])
 def test_a_gripper_that_never_opens_is_warned_of_once(serving, caplog, gripper, warnings):
     class Closed(Policy):
-        # Of a chunk, what is not executed opens nothing.
+        # Actions that are not executed do not count as opening.
         description = Description(name="closed", horizon=20, execute=10)
 
         def reset(self, episode):
@@ -54,7 +54,7 @@ def test_a_gripper_that_never_opens_is_warned_of_once(serving, caplog, gripper, 
             for query_index in range(5):
                 client.infer(session, query_index)
             client.end(session)
-        # Too short to tell.
+        # Too short for a judgement.
         client.reset("d")
         client.infer("d")
         client.end("d")

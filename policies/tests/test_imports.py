@@ -1,4 +1,4 @@
-"""How the files of this package use one another."""
+"""Imports between the files of this package."""
 
 import ast
 import pathlib
@@ -14,7 +14,7 @@ def name_of(path):
 
 
 def imported_by(path, modules):
-    """Modules of the package that a file imports, also those that only type checkers read."""
+    """Modules of the package that a file imports, including those for type checkers only."""
     package = path.relative_to(PACKAGE.parent).parts[:-1]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.level:
@@ -28,7 +28,7 @@ def test_no_files_import_in_a_circle():
     paths = {name_of(path): path for path in PACKAGE.rglob("*.py")}
     left = {name: set(imported_by(path, paths.keys())) for name, path in paths.items()}
     assert {"rollout_policies.policy"} <= left["rollout_policies.server"]
-    # Takes away the files that import none of the others, again and again.
+    # Repeatedly removes the files that import none of the others.
     while leaves := [name for name, imported in left.items() if not imported & left.keys()]:
         for name in leaves:
             del left[name]

@@ -1,4 +1,4 @@
-"""Which thread asks a policy, in which order, and how it warms up."""
+"""The thread that calls a policy, the order of its calls, and its warm-up."""
 
 import logging
 import pathlib
@@ -19,7 +19,7 @@ from rollout_policies.inference import InferenceThread
 from rollout_policies.proto import policy_pb2 as pb
 
 THREADS = pathlib.Path(__file__).parent / "threads.py"
-#: What a test waits for before it fails, s.
+#: Longest wait of a test before it fails, s.
 PATIENCE = 60
 
 
@@ -38,7 +38,7 @@ def test_one_thread_makes_a_policy_warms_it_up_and_asks_it(tmp_path):
             queries = [client.request(session, 1) for session in sessions[:2]]
             client.stub.InferBatch(pb.InferBatchRequest(queries=queries))
             list(pool.map(client.end, sessions))
-        # Behind the ends, which nobody waits for.
+        # Queued after the ends, which are not awaited.
         client.reset("last")
         client.channel.close()
     threads = {}
@@ -132,7 +132,7 @@ def test_a_query_whose_caller_has_gone_before_its_turn_is_never_computed(serving
     monkeypatch.setattr(InferenceThread, "submit", noting_submit)
 
     def asked(method, message):
-        """A call that has come to its server, and the server's future of it."""
+        """Returns a call that has reached its server, and the server's future for it."""
         before = len(calls)
         call = method.future(message)
         until(lambda: len(calls) > before)
@@ -235,7 +235,7 @@ def test_queries_under_way_are_answered_before_a_server_stops(tmp_path):
 
 
 class WarmedUp(Policy):
-    """Accepts tasks of one suite, and keeps what it was asked."""
+    """Accepts tasks of one suite, and records its queries."""
 
     def __init__(self, answer, max_batch=1):
         self.description = Description(name="warmed-up", horizon=2, max_batch=max_batch)

@@ -28,14 +28,13 @@ from rollout_policies.adapters.upstream import (  # noqa: E402
     UnusableOption,
 )
 
-#: ACT is lerobot's own and stands in MINERVA's place: it, too, keeps chunks of
-#: one episode inside the policy.
+#: lerobot's own ACT replaces MINERVA: it, too, keeps chunks of one episode inside the policy.
 ADAPTERS = {"smolvla": "smolvla", "pi05": "pi05", "vla-jepa": "vla-jepa", "act": "minerva"}
 
 
 @pytest.fixture(scope="module", params=list(ADAPTERS))
 def checkpoint(request, tmp_path_factory):
-    """A policy of random weights and its folder: `(name, folder)`."""
+    """A policy with random weights and its folder: `(name, folder)`."""
     name = request.param
     folder = tmp_path_factory.mktemp(name)
     random_lerobot.POLICIES[name](folder)
@@ -55,7 +54,7 @@ def loaded(name, folder, **options):
 
 
 def play(policy, seed, queries=3):
-    """The answers of an episode that starts anew."""
+    """Returns the answers of an episode that is started again."""
     seen = observation(seed)
     policy.reset(seen.episode)
     return [policy.infer(next_one(seen, index)) for index in range(queries)]
@@ -66,7 +65,7 @@ def test_the_description_counts_and_names_what_was_loaded(policy, checkpoint):
     assert described.checkpoint == str(checkpoint[1])
     assert len(described.checkpoint_digest) == 64
     assert described.parameters > 100_000
-    # As the checkpoints say: none of them is the paper's.
+    # The checkpoints' own numbers: none of them is the paper's checkpoint.
     expected = {"smolvla": (50, 50), "pi05": (10, 10), "vla-jepa": (7, 7), "act": (1, 1)}
     assert (described.horizon, described.execute) == expected[checkpoint[0]]
 
@@ -116,7 +115,7 @@ def test_episodes_side_by_side_are_those_that_ran_alone(policy):
 
 
 def test_the_instruction_and_the_frames_matter(policy, checkpoint):
-    # Random weights hardly look; that they look at all is what counts.
+    # Random weights depend little on the input; the test needs only some dependence.
     seen = observation(1)
     dark = observation(1)
     object.__setattr__(
@@ -169,7 +168,7 @@ def test_a_batch_moves_low_order_bits_and_no_more(checkpoint):
 
 @pytest.fixture
 def altered(checkpoint, tmp_path):
-    """A copy of the checkpoint to plant faults in: `(name, folder)`."""
+    """A copy of the checkpoint, for planting faults: `(name, folder)`."""
     name, folder = checkpoint
     shutil.copytree(folder, tmp_path / "altered")
     return name, tmp_path / "altered"
@@ -177,7 +176,7 @@ def altered(checkpoint, tmp_path):
 
 @contextlib.contextmanager
 def stored_tensors(folder):
-    """The tensors of a checkpoint, to alter."""
+    """Yields the tensors of a checkpoint for modification."""
     weights = folder / "model.safetensors"
     tensors = load_file(weights)
     yield tensors
@@ -186,7 +185,7 @@ def stored_tensors(folder):
 
 @contextlib.contextmanager
 def json_of(folder, file):
-    """A file's content, to alter."""
+    """Yields a file's content for modification."""
     path = folder / file
     content = json.loads(path.read_text("utf-8"))
     yield content
@@ -202,7 +201,7 @@ def test_weights_under_other_names_are_refused(altered):
         loaded(name, folder)
 
 
-#: A tensor of every policy that acts, and the largest.
+#: For each policy, a tensor that its actions depend on.
 ACTING = {
     "smolvla": "model.action_out_proj.weight",
     "pi05": "model.action_out_proj.weight",
@@ -230,7 +229,7 @@ def test_a_file_with_one_tensor_too_many_is_refused(altered):
 
 
 def test_a_large_tensor_that_is_not_the_file_s_is_refused(altered, monkeypatch):
-    # As after a loader that fails half way: one number of the largest tensor.
+    # Simulates a loader that fails half way: one number of the largest tensor differs.
     name, folder = altered
     from rollout_policies.adapters import lerobot as adapter
 
@@ -250,8 +249,8 @@ def test_a_large_tensor_that_is_not_the_file_s_is_refused(altered, monkeypatch):
 
 
 def test_embeddings_that_are_tied_in_the_file_are_loaded_or_refused(altered):
-    # lerobot's π0.5 copies the head's weights into the embedding if a file lacks
-    # it, as released ones do; of SmolVLA it does not.
+    # If a file lacks the embedding, as released ones do, lerobot copies the head's weights into
+    # π0.5's, but not into SmolVLA's.
     name, folder = altered
     if name not in ("smolvla", "pi05"):
         pytest.skip(f"{name} has no file without them")
@@ -266,14 +265,14 @@ def test_embeddings_that_are_tied_in_the_file_are_loaded_or_refused(altered):
 
 
 def acting_name(name, tensors):
-    """ACTING's tensor, or the last one of the part that acts."""
+    """Returns ACTING's tensor, or the last one of the acting part."""
     if ACTING[name] in tensors:
         return ACTING[name]
     return sorted(key for key in tensors if "action" in key and key.endswith("weight"))[-1]
 
 
 def rename_slots(folder, names):
-    """Gives the image slots of a checkpoint other names."""
+    """Renames the image slots of a checkpoint."""
     for file in ("config.json", "policy_preprocessor.json", "policy_postprocessor.json"):
         text = (folder / file).read_text("utf-8")
         for old, new in names.items():
@@ -288,7 +287,7 @@ def test_two_cameras_whose_names_sort_the_other_way_are_not_swapped(policy, alte
     renamed = loaded(name, folder)
     assert "cam_wrist=robot0_eye_in_hand" in renamed.description.settings["image slots"]
     assert np.array_equal(play(renamed, seed=1), play(policy, seed=1))
-    # The other way round is another policy.
+    # Swapped cameras give another policy.
     swapped = loaded(name, folder, image_keys={"scene": "cam_wrist", "wrist": "front"})
     assert not np.array_equal(play(swapped, seed=1), play(policy, seed=1))
 
@@ -304,7 +303,7 @@ def test_slots_whose_names_do_not_tell_are_refused_with_the_flag(altered):
 
 @pytest.mark.parametrize("which", ["action", "observation.state"])
 def test_a_checkpoint_without_statistics_is_refused(altered, which):
-    # lerobot would pass the numbers on as they are.
+    # lerobot would leave the numbers unchanged.
     name, folder = altered
     for file in folder.glob("policy_*_normalizer_processor.safetensors"):
         drop_statistics(file, which)

@@ -1,5 +1,5 @@
-"""A server of openpi's kind, unmodified, behind the gateway: what it is shown is
-what openpi's own LIBERO client would show it.
+"""An unmodified server of openpi's kind behind the gateway receives the inputs
+that openpi's own LIBERO client would send.
 
 Runs the program that the environment variable POLICY_GATEWAY names.
 """
@@ -32,7 +32,7 @@ def program():
 
 @pytest.fixture
 def shown(tmp_path):
-    """Where the server writes what it was shown."""
+    """File in which the server records its inputs."""
     return tmp_path / "shown.jsonl"
 
 

@@ -1,7 +1,7 @@
-"""OpenVLA-OFT's and UniVLA's loading, with PyTorch and small parts in the place
-of upstream's classes. Skipped where PyTorch or transformers is not installed.
+"""Loading of OpenVLA-OFT and UniVLA, with PyTorch and small replacements for
+upstream's classes. Skipped where PyTorch or transformers is not installed.
 
-The stand-ins load as transformers does: what does not fit is left as it was.
+The replacements load as transformers does: tensors that do not fit stay unchanged.
 """
 
 import json
@@ -28,7 +28,7 @@ LANGUAGE_MODEL = transformers.LlamaConfig(
 
 
 class Network(torch.nn.Module):
-    """OpenVLAForActionPrediction: knows where it is, and answers its weights."""
+    """OpenVLAForActionPrediction: stores its device, and answers its weights."""
 
     def __init__(self):
         super().__init__()
@@ -71,7 +71,7 @@ def module_of(**parts):
 
 @pytest.fixture
 def upstream(monkeypatch):
-    """Upstream's modules, for as long as a test lasts."""
+    """Upstream's modules for the duration of a test."""
     folder = SimpleNamespace(from_pretrained=lambda folder: None)
     modules = {
         "timm": {},
@@ -93,13 +93,13 @@ def upstream(monkeypatch):
     for name, parts in modules.items():
         monkeypatch.setitem(sys.modules, name, module_of(**parts))
     monkeypatch.setattr(transformers.AutoTokenizer, "from_pretrained", lambda folder: None)
-    # OpenVLA-OFT's own transformers.
+    # Result of OpenVLA-OFT's own transformers.
     monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: True)
 
 
 @pytest.fixture
 def oft(tmp_path, upstream):
-    """A checkpoint of OpenVLA-OFT, small and random."""
+    """Makes a small OpenVLA-OFT checkpoint with random weights."""
     torch.manual_seed(1)
     save_file(Network().state_dict(), tmp_path / "model-00001-of-00001.safetensors")
     for part, made in {
@@ -131,7 +131,7 @@ def test_openvla_oft_is_loaded_whole_and_onto_the_device_that_was_asked_for(oft)
     settings = policy.description.settings
     assert (settings["device"], settings["precision"]) == ("cpu", "bfloat16")
     assert settings["statistics"].startswith("libero_goal_no_noops: actions QUANTILES ")
-    # "meta" has no numbers, but it is another device than upstream's.
+    # "meta" holds no numbers, but it differs from upstream's device.
     parts = (policy.model.action_head, policy.model.proprio_projector, policy.model.network)
     elsewhere = served(oft, device="meta").model
     for one in (elsewhere.network, elsewhere.action_head, elsewhere.proprio_projector):
@@ -188,7 +188,7 @@ def test_another_robot_s_chunk_is_refused(oft):
 
 
 def test_the_transformers_of_everybody_else_is_refused_for_openvla_oft(oft, monkeypatch):
-    # It has the same version; what tells is whether a token sees the later ones.
+    # Its version is the same; the difference is whether a token sees later ones.
     monkeypatch.undo()
     network = Network()
     assert not prismatic._sees_ahead(network, torch, transformers)
@@ -210,7 +210,7 @@ def test_a_transformers_that_attends_otherwise_is_named(oft, monkeypatch):
 
 
 class Pool(torch.nn.Linear):
-    """MAPBlock, of other widths."""
+    """MAPBlock with other widths."""
 
     def __init__(self, n_latents, vis_dim, embed_dim, n_heads):
         super().__init__(2, 2)
@@ -218,7 +218,7 @@ class Pool(torch.nn.Linear):
 
 @pytest.fixture
 def of_univla(oft, monkeypatch):
-    """A checkpoint of UniVLA, small and random."""
+    """Makes a small UniVLA checkpoint with random weights."""
     monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: False)
     pools = module_of(MAPBlock=Pool)
     monkeypatch.setitem(sys.modules, "prismatic.models.policy.transformer_utils", pools)

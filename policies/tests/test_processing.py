@@ -1,7 +1,7 @@
-"""Frames, readings and actions against what the upstream definitions give.
+"""Frames, readings and actions against the results of the upstream definitions.
 
-Where a framework defines the result, the numbers here were printed by it for
-the frame of `pattern`: TensorFlow 2.15.1 and PyTorch 2.7.1, on x86-64.
+Where a framework defines the result, it printed the numbers here for the frame
+of `pattern`: TensorFlow 2.15.1 and PyTorch 2.7.1, on x86-64.
 """
 
 import hashlib
@@ -54,8 +54,8 @@ def test_bilinear_shrinks_as_torch_with_antialias():
 
 
 def test_halving_with_a_triangle_weighs_four_samples_by_hand():
-    # Centre 1.0 of samples at 0.5, 1.5 (distance 1/4 of the filter's half
-    # width 2) and 2.5 (3/4); the edge has lost its left quarter.
+    # The filter's half width is 2. The centre 1.0 is 1/4 of that from the samples at 0.5
+    # and 1.5, and 3/4 from 2.5. At the edge, the filter's left quarter is cut off.
     row = np.zeros((1, 8, 3), dtype=np.uint8)
     row[0, :, :] = np.array([10, 50, 90, 250, 0, 0, 80, 40])[:, None]
     first = (0.75 * 10 + 0.75 * 50 + 0.25 * 90) / 1.75
@@ -76,7 +76,7 @@ def test_the_centre_crop_is_tensorflows():
 
 
 def test_plain_shrinking_leaves_samples_out_as_torch_without_antialias():
-    # PyTorch 2.11.0, as are the next ones.
+    # From PyTorch 2.11.0, as are the next ones.
     assert images.resize_plainly(pattern(8), 5, 5)[..., 2].tolist() == [
         [40, 43, 45, 48, 50],
         [43, 58, 73, 88, 104],
@@ -97,7 +97,7 @@ def test_the_study_crops_univla_s_frames_to_whole_pixels():
     assert framed.shape == (224, 224, 3)
     assert framed[100, :3].tolist() == [[90, 46, 132], [98, 28, 188], [105, 42, 161]]
     assert framed[223, 223].tolist() == [133, 232, 98]
-    # Upstream's way gives other pixels.
+    # Upstream's own preparation gives other pixels.
     assert (framed != frame(pattern(256))).mean() > 0.5
 
 
@@ -137,12 +137,12 @@ def test_frames_become_planes_between_0_and_1():
     ("quaternion", "expected"),
     [
         ([0.0, 0.0, 0.0, 1.0], [0, 0, 0]),
-        # 2 acos(0.8), and the same rotation from the other side: 2 pi less it.
+        # 2 acos(0.8), and the same rotation in the other direction: 2 pi minus it.
         ([0.6, 0.0, 0.0, 0.8], [2 * math.acos(0.8), 0, 0]),
         ([0.6, 0.0, 0.0, -0.8], [2 * math.pi - 2 * math.acos(0.8), 0, 0]),
         # A hand that points down, as LIBERO's does.
         ([1.0, 0.0, 0.0, 0.0], [math.pi, 0, 0]),
-        # Rounding may leave w beyond 1.
+        # Rounding may make w greater than 1.
         ([0.0, 0.0, 0.0, 1.0 + 1e-9], [0, 0, 0]),
     ],
 )
@@ -168,7 +168,7 @@ def test_bounds_go_to_one_and_back_and_the_mask_leaves_out():
     scaled = within_bounds(world, low, high, mask)
     assert scaled == pytest.approx([-1, 0.5, 0.4], abs=1e-7)
     assert from_bounds(scaled, low, high, mask) == pytest.approx(world, abs=1e-7)
-    # Beyond the percentiles is clipped on the way in, as training clipped it.
+    # Values beyond the percentiles are clipped on input, as in training.
     assert within_bounds(np.array([9.0, -3.0, 5.0]), low, high, mask).tolist() == [1, -1, 1]
 
 
@@ -183,7 +183,7 @@ def test_the_ensemble_weighs_what_earlier_chunks_said_about_now():
     oldest = math.exp(-0.2)
     expected = (20 + older * 11 + oldest * 2) / (1 + older + oldest)
     assert ensemble.add(third)[0] == pytest.approx(expected)
-    # The first chunk had three actions, and says nothing about the fourth step.
+    # The first chunk had three actions, so it does not cover the fourth step.
     fourth = 30 + first
     expected = (30 + older * 21 + oldest * 12) / (1 + older + oldest)
     assert ensemble.add(fourth)[0] == pytest.approx(expected)

@@ -1,4 +1,4 @@
-"""The samples of the package's page run as they are printed."""
+"""The samples of the package's page run as printed."""
 
 import pathlib
 import re
@@ -23,7 +23,7 @@ def samples():
 @pytest.mark.parametrize("sample", samples())
 def test_a_sample_serves_a_policy_that_answers(sample, serving, monkeypatch):
     served = []
-    # In place of serving for ever.
+    # Replaces serving without end.
     monkeypatch.setattr(rollout_policies, "run", lambda made: served.append(made()))
     exec(compile(sample, str(PAGE), "exec"), {"__name__": "__main__"})
     [policy] = served

@@ -1,4 +1,4 @@
-"""The gateway's referee judges servers of this package by their answers.
+"""The gateway's referee judges this package's servers by their answers.
 
 Runs the program that the environment variable POLICY_GATEWAY names.
 """
@@ -17,7 +17,7 @@ CAMERAS = (Camera("agentview", 128, 128), Camera("robot0_eye_in_hand", 128, 128)
 
 
 class Looking(Policy):
-    """Follows its frames by position, its state and its instruction."""
+    """Answers depend on the positions in its frames, its state and its instruction."""
 
     description = Description(
         name="looking",
@@ -44,14 +44,14 @@ class Looking(Policy):
 
 
 class Flipped(Looking):
-    """Feeds its frames as they come: bottom row first."""
+    """Uses its frames without turning them: bottom row first."""
 
     def frames(self, observation):
         return [observation.images[camera.name] for camera in CAMERAS]
 
 
 class Keeping(Looking):
-    """Keeps the frames of every episode."""
+    """Keeps the frames of all episodes, and so uses more and more memory."""
 
     def __init__(self):
         self.kept = []
@@ -64,7 +64,7 @@ class Keeping(Looking):
 
 @pytest.fixture
 def judged():
-    """Runs a command on servers of these policies: `judged("doctor", policy) -> JSON`."""
+    """Runs a command on servers of given policies: `judged("doctor", policy) -> JSON`."""
     program = os.environ.get("POLICY_GATEWAY")
     if program is None:
         pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")

@@ -1,4 +1,4 @@
-"""The kept generated files, of every package, are those that the .proto files give."""
+"""The generated files in every package match the .proto files."""
 
 import pathlib
 import subprocess

@@ -1,4 +1,4 @@
-"""Servers of the first release go on working: they know no End and no settings."""
+"""Servers of the first release still work, although they lack End and settings."""
 
 import pathlib
 import sys
@@ -24,7 +24,7 @@ SERVER = pathlib.Path(__file__).parent / "server_0_1.py"
 
 @pytest.fixture(scope="module")
 def released():
-    """The address of such a server."""
+    """The address of a server of the first release."""
     with running(sys.executable, str(SERVER)) as (_, address):
         yield address
 

@@ -1,4 +1,4 @@
-"""The server on a real socket: what a policy's author may rely on."""
+"""The server on a real socket: the guarantees for a policy's author."""
 
 import dataclasses
 import os
@@ -111,7 +111,7 @@ def test_frames_are_contiguous_and_may_be_written_to(serving):
     seen = policy.observation
     for one in (seen.images["agentview"], seen.upright("agentview"), seen.rotated("agentview")):
         assert one.flags.c_contiguous and one.flags.writeable
-    # A copy: what is done to it is not done to the frame.
+    # A copy, so that changing it does not change the frame.
     seen.upright("agentview")[:] = 0
     assert seen.images["agentview"][0, 1].tolist() == [3, 4, 5]
 
@@ -223,7 +223,7 @@ def test_episodes_do_not_share_memory(serving):
     client.reset("b")
     answers = [client.infer(session, index)[0, 0] for index in (0, 1) for session in "ab"]
     assert np.allclose(answers, [0.1, 0.1, 0.2, 0.2])
-    # Neither a retry nor a query out of order advances a stateful policy.
+    # A stateful policy is not advanced by a retry or by a query out of order.
     assert np.isclose(client.infer("a", 1)[0, 0], 0.2)
     code, text = refusal(client.infer, "a", 5)
     assert code == grpc.StatusCode.FAILED_PRECONDITION and "query 2 is next" in text
@@ -251,7 +251,7 @@ def test_a_policy_that_fails_says_why_in_one_line_and_repeats_nothing_of_the_cal
     code, text = refusal(client.infer, "object/t0/clean/L0/c00#r0#a1", 9)
     assert code == grpc.StatusCode.INTERNAL
     assert expected in text and "\n" not in text
-    # Who asked knows it, and a campaign shows it beside the text.
+    # The caller knows these, and a campaign shows them beside the text.
     assert "crooked" not in text and "object/t0" not in text and "query" not in text
 
 

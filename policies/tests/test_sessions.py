@@ -1,4 +1,4 @@
-"""How episodes end, and what is kept of them until then."""
+"""The ends of episodes, and the state kept until then."""
 
 import time
 
@@ -12,7 +12,7 @@ from rollout_policies.sessions import Session, SessionTable
 
 
 class Remembering(Policy):
-    """Keeps something of every episode, and which of them ended."""
+    """Keeps state of every episode, and records the ended ones."""
 
     description = Description(name="remembering")
 
@@ -41,7 +41,7 @@ def test_an_ended_episode_is_told_to_the_policy_and_let_go_of(serving):
     client.reset("a")
     client.infer("a")
     client.end("a")
-    # It comes behind the end, for which nobody waits.
+    # Queued after the end, which is not awaited.
     client.reset("b")
     assert policy.ended == [("a", "of a")]
     assert [episode.memory for episode in policy.episodes] == [None, "of b"]

@@ -1,4 +1,4 @@
-"""Two thousand episodes: what a server keeps, and how fast it is, stay level."""
+"""Two thousand episodes: a server's memory and speed stay constant."""
 
 import resource
 import statistics
@@ -11,10 +11,10 @@ from conftest import Client, running
 
 EPISODES = 2_000
 QUERIES = 2
-#: Between two looks at the memory.
+#: Number of episodes between two memory measurements.
 EPISODES_PER_LOOK = 20
-#: How far a quarter of the run may lie above the first one. Without an end of
-#: episodes, memory would grow by a thousand times what the policy keeps of one.
+#: Limits of a quarter of the run, relative to the first. If episodes never ended, memory would grow
+#: by a thousand times what the policy keeps of one.
 MORE_MEMORY, MORE_LATENCY = 1.5, 3.0
 
 POLICY = """

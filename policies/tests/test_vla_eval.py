@@ -1,5 +1,5 @@
-"""A model server of the real vla-eval behind the gateway: what it receives is what
-vla-eval's own LIBERO benchmark sends it, and what it answers is executed alike.
+"""A model server of the real vla-eval behind the gateway receives the messages that
+vla-eval's own LIBERO benchmark sends, and its answers are executed in the same way.
 
 Runs the program that the environment variable POLICY_GATEWAY names.
 """
@@ -40,7 +40,7 @@ def program():
 
 @pytest.fixture
 def received(tmp_path):
-    """Where the server writes what it receives."""
+    """File in which the server records its messages."""
     return tmp_path / "received.jsonl"
 
 
@@ -80,8 +80,8 @@ def rotation_of(quaternion):
 
 
 def moments():
-    """What robosuite observes at each of a few steps: among them the hand's rest,
-    near half a turn, and quaternions of either sign."""
+    """Returns robosuite's observations at a few steps, including the hand's
+    rest, near half a turn, and quaternions of either sign."""
     generator = np.random.default_rng(3)
     quaternions = generator.normal(size=(STEPS, 4))
     quaternions[0] = (0.9999, 0.001, -0.002, 0.0003)
@@ -117,7 +117,7 @@ OBSERVATION = observation(next(moments()))
 
 
 class Rehearsed(LIBEROBenchmark):
-    """vla-eval's LIBERO benchmark, with moments made up in the simulator's place.
+    """vla-eval's LIBERO benchmark, with made-up moments in place of the simulator.
 
     The controller's site is turned against the hand as in robosuite's Panda gripper
     (`panda_gripper.xml`: -90 degrees about z)."""
@@ -157,14 +157,14 @@ def until_it_ended(received):
 
 
 def played_by_vla_eval(server, instruction, **params):
-    """One episode of its own client: the actions that it executes."""
+    """Plays one episode with its own client. Returns the executed actions."""
     benchmark = Rehearsed(SUITE, **params)
 
     async def play():
         connection = Connection(f"ws://{server}")
         await connection.connect(benchmark=BENCHMARK)
         task = {"name": instruction, "suite": SUITE, "task_id": 3, "episode_idx": 0}
-        # The last step's observation would be that of no moment.
+        # Ends before the observation after the last step, for which there is no moment.
         runner = SyncEpisodeRunner()
         benchmark.check_done = lambda step: len(benchmark.executed) == STEPS
         await runner.run_episode(benchmark, task, connection, max_steps=STEPS)
@@ -182,13 +182,13 @@ def played_by_the_gateway(program, server, received, instruction):
             for at, moment in enumerate(moments())
         ]
         client.stub.End(pb.EndRequest(session="s"))
-        # It is told in the background.
+        # The gateway forwards the end in the background.
         until_it_ended(received)
     return np.concatenate(actions)
 
 
 def assert_alike(ours, theirs):
-    """Numbers may differ in the last bit of single precision; all else is equal."""
+    """Checks equality, but numbers may differ in the last bit of single precision."""
     if isinstance(theirs, dict):
         assert list(ours) == list(theirs), "the same keys in the same order"
         for key, value in theirs.items():
@@ -222,7 +222,7 @@ def test_the_server_receives_message_by_message_what_vla_evals_own_benchmark_sen
     assert set(ours[:, 6]) == {-1, 1}
 
     expected = messages(by_theirs)
-    # The description, which every Reset has before it, left its connection.
+    # The description, asked for before every Reset, left its connection open for the episode.
     hello, *episode = messages(received)
     assert [line["type"] for line in episode] == [line["type"] for line in expected][1:]
     start, *observations, end = expected[1:]
@@ -237,7 +237,7 @@ def test_the_server_receives_message_by_message_what_vla_evals_own_benchmark_sen
 
 @pytest.mark.parametrize("form, sent", [("png", "png"), ("raw", "|u1"), ("jpeg", "jpeg")])
 def test_frames_travel_in_each_of_its_formats(program, received, form, sent):
-    # Waves: JPEG is meant for pictures, not for noise.
+    # Smooth waves, because JPEG is meant for pictures, not for noise.
     y, x = np.mgrid[:256, :256] / 16
     waves = np.stack([np.sin(x) + np.cos(y), np.sin(x + y), np.cos(x - y)], axis=-1)
     frame = np.uint8(127 + 60 * waves)
@@ -258,8 +258,7 @@ def test_frames_travel_in_each_of_its_formats(program, received, form, sent):
 
 def test_a_chunk_of_the_servers_is_executed_here_if_the_address_says_so(program, received):
     with serving(received) as server:
-        # vla-eval's own client takes no chunks from a server that does not hand
-        # them out one by one.
+        # vla-eval's own client accepts chunks only from a server that hands them out one by one.
         with pytest.raises(Exception, match="Action dimension mismatch: got 6"):
             played_by_vla_eval(server, "answer a chunk")
         with gateway(program, server) as client:
@@ -397,7 +396,7 @@ def test_a_server_that_dies_in_an_episode_is_an_outage_and_is_found_again(progra
             client.reset(suite=SUITE, instruction="reach")
             client.infer(observation=OBSERVATION)
             client.reset("t", suite=SUITE, instruction="die")
-            # Dies with one query under way, and with another episode open.
+            # The server dies with one query under way and another episode open.
             for session, query_index in (("t", 0), ("s", 1)):
                 with pytest.raises(grpc.RpcError) as caught:
                     client.infer(session, query_index, OBSERVATION)
@@ -413,7 +412,7 @@ def test_a_server_that_dies_in_an_episode_is_an_outage_and_is_found_again(progra
                         return False
 
                 until(answers_again)
-                # Its episode is gone: chunks and histories were the server's.
+                # This episode is lost, because its chunks and history were in the server.
                 with pytest.raises(grpc.RpcError) as caught:
                     client.infer("s", 1, OBSERVATION)
                 assert caught.value.code() == grpc.StatusCode.UNAVAILABLE

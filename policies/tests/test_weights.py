@@ -1,4 +1,4 @@
-"""A network is compared with its files, tensor by tensor, both ways."""
+"""Comparison of a network with its files, tensor by tensor, in both directions."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_tied_names_stand_for_one_another_and_are_compared():
     both["head"] = both["embed"]
     assert str(found(both, one, tied)) == ""
     assert str(found({"embed": np.full(2, 5)}, both, tied)) == ""
-    # A copy that was not made stays random, whatever its other name holds.
+    # A tensor that was not copied stays random, whatever its other name holds.
     assert found({**both, "embed": np.zeros(2)}, one, tied).content == ["embed"]
     assert found(both, one).missing == ["embed"]
 
@@ -58,7 +58,7 @@ def test_what_is_unused_or_for_training_may_lack_its_other_side():
     assert found(network, stored).unknown == ["video.encoder"]
     computed = {**tensors(a=(1,)), "text.rotary_emb.inv_freq": np.ones(1)}
     assert str(found(tensors(a=(1,)), computed)) == ""
-    # But not another content.
+    # Different content is still refused.
     assert found(network, {**stored, "text.head": np.zeros(1)}, named).content == ["text.head"]
 
 
@@ -76,7 +76,7 @@ def test_files_are_compared_in_pieces_of_any_size(tmp_path, monkeypatch, piece):
 
     monkeypatch.setattr(weights, "PIECE", piece)
     file = tmp_path / "model.safetensors"
-    # Files may hold more digits than the network.
+    # Files may have a higher precision than the network.
     stored = {f"old.{name}": one.float() for name, one in network.state_dict().items()}
     stored["old.0.weight"] += 1e-6 * stored["old.0.weight"]
     save_file(stored, file)

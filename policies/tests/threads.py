@@ -1,5 +1,5 @@
-"""A policy that notes in which thread each of its methods is called, for
-test_inference.py: one line each into the file that --notes names."""
+"""A policy for test_inference.py that records the thread of each method call,
+one line each in the file given by --notes."""
 
 import threading
 
@@ -9,7 +9,7 @@ from rollout_policies import Description, Policy, run
 
 
 class Threads(Policy):
-    """Notes its threads."""
+    """Records its threads."""
 
     description = Description(name="threads", max_batch=4)
 

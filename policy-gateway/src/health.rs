@@ -195,8 +195,8 @@ impl Health {
         }
     }
 
-    /// Notes that whoever made this call went away before it told anything of the server. If
-    /// it was through to try it, the next one may at once.
+    /// Records that the caller gave up before the call told anything about the server. If the call
+    /// was the probe, the next call may probe at once.
     pub fn abandoned(&mut self, call: Call<'_>) {
         let session = match call {
             Call::Describe => None,

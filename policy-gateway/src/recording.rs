@@ -4,7 +4,7 @@
 //! ```text
 //! the line "rollout recording 1\n", and then messages of rollout.policy.v1, each
 //! behind its length in bytes as a varint (protobuf's delimited form):
-//!   DescribeResponse   what the policy said of itself
+//!   DescribeResponse   the policy's description
 //!   ResetRequest       the episode
 //!   InferRequest, InferResponse   … one pair per query, as asked
 //! ```

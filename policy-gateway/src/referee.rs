@@ -1,7 +1,7 @@
-//! Comparison and diagnosis of policy servers that conform to the protocol but score nothing: the
-//! commands `policy-gateway compare` and `policy-gateway doctor`. Both query servers in synthetic
-//! or recorded situations, and judge by the answers alone: [`compare`] finds the differences
-//! between two servers' pipelines, [`doctor`] the usual mistakes of one.
+//! Comparison and diagnosis of policy servers that conform to the protocol but whose rollouts fail:
+//! the commands `policy-gateway compare` and `policy-gateway doctor`. Both query servers in
+//! synthetic or recorded situations and judge only the answers: [`compare`] finds differences
+//! between the pipelines of two servers, [`doctor`] finds common mistakes of one server.
 //!
 //! [`situation`] is the input of a query, from [`made_up`] or [`recorded`]; [`variant`],
 //! [`filter`] and [`layout`] modify it; [`server`] and [`panel`] send queries; [`fit`] and

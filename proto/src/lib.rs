@@ -53,8 +53,8 @@ pub const PROTOCOL_VERSION: u32 = 1;
 /// every attempt has an id, claims are idempotent, and realised values take the
 /// place of their digests.
 pub const COORDINATOR_PROTOCOL_VERSION: u32 = 3;
-/// Most control steps of which a motion is sent: ten times LIBERO's longest
-/// rollout. Of a longer one the outcome goes without.
+/// Largest number of control steps for which a motion is sent: ten times LIBERO's longest rollout.
+/// The outcome of a longer rollout is sent without its motion.
 pub const MAX_MOTION_STEPS: usize = 5_200;
 /// Most settings of a policy's description.
 pub const MAX_SETTINGS: usize = 64;

@@ -1,10 +1,10 @@
-"""Times environments of LIBERO: of the original or of the shim, whichever `libero` is
-installed, and of `rollout_libero`. Prints one line of JSON.
+"""Times LIBERO's environments: those of the installed `libero`, original or shim, and those of
+`rollout_libero`. Prints one line of JSON.
 
 usage: speed.py one|processes|threads TASK [--environments N] [--steps N]
 
-`one`: an environment's reset, its control step without frames, and with both frames.
-`processes`: environments that each have a process, as the original's users run them.
+`one`: resets and control steps of one environment, without frames and with both frames.
+`processes`: environments with a process each, as the original's users run them.
 `threads`: environments of rollout_libero in this process.
 """
 
@@ -23,14 +23,14 @@ from pathlib import Path
 import numpy as np
 
 SIDE = 256
-#: Timed resets; the first of an environment is not timed.
+#: Timed resets; an environment's first reset is not timed.
 RESETS = 11
-#: Steps that are not timed.
+#: Untimed steps at the start.
 WARM_UP = 3
 
 
 def main() -> None:
-    """Does what the command line says."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser()
     parser.add_argument("mode", choices=["one", "processes", "threads"])
     parser.add_argument("task")
@@ -42,14 +42,14 @@ def main() -> None:
 
 
 def actions(count: int) -> np.ndarray:
-    """Smooth motion in the air, [count, 7]: the same for all."""
+    """Returns a smooth motion in the air, [count, 7], the same in every measurement."""
     phase = np.linspace(0, 3, count)[:, None] + np.arange(7)
     return 0.3 * np.sin(phase)
 
 
 def files(task: str) -> tuple[str, np.ndarray]:
-    """The BDDL file and the initial states of a task."""
-    # The original imports it and calls nothing of it here.
+    """Returns the path of a task's BDDL file, and its initial states."""
+    # The original imports torch and calls nothing of it here.
     sys.modules.setdefault("torch", types.ModuleType("torch"))
     from libero.libero import benchmark
 
@@ -59,7 +59,7 @@ def files(task: str) -> tuple[str, np.ndarray]:
 
 
 def init_states(tasks, index: int) -> np.ndarray:
-    """The file is a pickled array; the original would load it with torch."""
+    """Reads the initial states from a pickled array, which the original would load with torch."""
     import pickle
     import zipfile
 
@@ -72,7 +72,7 @@ def init_states(tasks, index: int) -> np.ndarray:
 
 
 def environment(bddl: str, *, frames: bool):
-    """As scripts make it."""
+    """Constructs an environment as scripts do."""
     from libero.libero.envs.env_wrapper import ControlEnv
 
     return ControlEnv(
@@ -96,7 +96,7 @@ def median_ms(work: Callable[[], object], times: int) -> float:
 
 
 def one(given: argparse.Namespace) -> dict[str, float]:
-    """Milliseconds of one environment's calls."""
+    """Returns the duration of one environment's calls, ms."""
     bddl, states = files(given.task)
     measured = {}
     for frames, name in ((False, "step_ms"), (True, "frames_ms")):
@@ -111,7 +111,7 @@ def one(given: argparse.Namespace) -> dict[str, float]:
             lambda made=made, chosen=chosen: made.step(next(chosen)), given.steps
         )
         if frames:
-            # Without the frame that an observation has beside it.
+            # Resets are timed only without frames, since each would draw one for its observation.
             made.close()
             continue
         measured["reset_ms"] = median_ms(made.reset, RESETS)
@@ -120,7 +120,7 @@ def one(given: argparse.Namespace) -> dict[str, float]:
 
 
 def processes(given: argparse.Namespace) -> dict[str, float]:
-    """Observations a second of environments in processes, and megabytes of each."""
+    """Returns observations per second of environments in processes, and megabytes of each."""
     import multiprocessing
 
     from libero.libero.envs import SubprocVectorEnv
@@ -139,7 +139,7 @@ def processes(given: argparse.Namespace) -> dict[str, float]:
 
 
 class _Maker:
-    """Makes an environment in a process that is spawned."""
+    """Constructs an environment in a spawned process."""
 
     def __init__(self, bddl: str) -> None:
         self.bddl = bddl
@@ -149,7 +149,7 @@ class _Maker:
 
 
 def threads(given: argparse.Namespace) -> dict[str, float]:
-    """Observations a second of environments in this process, and megabytes of each."""
+    """Returns observations per second of environments in this process, and megabytes of each."""
     import rollout_libero
 
     count = given.environments
@@ -169,7 +169,7 @@ def threads(given: argparse.Namespace) -> dict[str, float]:
 
 
 def observations_per_second(step: Callable[[np.ndarray], object], steps: int, count: int) -> float:
-    """Of `count` environments that step together, after some steps that are not timed."""
+    """Returns the rate of `count` environments that step together, after untimed steps."""
     chosen = np.repeat(actions(steps + WARM_UP)[:, None], count, axis=1)
     for action in chosen[:WARM_UP]:
         step(action)
@@ -180,7 +180,7 @@ def observations_per_second(step: Callable[[np.ndarray], object], steps: int, co
 
 
 def pss_mb(process: int) -> float:
-    """Memory of a process, its share of what is shared included."""
+    """Returns the memory of a process with its proportional share of shared pages, MB."""
     for line in Path(f"/proc/{process}/smaps_rollup").read_text().splitlines():
         if line.startswith("Pss:"):
             return int(line.split()[1]) / 1024

@@ -10,8 +10,8 @@ processes). With `--every-frame` it looks at all, as an environment that draws a
 to its parent, 15 steps of settling included (RLinf, verl-vla).
 `threads`: the same rollouts of `TrainingEnvironment` in this process (rollout_libero.rlinf).
 
-A rollout is all from asking for its reset to its last result; control steps are those of the
-policy, without settling. Actions are the same for all.
+A rollout lasts from the request of its reset to its last result. Control steps are
+those of the policy, without settling. All programs execute the same actions.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ CAMERAS = ("agentview_image", "robot0_eye_in_hand_image")
 
 
 def main() -> None:
-    """Does what the command line says."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser()
     parser.add_argument("mode", choices=["alone", "sent", "threads"])
     parser.add_argument("task")
@@ -42,7 +42,7 @@ def main() -> None:
     given = parser.parse_args()
     given.steps -= given.steps % given.chunk
     work = {"alone": alone, "sent": sent, "threads": threads}[given.mode]
-    # The first rollout imports, compiles and fills caches.
+    # The first rollout, untimed, imports, compiles and fills caches.
     resets, chunks = work(given)
     steps = given.steps * given.environments
     print(
@@ -59,21 +59,21 @@ def main() -> None:
 
 
 def actions(given: argparse.Namespace) -> np.ndarray:
-    """Smooth motion in the air, [environments, steps, 7]."""
+    """Returns a smooth motion in the air, [environments, steps, 7]."""
     phase = np.linspace(0, 3, given.steps)[:, None] + np.arange(7)
     each = np.linspace(0.2, 0.4, given.environments)[:, None, None]
     return each * np.sin(phase)
 
 
 class Remade:
-    """An environment that a reset makes anew."""
+    """An environment that every reset constructs anew."""
 
     def __init__(self, bddl: str) -> None:
         self.bddl = bddl
         self.env = None
 
     def reset(self):
-        """Closes it, and makes, seeds and resets another."""
+        """Closes the environment, and creates, seeds and resets another."""
         from libero.libero.envs import OffScreenRenderEnv
 
         if self.env is not None:
@@ -89,7 +89,7 @@ class Remade:
 
 
 class Maker:
-    """Makes an environment in a process that is spawned."""
+    """Constructs an environment in a spawned process."""
 
     def __init__(self, bddl: str) -> None:
         self.bddl = bddl
@@ -104,10 +104,10 @@ def look(seen) -> None:
 
 
 def alone(given: argparse.Namespace) -> tuple[list[float], list[float]]:
-    """Seconds of the resets and of the chunks of each round of rollouts."""
+    """Returns seconds of the resets and of the chunks, for each round of rollouts."""
     bddl, states = files(given.task)
     context = multiprocessing.get_context("spawn")
-    # Whoever fails has the others end too.
+    # A barrier, so that a failed process ends the others, too.
     barrier = context.Barrier(given.environments + 1, timeout=900)
     started = [
         context.Process(
@@ -133,7 +133,7 @@ def alone(given: argparse.Namespace) -> tuple[list[float], list[float]]:
 
 
 def roll_out(given, bddl: str, state: np.ndarray, moves: np.ndarray, barrier) -> None:
-    """A process's rollouts."""
+    """Runs a process's rollouts."""
     env = Remade(bddl)
     for _ in range(given.rollouts + 1):
         barrier.wait()
@@ -154,7 +154,7 @@ def roll_out(given, bddl: str, state: np.ndarray, moves: np.ndarray, barrier) ->
 
 
 def sent(given: argparse.Namespace) -> tuple[list[float], list[float]]:
-    """The same, of processes that send every observation."""
+    """The same with processes that send every observation."""
     from libero.libero.envs import SubprocVectorEnv
 
     multiprocessing.set_start_method("spawn", force=True)
@@ -182,7 +182,7 @@ def sent(given: argparse.Namespace) -> tuple[list[float], list[float]]:
 
 
 def threads(given: argparse.Namespace) -> tuple[list[float], list[float]]:
-    """The same, of threads in this process."""
+    """The same with threads in this process."""
     from rollout_libero.training import Start, TrainingEnvironment
 
     bddl, states = files(given.task)

@@ -4,14 +4,14 @@
 
 writes an NPZ file per episode of T steps:
 
-    <observation>        [T + 1, ...]  what was seen before each action, and at the end
+    <observation>        [T + 1, ...]  before each action, and at the end
     actions              [T, 7]
     rewards              [T]
-    terminated           [T]           the goal held after the step
-    truncated            [T]           the budget of steps was over
+    terminated           [T]           true if the goal held after the step
+    truncated            [T]           true if the budget of steps was spent
     instruction          []            the task in words
 
-Frames are turned as VLAs for LIBERO were trained on them, LIBERO's array [::-1, ::-1].
+Frames have the orientation of VLAs' training data for LIBERO: LIBERO's array [::-1, ::-1].
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ Observations = dict[str, NDArray[Any]]
 
 
 class RandomPolicy:
-    """Actions drawn uniformly: where learning begins."""
+    """Uniformly random actions, as a starting point for learning."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
 
     def act(self, observations: Observations) -> NDArray[np.float64]:
-        """An action per environment, [n, 7]."""
+        """Returns an action per environment, [n, 7]."""
         n = len(observations["eef_pos"])
         return self._rng.uniform(-1.0, 1.0, (n, 7))
 
 
 class Episode:
-    """What one environment has seen and done since its reset."""
+    """Observations and actions of one environment since its reset."""
 
     def __init__(self, observation: Observations, instruction: str) -> None:
         self._instruction = instruction
@@ -57,7 +57,7 @@ class Episode:
         truncated: bool,
         observation: Observations,
     ) -> None:
-        """A step, and what was seen after it."""
+        """Adds a step and the observation after it."""
         self._steps.append((action, reward, terminated, truncated))
         self._observations.append(observation)
 
@@ -83,7 +83,7 @@ class Episode:
 
 
 def seen_by(observations: Observations, index: int) -> Observations:
-    """What one environment has seen, copied: a view would keep the frames of all."""
+    """Returns a copy of one environment's observation: a view would keep the frames of all."""
     return {key: values[index].copy() for key, values in observations.items()}
 
 
@@ -94,7 +94,7 @@ def collect(
     output: Path,
     seed: int,
 ) -> tuple[int, int]:
-    """Writes so many episodes as they end. Returns steps and successes in them."""
+    """Writes this many episodes in the order of their ends. Returns their steps and successes."""
     observations, infos = envs.reset(seed=seed)
     instructions = [str(text) for text in infos["instruction"]]
     running = [
@@ -108,7 +108,7 @@ def collect(
         for index in range(envs.num_envs):
             seen = seen_by(observations, index)
             if has_ended[index]:
-                # Autoreset: this step was the reset, and took no action.
+                # With autoreset, this step was the reset and executed no action.
                 running[index] = Episode(seen, instructions[index])
                 continue
             episode = running[index]

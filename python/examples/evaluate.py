@@ -2,7 +2,7 @@
 
     python evaluate.py libero_spatial/0 libero_object/3 --episodes 10
 
-Put your own policy in place of RandomPolicy: an object with `reset` and `act`.
+Replace RandomPolicy by your own policy: an object with `reset` and `act`.
 """
 
 from __future__ import annotations
@@ -19,38 +19,38 @@ import rollout_libero
 
 
 class Policy(Protocol):
-    """What is evaluated."""
+    """Interface of an evaluated policy."""
 
     def reset(self, instruction: str) -> None:
-        """An episode begins."""
+        """Begins an episode."""
 
     def act(self, observation: dict[str, Any]) -> NDArray[np.floating[Any]]:
-        """The next actions [k, 7], all of which are executed: translation (3), rotation (3) and
-        gripper (-1 opens, 1 closes), each from -1 to 1. Frames are uint8 [height, width, 3],
-        by their camera's name, turned as VLAs were trained on them; pass the environment
-        orientation="upright" for frames as a person sees the scene."""
+        """Returns the next actions [k, 7], all of which are executed: translation (3), rotation (3)
+        and gripper (-1 opens, 1 closes), each from -1 to 1. Frames are uint8 [height, width, 3], by
+        camera name, oriented as in the training of VLAs; pass the environment orientation="upright"
+        for frames as a person sees the scene."""
 
 
 class RandomPolicy:
-    """Small motions at random, to see the loop run; it solves nothing."""
+    """Small random motions that demonstrate the loop; it solves nothing."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
 
     def reset(self, instruction: str) -> None:
-        """Remembers nothing."""
+        """Does nothing."""
 
     def act(self, observation: dict[str, Any]) -> NDArray[np.floating[Any]]:
-        """Eight actions, whatever is seen."""
+        """Returns eight actions, independent of the observation."""
         return np.clip(0.2 * self._rng.standard_normal((8, 7)), -1.0, 1.0)
 
 
 def succeeds(env: rollout_libero.Environment, policy: Policy, init_state: int, seed: int) -> bool:
-    """Runs one episode, until the goal holds or its steps are over."""
+    """Runs one episode until the goal holds or its steps are spent. Returns success."""
     observation, info = env.reset(seed=seed, options={"init_state": init_state})
     policy.reset(info["instruction"])
     while True:
-        # Only the last frames of a chunk are looked at, so only those are drawn.
+        # Only the last frames of a chunk are used, so only those are drawn.
         observation, _, terminated, truncated, info = env.step_chunk(
             policy.act(observation), render="last"
         )
@@ -59,7 +59,7 @@ def succeeds(env: rollout_libero.Environment, policy: Policy, init_state: int, s
 
 
 def wilson(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """The ends of Wilson's score interval of a success rate."""
+    """Returns the ends of Wilson's score interval of a success rate."""
     z = NormalDist().inv_cdf(0.5 + confidence / 2)
     rate, weight = successes / n, z * z / n
     centre = (rate + weight / 2) / (1 + weight)
@@ -68,7 +68,7 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> tuple[float, flo
 
 
 def line(name: str, successes: int, n: int) -> str:
-    """A task's line of the table, in percent."""
+    """Formats a task's line of the table, in percent."""
     low, high = wilson(successes, n)
     counts = f"{successes:4d} of {n:4d}"
     return f"{name:24s} {counts} {100 * successes / n:7.1f}   {100 * low:5.1f} to {100 * high:5.1f}"

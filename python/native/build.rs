@@ -1,4 +1,4 @@
-//! Lets the extension find the libmujoco that lies beside it in the package.
+//! Lets the extension find libmujoco beside it in the package.
 
 fn main() {
     println!("cargo:rustc-link-arg=-Wl,-rpath,$ORIGIN");

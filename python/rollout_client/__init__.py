@@ -1,4 +1,4 @@
-"""A coordinator's campaigns, results and reports as pandas frames: begin with Client."""
+"""A coordinator's campaigns, results and reports as pandas frames; start with Client."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Where a coordinator is, and what a client brings along: the certificate authority that it
-trusts and the token that it shows. Files and variables are those of the command line."""
+"""The address of a coordinator and a client's credentials: the certificate authority
+that it trusts and its token. Files and variables are those of the command line."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from urllib.parse import urlsplit
 
 from .errors import SettingsError
 
-#: What the command line reads, too.
+#: Environment variables, shared with the command line.
 URL_VARIABLE = "COORDINATOR_URL"
 TOKEN_FILE_VARIABLE = "ROLLOUT_TOKEN_FILE"
 TOKENS_VARIABLE = "ROLLOUT_TOKENS"
 CA_VARIABLE = "ROLLOUT_CA"
 DEFAULT_URL = "http://127.0.0.1:7411"
-#: Of these roles, a client shows the first that it has a token of: who may steer campaigns
-#: may read them too.
+#: A client uses the first of these roles for which it has a token: an operator may also read
+#: campaigns.
 ROLES = ("operator", "viewer")
 ALL_ROLES = ("worker", *ROLES)
-#: URL schemes, and whether each means TLS.
+#: URL schemes, and True for those that mean TLS.
 SCHEMES = {"http": False, "grpc": False, "https": True, "grpcs": True}
 
 
@@ -31,30 +31,30 @@ SCHEMES = {"http": False, "grpc": False, "https": True, "grpcs": True}
 class Access:
     """A coordinator's address, and a client's credentials."""
 
-    #: As given.
+    #: URL as given.
     url: str
-    #: Without brackets.
+    #: Host without brackets.
     host: str
     port: int
     is_encrypted: bool
-    #: Certificates of the authority that signed the coordinator's, PEM.
+    #: Certificates of the authority that signed the coordinator's certificate, PEM.
     authority: bytes | None
-    #: Never printed.
+    #: Token, never printed.
     token: str | None = field(repr=False)
-    #: The files that were named, for a program that reads them itself.
+    #: Paths of the token file and authority, for a program that reads them itself.
     token_file: Path | None
     ca: Path | None
 
     @property
     def target(self) -> str:
-        """The address as gRPC takes it."""
+        """The address in gRPC's form."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{host}:{self.port}"
 
     @property
     def metadata(self) -> tuple[tuple[str, str], ...]:
-        """What goes with every call. A token goes over TLS, or to this machine; to anybody
-        else it is not shown."""
+        """Metadata of every call. The token is only sent over TLS or to this
+        machine."""
         if self.token is None or not (self.is_encrypted or _is_this_machine(self.host)):
             return ()
         return (("authorization", f"Bearer {self.token}"),)
@@ -63,7 +63,7 @@ class Access:
 def read(
     url: str | None, token_file: str | os.PathLike[str] | None, ca: str | os.PathLike[str] | None
 ) -> Access:
-    """Reads what the arguments name, or else the environment. Raises SettingsError."""
+    """Reads the given arguments, else the environment. Raises SettingsError."""
     url = url or os.environ.get(URL_VARIABLE) or DEFAULT_URL
     host, port, is_encrypted = _address(url)
     token_path = _path(token_file, TOKEN_FILE_VARIABLE)
@@ -117,10 +117,10 @@ def _token(path: Path | None) -> str | None:
 
 
 def _require_private(path: Path, found: os.stat_result) -> None:
-    """Refuses a file of tokens that other users can read or write, as the command line does: its
-    owner's group may read it only where its owner is another user, who gave it to this one."""
+    """Refuses a token file that other users can read or write, as the command line
+    does. The group may have access only if the file belongs to another user."""
     if not hasattr(os, "geteuid"):
-        return  # Windows, whose permissions are others.
+        return  # Windows has other permissions.
     others = 0o077 if found.st_uid == os.geteuid() else 0o007
     if stat.S_ISREG(found.st_mode) and found.st_mode & others:
         raise SettingsError(
@@ -130,7 +130,7 @@ def _require_private(path: Path, found: os.stat_result) -> None:
 
 
 def _usable(text: str, place: str) -> str:
-    """The token that this client shows, of the lines of a token file."""
+    """Returns the token that this client uses from the lines of a token file."""
     tokens: dict[str, str] = {}
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split()
@@ -164,7 +164,7 @@ def _authority(path: Path) -> bytes:
     try:
         ssl.create_default_context(cadata=pem.decode("ascii"))
     except (ssl.SSLError, UnicodeDecodeError, ValueError):
-        # gRPC would only log that it is none.
+        # gRPC itself would only log an invalid authority.
         raise SettingsError(
             f"failed to use {path} as a certificate authority: it must hold certificates as PEM"
         ) from None

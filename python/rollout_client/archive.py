@@ -1,7 +1,7 @@
 """An archive of a campaign (`coordinator campaign archive`), read without a coordinator.
 
-It may come from anybody. Nothing is written before the list of members has said how much it will
-be and that there is room for it, and nothing is read of the database but the tables' rows.
+It may come from an untrusted source. Before anything is written, the list of members must state the
+total size, and there must be room for it. Of the database, only tables are read.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ import numpy as np
 
 from .errors import CoordinatorError
 
-#: The newest form and schema that are read here.
+#: The newest format and schema that can be read.
 FORMAT, SCHEMA = 1, 11
 
-#: Bytes that are read at a time.
+#: Bytes per read.
 PIECE = 1 << 20
 
 LIST, DATABASE = "archive.json", "coordinator.sqlite"
-#: The members that every archive has, in order. The others are films.
+#: Members of every archive, in order; all others are films.
 MEMBERS = ("specification.json", "provenance.json", "report.json", DATABASE)
-#: A film's name in its folder.
+#: File name of a film.
 FILM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*\.mp4")
 
-#: Largest list, bytes: of three hundred thousand films.
+#: Largest list of members, bytes: room for three hundred thousand films.
 MAX_LIST = 64 << 20
-#: Members may be so many times as large as their archive, unless they are small in all, bytes.
+#: Largest ratio of the members' size to the archive's, unless their total is below SMALL bytes.
 MAX_RATIO, SMALL = 100, 64 << 20
-#: Most zeros behind the last member, bytes.
+#: Most zeros after the last member, bytes.
 MAX_PADDING = 1 << 20
 
-#: The tables that are read.
+#: Tables that are read.
 TABLES = ("result", "job", "motion", "artifact")
 
 RESULTS = """
@@ -57,7 +57,7 @@ RESULTS = """
 
 
 class ArchiveError(CoordinatorError, ValueError):
-    """A file is no archive, or not a whole one. The message names file, member and remedy."""
+    """A file is not an archive or is incomplete. The message names file, member and remedy."""
 
 
 @dataclass(frozen=True)
@@ -66,33 +66,33 @@ class Rollout:
 
     rollout_id: str
     replicate: int
-    #: `libero_object/0`.
+    #: Task, such as `libero_object/0`.
     task: str
     #: The instruction that the policy was given.
     instruction: str
-    #: The condition, as in rollout ids: `clean`, `camera`, `combination`.
+    #: Condition, as in rollout ids: `clean`, `camera`, `combination`.
     axis: str
-    #: `L0` of nominal rollouts, and of those of the placebo level.
+    #: Level: `L0` for nominal rollouts and those of the placebo level.
     level: str
     success: bool
-    #: The policy's control steps.
+    #: Number of the policy's control steps.
     steps: int
     wall_secs: float
-    #: Milliseconds since the Unix epoch.
+    #: Time of the commit, milliseconds since the Unix epoch.
     committed_ms: int
-    #: Where the end-effector was at rest and after each step: steps + 1 rows of x, y, z in the
-    #: world frame, metres, to a tenth of a millimetre; float32. Empty where it was not kept.
+    #: Position of the end-effector at rest and after each step: steps + 1 rows of x, y, z, m, in
+    #: the world frame, rounded to 0.1 mm; float32. Empty if not kept.
     path: np.ndarray[Any, np.dtype[np.float32]]
-    #: The policy's actions, steps rows of seven numbers, clipped into [-1, 1] in matched
-    #: campaigns; float32. Empty unless the campaign records transitions.
+    #: The policy's actions: seven numbers per step, clipped to [-1, 1] in matched campaigns;
+    #: float32. Empty unless the campaign records transitions.
     actions: np.ndarray[Any, np.dtype[np.float32]]
-    #: Its film, a picture at rest and one after each step; None where there is none.
+    #: Film with a picture at rest and one after each step; None if there is no film.
     film: Path | None
 
 
 class Archive:
-    """A campaign in one file. To be used in a `with` statement: what is unpacked is removed
-    when it ends. Every member's size and SHA-256 is verified first. Raises ArchiveError.
+    """A campaign in one file. Use it in a `with` statement, which removes the unpacked files at its
+    end. The size and SHA-256 of every member are verified first. Raises ArchiveError.
     """
 
     def __init__(self, file: str | os.PathLike[str]) -> None:
@@ -114,13 +114,13 @@ class Archive:
 
     @property
     def name(self) -> str:
-        """What the campaign is called."""
+        """Name of the campaign."""
         name: str = self._contents["campaign"]
         return name
 
     @property
     def contents(self) -> dict[str, Any]:
-        """What the archive says of itself."""
+        """The archive's own list of its contents."""
         return self._contents
 
     def specification(self) -> dict[str, Any]:
@@ -128,11 +128,11 @@ class Archive:
         return self._json("specification.json")
 
     def report(self) -> dict[str, Any]:
-        """Its report, as `coordinator report --json` prints it."""
+        """The campaign's report, as `coordinator report --json` prints it."""
         return self._json("report.json")
 
     def rollouts(self) -> Iterator[Rollout]:
-        """Its committed rollouts, by rollout id and replicate."""
+        """The campaign's committed rollouts, by rollout id and replicate."""
         path = Path(self._folder.name) / DATABASE
         database = sqlite3.connect(f"{path.as_uri()}?mode=ro&immutable=1", uri=True)
         try:
@@ -154,8 +154,8 @@ class Archive:
             raise self._unreadable(error) from error
 
     def _film(self, path: str | None) -> Path | None:
-        """Where a film was unpacked. Only members are films: a database that names another file
-        would have it copied to wherever films are exported."""
+        """Returns the path of an unpacked film. Only members of the archive are accepted: otherwise
+        a database could name another file and have it copied into an export."""
         if path is None:
             return None
         if path not in self._films:
@@ -218,7 +218,7 @@ class Archive:
                 )
 
     def _check_members(self, contents: dict[str, Any], folder: Path) -> None:
-        """None leads out of the folder, and there is room for all of them."""
+        """Checks that no member leaves the folder and that there is room for all of them."""
         members = contents["members"]
         names = [member["name"] for member in members]
         if tuple(names[: len(MEMBERS)]) != MEMBERS:
@@ -251,7 +251,7 @@ class Archive:
         entry = entries.next()
         found = entry and entry.name
         if entry is not None and entry.type == tarfile.GNUTYPE_LONGNAME:
-            # A name that is too long for a header comes before it, in an entry of its own.
+            # A name that is too long for a header is stored before it, in a separate entry.
             if not 0 <= entry.size <= len(name) + 1:
                 raise self._bad("another one is in its place, or none", name)
             found = b"".join(entries.pieces(entry.size)).rstrip(b"\0").decode("utf-8", "replace")
@@ -278,14 +278,14 @@ class Archive:
 
 
 class _Entries:
-    """The entries of a tar, header by header as they are in the file. `tarfile` resolves long
-    names and extended headers by itself, in memory, however long they claim to be."""
+    """The entries of a tar file, header by header. `tarfile` itself would resolve long
+    names and extended headers in memory, however long they claim to be."""
 
     def __init__(self, stream: gzip.GzipFile) -> None:
         self._stream = stream
 
     def next(self) -> tarfile.TarInfo | None:
-        """The next header; None at the end. What the one before has must have been read."""
+        """Returns the next header; None at the end. The previous entry must be read first."""
         try:
             return tarfile.TarInfo.frombuf(self._exactly(tarfile.BLOCKSIZE), "utf-8", "replace")
         except tarfile.HeaderError as error:
@@ -312,8 +312,8 @@ class _Entries:
 def _tables_only(
     action: int, table: str | None, _column: str | None, _database: str | None, view: str | None
 ) -> int:
-    """Lets SQLite read the tables themselves. A view or a generated column in their place would
-    run whatever the archive's author wrote."""
+    """Permits SQLite to read real tables only. A view or a generated column in
+    place of one would run code of the archive's author."""
     is_of_a_table = action == sqlite3.SQLITE_READ and table in TABLES and view is None
     is_allowed = action == sqlite3.SQLITE_SELECT or is_of_a_table
     return sqlite3.SQLITE_OK if is_allowed else sqlite3.SQLITE_DENY

@@ -19,14 +19,14 @@ from .proto import coordinator_pb2 as wire
 from .report import Comparison, Report
 from .status import Status
 
-#: Jobs that are asked for at a time.
+#: Jobs per request.
 PAGE = 1_000
 
 Change = wire.ChangeCampaignRequest
 
 
 class Campaign:
-    """A campaign by its name. Every method asks the coordinator anew."""
+    """A campaign, addressed by name. Every method queries the coordinator."""
 
     def __init__(self, name: str, connection: Connection, program: Program) -> None:
         self._name = name
@@ -38,20 +38,20 @@ class Campaign:
 
     @property
     def name(self) -> str:
-        """Its name, unique at its coordinator."""
+        """Name of the campaign, unique at its coordinator."""
         return self._name
 
     def status(self) -> Status:
-        """How it stands. Raises CoordinatorError, as all methods do."""
+        """Returns the campaign's status. Raises CoordinatorError, as all methods do."""
         return Status.of(self._connection.campaign(self._name).status)
 
     def spec(self) -> dict[str, Any]:
-        """Its specification, as `Client.create` takes it."""
+        """Returns the campaign's specification, as `Client.create` takes it."""
         spec: dict[str, Any] = json.loads(self._connection.campaign(self._name).spec)
         return spec
 
     def follow(self, every: float = 2.0) -> Iterator[Status]:
-        """How it stands, every so many seconds, until nothing more will happen by itself.
+        """Yields the status every `every` seconds until the campaign cannot change by itself.
 
         Ctrl-C (a notebook's interrupt) ends the iteration and leaves the campaign running.
         """
@@ -86,7 +86,7 @@ class Campaign:
         condition: str | None = None,
         level: str | None = None,
     ) -> pd.DataFrame:
-        """A row per rollout, whatever became of it, in the order in which they are leased.
+        """Returns a row per rollout, whatever its state, in the order in which they are leased.
 
         state: `queued`, `leased`, `committed`, `quarantined`. outcome: `success`, `failure`.
         task: `libero_object/0`, or a suite. condition and level: as in rollout ids.
@@ -109,25 +109,25 @@ class Campaign:
             request.after_job_id = page[-1].job_id
 
     def report(self) -> Report:
-        """Its report, as far as it has come. The program `coordinator` computes it."""
+        """Returns the report on the results so far. The program `coordinator` computes it."""
         return reports.report(self._connection, self._program, (self._name,))
 
     def compare(self, other: Campaign | str | os.PathLike[str]) -> Comparison:
-        """This campaign minus another (a Campaign, or its name), or minus a result file or its
-        folder (a Path). The program `coordinator` computes it."""
+        """Compares this campaign minus another (a Campaign or its name), or minus a
+        result file or its folder (a Path). The program `coordinator` computes it."""
         source: str | Path = Path(other) if isinstance(other, os.PathLike) else _name(other)
         return reports.compare(self._connection, self._program, self._name, source)
 
     def pause(self) -> Status:
-        """Leases nothing more; what is being run may still be committed."""
+        """Stops leasing; rollouts that are running may still be committed."""
         return self._change(Change.CHANGE_PAUSE)
 
     def resume(self) -> Status:
-        """Goes on after a pause."""
+        """Continues after a pause."""
         return self._change(Change.CHANGE_RESUME)
 
     def cancel(self) -> Status:
-        """Ends it for ever; its results stay."""
+        """Ends the campaign permanently; its results are kept."""
         return self._change(Change.CHANGE_CANCEL)
 
     def _change(self, change: wire.ChangeCampaignRequest.Change) -> Status:

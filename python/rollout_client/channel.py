@@ -1,4 +1,4 @@
-"""A connection of gRPC, as the command line makes it."""
+"""A gRPC connection with the same options as the command line's."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from .access import Access
 
 
 def channel(access: Access) -> grpc.Channel:
-    """A connection that is made at the first call."""
+    """Returns a channel that connects at the first call."""
     options = [
-        # As the command line: large campaigns have long lists, and no proxy is asked.
+        # As in the command line: large campaigns have long lists, and proxies are not used.
         ("grpc.max_receive_message_length", 32 << 20),
         ("grpc.max_send_message_length", 32 << 20),
         ("grpc.enable_http_proxy", 0),
         ("grpc.initial_reconnect_backoff_ms", 250),
         ("grpc.min_reconnect_backoff_ms", 5_000),
         ("grpc.max_reconnect_backoff_ms", 4_000),
-        # A channel of its own, which has none of another's failures behind it.
+        # A separate connection, which is not affected by another channel's failures.
         ("grpc.use_local_subchannel_pool", 1),
     ]
     if not access.is_encrypted:

@@ -1,4 +1,4 @@
-"""A coordinator, from Python."""
+"""Python client of a coordinator."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from .proto import coordinator_pb2 as wire
 from .report import Comparison, Report
 from .status import CAMPAIGNS, Forecast, Status
 
-#: A specification (docs/PROTOCOL.md): its fields, or a file that holds them as JSON.
+#: A specification (docs/PROTOCOL.md): its fields, or the path of a JSON file.
 Spec = Mapping[str, Any] | str | os.PathLike[str]
 
 
 class Client:
     """The campaigns of a coordinator.
 
-    It connects when it is first asked something. All methods raise CoordinatorError.
+    It connects at the first call. All methods raise CoordinatorError.
     """
 
     def __init__(
@@ -41,11 +41,11 @@ class Client:
         retry_secs: float = 30.0,
         program: str | os.PathLike[str] | None = None,
     ) -> None:
-        """url: `http://HOST:PORT`, over TLS `https://HOST:PORT`; else COORDINATOR_URL, else
-        port 7411 of this machine. token_file: lines `ROLE TOKEN`, of an operator or a viewer;
-        else ROLLOUT_TOKEN_FILE, or such lines in ROLLOUT_TOKENS. ca: the certificate authority,
-        PEM; else ROLLOUT_CA. retry_secs: how long to keep trying while the coordinator does not
-        answer. program: the program `coordinator`, which computes reports; else that on PATH.
+        """url: `http://HOST:PORT`, or with TLS `https://HOST:PORT`; by default COORDINATOR_URL,
+        else port 7411 of this machine. token_file: lines `ROLE TOKEN` of an operator or a viewer;
+        by default ROLLOUT_TOKEN_FILE, or such lines in ROLLOUT_TOKENS. ca: the certificate
+        authority, PEM; by default ROLLOUT_CA. retry_secs: time to keep trying if the coordinator
+        does not answer. program: the program `coordinator`, for reports; by default that on PATH.
         """
         found = access.read(url, token_file, ca)
         self._connection = Connection(found, retry_secs)
@@ -61,7 +61,7 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Ends the connection."""
+        """Closes the connection."""
         self._connection.close()
 
     def campaigns(self) -> pd.DataFrame:
@@ -73,16 +73,16 @@ class Client:
         return frames.frame(map(asdict, statuses), CAMPAIGNS)
 
     def campaign(self, name: str) -> Campaign:
-        """A campaign that is there."""
+        """Returns an existing campaign."""
         campaign = Campaign(name, self._connection, self._program)
         campaign.status()
         return campaign
 
     def create(self, spec: Spec, *, priority: int = 0) -> Campaign:
-        """Creates a campaign. The same specification once more is the same campaign; another
-        one under its name is refused.
+        """Creates a campaign. Creating it again with the same specification returns the
+        same campaign; another specification under its name is refused.
 
-        priority: from -100 to 100; the higher, the earlier its rollouts are leased.
+        priority: from -100 to 100; rollouts of higher priority are leased earlier.
         """
         text = _text(spec)
         request = wire.CreateCampaignRequest(spec=text, priority=priority)
@@ -90,10 +90,10 @@ class Client:
         return Campaign(json.loads(text)["name"], self._connection, self._program)
 
     def forecast(self, spec: Spec, *, policy_rate: float | None = None) -> Forecast:
-        """What `create` would make of a specification, how long the workers that are
-        connected now would take, and what would make them faster. Creates nothing.
+        """Returns the rollouts that `create` would make of a specification, the time
+        that the workers connected now would take, and the bottleneck. Creates nothing.
 
-        policy_rate: queries per second that the policy's server answers at most, all
+        policy_rate: maximal queries per second of the policy's server, all
         replicas together, as `policy-gateway check` measures them.
         """
         text = _text(spec)
@@ -113,20 +113,20 @@ class Client:
         return Forecast.of(rollouts, answer)
 
     def workers(self) -> pd.DataFrame:
-        """A row per worker, those that have gone too, latest calls first."""
+        """Returns a row per worker, including those that have gone, latest calls first."""
         answer = self._connection.call(
             self._connection.operator.ListWorkers, wire.ListWorkersRequest()
         )
         return frames.frame(map(_worker, answer.workers), frames.WORKERS)
 
     def report(self, *sources: str | os.PathLike[str]) -> Report:
-        """One report on several campaigns (names) and result files or their folders (paths),
-        beside one another."""
+        """Returns one report on several campaigns (names) and result files or
+        their folders (paths), side by side."""
         return reports.report(self._connection, self._program, tuple(map(_source, sources)))
 
     def compare(self, a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Comparison:
-        """A - B over the rollouts that both have, of campaigns (names) or result files or
-        their folders (paths)."""
+        """Compares A - B over the rollouts that both have, for campaigns
+        (names) or result files or their folders (paths)."""
         return reports.compare(self._connection, self._program, _source(a), _source(b))
 
 
@@ -135,7 +135,7 @@ def _source(source: str | os.PathLike[str]) -> str | Path:
 
 
 def _text(spec: Spec) -> str:
-    """The JSON of a specification. Raises SettingsError."""
+    """Returns a specification as JSON. Raises SettingsError."""
     if isinstance(spec, Mapping):
         return json.dumps(spec)
     path = Path(spec)

@@ -1,5 +1,5 @@
-"""Calls of an operator: trying again while the coordinator cannot be reached, and telling a
-refusal from a failure."""
+"""An operator's calls: retries while the coordinator cannot be reached, and the
+distinction of a refusal from a failure."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from .errors import (
 from .proto import coordinator_pb2 as wire
 from .proto.coordinator_pb2_grpc import OperatorServiceStub
 
-#: Pauses between tries, doubling, s.
+#: First and longest pause between tries, which double, s.
 FIRST_PAUSE, LONGEST_PAUSE = 0.25, 4.0
 #: Longest wait for an answer of one message, s.
 PATIENCE = 60.0
-#: What a failed way to a server looks like; the others are always a server's answer.
+#: Status codes that may mean a connection failure; all others are a server's answer.
 OF_THE_WAY = (
     grpc.StatusCode.UNAVAILABLE,
     grpc.StatusCode.UNIMPLEMENTED,
@@ -43,34 +43,34 @@ T = TypeVar("T")
 
 
 class Connection:
-    """A connection to a coordinator, made when it is first needed. Threads may share it."""
+    """A connection to a coordinator, opened at the first call. Threads may share it."""
 
     def __init__(self, access: Access, retry_secs: float) -> None:
         self.access = access
         self.retry_secs = retry_secs
         self._channel = channel(access)
-        #: The calls, for `call` and `collect`.
+        #: Stub whose methods are arguments of `call` and `collect`.
         self.operator: Any = OperatorServiceStub(self._channel)  # type: ignore[no-untyped-call]
 
     def close(self) -> None:
-        """Ends it. Calls then fail."""
+        """Closes the connection. Later calls fail."""
         self._channel.close()
 
     def campaign(self, name: str) -> wire.GetCampaignResponse:
-        """How a campaign stands, and its specification."""
+        """Returns a campaign's status and specification."""
         request = wire.GetCampaignRequest(campaign=name)
         answer: wire.GetCampaignResponse = self.call(self.operator.GetCampaign, request)
         return answer
 
     def call(self, method: Callable[..., T], request: object) -> T:
-        """Calls until the coordinator answers or the time for trying is over. All of its
-        operator's calls may be repeated safely. Raises CoordinatorError."""
+        """Calls until the coordinator answers or the time for retries is over.
+        All operator calls may be repeated safely. Raises CoordinatorError."""
         return self._patiently(
             lambda: method(request, timeout=PATIENCE, metadata=self.access.metadata)
         )
 
     def collect(self, method: Callable[..., Iterable[T]], request: object) -> list[T]:
-        """Likewise, of a call whose answer comes in pieces."""
+        """The same for a call whose answer is a stream."""
         return self._patiently(lambda: list(method(request, metadata=self.access.metadata)))
 
     def _patiently(self, send: Callable[[], T]) -> T:
@@ -93,10 +93,10 @@ class Connection:
             pause = min(2 * pause, LONGEST_PAUSE)
 
     def _found(self, error: grpc.RpcError) -> probe.Found | None:
-        """What is there in the coordinator's place; None if it answered."""
+        """Returns what answers in the coordinator's place; None if the coordinator answered."""
         code, details = error.code(), error.details() or ""
         is_of_web = details.startswith(probe.WEB_ANSWER)
-        # What comes from a server has headers.
+        # An answer from a server has headers.
         has_answered = bool(error.trailing_metadata()) and not is_of_web
         is_unknown_call = code is grpc.StatusCode.UNIMPLEMENTED
         if not is_of_web and code not in OF_THE_WAY or has_answered and not is_unknown_call:
@@ -113,7 +113,7 @@ def _is_outage(error: grpc.RpcError) -> bool:
 
 
 def _refusal(error: grpc.RpcError) -> CoordinatorError:
-    """What a coordinator answered, in its words."""
+    """Converts a coordinator's error to an exception with its message."""
     code = error.code()
     words = f"failed to {error.details() or f'do this: {code.name}, without a reason'}"
     if code in (grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.PERMISSION_DENIED):

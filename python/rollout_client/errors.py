@@ -1,10 +1,10 @@
-"""What can go wrong between a notebook and a coordinator, each with its remedy in the message."""
+"""Errors between a notebook and a coordinator, each with its remedy in the message."""
 
 from __future__ import annotations
 
 
 class CoordinatorError(Exception):
-    """Any error of this package."""
+    """Base class of this package's errors."""
 
 
 class SettingsError(CoordinatorError, ValueError):
@@ -19,24 +19,24 @@ class UnreachableError(CoordinatorError, ConnectionError):
         super().__init__(f"failed to reach the coordinator at {url}: {found}; {remedy}")
         #: The coordinator's address, as given.
         self.url = url
-        #: What is there in its place, in words.
+        #: Description of what answers in its place.
         self.found = found
-        #: What to do about it, in words.
+        #: Description of the remedy.
         self.remedy = remedy
 
 
 class AccessDeniedError(CoordinatorError, PermissionError):
-    """The coordinator knows no such token, or its role may not do this."""
+    """The coordinator does not know the token, or its role does not permit the call."""
 
 
 class NoSuchCampaignError(CoordinatorError, LookupError):
-    """The coordinator has no campaign of this name. Of a renamed one, the message says the
-    new name."""
+    """The coordinator has no campaign of this name. If it was renamed, the
+    message gives the new name."""
 
 
 class RefusedError(CoordinatorError):
-    """The coordinator, or its program on this machine, would not do it. The message has its
-    words, and nothing has changed."""
+    """The coordinator, or its program on this machine, refused. The message is
+    its own, and nothing has changed."""
 
 
 class ProgramError(CoordinatorError, FileNotFoundError):

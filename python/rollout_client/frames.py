@@ -1,5 +1,5 @@
-"""Rows to frames with typed columns: texts are `string`, outcomes `boolean`, instants UTC;
-what there is not is missing."""
+"""Conversion of rows to frames with typed columns: texts are `string`, outcomes
+`boolean`, instants UTC; absent values are missing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pandas as pd
 TEXT, INTEGER, COUNT, OUTCOME = "string", "Int64", "int64", "boolean"
 FLAG, NUMBER, INSTANT = "bool", "float64", "datetime64[ms, UTC]"
 
-#: Rows of the reference's `rollouts.jsonl`, as `coordinator export` writes them.
+#: Columns of the reference's `rollouts.jsonl`, as `coordinator export` writes them.
 RESULTS = {
     "rollout_id": TEXT,
     "success": FLAG,
@@ -34,7 +34,7 @@ RESULTS = {
     "goal_at_most": INTEGER,
 }
 
-#: As `coordinator jobs list --json` names them.
+#: Columns with the names of `coordinator jobs list --json`.
 JOBS = {
     "rollout_id": TEXT,
     "replicate": COUNT,
@@ -49,7 +49,7 @@ JOBS = {
     "last_error": TEXT,
 }
 
-#: As `coordinator workers --json` names them.
+#: Columns with the names of `coordinator workers --json`.
 WORKERS = {
     "worker_id": TEXT,
     "host": TEXT,
@@ -69,7 +69,7 @@ WORKERS = {
 
 
 def frame(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> pd.DataFrame:
-    """A frame with these columns and types, whatever the rows lack or have beside them."""
+    """Returns a frame with exactly these columns and types, even if rows lack some or have more."""
     listed = list(rows)
     data = {name: _column([row.get(name) for row in listed], columns[name]) for name in columns}
     made: pd.DataFrame = pd.DataFrame(data)
@@ -77,12 +77,12 @@ def frame(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> pd.D
 
 
 def instant(unix_ms: int) -> datetime:
-    """Milliseconds since the Unix epoch, as an instant in UTC."""
+    """Converts milliseconds since the Unix epoch to an instant in UTC."""
     return datetime(1970, 1, 1, tzinfo=timezone.utc) + timedelta(milliseconds=unix_ms)
 
 
 def _column(values: list[Any], dtype: str) -> pd.Series[Any]:
-    # Made without a resolution, instants would take the one of the first.
+    # Without a given resolution, all instants would take that of the first.
     given = pd.to_datetime(values, utc=True).as_unit("ms") if dtype == INSTANT else values
     made: pd.Series[Any] = pd.Series(given, dtype=dtype)
     return made

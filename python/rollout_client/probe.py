@@ -1,5 +1,5 @@
-"""What is there where a call failed. gRPC's own errors say only that something did not fit,
-so a client that got no answer connects again by hand, and listens."""
+"""Diagnosis of a failed call. gRPC's own errors say only that something did not fit, so
+a client that got no answer connects again without gRPC and reads the reply."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from .channel import channel
 
 #: Longest wait for each answer, s.
 PATIENCE = 3.0
-#: How a client of HTTP/2 begins: its preface, and settings that change nothing.
+#: First bytes of an HTTP/2 client: its preface, and settings that change nothing.
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0"
-#: Bytes of a frame's head in HTTP/2, and where its type is.
+#: Bytes of an HTTP/2 frame's header, and the position of its type.
 FRAME_HEAD, FRAME_TYPE, SETTINGS_FRAME = 9, 3, 4
-#: Characters quoted of what a server says.
+#: Characters of a server's reply that are quoted.
 QUOTED_CHARS = 60
-#: HTTP statuses of a proxy whose own server is away.
+#: HTTP statuses of a proxy that cannot reach its server.
 PROXY_WAITING = ("502", "503", "504")
-#: Calls that change nothing whatever their argument, by which servers are told apart.
+#: Calls that change nothing for any argument, used to tell servers apart.
 COORDINATOR_CALL = "/rollout.coordinator.v1.OperatorService/ListCampaigns"
 POLICY_CALL = "/rollout.policy.v1.Policy/Describe"
-#: How gRPC begins to say that an answer is a web server's.
+#: Start of gRPC's message about an answer from a web server.
 WEB_ANSWER = "Received http2 header with status: "
-#: OpenSSL's numbers of what is wrong with a certificate.
+#: OpenSSL's error numbers for certificates.
 NOT_YET_VALID, EXPIRED = 9, 10
 UNTRUSTED = (2, 7, 18, 19, 20, 21)
 OTHER_NAME = (62, 64)
@@ -37,15 +37,15 @@ NAME_ANOTHER = "give Client the address of the coordinator"
 
 @dataclass(frozen=True)
 class Found:
-    """What is there in a coordinator's place."""
+    """Description of what answers in a coordinator's place."""
 
     words: str
     remedy: str
-    #: Whether settings are wrong, so that trying again changes nothing.
+    #: True if settings are wrong, so that trying again changes nothing.
     is_final: bool
 
 
-#: The coordinator itself, now.
+#: The coordinator itself, which answers now.
 BROKEN = Found(
     "the connection ended before the answer came",
     "try again; the coordinator's log says why, if it failed",
@@ -74,7 +74,7 @@ MUTE = Found(
 
 
 def look(access: Access) -> Found:
-    """Connects as the client does, and says what answers. Takes a few seconds at most."""
+    """Connects as the client does, and describes what answers. Takes a few seconds at most."""
     try:
         connection = socket.create_connection((access.host, access.port), timeout=PATIENCE)
     except OSError as error:
@@ -86,7 +86,7 @@ def look(access: Access) -> Found:
             except ssl.SSLCertVerificationError as error:
                 return _certificate(access, error)
             except OSError:
-                # Not TLS, or none that both sides speak.
+                # No TLS, or no version that both sides support.
                 return _in_the_clear(access)
         return found or _server_of_grpc(access)
     with connection:
@@ -113,7 +113,7 @@ def _no_connection(access: Access, error: OSError) -> Found:
 def _context(access: Access) -> ssl.SSLContext:
     authority = access.authority
     context = ssl.create_default_context(cadata=authority.decode("ascii") if authority else None)
-    # gRPC asks less of certificates than the newest Pythons do.
+    # gRPC has lower requirements on certificates than the newest Pythons.
     context.verify_flags &= ~ssl.VERIFY_X509_STRICT
     context.set_alpn_protocols(["h2"])
     return context
@@ -144,13 +144,13 @@ def _certificate(access: Access, error: ssl.SSLCertVerificationError) -> Found:
 
 
 def _in_the_clear(access: Access) -> Found:
-    """What a server is that does not answer TLS."""
+    """Describes a server that does not answer TLS."""
     try:
         with socket.create_connection((access.host, access.port), timeout=PATIENCE) as connection:
             found = _hear(connection)
     except OSError:
         return MUTE
-    # HTTP of either kind, but without TLS.
+    # HTTP/1 or HTTP/2, but without TLS.
     return CLEAR if found is None or "web server" in found.words else found
 
 
@@ -167,11 +167,11 @@ def _speaks_tls(access: Access) -> bool:
 
 
 def _hear(connection: socket.socket) -> Found | None:
-    """Says what a client of HTTP/2 says, and hears what comes back. None: HTTP/2."""
+    """Sends what an HTTP/2 client sends, and describes the reply. None means HTTP/2."""
     heard = b""
     connection.settimeout(PATIENCE)
     try:
-        # A server may speak first, and hang up because of what it reads.
+        # A server may send first, and close the connection because of the preface.
         connection.sendall(PREFACE)
         while len(heard) < FRAME_HEAD and (more := connection.recv(128)):
             heard += more
@@ -208,7 +208,7 @@ def _web(said: str) -> Found:
 
 
 def _server_of_grpc(access: Access) -> Found:
-    """Which server of HTTP/2 is there."""
+    """Describes the HTTP/2 server."""
     with channel(access) as there:
         found = _has_call(there, access, COORDINATOR_CALL)
         if found is True:
@@ -221,7 +221,7 @@ def _server_of_grpc(access: Access) -> Found:
 
 
 def _has_call(there: grpc.Channel, access: Access, path: str) -> bool | Found:
-    """Whether a server has the call of a path; what it is, if no server of gRPC."""
+    """Returns True if a server has the method `path`; a description if it is no gRPC server."""
     call = there.unary_unary(path, request_serializer=None, response_deserializer=None)
     try:
         call(b"", timeout=PATIENCE, metadata=access.metadata)

@@ -1,5 +1,5 @@
-"""The program `coordinator` on this machine, which computes what needs the protocol or
-statistics: reports, comparisons, and what a specification expands to."""
+"""The program `coordinator` on this machine, which computes results that need the
+protocol or statistics: reports, comparisons, and the expansion of a specification."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ NAME = "coordinator"
 
 
 class Program:
-    """The program, found when it is first needed."""
+    """The program, located at the first use."""
 
     def __init__(self, given: str | os.PathLike[str] | None, access: Access) -> None:
         self._given = given
         self._access = access
 
     def run(self, *words: str | Path, text: str | None = None) -> str:
-        """Runs a command with `text` as its input. Returns what it prints.
+        """Runs a command with `text` as its input. Returns its output.
 
-        Raises ProgramError where there is no such program, and RefusedError, with its words,
-        if it fails.
+        Raises ProgramError if the program is missing, and RefusedError, with
+        the program's message, if it fails.
         """
         command = [self._path(), *map(str, words)]
         try:
@@ -41,7 +41,7 @@ class Program:
         return done.stdout
 
     def connected(self, *words: str | Path) -> list[str | Path]:
-        """The words, and those that name this client's coordinator."""
+        """Returns the words, followed by the flags that name this client's coordinator."""
         access = self._access
         names: list[str | Path] = ["--connect", access.url]
         if access.token_file is not None:

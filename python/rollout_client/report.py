@@ -1,5 +1,5 @@
-"""Reports and comparisons as frames. The program `coordinator` computes them; here, their
-JSON and their table are only laid out (docs/REPORT.md says what each figure is)."""
+"""Reports and comparisons as frames. The program `coordinator` computes them; this
+module only arranges their JSON and their table (docs/REPORT.md defines each figure)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .program import Program
 
 AXES = ("camera", "lighting", "robot", "sensor", "actuation", "language")
 INTERVALS = ("d", "i", "r_e", "r_c", "r_d")
-#: Conditions as rollout ids have them: no perturbation, and all at once.
+#: Conditions as in rollout ids: no perturbation, and all axes at once.
 CLEAN, COMBINATION = "clean", "combination"
 
 SUCCESS = {
@@ -106,18 +106,18 @@ CELLS = {
 
 @dataclass(frozen=True)
 class Report:
-    """What campaigns and result files have shown, as far as they have come.
+    """Results of campaigns and result files so far.
 
-    Rates are fractions. `policy` is the report's label of a policy: its name, and its
-    campaign's where several campaigns have it.
+    Rates are fractions. `policy` is the report's label of a policy: its name,
+    with the campaign's if several campaigns have a policy of that name.
     """
 
-    #: Everything, as `coordinator report --json` prints it.
+    #: The whole report, as `coordinator report --json` prints it.
     json: Mapping[str, Any] = field(repr=False)
-    #: What to know before believing a figure.
+    #: Warnings that affect the figures.
     warnings: tuple[str, ...]
     #: A row per policy, replicate, level and condition (`clean` at L0, each axis alone,
-    #: `combination`): successes of n rollouts; those without an outcome.
+    #: `combination`): successes of n rollouts, and rollouts without an outcome.
     success: pd.DataFrame = field(repr=False)
     #: A row per policy, replicate and level: the protocol's paired measures with the ends of
     #: their 95 % intervals.
@@ -127,12 +127,12 @@ class Report:
 
     @property
     def emergent(self) -> pd.DataFrame:
-        """Configurations that every axis alone leaves solved, and that fail under all."""
+        """Configurations that succeed under each axis alone and fail under all axes together."""
         return self._of_transition("emergent")
 
     @property
     def compensated(self) -> pd.DataFrame:
-        """Configurations that fail under some axis alone, and are solved under all."""
+        """Configurations that fail under some axis alone and succeed under all axes together."""
         return self._of_transition("compensated")
 
     def _of_transition(self, name: str) -> pd.DataFrame:
@@ -143,25 +143,25 @@ class Report:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two policies over the rollouts that both have. Differences are A - B."""
+    """Comparison of two policies over the rollouts that both have. Differences are A - B."""
 
-    #: Everything, as `coordinator compare --json` prints it.
+    #: The whole comparison, as `coordinator compare --json` prints it.
     json: Mapping[str, Any] = field(repr=False)
-    #: The labels of the two.
+    #: Labels of the two policies.
     a: str
     b: str
-    #: What to know of comparing them, and of either of them.
+    #: Warnings that affect the comparison or either policy.
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     #: A row per replicate, level and condition (`clean` at L0, each axis, `combination`).
-    #: `difference_worst` and `_best`: whatever quarantined rollouts would have come to.
+    #: `difference_worst` and `_best`: bounds for any outcome of quarantined rollouts.
     cells: pd.DataFrame = field(repr=False)
-    #: Rollouts that were not the same for both, by reason.
+    #: Rollouts that differed between the two, by reason.
     unpaired: Mapping[str, tuple[str, ...]]
 
 
 def report(connection: Connection, program: Program, sources: tuple[str | Path, ...]) -> Report:
-    """A report on campaigns (names) and result files (paths). Raises CoordinatorError."""
+    """Returns a report on campaigns (names) and result files (paths). Raises CoordinatorError."""
     _look_for(connection, sources)
     names = [source for source in sources if isinstance(source, str)]
     files = [word for path in sources if isinstance(path, Path) for word in ("--from", path)]
@@ -170,7 +170,7 @@ def report(connection: Connection, program: Program, sources: tuple[str | Path, 
         table = Path(folder) / "configurations.csv"
         command = ("report", *names, "--json", *files, "--table", table)
         text = program.run(*program.connected(*command))
-        # A policy may be called NA.
+        # NA may be the name of a policy.
         rows = pd.read_csv(table, dtype=types, keep_default_na=False, na_values=[""])
     document = json.loads(text)
     return Report(
@@ -183,7 +183,7 @@ def report(connection: Connection, program: Program, sources: tuple[str | Path, 
 
 
 def compare(connection: Connection, program: Program, a: str | Path, b: str | Path) -> Comparison:
-    """A - B, of campaigns (names) or result files (paths). Raises CoordinatorError."""
+    """Compares A - B for campaigns (names) or result files (paths). Raises CoordinatorError."""
     _look_for(connection, (a, b))
     words = [w for source in (a, b) for w in _source(source)]
     text = program.run(*program.connected("compare", *words, "--json"))
@@ -200,8 +200,8 @@ def compare(connection: Connection, program: Program, a: str | Path, b: str | Pa
 
 
 def _look_for(connection: Connection, sources: tuple[str | Path, ...]) -> None:
-    """Asks for the campaigns once: the coordinator's errors have types, the program's have
-    only words."""
+    """Requests the campaigns once, because the coordinator's errors have types
+    and the program's have only text."""
     for source in sources:
         if isinstance(source, str):
             connection.campaign(source)

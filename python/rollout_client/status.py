@@ -1,4 +1,4 @@
-"""How a campaign stands, and how long one would take."""
+"""Status of a campaign, and a forecast of its duration."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from .proto import coordinator_pb2 as wire
 
 @dataclass(frozen=True)
 class Status:
-    """How a campaign stands, as `coordinator campaign status --json` says it."""
+    """Status of a campaign, as `coordinator campaign status --json` prints it."""
 
     name: str
     #: The policy's name at its endpoint.
     policy: str
     #: URL of the gateway, or of the policy itself.
     endpoint: str
-    #: From -100 to 100; the higher, the earlier.
+    #: Priority from -100 to 100; higher ones run earlier.
     priority: int
-    #: What its operator made of it: `running`, `paused`, `cancelled`; or `stopped`, early, as
-    #: its rule says.
+    #: State: `running`, `paused` or `cancelled` by its operator, or `stopped` early by its stop
+    #: rule.
     state: str
-    #: Nothing more will happen by itself: it is cancelled or stopped, or every rollout is
-    #: committed or quarantined and none may follow.
+    #: The campaign cannot change by itself: it is cancelled or stopped, or every rollout is
+    #: committed or quarantined and none can follow.
     is_finished: bool
-    #: Rollouts that there are; that wait, are being run, have a result; of these, that reached
-    #: their goal and did not; and that failed too often and have none.
+    #: Counts of rollouts: all, waiting, running, with a result; of the latter, those that reached
+    #: their goal and those that did not; and those without a result after too many failures.
     total: int
     queued: int
     leased: int
@@ -36,31 +36,31 @@ class Status:
     succeeded: int
     failed: int
     quarantined: int
-    #: Rollouts per second of late, and seconds that the rest takes at that rate; None until
-    #: one is committed, and unless the campaign is running.
+    #: Recent rollouts per second, and seconds for the rest at that rate; None until a rollout is
+    #: committed, and unless the campaign is running.
     rate_per_sec: float | None
     remaining_secs: float | None
-    #: Workers alive that can run it.
+    #: Number of live workers that can run it.
     live_workers: int
-    #: Why its policy is taken to be down.
+    #: Reason why its policy is considered down.
     policy_outage: str | None
-    #: Why nothing is running although rollouts wait, or are still to follow.
+    #: Reason why nothing is running although rollouts wait or are still to follow.
     waiting_reason: str | None
-    #: How its results mix fingerprints, if they have several.
+    #: Description of the different fingerprints in its results, if there are several.
     mixed_fingerprints: str | None
-    #: When it ends early, such as `width(I) < 0.08`; None if it runs to its end.
+    #: Condition for an early stop, such as `width(I) < 0.08`; None if there is none.
     stop_rule: str | None
-    #: After so many of its configurations it stopped early, and so many rollouts that saved;
-    #: None while it has not.
+    #: Number of its configurations after which it stopped early, and number of rollouts saved; None
+    #: while it has not stopped.
     stopped_after: int | None
     saved: int | None
-    #: The campaign from whose outcomes its rollouts follow, if they do.
+    #: Campaign whose outcomes determine its rollouts, if there is one.
     follows_from: str | None
     created_at: datetime
 
     @classmethod
     def of(cls, message: wire.CampaignStatus) -> Status:
-        """As a coordinator sent it."""
+        """Converts a coordinator's message."""
         state = wire.CampaignStatus.State.Name(message.state).removeprefix("STATE_").lower()
         is_settled = message.committed + message.quarantined >= message.total
         is_complete = is_settled and not message.may_grow
@@ -95,7 +95,7 @@ class Status:
         )
 
 
-#: A status as a row.
+#: Columns of a status as a row.
 COLUMNS = {
     "str": frames.TEXT,
     "str | None": frames.TEXT,
@@ -110,29 +110,29 @@ CAMPAIGNS = {item.name: COLUMNS[str(item.type)] for item in fields(Status)}
 
 @dataclass(frozen=True)
 class Speed:
-    """What a rollout's time goes into, and what a campaign's rate is bound by."""
+    """Breakdown of a rollout's time, and the bottleneck of a campaign's rate."""
 
-    #: Results that say where their time went.
+    #: Number of results that state how their time was spent.
     results: int
-    #: Mean seconds of one rollout: processor time of physics and drawing, until the policy
-    #: had answered, and what these leave of its duration.
+    #: Mean seconds of one rollout: processor time of physics and drawing, time until the policy had
+    #: answered, and the rest of its duration.
     physics_secs: float
     drawing_secs: float
     policy_secs: float
     waiting_secs: float
     #: Mean number of queries in a rollout.
     policy_queries: float
-    #: `slots` (more of them make it faster), `cores` (all are busy) or `policy` (its server
-    #: answers no faster); None where a worker does not say how many cores it has.
+    #: `slots` (more of them make it faster), `cores` (all are busy) or `policy` (its server is at
+    #: its limit); None if a worker does not report its number of cores.
     bottleneck: str | None
-    #: The fewest slots that are as fast as any number on these cores and with this policy,
-    #: and the seconds that they would take.
+    #: The fewest slots that reach the highest rate on these cores with this policy, and the seconds
+    #: that they would take.
     enough_slots: int | None
     enough_slots_secs: float | None
 
     @classmethod
     def of(cls, message: wire.Speed) -> Speed:
-        """As a coordinator sent it."""
+        """Converts a coordinator's message."""
         bottleneck = wire.Speed.Bottleneck.Name(message.bottleneck)
         is_known = message.HasField("enough_slots")
         return cls(
@@ -150,35 +150,35 @@ class Speed:
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a specification would make, and how long it would take."""
+    """The rollouts of a specification and their expected duration."""
 
-    #: Rollouts of each suite, replicates included.
+    #: Rollouts per suite, replicates included.
     rollouts: Mapping[str, int]
-    #: The workers alive that run alike, and their slots.
+    #: Number of live workers of the same kind, and their slots.
     workers: int
     slots: int
-    #: Seconds that they take together, if they run nothing else; None where no rollout was
-    #: measured on such a worker of late.
+    #: Seconds that they take together, if they run nothing else; None if no rollout was measured on
+    #: such a worker recently.
     secs: float | None
-    #: Recent results that this rests on, and whether they are of this policy; else they are
-    #: of others.
+    #: Number of recent results used, and True if they are of this policy, False if of other
+    #: policies.
     results: int
     is_of_policy: bool
-    #: Suites without such a result, taken to be as fast as the others.
+    #: Suites without such a result, assumed to be as fast as the others.
     unmeasured_suites: tuple[str, ...]
-    #: Cores that those slots share; None where a worker does not say.
+    #: Cores that those slots share; None if a worker does not report them.
     cores: int | None
-    #: What bounds it; None where no such result says where its time went.
+    #: Its bottleneck; None if no such result states how its time was spent.
     speed: Speed | None
 
     @property
     def total(self) -> int:
-        """All rollouts."""
+        """Number of all rollouts."""
         return sum(self.rollouts.values())
 
     @classmethod
     def of(cls, rollouts: Mapping[str, int], message: wire.ForecastResponse) -> Forecast:
-        """As a coordinator sent it."""
+        """Converts a coordinator's message."""
         return cls(
             rollouts=dict(rollouts),
             workers=message.workers,

@@ -1,5 +1,5 @@
-"""``python -m rollout_libero fetch``: fetches what scenes are made of;
-``python -m rollout_libero doctor``: says which package ``libero`` programs import.
+"""``python -m rollout_libero fetch`` fetches the files of scenes; ``python -m
+rollout_libero doctor`` prints which package ``libero`` programs import.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ HUB = "https://huggingface.co"
 
 
 def main() -> int:
-    """Does what the command line says; returns the exit status."""
+    """Runs the command line; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m rollout_libero")
     commands = parser.add_subparsers(dest="command", required=True)
     words = (

@@ -1,8 +1,8 @@
 """Loads the extension so that it uses its own MuJoCo.
 
-The ``mujoco`` package offers its library's symbols to the whole process. If it is of
-another version, and was imported first, the extension would call that one: physically
-another benchmark. So the extension looks its symbols up in its own libraries first.
+The ``mujoco`` package exports its library's symbols to the whole process. If it has another version
+and was imported first, the extension would call that one, and the physics would be another
+benchmark's. So the extension looks symbols up in its own libraries first.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The start of a rollout as a manifest's row (JSON)."""
+"""Start of a rollout, as a manifest row (JSON)."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from rollout_libero._library import native
 from rollout_libero.tasks import Task
 
 InitStates = str | int | Sequence[int]
-"""``"cycle"``: 0, 1, 2, … from reset to reset; ``"random"``: drawn by the environment's
-generator; ``"sampled"``: placed anew by LIBERO's samplers; a number: always this one;
-numbers: these in turn."""
+"""``"cycle"``: 0, 1, 2, … from reset to reset; ``"random"``: drawn by the environment's generator;
+``"sampled"``: new placements by LIBERO's samplers; a number: always this state; numbers: these
+states in turn."""
 
 
 class Start(NamedTuple):
-    """A rollout that is about to begin."""
+    """Start of the next rollout."""
 
     row: str
-    """A manifest's row, JSON, for the simulator."""
+    """Manifest row, JSON, for the simulator."""
     init_state: int | None
     """None if objects are placed anew."""
     instruction: str
@@ -30,7 +30,7 @@ class Start(NamedTuple):
     execution: str
     """The robot's conduct while an answer is under way."""
     turn: int
-    """The turn that follows it."""
+    """The environment's turn after this start."""
     generator: np.random.Generator
     """The environment's generator after the draws of this start."""
 
@@ -38,8 +38,8 @@ class Start(NamedTuple):
 class Starts:
     """Chooses the start of each rollout of one environment.
 
-    Environments of one task that take turns share the sequence: each begins at its ``rank``
-    among them and goes on by their number, ``stride``.
+    Environments of one task that take turns share the sequence: each begins at
+    its ``rank`` among them and advances by their number, ``stride``.
     """
 
     def __init__(
@@ -74,12 +74,12 @@ class Starts:
 
     @property
     def instruction(self) -> str:
-        """The instruction of the next rollout."""
+        """Returns the instruction of the next rollout."""
         return self._task.instruction if self._perturbed is None else self._perturbed["language"]
 
     @property
     def max_steps(self) -> int:
-        """The step budget of the next rollout."""
+        """Returns the step budget of the next rollout."""
         if self._max_steps is not None:
             return self._max_steps
         return self._task.max_steps if self._perturbed is None else self._perturbed["max_steps"]
@@ -90,7 +90,7 @@ class Starts:
         return self._execution_of(self._perturbed)
 
     def perturb(self, perturbation: str | Mapping[str, Any] | None) -> None:
-        """Perturbs the rollouts that are begun from now on.
+        """Perturbs all later rollouts.
 
         Raises:
             ValueError: if there is no such configuration, or it distorts actions that are
@@ -115,8 +115,8 @@ class Starts:
         *,
         turn: int | None = None,
     ) -> Start:
-        """The next start, at a turn if one is given. Changes nothing: pass the start to
-        ``use`` once it has begun.
+        """Returns the next start, at a given turn if there is one. Changes
+        nothing: pass the start to ``use`` once it has begun.
 
         Raises:
             ValueError: if the options name no initial state of the task.
@@ -149,7 +149,7 @@ class Starts:
         return self._start(row, row["init_id"], turn, generator)
 
     def use(self, start: Start) -> None:
-        """Goes on after a start."""
+        """Advances the sequence past a start."""
         self._turn = start.turn
 
     def _start(
@@ -190,7 +190,7 @@ class Starts:
         return row
 
     def _settled(self, row: Mapping[str, Any]) -> int:
-        """Control steps without action before the first observation."""
+        """Returns the control steps without action before the first observation."""
         return row["num_steps_wait"] if self._settle_steps is None else self._settle_steps
 
     def _checked(self, init_state: int) -> int:
@@ -218,8 +218,8 @@ def _chosen(init_states: InitStates, count: int) -> str | Sequence[int]:
 
 
 def _row(task: Task, perturbation: str | Mapping[str, Any]) -> dict[str, Any]:
-    """The row of ``combination/L2/c03`` (of this task), of a whole rollout's id, or as it
-    is given."""
+    """Returns the row of ``combination/L2/c03`` (of this task), of a complete
+    rollout id, or the given row itself."""
     if isinstance(perturbation, str):
         text = perturbation
         if text.count("/") == 2:

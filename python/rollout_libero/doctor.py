@@ -1,7 +1,7 @@
 """Finds the package `libero` that a program imports, and the packages that shadow it.
 
-Several distributions install a package of this name, into the same folder, and frameworks put
-checkouts of LIBERO before it on the path: whichever is found first is imported, without a word.
+Several distributions install a package of this name into the same folder, and frameworks put
+checkouts of LIBERO before it on the path: the first one found is imported silently.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ REINSTALL = f"pip install --force-reinstall --no-deps {SHIM}, from its wheel, as
 
 
 def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
-    """Findings about the imported package, each fault with its remedy."""
+    """Returns findings about the imported package, and faults with their remedies."""
     found, wrong = [], []
     rivals = [name for name in RIVALS if _version(name) is not None]
     installed = _version(SHIM)
@@ -47,7 +47,7 @@ def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
 
 
 def report() -> int:
-    """Prints what was found; returns the exit status: 1 if something is wrong."""
+    """Prints the findings; returns the exit status, 1 if there is a fault."""
     found, wrong = examine()
     for line in found:
         print(line)
@@ -57,7 +57,7 @@ def report() -> int:
 
 
 def _imported() -> Path | None:
-    """The folder of the package that `import libero` finds."""
+    """Returns the folder of the package that `import libero` finds."""
     try:
         spec = importlib.util.find_spec("libero")
     except (ImportError, ValueError):
@@ -66,7 +66,7 @@ def _imported() -> Path | None:
         return None
     if spec.origin is not None:
         return Path(spec.origin).parent
-    # A folder without __init__.py.
+    # A namespace package: a folder without __init__.py.
     return Path(next(iter(spec.submodule_search_locations or ["."])))
 
 
@@ -86,8 +86,8 @@ def _folders(path: Iterable[str]) -> list[Path]:
 
 
 def _configuration() -> list[str]:
-    """Folders that LIBERO's configuration file names, and that count before those of the
-    package: they may be those of an installation that nobody remembers."""
+    """Folders in LIBERO's configuration file that override those of the
+    package. They may belong to an old installation."""
     folder = os.environ.get("LIBERO_CONFIG_PATH", os.path.expanduser("~/.libero"))
     file = Path(folder) / "config.yaml"
     try:

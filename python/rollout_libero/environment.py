@@ -1,4 +1,4 @@
-"""One environment, as gymnasium has it."""
+"""A gymnasium environment for one task."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Render = Literal["last", "all", "none"]
 
 
 class EnvironmentSnapshot(NamedTuple):
-    """All that an environment's next step depends on."""
+    """The complete state that determines an environment's next step."""
 
     simulation: native.Snapshot
     rollout: Rollout
@@ -44,27 +44,27 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         task: ``libero_spatial/0`` to ``libero_10/9``.
         assets: ``"libero"``, which is the default and fetched at first use, a LIBERO assets
             folder, or ``"primitives"``; see ``rollout_libero.files``.
-        cameras: of whom frames are drawn.
-        height, width: of the frames, pixels.
-        orientation: of the frames: ``"policy"``, the half turn of LIBERO's arrays on which
-            VLAs were trained, or ``"upright"``, as a person sees the scene; see
+        cameras: cameras of the frames.
+        height, width: size of the frames, pixels.
+        orientation: orientation of the frames: ``"policy"``, LIBERO's arrays rotated by 180° as
+            VLAs were trained on them, or ``"upright"``, as a person sees the scene; see
             ``observation.Orientation``.
-        init_states: where rollouts begin; see ``configuration.InitStates``.
+        init_states: initial states of rollouts; see ``configuration.InitStates``.
         settle_steps: control steps without action before the first observation, in which
             objects come to rest; by default those of the configuration
             (``num_steps_wait``), 10 in LIBERO-CTRL.
         max_steps: control steps after which a rollout is truncated; by default those of the
             configuration (``max_steps``), in LIBERO-CTRL the suite's.
         perturbation: a configuration of LIBERO-CTRL, ``combination/L2/c03``, or a row of a
-            manifest. It brings its instruction and, unless ``init_states="sampled"``, its
+            manifest. It includes the instruction and, unless ``init_states="sampled"``, the
             initial state.
-        control: ``"relative"`` (displacements, -1..1) or ``"absolute"`` (poses in the world:
-            m, and axis times angle, rad), which no configuration with the actuation axis
-            takes.
+        control: ``"relative"`` (displacements, -1..1) or ``"absolute"`` (poses in the world
+            frame: m, and axis times angle, rad), which cannot be combined with the actuation
+            axis.
         renderer: ``"software"``; ``"gl"`` or ``"gl:N"`` for OpenGL, which ties the
             environment's frames to the thread that draws them.
 
-    The reward is 1 in the step that succeeds, which ends the rollout, and 0 before.
+    The reward is 1 in the successful step, which ends the rollout, and 0 in all others.
     ``info`` has ``success``, ``instruction``, ``init_state`` and ``steps``.
 
     Raises:
@@ -135,13 +135,13 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins a rollout, up to its policy's first action.
+        """Begins a rollout, up to the policy's first action.
 
-        A seed chooses where it begins. With ``init_states="cycle"`` that is initial state
-        ``seed % 50``; with numbers, the one at place ``seed % len(numbers)``; later resets
-        without a seed go on from there in turn. ``"random"`` and ``"sampled"`` draw from the
-        generator that the seed starts. ``options={"init_state": 7}`` takes precedence, and a
-        configuration's own initial state depends on no seed.
+        A seed selects its start. With ``init_states="cycle"`` that is initial state
+        ``seed % 50``; with numbers, the one at place ``seed % len(numbers)``; later
+        resets without a seed continue in turn. ``"random"`` and ``"sampled"`` draw from
+        the generator that the seed starts. ``options={"init_state": 7}`` takes
+        precedence, and a configuration's own initial state does not depend on the seed.
         """
         generator = self.np_random if seed is None else seeding.np_random(seed)[0]
         start = self.starts.plan(generator, options or {}, turn=seed)
@@ -164,7 +164,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
     def step(
         self, action: ArrayLike
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One control step, 50 ms, with seven numbers: translation, rotation, gripper."""
+        """Executes a control step, 50 ms, with seven numbers: translation, rotation, gripper."""
         action = np.asarray(action, dtype=np.float64)
         if action.shape != (ACTION_WIDTH,):
             raise ValueError(
@@ -177,14 +177,14 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
     def step_chunk(
         self, actions: ArrayLike, render: Render = "last"
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Control steps with the actions, [steps, 7], as far as the rollout goes.
+        """Executes control steps with the actions, [steps, 7], until the rollout ends.
 
-        With ``render="last"`` the observation is that after the last step, with ``"all"``
-        its arrays have a first axis of the steps taken, and with ``"none"`` there are no
-        frames. ``info["steps"]`` counts the steps since the reset.
+        With ``render="last"`` the observation is that after the last step; with
+        ``"all"`` its arrays have the steps taken as a first axis; with ``"none"`` there
+        are no frames. ``info["steps"]`` counts the steps since the reset.
 
-        A call that raises ``ValueError`` for its arguments has moved nothing. After
-        ``SimulationError`` the rollout is over: call ``reset``.
+        A call that raises ``ValueError`` for its arguments has changed nothing.
+        After ``SimulationError`` the rollout is over: call ``reset``.
         """
         rollout = self._rollout
         if not rollout.is_begun or rollout.is_over:
@@ -214,24 +214,24 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         return observation, float(success), success, truncated, self._info(success=success)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The first camera's view in the mode ``rgb_array``, upright whatever the
-        observations' orientation is."""
+        """Returns the first camera's view in the mode ``rgb_array``, always
+        upright, for any orientation of the observations."""
         if self.render_mode is None:
             return None
         camera, width, height = (self._cameras or [(CAMERAS[0], 256, 256)])[0]
         return self.simulation.frame(camera, width, height)[::-1]
 
     def snapshot(self) -> EnvironmentSnapshot:
-        """All that the next step depends on; the generator that seeds resets is left out."""
+        """Returns the complete state for the next step, without the generator that seeds resets."""
         return EnvironmentSnapshot(self.simulation.snapshot(), replace(self._rollout))
 
     def restore(self, snapshot: EnvironmentSnapshot) -> None:
-        """Goes back to a snapshot of an environment of the same task and assets."""
+        """Returns to a snapshot of an environment of the same task and assets."""
         self.simulation.restore(snapshot.simulation)
         self._rollout = replace(snapshot.rollout)
 
     def close(self) -> None:
-        """Frees it; later calls raise ``ClosedError``."""
+        """Frees the environment; later calls raise ``ClosedError``."""
         self.simulation.close()
 
     def _observation(self, shown: dict[str, Any]) -> Observation:

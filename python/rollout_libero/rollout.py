@@ -8,15 +8,15 @@ from rollout_libero._library import native
 from rollout_libero.configuration import Start
 
 UNTOUCHED = (native.BusyError, native.ClosedError)
-"""Errors that are raised before anything has moved."""
+"""Errors that are raised before anything has changed."""
 
 
 @dataclass
 class Rollout:
     """The progress of one environment's rollout.
 
-    It changes only once the simulator has answered: a call that is refused leaves it as it
-    was.
+    It changes only after the simulator has answered: a refused call leaves it
+    unchanged.
     """
 
     instruction: str
@@ -30,21 +30,21 @@ class Rollout:
     as they are given."""
 
     def begin(self, start: Start) -> None:
-        """Takes up a rollout that the simulator has begun."""
+        """Adopts a rollout that the simulator has begun."""
         self.instruction, self.max_steps = start.instruction, start.max_steps
         self.steps, self.init_state = 0, start.init_state
         self.is_begun, self.is_over = True, False
 
     def advance(self, taken: int, success: bool, error: Exception | None) -> bool:
-        """Counts the steps of a call and ends the rollout if it is over; true if its budget
-        is spent without success.
+        """Counts the steps of a call and ends the rollout if it is over.
+        Returns true if its budget is spent without success.
 
-        A rollout whose simulation has failed is over too. Neither a refused call nor one
-        that found the environment busy or closed ends it.
+        A failed simulation ends the rollout, too. A refused call, or one that
+        found the environment busy or closed, does not.
         """
         self.steps += taken
         truncated = error is None and not success and self.steps >= self.max_steps
         failed = error is not None and not isinstance(error, (*UNTOUCHED, ValueError))
-        # Another thread may have ended it while this one found the environment busy.
+        # Another thread may have ended it after this one found the environment busy.
         self.is_over = self.is_over or success or truncated or failed
         return truncated

@@ -1,6 +1,6 @@
-"""Compiled scenes: one of a task and an asset pack in a process, shared by all of its
-environments. The last ones outlive their environments, so that those who close one and make
-another, as some frameworks do at every reset, get it at once."""
+"""Compiled scenes, one per task and asset pack in a process, shared by all of
+its environments. Recent ones outlive their environments, so that frameworks
+that close and create an environment at every reset do not wait."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _scenes: weakref.WeakValueDictionary[_Key, native.Scene] = (
 )
 _kept: OrderedDict[_Key, native.Scene] = OrderedDict()
 MAX_KEPT = 10
-"""Scenes that are kept without an environment: the tasks of a suite."""
+"""Number of scenes kept without an environment: enough for the tasks of a suite."""
 _lock = threading.Lock()
 _compiling: dict[_Key, threading.Lock] = {}
 MAX_NAMED = 5
-"""Files of a pack that a warning names."""
+"""Number of files of a pack that a warning names."""
 
 
 def scene_of_task(task: Task, assets: str | PathLike[str] | None) -> native.Scene:
-    """The compiled scene of a task with its initial states.
+    """Returns the compiled scene of a task, with its initial states.
 
     Raises:
         FileNotFoundError: if files are missing.
@@ -42,15 +42,15 @@ def scene_of_task(task: Task, assets: str | PathLike[str] | None) -> native.Scen
 def scene(
     bddl_file: str, assets: str | PathLike[str] | None, *, init_file: str | None = None
 ) -> native.Scene:
-    """The compiled scene of a BDDL file. Of the pack ``libero``, files that it needs and that
-    are not there are fetched.
+    """Returns the compiled scene of a BDDL file. Missing files that it needs of
+    the pack ``libero`` are fetched.
 
     Raises:
         FileNotFoundError: if files are missing.
     """
     sources, pack = str(files.sources()), files.assets(assets)
     key = (_version(bddl_file), pack, init_file and _version(init_file))
-    # Compiling takes a second; two threads that want the same wait for one.
+    # Compiling takes a second; two threads that need the same scene wait for one compilation.
     with _lock:
         compiling = _compiling.setdefault(key, threading.Lock())
     with compiling:
@@ -72,7 +72,7 @@ def scene(
 
 
 def _version(file: str) -> Hashable:
-    """The file as it is now: who changes it gets another scene."""
+    """Version of the file, so that a changed file gives another scene."""
     try:
         status = os.stat(file)
     except OSError:

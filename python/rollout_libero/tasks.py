@@ -14,17 +14,17 @@ class Task(NamedTuple):
     """A task of the benchmark."""
 
     name: str
-    """``libero_goal/3``: its suite, and its place there in the benchmark's order."""
+    """``libero_goal/3``: its suite, and its index in the benchmark's order."""
     file: str
     """Stem of its BDDL file and of its initial states."""
     suite: str
     instruction: str
     max_steps: int
-    """Control steps that a policy has for it in LIBERO-CTRL."""
+    """Step budget of the policy in LIBERO-CTRL."""
 
     @classmethod
     def of(cls, name: str) -> Task:
-        """The task of a name.
+        """Returns the task of a name.
 
         Raises:
             ValueError: if there is none; it says which there are.
@@ -34,7 +34,7 @@ class Task(NamedTuple):
 
 
 def tasks(suite: str | None = None) -> list[Task]:
-    """The tasks of a suite, or all forty.
+    """Returns the tasks of a suite, or all forty.
 
     Raises:
         ValueError: if there is no such suite.

@@ -1,8 +1,8 @@
-"""Many environments in one process, for programs that train a policy by reinforcement.
+"""Many environments in one process, for reinforcement learning of a policy.
 
-They differ from ``VectorEnvironment``, which is gymnasium's, in what such programs ask for: any
-task of a BDDL file, and another one at each reset; a given state, as the original's
-``set_init_state`` starts from it; chunks of actions that go on past success; some rows at a time.
+They add to gymnasium's ``VectorEnvironment``: any task of a BDDL file, and another at
+each reset; a given state, which starts as by the original's ``set_init_state``; chunks
+of actions that continue past success; calls for some rows only.
 """
 
 from __future__ import annotations
@@ -32,53 +32,53 @@ from rollout_libero.rollout import UNTOUCHED
 from rollout_libero.tasks import Task
 
 LOADS = 2
-"""How often the original has loaded a task's model when an environment is made, seeded and
-reset."""
+"""Number of times that the original has loaded a task's model after an environment was created,
+seeded and reset."""
 
 
 class Stepped(NamedTuple):
     """The results of a chunk, in the order of the rows."""
 
     observation: Observation
-    """After the last step; with ``render="all"`` arrays are [rows, steps, …]."""
+    """Observation after the last step; with ``render="all"`` its arrays are [rows, steps, …]."""
     success: NDArray[np.bool_]
-    """[rows, steps]: the goal holds after the step."""
+    """[rows, steps]: true if the goal holds after the step."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """The start of a row's rollout, as a script starts an ``OffScreenRenderEnv``: constructs it,
-    calls ``seed(seed)`` and ``reset()``, then ``set_init_state(state)``, and steps until
-    everything rests."""
+    """The start of a row's rollout, equal to a script's start of an
+    ``OffScreenRenderEnv``: its construction, ``seed(seed)``, ``reset()``,
+    ``set_init_state(state)``, and steps until everything rests."""
 
     task: str
     """A BDDL file, or the name of one of the forty tasks, ``libero_goal/3``."""
     state: NDArray[np.float64] | None = None
-    """Time, s, joint positions and velocities; None leaves everything where the samplers have
-    placed it."""
+    """Time, s, joint positions and velocities; None keeps the samplers' placement of all
+    objects."""
     seed: int = 0
-    """Of NumPy's legacy generator, which places fixtures, and without a state all else."""
+    """Seed of NumPy's legacy generator, which places fixtures and, without a state, all objects."""
     loads: int = LOADS
-    """How often the original would have loaded the task's model by then: one more for each
-    reset of an environment that it does not make anew."""
+    """Number of times that the original would have loaded the task's model by then: one more for
+    each reset of a reused environment."""
 
 
 class TrainingEnvironment:
-    """Rows of environments that begin and step together, on threads of this process.
+    """Rows of environments that start and step together, on threads of this process.
 
     Args:
         num_envs: the number of rows.
         assets: as in ``Environment``.
-        threads: on how many threads they compute; by default as many as there are cores.
-        cameras, height, width, orientation: of the frames, as in ``Environment``. Arrays are
-            contiguous, and new in each call: ``torch.from_numpy`` takes them over.
+        threads: number of threads; by default one per core.
+        cameras, height, width, orientation: settings of the frames, as in ``Environment``. Arrays
+            are contiguous, and new in each call, so ``torch.from_numpy`` can take them over.
         control: ``"relative"`` or ``"absolute"``, as in ``Environment``.
-        settle_steps, settle_action: control steps before the first observation, and their
-            action.
+        settle_steps, settle_action: number of control steps before the first observation, and
+            their action.
 
-    Rows that begin alike in one call, a group of the same task, state and seed, come to rest
-    once. If a row fails, the others finish; the exception, ``SimulationError``, has the rows
-    that failed as ``environments`` and the results of the call as ``result``.
+    Rows with equal starts in one call, a group of the same task, state and seed, settle
+    only once. If a row fails, the others finish; the exception, ``SimulationError``,
+    has the failed rows as ``environments`` and the results of the call as ``result``.
     """
 
     def __init__(
@@ -117,8 +117,8 @@ class TrainingEnvironment:
         rows: Sequence[int] | None = None,
         render: Literal["last", "none"] = "last",
     ) -> Observation:
-        """Begins rollouts in some rows, or in all, a start for each; returns what they observe,
-        with ``render="none"`` without frames.
+        """Begins rollouts in some rows, or in all, with a start for each;
+        returns their observations, without frames if ``render="none"``.
 
         Raises:
             FileNotFoundError: if files are missing.
@@ -159,8 +159,8 @@ class TrainingEnvironment:
         rows: Sequence[int] | None = None,
         render: Render = "last",
     ) -> Stepped:
-        """Control steps of some rows, or of all, with actions [rows, steps, 7]: all of them,
-        past success too.
+        """Executes control steps of some rows, or of all, with actions [rows,
+        steps, 7]. All actions are executed, even past success.
 
         Raises:
             ValueError: for actions of another shape, and for rows without a rollout; nothing
@@ -179,15 +179,15 @@ class TrainingEnvironment:
         return _finished(stepped, rows, shown["errors"])
 
     def frame(self, row: int, camera: str, width: int, height: int) -> NDArray[np.uint8]:
-        """A picture of what a row observed last, upright, in any size."""
+        """Returns a picture of a row's last observed instant, upright, in any size."""
         return self._held(row).frame(camera, width, height)[::-1]
 
     def snapshot(self, row: int) -> native.Snapshot:
-        """All that a row's next step depends on."""
+        """Returns the complete state for a row's next step."""
         return self._held(row).snapshot()
 
     def restore(self, row: int, snapshot: native.Snapshot) -> None:
-        """Has a row go on from a snapshot of a row of the same task."""
+        """Continues a row from a snapshot of a row of the same task."""
         self._held(row).restore(snapshot)
 
     def close(self) -> None:
@@ -198,7 +198,7 @@ class TrainingEnvironment:
         self.simulations = [None] * self.num_envs
 
     def _make(self, row: int, task: str) -> None:
-        """Has a row simulate a task."""
+        """Assigns a task to a row's simulation."""
         scene = scenes.scene(_bddl_file(task), self._assets)
         held = self.simulations[row]
         if held is None or held.scene is not scene:

@@ -1,4 +1,4 @@
-"""Many environments in one process, as gymnasium has them."""
+"""A gymnasium vector environment in one process."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from rollout_libero.tasks import Task
 
 
 class VectorSnapshot(NamedTuple):
-    """All that the environments' next step depends on."""
+    """The complete state that determines the environments' next step."""
 
     simulations: tuple[native.Snapshot, ...]
     rollouts: tuple[Rollout, ...]
@@ -43,25 +43,24 @@ class VectorSnapshot(NamedTuple):
 class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     """Environments that step together, on threads of this process.
 
-    Environments of one task share its compiled scene. Frames, readings, rewards and ends
-    are stacked, one row for each environment.
+    Environments of one task share its compiled scene. Frames, readings, rewards
+    and ends are stacked, one row per environment.
 
-    A call that is refused (``ValueError``, ``ResetNeeded``) changes nothing. If an
-    environment fails in a call (``SimulationError``), the others finish their steps first,
-    and the exception says so: ``environments`` has the numbers of those that failed and
-    ``result`` what the call would have returned, with ``infos["failed"]``. A rollout that
-    failed is over, neither terminated nor truncated: ``NEXT_STEP`` begins another one in the
-    next step, the other modes want a reset.
+    A refused call (``ValueError``, ``ResetNeeded``) changes nothing. If an
+    environment fails in a call (``SimulationError``), the others finish their
+    steps first; the exception's ``environments`` has the numbers of those that
+    failed and its ``result`` the call's return value, with ``infos["failed"]``.
+    A failed rollout is over, neither terminated nor truncated: ``NEXT_STEP``
+    begins another one in the next step, the other modes need a reset.
 
     Args:
-        tasks: one task, or several; environment *i* has the *i*-th, and they repeat.
-        num_envs: how many environments; by default one of each task.
-        threads: on how many threads they compute; by default as many as there are cores.
-            With OpenGL it is one.
-        perturbation: one for all, or one for each environment.
-        init_states: where rollouts begin; see ``configuration.InitStates``. Environments of
-            one task that take turns share the sequence: of *n* environments the *r*-th
-            begins at place *r* and goes on by *n*, so no two are alike at a time.
+        tasks: one task, or several; environment *i* has the *i*-th, repeated cyclically.
+        num_envs: number of environments; by default one per task.
+        threads: number of threads; by default one per core. With OpenGL it is one.
+        perturbation: one for all environments, or one for each.
+        init_states: initial states of rollouts; see ``configuration.InitStates``. Environments
+            of one task that take turns share the sequence: of *n* environments, the *r*-th
+            begins at index *r* and advances by *n*, so that no two have the same state at a time.
         execution: the robot's conduct while a policy's answer is under way, as of a campaign:
             ``"wait"``, ``"hold:4"``, ``"overlap:4"`` or ``"overlap:4,rtc"``; by default that of
             the perturbation's row, else ``"wait"``. ``step_chunk`` then takes the answers to the
@@ -158,11 +157,11 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins rollouts.
 
-        A number seeds environment *i* with itself plus *i*; a list has each one's own seed,
-        or None. With ``init_states="cycle"``, or numbers, a seed chooses the turn: a list's
-        as in ``Environment.reset``, and of a number the *r*-th environment of a task begins
-        at turn ``seed + r``. ``options`` may have ``reset_mask``, [environments], of those
-        that begin, and ``init_state``, a number or one for each, which takes precedence.
+        A number seeds environment *i* with itself plus *i*; a list has a seed, or None, for each.
+        With ``init_states="cycle"``, or numbers, a seed selects the turn: seeds of a list act as in
+        ``Environment.reset``, and with a number the *r*-th environment of a task begins at turn
+        ``seed + r``. ``options`` may have ``reset_mask``, [environments], True for those that
+        begin, and ``init_state``, a number or one for each, which takes precedence.
         """
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)), dtype=bool)
@@ -198,7 +197,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     def step(
         self, actions: ArrayLike
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """One control step of each environment, with actions [environments, 7]."""
+        """Executes a control step of each environment, with actions [environments, 7]."""
         actions = np.asarray(actions, dtype=np.float64)
         if actions.shape != (self.num_envs, ACTION_WIDTH):
             raise ValueError(
@@ -214,17 +213,17 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         *,
         expert: ArrayLike | None = None,
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Control steps with actions [environments, steps, 7], each rollout as far as it goes.
+        """Executes control steps, actions [environments, steps, 7], until each rollout ends.
 
-        With ``render="last"`` an environment's observation is that after its last step; with
-        ``"all"`` arrays are [environments, steps, …], and zero beyond the steps taken, which
-        ``info["taken"]`` counts (where a rollout begins, none, and the first observation is
-        in the first place); with ``"none"`` there are no frames.
+        With ``render="last"`` an environment's observation is that after its last step;
+        with ``"all"`` arrays are [environments, steps, …], and zero beyond the steps
+        taken, which ``info["taken"]`` counts (none where a rollout begins; its first
+        observation has the first place); with ``"none"`` there are no frames.
 
-        ``expert``, [environments, steps], has a scripted expert asked at every step, which
-        looks at the simulator's state: ``info["expert_action"]``, [environments, steps, 7],
-        is what it would do there, NaN beyond the steps taken. Where ``expert`` is true it
-        drives, and ``actions`` are added to its own.
+        ``expert``, [environments, steps], queries a scripted expert, which reads the
+        simulator's state, at every step: ``info["expert_action"]``, [environments,
+        steps, 7], has its actions, NaN beyond the steps taken. Where ``expert`` is
+        true, the expert drives, and ``actions`` are added to its own.
 
         Under an execution model, or with ``execute``, ``actions`` are the answers to the
         observations of the call before. Each environment moves until its next query is due, in
@@ -306,7 +305,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         return commands, schedules
 
     def set_perturbation(self, index: int, perturbation: str | Mapping[str, Any] | None) -> None:
-        """Perturbs an environment otherwise, from its next rollout on.
+        """Changes an environment's perturbation, from its next rollout on.
 
         Raises:
             ValueError: if there is no such configuration; the one before it stays.
@@ -314,14 +313,14 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         self.starts[index].perturb(perturbation)
 
     def snapshot(self) -> VectorSnapshot:
-        """All that the next step depends on; the generators that seed resets are left out."""
+        """Returns the complete state for the next step, without the generators that seed resets."""
         return VectorSnapshot(
             tuple(simulation.snapshot() for simulation in self.simulations),
             tuple(replace(rollout) for rollout in self._rollouts),
         )
 
     def restore(self, snapshot: VectorSnapshot) -> None:
-        """Goes back to a snapshot.
+        """Returns to a snapshot.
 
         Raises:
             ValueError: if it is of other tasks; nothing has changed then.
@@ -342,7 +341,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         render: Render,
         errors: list[Exception | None],
     ) -> None:
-        """Begins rollouts in the place of those that ended in this step."""
+        """Begins new rollouts in place of those that ended in this step."""
         which = np.flatnonzero(ended).tolist()
         infos["final_obs"] = _rows_as_objects(observation, which, self.num_envs)
         infos["_final_obs"] = ended
@@ -369,12 +368,12 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         infos.update(self._infos(infos["success"]))
 
     def _rows(self, starts: Mapping[int, Start]) -> list[str | None]:
-        """The rows of those environments that begin, for the simulator."""
+        """Returns the rows of the beginning environments, for the simulator."""
         return [starts[at].row if at in starts else None for at in range(self.num_envs)]
 
     def _begin(self, starts: Mapping[int, Start], errors: Sequence[Exception | None]) -> None:
-        """Takes up what the simulator has begun. A start that failed is used up, so that the
-        next one is another."""
+        """Adopts the rollouts that the simulator has begun. A failed start
+        counts as used, so that the next one differs."""
         for at, start in starts.items():
             error = errors[at]
             if isinstance(error, UNTOUCHED):
@@ -457,7 +456,7 @@ def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | No
 def _rows_as_objects(
     observation: Observation, which: Sequence[int], count: int
 ) -> NDArray[np.object_]:
-    """Copies of some environments' observations, as gymnasium has them in an info."""
+    """Copies some environments' observations, in the form that gymnasium uses in an info."""
     rows = np.full(count, None, dtype=object)
     for at in which:
         rows[at] = {name: values[at].copy() for name, values in observation.items()}

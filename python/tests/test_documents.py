@@ -1,4 +1,4 @@
-"""The documents' Python runs as it stands."""
+"""The documents' Python code runs unchanged."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ PAGES = ("README.md", "docs/PYTHON.md", "python/README.md", "python/libero_shim/
 
 
 def blocks():
-    """Programs that need nothing but the wheels; those in files belong to a shell session."""
+    """Programs that need only the wheels; programs in files belong to a shell session."""
     for page in PAGES:
         text = (ROOT / page).read_text()
         pieces = text.split("```python\n")

@@ -1,4 +1,4 @@
-"""The examples run as they are, on the built-in assets."""
+"""The examples run unchanged, on the built-in assets."""
 
 import re
 import subprocess
@@ -60,10 +60,10 @@ def test_collected_episodes_are_whole_and_the_same_for_the_same_seed(tmp_path):
             assert once["agentview"].shape == (count + 1, 32, 32, 3)
             assert once["agentview"].dtype == np.uint8
             assert once["actions"].shape == (count, 7)
-            # An episode ends once, with its last step.
+            # An episode ends only once, at its last step.
             ended = once["terminated"] | once["truncated"]
             assert list(ended) == [False] * (count - 1) + [True]
-            # The reset's observation is the first, and not the last of the episode before.
+            # The first observation is the reset's, not the last of the previous episode.
             moved = np.linalg.norm(np.diff(once["eef_pos"], axis=0), axis=1)
             assert moved.max() < 0.1
             assert str(once["instruction"])

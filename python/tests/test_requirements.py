@@ -1,4 +1,4 @@
-"""The oldest releases that the packages accept."""
+"""The oldest releases accepted by the packages."""
 
 from importlib.metadata import PackageNotFoundError, requires
 
@@ -13,5 +13,5 @@ except PackageNotFoundError:
 def test_every_gymnasium_that_is_accepted_has_autoreset_modes():
     (gymnasium,) = [line for line in REQUIRED if line.startswith("gymnasium")]
     oldest = gymnasium.partition(">=")[2].split(",")[0]
-    # gymnasium.vector.AutoresetMode came with 1.1.
+    # gymnasium.vector.AutoresetMode was introduced in 1.1.
     assert tuple(map(int, oldest.split("."))) >= (1, 1)

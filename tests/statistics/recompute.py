@@ -26,7 +26,7 @@ FINDING_ALPHA = 0.01
 FEWEST_TASKS = 5
 PERMUTATIONS = 1999
 SIGNS = 4000
-# Of a 95th percentile of 4,000 draws, twice.
+# Allows for the sampling error of two 95th percentiles of 4,000 draws each.
 SIGNS_TOLERANCE = 0.06
 TOLERANCE = 1e-9
 
@@ -140,7 +140,7 @@ def around_mean(value, variance, _):
 
 
 def around_product(value, variance, _):
-    """On the scale log(-log), in which a product of shares is the log of a sum."""
+    """Interval on the scale log(-log), on which a product of shares is the log of a sum."""
     if variance is None or variance[0] <= 1e-24 or not 0 < value < 1:
         return None
     centre = np.log(-np.log(value))
@@ -222,14 +222,14 @@ def loss(keys, nominal, success):
 
 
 def excess(keys, y, placebo):
-    """`placebo` is (keys, outcomes), the last column simultaneous."""
+    """Excess over the placebo; `placebo` is (keys, outcomes), the last column simultaneous."""
     rows = {}
     for key, outcomes in zip(keys, y):
         alone = outcomes[:-1].all()
         rows[key] = [1, alone and not outcomes[-1], not alone and outcomes[-1], 0, 0, 0]
     for key, outcomes in zip(*placebo):
         m, chosen = len(outcomes), []
-        # Every rollout in turn is the simultaneous one.
+        # Every rollout takes the role of the simultaneous one in turn.
         for at in range(m):
             alone = np.delete(outcomes, at).all()
             chosen.append([alone and not outcomes[at], not alone and outcomes[at]])
@@ -352,7 +352,7 @@ def progress(pairs, own_directions):
 
 
 def difference(pairs, own_directions):
-    """One row of a comparison, without what depends on the others; and A - B by task."""
+    """One row of a comparison, without values that depend on other rows, and A - B by task."""
     keys = [tuple(pair[:3]) for pair in pairs]
     a, b = np.array([pair[3:5] for pair in pairs]).T
     ones = np.ones(len(pairs))
@@ -390,7 +390,7 @@ def difference(pairs, own_directions):
 
 
 def max_t(by_tasks):
-    """How many standard errors wide intervals of all rows together are, by random signs."""
+    """Half-width, in standard errors, of simultaneous intervals for all rows, by random signs."""
     tasks = sorted(set().union(*by_tasks))
     columns = []
     for of in by_tasks:
@@ -575,7 +575,7 @@ def compare(campaign, comparison):
         if theirs["directions"] is not None:
             rates, p = directions(keys, sim)
             comparison.check(f"{name} {level} directions", rates, theirs["directions"]["rates"])
-            # Both are shares of 1,999 permutations.
+            # Both p-values are estimated from 1,999 random permutations.
             error = 5 * (2 * max(p * (1 - p), 1e-3) / PERMUTATIONS) ** 0.5
             comparison.check(f"{name} {level} directions p", p, theirs["directions"]["p"], error)
     kinds = {"simultaneity", "directions"}

@@ -26,7 +26,7 @@ fn metadata(arguments: &[&str]) -> Value {
 /// Tools around the programs. They may use every crate, and no crate may use them.
 const TOOLS: [&str; 3] = ["tests", "xtask", "untrusted-input"];
 
-/// Libraries that stand for a responsibility, and the crates that hold it.
+/// Libraries that mark a responsibility, with the crates that have it and may use the library.
 const LIBRARIES: [(&str, &[&str]); 8] = [
     ("mujoco-rs", &["sim"]),
     ("sqlx", &["queue"]),

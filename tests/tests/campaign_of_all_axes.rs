@@ -1,5 +1,5 @@
-//! The whole design on a small part of the benchmark: all seven conditions, and two
-//! subsets, at all three levels through real processes, to a complete paired table.
+//! The whole design on a small part of the benchmark, run by real processes: all seven conditions
+//! and two subsets, at all three levels, give a complete paired table.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -39,7 +39,7 @@ fn all_conditions_at_three_levels_come_to_a_complete_paired_table() {
     check_stored(&stored(data.path()));
 }
 
-/// Every rollout of the design once, and each of them a row of the reference's.
+/// Asserts that every rollout of the design has one row in the reference's format.
 fn check_export(rows: &[String]) {
     assert_eq!(rows.len(), ROLLOUTS);
     let mut conditions: BTreeMap<(Condition, Level), usize> = BTreeMap::new();
@@ -59,7 +59,7 @@ fn check_export(rows: &[String]) {
     );
 }
 
-/// Three complete cells, with the paired measures of both configurations.
+/// Asserts that all three cells are complete, with the paired measures of both configurations.
 fn check_report(report: &str) {
     let document: Value = serde_json::from_str(report).unwrap();
     let report = &document["reports"][0];
@@ -99,16 +99,16 @@ fn check_table(table: &str) {
     }
 }
 
-/// A committed rollout: what the policy was told to do, and what was realised
-/// of its perturbation.
+/// A committed rollout: its manifest row, which has the policy's instruction, and the realised
+/// perturbation.
 struct Stored {
     row: ManifestRow,
     realised: BTreeMap<String, serde_json::Value>,
 }
 
-/// Wherever the language axis was perturbed, the policy was told the same paraphrase, and
-/// elsewhere the canonical instruction; and every axis was realised together with others
-/// as alone.
+/// Asserts that the policy got the same paraphrase wherever the language axis was perturbed, and
+/// the canonical instruction elsewhere, and that every axis was realised in combinations as it was
+/// alone.
 fn check_stored(stored: &BTreeMap<RolloutId, Stored>) {
     assert_eq!(stored.len(), ROLLOUTS);
     for (id, Stored { row, realised }) in stored {

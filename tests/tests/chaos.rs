@@ -1,10 +1,9 @@
-//! Whole campaigns while everything fails: seeded schedules of faults on real
-//! processes. After each, the campaign finishes, its database holds every
-//! invariant, its report and results are those of the undisturbed one, byte for
-//! byte, and no more attempts were charged than slots were killed under their workers: a
-//! network that fails, or a machine that is started again, costs no rollout an attempt.
+//! Whole campaigns under seeded schedules of faults on real processes. After each, the campaign
+//! finishes, its database holds every invariant, its report and results equal those of the
+//! undisturbed campaign byte for byte, and no more attempts are charged than slots were killed
+//! under their workers: network failures and restarted machines cost no rollout an attempt.
 //!
-//! `ROLLOUT_CHAOS_SEEDS=17` plays one schedule again, `=1000-1999` plays others
+//! `ROLLOUT_CHAOS_SEEDS=17` replays one schedule, and `=1000-1999` plays these schedules instead
 //! (docs/RELIABILITY.md).
 
 use std::collections::VecDeque;
@@ -15,13 +14,13 @@ use std::time::{Duration, Instant};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 use tests::chaos::{Fault, Fleet, LEASE, Plan, Schedule, SlotKind, Way};
 
-/// Schedules with simulated slots, and with MuJoCo.
+/// Numbers of schedules with simulated slots and with MuJoCo.
 const SIMULATED: u64 = 48;
 const REAL: u64 = 4;
-/// Systems that suffer at a time, for each core: they wait more than they work.
+/// Number of concurrent systems for each core: they wait more than they work.
 const AT_A_TIME_PER_CORE: usize = 3;
 
-/// Attempts that were charged.
+/// Query for the number of charged attempts.
 const CHARGED: &str = "SELECT coalesce(sum(charged), 0) FROM failure";
 
 #[test]
@@ -34,7 +33,7 @@ fn with_mujoco_too_a_campaign_ends_as_the_undisturbed_one() {
     play(SlotKind::Real, seeds(100..100 + REAL));
 }
 
-/// The seeds that were asked for, or these.
+/// Returns the seeds that the environment requests, or the usual ones.
 fn seeds(usual: std::ops::Range<u64>) -> VecDeque<u64> {
     let Ok(text) = std::env::var("ROLLOUT_CHAOS_SEEDS") else {
         return usual.collect();
@@ -44,7 +43,7 @@ fn seeds(usual: std::ops::Range<u64>) -> VecDeque<u64> {
     (number(first)..=number(last)).collect()
 }
 
-/// Plays schedules, some at a time; names those that failed at the end.
+/// Plays schedules, several at a time; names those that failed at the end.
 fn play(slots: SlotKind, seeds: VecDeque<u64>) {
     let start = Instant::now();
     let expected = Fleet::start(slots).outcome();
@@ -76,7 +75,7 @@ fn play(slots: SlotKind, seeds: VecDeque<u64>) {
     );
 }
 
-/// One number that a query of the coordinator's database answers.
+/// Returns the number that a query of the coordinator's database yields.
 fn count(fleet: &Fleet, sql: &'static str) -> i64 {
     let options = SqliteConnectOptions::new().filename(fleet.data().join("coordinator.sqlite"));
     tokio::runtime::Runtime::new().unwrap().block_on(async {
@@ -87,7 +86,7 @@ fn count(fleet: &Fleet, sql: &'static str) -> i64 {
     })
 }
 
-/// Plays one schedule. If it fails, says what it was and what was said.
+/// Plays one schedule. If it fails, prints the schedule, the difference and the end of the log.
 fn survives(schedule: &Schedule, slots: SlotKind, expected: &str) -> bool {
     let mut fleet = Fleet::start(slots);
     let played = catch_unwind(AssertUnwindSafe(|| {
@@ -113,7 +112,7 @@ fn survives(schedule: &Schedule, slots: SlotKind, expected: &str) -> bool {
     same
 }
 
-/// The first line that differs.
+/// Returns the first lines that differ.
 fn difference(expected: &str, outcome: &str) -> String {
     let mut pairs = expected.lines().zip(outcome.lines());
     match pairs.find(|(one, other)| one != other) {
@@ -124,7 +123,7 @@ fn difference(expected: &str, outcome: &str) -> String {
 
 #[test]
 fn workers_that_slept_through_their_leases_are_heard_when_they_wake() {
-    // Of several, one might be given another's rollout before that one wakes.
+    // With several workers, a rollout might be leased to another one before its worker wakes.
     let mut fleet = Fleet::start_with(Plan {
         workers: 1,
         ..Plan::small(SlotKind::Simulated)
@@ -139,7 +138,7 @@ fn workers_that_slept_through_their_leases_are_heard_when_they_wake() {
     assert_eq!(count(&fleet, "SELECT sum(stale_reports) FROM job"), 0);
 }
 
-/// Finding B4: three cuts quarantined what ran, and five stopped all workers.
+/// Regression (finding B4): three cuts quarantined running rollouts, and five stopped all workers.
 #[test]
 fn a_network_that_is_cut_again_and_again_charges_nobody() {
     let mut fleet = Fleet::start(SlotKind::Simulated);
@@ -156,13 +155,13 @@ fn a_network_that_is_cut_again_and_again_charges_nobody() {
     assert_eq!(count(&fleet, struck), 0);
 }
 
-/// Defect 5: a claim whose answer was lost left a lease that expired as a charged
-/// failure, and a strike against the worker.
+/// Regression (defect 5): a claim whose answer was lost left a lease that expired as a charged
+/// failure, and as a strike against the worker.
 #[test]
 fn a_wire_that_loses_every_answer_of_the_coordinator_charges_nothing() {
     let mut fleet = Fleet::start(SlotKind::Simulated);
     for _ in 0..3 {
-        // Longer than a lease lasts that is never acknowledged.
+        // Longer than the duration of a lease that is never acknowledged.
         fleet.suffer_one(Fault::LoseAnswers(LEASE + Duration::from_secs(1)));
         std::thread::sleep(Duration::from_millis(300));
     }

@@ -1,12 +1,12 @@
-//! Output whose reader has gone, as with `| head`: every command that prints ends
-//! well, and says nothing of it.
+//! Output whose reader has exited, as with `| head`: every command that prints succeeds and reports
+//! no error.
 
 use std::io::pipe;
 use std::process::{Command, Stdio};
 
 use tests::programs::{Campaigns, program};
 
-/// Runs a command whose output nobody reads.
+/// Runs a command whose standard output has no reader.
 fn check(name: &str, arguments: &[&str]) {
     let (reader, writer) = pipe().expect("a pipe");
     drop(reader);

@@ -1,5 +1,5 @@
-//! Tests of all programs' command lines: exit codes, as docs/OPERATING.md has them,
-//! and options from the environment.
+//! Command lines of all programs: exit codes as documented in docs/OPERATING.md, and options from
+//! the environment.
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Command, Output, Stdio};
@@ -11,7 +11,7 @@ const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
 /// An address at which nobody listens.
 const NOBODY: &str = "127.0.0.1:9";
 
-/// A program in an environment that holds these variables and no other.
+/// Returns a command whose environment has only these variables and the necessary ones.
 fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Command {
     let mut command = Command::new("timeout");
     command.args(["--signal=TERM", "60"]).arg(program(name));
@@ -19,7 +19,7 @@ fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Comman
     command
         .env_clear()
         .env("PATH", std::env::var_os("PATH").expect("a path"));
-    // Variables by which the build's libraries are found.
+    // Variables that are needed to find the build's libraries.
     for kept in ["HOME", "LD_LIBRARY_PATH"] {
         command.envs(std::env::var_os(kept).map(|value| (kept, value)));
     }
@@ -33,14 +33,14 @@ fn run(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Output {
         .expect("it runs")
 }
 
-/// Runs until it listens, asks it to end, and says what it printed and its code.
+/// Runs a server until it listens, sends SIGTERM, and returns its output and exit code.
 fn serve(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> (String, i32) {
     let mut command = command(name, arguments, variables);
     let mut child = command.stdout(Stdio::piped()).spawn().expect("it starts");
     let mut out = BufReader::new(child.stdout.take().expect("piped"));
     let mut said = String::new();
     out.read_line(&mut said).expect("a line");
-    // `timeout` passes the signal on.
+    // `timeout` forwards the signal.
     let id = child.id().to_string();
     assert!(
         Command::new("kill")
@@ -54,7 +54,7 @@ fn serve(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> (String,
     (said, code.expect("no signal ended it"))
 }
 
-/// The codes of the table in docs/OPERATING.md.
+/// Returns the exit codes in the table of docs/OPERATING.md.
 fn documented() -> Vec<i32> {
     let page = std::fs::read_to_string(checkout().join("docs/OPERATING.md")).expect("the page");
     let section = page
@@ -150,11 +150,11 @@ fn exit_codes_are_those_of_the_table() {
     assert_eq!(documented(), codes);
 }
 
-/// Options and their variables, by a program's help.
+/// Returns the options in a program's help, each with its environment variable, if any.
 fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
     let help = run(name, &[words, &["--help"]].concat(), &[]);
     let help = String::from_utf8(help.stdout).expect("UTF-8");
-    // Help of an option may go over several lines, which may end anywhere.
+    // The help of an option may span several lines, with line breaks anywhere.
     let mut said: Vec<(String, String)> = Vec::new();
     for line in help.lines() {
         let indent = line.len() - line.trim_start().len();
@@ -281,7 +281,7 @@ fn a_variable_that_cannot_be_meant_is_named_by_what_serves_and_is_nothing_to_oth
         said.contains("there") && !said.contains("the environment"),
         "{said}"
     );
-    // A unit's variables do not reach what its program starts, or its user.
+    // Commands without these options ignore the variables of a unit that started them.
     for (name, arguments) in [
         ("worker", &["assets", "list", "primitives"][..]),
         ("worker", &["completions", "bash"]),

@@ -1,12 +1,11 @@
-//! Every command of the documentation works as it is written.
+//! Every command in the documentation works as written.
 
 use std::path::Path;
 
 use tests::documents::folder::checkout;
 use tests::documents::visit::{failures, visit};
 
-/// A test per page: pages run beside each other, and the report of the tests says
-/// which of them fails.
+/// One test per page: pages run concurrently, and the test report names the page that fails.
 macro_rules! pages {
     ($($test:ident: $page:literal,)*) => {
         const PAGES: &[&str] = &[$($page),*];

@@ -106,7 +106,7 @@ fn grpc_url(policy: &Process) -> String {
     policy.url.replacen("http://", "grpc://", 1)
 }
 
-/// One rollout with a policy server behind a gateway.
+/// Runs one rollout with a policy server behind a gateway.
 fn roll_out(name: &str, policy: &Process) {
     let mut gateway = Command::new(program("policy-gateway"));
     gateway.args([

@@ -1,5 +1,4 @@
-//! Memory over many rollouts, small: `endurance --rollouts 500 --assets PATH`
-//! is the measure itself.
+//! Memory over a few rollouts; the full measurement is `endurance --rollouts 500 --assets PATH`.
 
 use std::process::Command;
 

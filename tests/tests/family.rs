@@ -1,5 +1,5 @@
-//! Variants of LIBERO-Plus against states that its own code reached: `family/record.py`
-//! recorded them.
+//! Compares variants of LIBERO-Plus with states that its own code reached, as recorded by
+//! `family/record.py`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ const TOLERANCE: f64 = 1e-9;
 /// Seed of the recordings.
 const SEED: u32 = 7;
 
-/// Recorded numbers of each variant, by what they are.
+/// Returns the recorded numbers of each variant, by kind.
 fn recorded() -> BTreeMap<Variant, BTreeMap<&'static str, Vec<f64>>> {
     let mut recorded: BTreeMap<_, BTreeMap<_, _>> = BTreeMap::new();
     for line in RECORDED.lines() {
@@ -111,7 +111,7 @@ fn states_after_reset_and_waits_and_cameras_are_the_originals() {
     }
 }
 
-/// The generator serves the reset, and every picture since, looked at or not.
+/// The generator draws for the reset and for every later picture, rendered or not.
 #[test]
 fn corruption_draws_what_the_original_draws() {
     let test = "corruption_draws_what_the_original_draws";
@@ -130,7 +130,7 @@ fn corruption_draws_what_the_original_draws() {
         let mut environment = Environment::of(Arc::clone(ready.compiled())).unwrap();
         let mut rng = LegacyRng::seed(SEED);
         environment.reset(&mut rng, Reset::Hard, 2).unwrap();
-        // The reset's picture, and those of ten waits.
+        // One picture of the reset, and one of each of the ten waits.
         for _ in 0..11 {
             corruption.skip(256, 256, &mut rng);
         }
@@ -141,7 +141,7 @@ fn corruption_draws_what_the_original_draws() {
     assert_eq!(checked, 5);
 }
 
-/// States of LIBERO-PRO in trials 0 and 1; `family/record_pro.py` recorded them.
+/// Compares states of LIBERO-PRO in trials 0 and 1, as recorded by `family/record_pro.py`.
 #[test]
 fn states_of_pro_after_resets_and_waits_are_the_originals() {
     let test = "states_of_pro_after_resets_and_waits_are_the_originals";

@@ -1,5 +1,5 @@
-//! The simulator against the original: all of the reference data where it is
-//! there, and a few carried figures everywhere.
+//! Comparison of the simulator with the original: by all of the reference data where available, and
+//! by a few committed figures on every machine.
 
 use std::collections::BTreeSet;
 
@@ -57,7 +57,7 @@ fn every_reference_task_of_libero_10_agrees_with_the_original() {
     check_suite("libero_10");
 }
 
-/// Frames only: what moves, the tests above judge. One task of each suite.
+/// Compares only frames, of one task of each suite; the tests above compare motion.
 #[test]
 fn frames_drawn_through_opengl_are_the_originals_within_bounds() {
     let test = "frames_drawn_through_opengl_are_the_originals_within_bounds";
@@ -84,10 +84,9 @@ fn frames_drawn_through_opengl_are_the_originals_within_bounds() {
     }
 }
 
-/// SHA-256 of frames of LIBERO's scenes by the software renderer, 256 × 256: of one task
-/// of each suite both cameras' first frames that a policy sees, nominal and under a
-/// camera's and a light's preset. They change with `raster::NAME`, with MuJoCo and with
-/// what a scene consists of.
+/// SHA-256 of frames of LIBERO's scenes, drawn by the software renderer, 256 × 256: for one task of
+/// each suite, the first frames of both cameras that a policy sees, nominal and with presets of the
+/// camera and lighting axes. They change with `raster::NAME`, MuJoCo and the content of scenes.
 const REAL_FRAMES: &str = include_str!("../data/real_frames.jsonl");
 
 #[derive(Deserialize, Serialize)]
@@ -145,12 +144,12 @@ fn frames_of_real_scenes_have_the_same_bits_on_every_machine() {
     );
 }
 
-/// Depths and segments, of one task of each suite and both cameras. The same
-/// pictures' colours are judged above.
+/// Compares depths and segments, for one task of each suite and both cameras. Colours are compared
+/// above.
 #[test]
 fn depths_and_segments_are_opengls() {
     const SIZE: [u32; 2] = [256, 256];
-    // A thousandth of the pixels: those at silhouettes, and where surfaces meet.
+    // A thousandth of the pixels: those at silhouettes and where surfaces meet.
     const MOST: usize = 65;
     let drawers = [
         Drawer::open(Renderer::Software).unwrap(),
@@ -288,8 +287,8 @@ fn the_arm_moves_as_the_original_does_whatever_the_asset_pack() {
             let qpos = environment.data().qpos(environment.model());
             let pairs = qpos.iter().zip(&motion.qpos[index]);
             for (ours, theirs) in pairs.chain(eef_pos.iter().zip(&motion.eef_pos[index])) {
-                // The solver handles all contacts of a scene at once, so other
-                // objects show in the arm below its tolerance.
+                // The solver handles all contacts of a scene together, so that other objects affect
+                // the arm by less than the solver's tolerance.
                 assert!(
                     (ours - theirs).abs() < 1e-7,
                     "{task}, step {step}: {ours} for {theirs}"

@@ -11,18 +11,18 @@ use libero_ctrl::{Axis, AxisSet, Condition, Level, RolloutId, Suite, TaskRef};
 use tests::browser::{self, Browser, Screen};
 use tests::programs::{Campaigns, Process};
 
-/// A phone, a tablet, a laptop, a desk.
+/// Widths of a phone, a tablet, a laptop and a desktop screen, CSS pixels.
 const WIDTHS: [u32; 4] = [390, 768, 1280, 1920];
-/// Of which side by side means side by side.
+/// Width from which cards must stand side by side, CSS pixels.
 const WIDE: u32 = 1280;
-/// Smallest letters, CSS pixels.
+/// Smallest allowed letters, CSS pixels.
 const MIN_LETTERS_PX: f64 = 11.0;
-/// How much of the page's width a figure with its caption takes, on a wide screen.
+/// Least share of the page's width for a figure with its caption, on a wide screen.
 const MIN_FILLED: f64 = 0.85;
-/// Tallest picture, CSS pixels.
+/// Tallest screenshot, CSS pixels.
 const MAX_HEIGHT: u64 = 8_000;
 
-/// The smallest letters that are shown, as they come out on the screen.
+/// JavaScript for the displayed size of the smallest visible letters, and their text.
 const SMALLEST: &str = "(() => { let least = [99, ''];
     for (const e of document.querySelectorAll('main *')) {
         const own = [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim());
@@ -33,26 +33,26 @@ const SMALLEST: &str = "(() => { let least = [99, ''];
         if (size < least[0]) least = [size, e.textContent.trim()];
     }
     return least; })()";
-/// The share of the page's width that the narrowest figure takes.
+/// JavaScript for the share of the page's width that the narrowest figure takes.
 const NARROWEST: &str = "(() => { const page = document.querySelector('main');
     const width = page.getBoundingClientRect().width;
     const share = f => { const boxes = [...f.querySelectorAll('svg, figcaption, p')]
             .map(e => e.getBoundingClientRect()).filter(b => b.width);
         return (Math.max(...boxes.map(b => b.right)) - Math.min(...boxes.map(b => b.left))) / width; };
     return Math.min(1, ...[...document.querySelectorAll('main figure')].map(share)); })()";
-/// Whether the first two cards of a configuration stand in one row.
+/// JavaScript for the titles of a configuration's first two cards, and true if they share a row.
 const SIDE_BY_SIDE: &str = "(() => { const [nominal, all] = document.querySelectorAll('.rollout');
     const title = e => e.querySelector('h2').innerText;
     return [title(nominal), title(all),
         nominal.getBoundingClientRect().top === all.getBoundingClientRect().top]; })()";
 
-/// Whether the nominal rollout of the lattice is in view without scrolling to the side.
+/// JavaScript that is true if the lattice shows its nominal rollout without sideways scrolling.
 const NOMINAL_IN_VIEW: &str = "(() => { const box = document.querySelector('.centred');
     const words = [...box.querySelectorAll('text')].find(e => e.textContent === 'nominal');
     const [at, view] = [words, box].map(e => e.getBoundingClientRect());
     return at.left >= view.left && at.right <= view.right; })()";
 
-/// A campaign of a few tasks.
+/// Creates a campaign of two suites.
 fn create(campaigns: &Campaigns, name: &str, levels: &str) {
     let endpoint = &campaigns.gateway.url;
     #[rustfmt::skip]
@@ -63,7 +63,7 @@ fn create(campaigns: &Campaigns, name: &str, levels: &str) {
     ]);
 }
 
-/// Longest that what follows from a campaign may take.
+/// Longest time that a derived campaign may take.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Returns true if the planted rule of a task and configuration fails under these axes.
@@ -79,7 +79,7 @@ fn is_planted_to_fail(task: usize, config: u16, axes: AxisSet) -> bool {
     }
 }
 
-/// Result rows of every subset of the axes, as planted.
+/// Returns result rows for every subset of the axes, with planted outcomes.
 fn planted_outcomes() -> String {
     let mut rows = String::new();
     let suite = TaskRef::all().filter(|task| task.suite() == Suite::Object);
@@ -102,7 +102,7 @@ fn planted_outcomes() -> String {
     rows
 }
 
-/// A campaign of one suite that is explained, and one of its whole lattices.
+/// Runs and explains a campaign of one suite, and runs another one with all subsets.
 fn explain(campaigns: &Campaigns, outcomes: &Path) {
     let endpoint = &campaigns.gateway.url;
     for (name, further) in [
@@ -122,11 +122,11 @@ fn explain(campaigns: &Campaigns, outcomes: &Path) {
     finish(campaigns, "explain", "planted");
 }
 
-/// Radii at which thresholds may be looked for: halvings of the grid.
+/// Step and maximum of the radii at which thresholds may be searched.
 const RADII: [f64; 2] = [0.5, 16.0];
 
-/// From which radius on a rollout fails: the further the later the task, and the
-/// farthest for the robot alone.
+/// Returns the smallest radius at which a rollout fails: larger for later tasks, and largest for
+/// the robot axis alone.
 fn fails_from(task: usize, config: u16, condition: Condition) -> f64 {
     let scale = match condition {
         Condition::Combination => 0.6,
@@ -138,7 +138,7 @@ fn fails_from(task: usize, config: u16, condition: Condition) -> f64 {
     scale * (task + 0.7 * f64::from(config))
 }
 
-/// Result rows at every radius that may be run; some succeed again beyond a failure.
+/// Returns result rows for all radii; some rollouts succeed again at a larger radius.
 fn outcomes_by_radius() -> String {
     let mut rows = String::new();
     let suite = TaskRef::all().filter(|task| task.suite() == Suite::Object);
@@ -170,7 +170,7 @@ fn outcomes_by_radius() -> String {
     rows
 }
 
-/// A campaign of one suite whose thresholds are measured.
+/// Runs a campaign of one suite and measures its thresholds.
 fn measure(campaigns: &Campaigns, outcomes: &Path) {
     let endpoint = &campaigns.gateway.url;
     #[rustfmt::skip]
@@ -184,7 +184,7 @@ fn measure(campaigns: &Campaigns, outcomes: &Path) {
     finish(campaigns, "thresholds", "radii");
 }
 
-/// A worker whose rollouts end as these rows say.
+/// Starts a worker whose rollouts end as the rows in a file say.
 fn planted_worker(campaigns: &Campaigns, outcomes: &Path) -> Process {
     let environment = [
         ("SIMULATED_SLOT_OUTCOMES", outcomes.to_str().unwrap()),
@@ -193,7 +193,7 @@ fn planted_worker(campaigns: &Campaigns, outcomes: &Path) -> Process {
     campaigns.simulated_worker(2, &environment)
 }
 
-/// Asks a command until nothing remains to be run of what it finds out.
+/// Repeats a command until its findings are complete.
 fn finish(campaigns: &Campaigns, command: &str, campaign: &str) {
     let began = Instant::now();
     loop {
@@ -206,7 +206,7 @@ fn finish(campaigns: &Campaigns, command: &str, campaign: &str) {
     }
 }
 
-/// A picture of the whole page.
+/// Takes a screenshot of the whole page.
 fn take(browser: &mut Browser, screen: Screen, path: &Path) {
     let height = browser.value("document.documentElement.scrollHeight");
     let height = height.as_u64().expect("a height").clamp(1, MAX_HEIGHT);

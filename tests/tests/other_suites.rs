@@ -1,5 +1,5 @@
-//! LIBERO's other 90 tasks: nothing is evaluated on them, but they are what a
-//! user's own BDDL files look like.
+//! LIBERO's other 90 tasks. Nothing is evaluated on them, but BDDL files written by users resemble
+//! theirs.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -15,10 +15,10 @@ use tests::files::{libero, primitives, sources};
 const SUITE: &str = "libero_90";
 /// Tasks of the suite.
 const TASKS: usize = 90;
-/// Initial states released for each.
+/// Number of initial states released for each task.
 const STATES: usize = 50;
 
-/// A task of the suite, read.
+/// A task of the suite, with its parsed files.
 struct Task {
     name: String,
     problem: Problem,
@@ -50,11 +50,11 @@ fn tasks(sources: &Sources) -> Vec<Task> {
         .collect()
 }
 
-/// Tasks that compose to the same scene, by the scene's digest.
+/// Tasks and their composed scenes, grouped by the scene's digest.
 type Scenes<'a> = BTreeMap<String, Vec<(&'a Task, Scene)>>;
 
-/// Composes every task, so that each scene is compiled once. Beside the scenes
-/// the categories that the pack lacks.
+/// Composes every task, so that each scene is compiled once. Also returns the categories that the
+/// pack lacks.
 fn compose_all<'a>(
     tasks: &'a [Task],
     pack: &AssetPack,
@@ -76,8 +76,8 @@ fn compose_all<'a>(
     (scenes, lacking)
 }
 
-/// The category that an error names as lacking, after checking that it is one
-/// of the task's and that the file named is indeed not there.
+/// Returns the category that an error names as missing, after checking that the task uses it and
+/// that the named file does not exist.
 fn lacking_category(task: &Task, error: &SceneError, pack: &Path) -> String {
     let name = &task.name;
     let SceneError::Read { path, .. } = error else {
@@ -110,7 +110,7 @@ fn run_all(scenes: Scenes<'_>, pack: &AssetPack, sources: &Sources) -> usize {
             let model = environment.model();
             assert_eq!(task.states.width(), 1 + model.nq() + model.nv(), "{name}");
             let goal = Goal::resolve(scene, model).unwrap_or_else(|e| panic!("{name}: {e}"));
-            // Another state for each task: a fixed spread over the fifty.
+            // A different state for each task, spread over the fifty.
             environment.load(task.states.get(index * 7 % STATES).unwrap());
             for _ in 0..10 {
                 let step = environment.step(&NO_OP);

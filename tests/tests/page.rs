@@ -1,5 +1,5 @@
-//! The live page as people meet it: a real browser, a real coordinator, real
-//! campaigns. What the page says, word by word, is tested in the coordinator.
+//! The live page with a real browser, a real coordinator and real campaigns. Its text is tested in
+//! the coordinator's own tests.
 
 use tempfile::TempDir;
 use tests::browser::{self, Browser, Screen};
@@ -10,7 +10,7 @@ const DESK: Screen = Screen {
     height: 1000,
     is_dark: false,
 };
-/// Finished rollouts as the page of campaigns, or of one, says them.
+/// JavaScript for the number of finished rollouts on the start page or a campaign's page.
 const DONE: &str = "Number(document.querySelector('.pace')?.innerText.match(/(\\d+) of/)?.[1])";
 
 struct Bench {
@@ -36,7 +36,7 @@ impl Bench {
         format!("{}{path}", self.campaigns.coordinator.url)
     }
 
-    /// Nothing was asked of anybody else, and nothing went wrong.
+    /// Asserts that the page requested nothing from other origins and logged no errors.
     fn check(&mut self) {
         let complaints = self.browser.complaints();
         assert!(complaints.is_empty(), "{complaints:#?}");
@@ -57,7 +57,7 @@ fn the_page_fills_in_by_itself_and_catches_up_after_a_restart() {
     let tasks = "libero_object,libero_spatial/0-1";
     bench.campaigns.create("live", "noop", tasks, "0-9");
     bench.browser.go(&bench.url("/"));
-    // A reload would lose this.
+    // A reload of the page would delete this variable.
     bench.browser.value("window.since = 'the beginning'");
     assert_eq!(bench.browser.value(DONE), 0);
     let _worker = bench.campaigns.simulated_worker(2, &[]);

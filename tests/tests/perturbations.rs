@@ -1,5 +1,5 @@
-//! The perturbations as a rollout applies them to MuJoCo's model, against
-//! values computed independently from the written specification.
+//! Compares the perturbations that a rollout applies to MuJoCo's model with values computed
+//! independently from the written specification.
 
 use std::path::Path;
 
@@ -78,7 +78,7 @@ fn check_task(simulator: &mut Simulator, task: TaskRef, file: &Path) {
     }
 }
 
-/// The rollout with camera, lights and arm perturbed at once.
+/// Returns the row of a rollout whose camera, lights and arm are perturbed together.
 fn row(task: TaskRef, level: Level, config: u16) -> ManifestRow {
     let id = RolloutId::perturbed(task, Condition::Combination, level, config).unwrap();
     let mut perturbation = Perturbation::default();

@@ -9,7 +9,7 @@ fn gateway(arguments: &[&str]) -> Process {
     Process::serve(command.args(arguments).args(["--listen", "127.0.0.1:0"]))
 }
 
-/// One rollout against an endpoint; also, what its result says of its outcome.
+/// Runs one rollout against an endpoint. Also returns success and steps of its result, if any.
 fn roll_out(id: &str, endpoint: &str) -> (Output, Option<serde_json::Value>) {
     let folder = tempfile::tempdir().unwrap();
     #[rustfmt::skip]

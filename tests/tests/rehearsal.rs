@@ -1,4 +1,4 @@
-//! A week in compressed time, small: `rehearsal` without options is the measure itself
+//! A week in compressed time, on a small scale; `rehearsal` without options is the full test
 //! (docs/RELIABILITY.md).
 
 use std::process::Command;

@@ -1,4 +1,4 @@
-//! The scene layer over everything that LIBERO ships.
+//! Tests of the scene layer with everything that LIBERO ships.
 
 use std::collections::HashSet;
 use std::path::PathBuf;
@@ -75,7 +75,7 @@ fn every_evaluation_task_composes_from_the_real_assets() {
     }
 }
 
-/// A folder with those files of a pack that a task's scene is made from.
+/// Returns a folder with only those files of a pack that a task's scene needs.
 fn only_needed_files(task: &TaskFiles, pack: &AssetPack) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     for file in needed_files(&task.problem().unwrap()).unwrap() {
@@ -129,12 +129,12 @@ fn an_altered_file_of_liberos_never_gets_into_a_scene() {
         *bytes.last_mut().unwrap() ^= 1;
         std::fs::remove_file(&altered).unwrap();
         std::fs::write(&altered, bytes).unwrap();
-        // Opened anew it goes by another name, and by its own digest.
+        // A pack opened after the alteration has another name, and a digest of its own.
         let after = open();
         assert_eq!(after.name(), "custom");
         assert_ne!(after.digest(), pack.digest());
         assert!(after.differences()[0].starts_with(file), "{after:?}");
-        // Opened before, as by a slot, it is refused when the file is used.
+        // A pack opened before it, as by a slot, is refused when the altered file is used.
         let known = AssetPack::open_known(&path, &sources, pack.digest()).unwrap();
         for pack in [&before, &known] {
             let composed = compose(&problem, pack, &sources, ENV_SEED);

@@ -1,5 +1,5 @@
-//! The scripts of `coordinator launch slurm` on a real cluster of two nodes, with
-//! what happens to jobs there.
+//! Runs the scripts of `coordinator launch slurm` on a real cluster of two nodes, where jobs are
+//! preempted, requeued and ended at their time limit.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -12,7 +12,7 @@ use tests::slurm::{Cluster, NODES, free_ports, host_name, succeeded};
 
 const NAME: &str = "a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody";
 const CAMPAIGN: &str = "cluster";
-/// How attempts may end without an outcome here: nobody is charged for it.
+/// Reasons for which attempts may end without an outcome here; none of them is charged.
 const UNCHARGED: [&str; 4] = [
     "draining",
     "policy_unavailable",
@@ -28,7 +28,7 @@ fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {
     };
     let lab = Lab::open(cluster);
 
-    // An array over two nodes, and the gateway on the one with the GPU.
+    // The array spans two nodes, and the gateway is on the one with the GPU.
     let gateway = lab.job_called("rollout-gateway");
     let array = lab.job_called("rollout-workers");
     let tasks = [1, 2].map(|task| format!("{array}_{task}"));
@@ -50,7 +50,7 @@ fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {
     for job in [&on_first, &gateway] {
         lab.wait_until("a job whose time was up is back", |lab| lab.is_back(job, 1));
     }
-    // Each time, it was a worker of its own.
+    // Each restart started a new worker.
     for (task, times) in [(&on_first, 2), (&on_second, 3)] {
         let index = task.rsplit('_').next().unwrap_or_default();
         let log = lab.scripts.join(format!("worker-{array}-{index}.log"));
@@ -72,7 +72,7 @@ fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {
     assert_eq!(told, report_of_one_machine(&endpoint));
 }
 
-/// The campaign, whoever runs it.
+/// Returns the command that creates the campaign, on the cluster or on one machine.
 fn create(endpoint: &str) -> Vec<&str> {
     #[rustfmt::skip]
     let create = vec![
@@ -97,9 +97,9 @@ fn report_of_one_machine(endpoint: &str) -> String {
     report + &campaigns.succeed(&["report", CAMPAIGN, "--json"])
 }
 
-/// A campaign on a cluster, its coordinator beside it.
+/// A campaign on a cluster, with its coordinator outside the cluster.
 struct Lab {
-    // The first to go: its jobs call the coordinator.
+    // Dropped first, since its jobs call the coordinator.
     cluster: Cluster,
     coordinator: Process,
     scripts: PathBuf,
@@ -108,8 +108,8 @@ struct Lab {
 }
 
 impl Lab {
-    /// Does the steps of a user: writes the scripts, starts the coordinator,
-    /// submits, and creates a campaign.
+    /// Performs a user's steps: writes the scripts, starts the coordinator, submits the jobs, and
+    /// creates a campaign.
     fn open(cluster: Cluster) -> Self {
         let scripts = cluster.path("a lab's \"scripts\"");
         let [own, gateway] = free_ports().map(|port| port.to_string());
@@ -144,10 +144,10 @@ impl Lab {
         lab
     }
 
-    /// A partition of higher priority takes a worker's node.
+    /// Lets a job of a partition with higher priority take a worker's node.
     fn is_preempted(&self, task: &str) {
         let restarts = self.cluster.job(task).restarts;
-        // A task whose time is up just then is no victim, and another try is made.
+        // A task that reaches its time limit just then is not preempted; it is then tried again.
         let is_told = || {
             let log = std::fs::read_to_string(self.cluster.path("slurmctld.log"));
             log.is_ok_and(|log| log.contains(&format!("preempted JobId={task}(")))
@@ -166,7 +166,7 @@ impl Lab {
         });
     }
 
-    /// A worker's node is drained, and its job queued again.
+    /// Drains a worker's node and requeues its job.
     fn loses_its_node(&self, task: &str) {
         let before = self.cluster.job(task);
         let name = format!("NodeName={}", before.node);
@@ -176,7 +176,7 @@ impl Lab {
         self.wait_until("the worker has left the drained node", |lab| {
             lab.cluster.job(task).restarts > before.restarts
         });
-        // As long as a job that is queued again waits, and longer.
+        // Longer than a requeued job waits until it may start.
         sleep(Duration::from_secs(8));
         let now = self.cluster.job(task);
         assert!(now.state != "RUNNING" || now.node != before.node, "{now:?}");
@@ -186,14 +186,14 @@ impl Lab {
         });
     }
 
-    /// Whether a job runs that was queued again so often.
+    /// Returns true if a job is running and was requeued at least `restarts` times.
     fn is_back(&self, job: &str, restarts: u32) -> bool {
         let job = self.cluster.job(job);
         job.state == "RUNNING" && job.restarts >= restarts
     }
 
-    /// No attempt of a rollout counts against it, and those that gave it back did so
-    /// for a reason of the cluster's.
+    /// Asserts that no attempt was charged, and that attempts without an outcome ended for a reason
+    /// of the cluster's.
     fn charged_nobody(&self) {
         let jobs = self.json(&["jobs", "list", CAMPAIGN, "--limit", "10000"]);
         let jobs = jobs["jobs"].as_array().expect("a list");
@@ -222,7 +222,7 @@ impl Lab {
         self.ask(&["report", CAMPAIGN, "--full"]) + &self.ask(&["report", CAMPAIGN, "--json"])
     }
 
-    /// Ends everything, and looks at what it left.
+    /// Stops the coordinator and checks the database.
     fn close(mut self) {
         let data = self.cluster.path("campaigns");
         self.coordinator.signal("-TERM");
@@ -256,7 +256,7 @@ impl Lab {
         serde_json::from_str(&told).expect("JSON")
     }
 
-    /// Asks something of the coordinator.
+    /// Runs a command against the coordinator and returns its output.
     fn ask(&self, arguments: &[&str]) -> String {
         let mut command = Command::new(program("coordinator"));
         command.args(arguments).args(["--connect", &self.url]);

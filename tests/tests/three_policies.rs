@@ -1,17 +1,17 @@
-//! Three policies behind one gateway, each with a campaign of its own. One server
-//! dies in the middle and comes back: the others' campaigns do not wait for it,
-//! its own goes on by itself, and no attempt is charged.
+//! Three policies behind one gateway, each with a campaign of its own. One server is killed midway
+//! and restarted: the other campaigns do not wait for it, its own resumes automatically, and no
+//! attempt is charged.
 
 use std::path::Path;
 use std::process::Command;
 
 use tests::programs::{Campaigns, Process, program};
 
-/// Of each campaign: a task, two configurations under five axes and all at once,
-/// their nominal rollouts.
+/// Rollouts of each campaign: two configurations of one task, each under five single axes and under
+/// all of them, and their two nominal rollouts.
 const ROLLOUTS: usize = 14;
 
-/// A policy's server at an address; a gateway looks like one.
+/// Starts a policy's server at an address: a gateway that serves one built-in policy.
 fn server(name: &str, address: &str) -> Process {
     let route = format!("{name}=builtin:noop");
     let mut server = Command::new(program("policy-gateway"));
@@ -41,7 +41,7 @@ fn a_policy_that_dies_and_comes_back_holds_up_its_own_campaign_only() {
     let data = tempfile::tempdir().expect("a folder");
     let servers = [("steady", &steady), ("calm", &calm), ("mortal", &mortal)];
     let campaigns = behind_one_gateway(data.path(), &servers);
-    // The mortal one's campaign comes first, so that it is under way.
+    // The campaign of the policy to be killed comes first, so that it is in progress by then.
     campaigns.create("mortal", "mortal", "libero_object/0", "0,1");
     let worker = campaigns.simulated_worker(2, &[]);
     campaigns.wait_for_commits("mortal", Some(1));

@@ -7,7 +7,7 @@ use std::process::{Child, Command, Output, Stdio};
 
 use tests::programs::program;
 
-/// `coordinator up`, which is told to end when it goes out of scope.
+/// A `coordinator up` process, which is sent SIGTERM when dropped.
 struct Up {
     child: Child,
     lines: std::sync::mpsc::Receiver<String>,
@@ -39,7 +39,7 @@ impl Up {
         let (sender, lines) = std::sync::mpsc::channel();
         std::thread::spawn(move || {
             for line in log.lines().map_while(Result::ok) {
-                // A test that has ended hears nothing more.
+                // The receiver may be gone if the test has ended.
                 let _ = sender.send(line);
             }
         });
@@ -52,7 +52,7 @@ impl Up {
         }
     }
 
-    /// Reads the log up to a line that holds these words, and returns that line.
+    /// Reads the log up to a line that contains these words, and returns that line.
     fn wait_for(&mut self, words: &str) -> String {
         loop {
             let line = self.lines.recv();
@@ -64,7 +64,7 @@ impl Up {
         }
     }
 
-    /// Waits until all three run.
+    /// Waits until all three programs run.
     fn ready(mut self) -> Self {
         let url = |line: &str| {
             let (_, address) = line.split_once("listening on ").expect("an address");
@@ -101,7 +101,7 @@ impl Up {
         assert!(status.expect("kill runs").success());
     }
 
-    /// The processes that it started, by the names of their programs.
+    /// Returns the names and process ids of its children.
     fn children(&self) -> Vec<(String, u32)> {
         let pid = self.child.id();
         let tasks = std::fs::read_dir(format!("/proc/{pid}/task")).expect("tasks");
@@ -120,7 +120,7 @@ impl Up {
         children.map(name).collect()
     }
 
-    /// Waits for its end; its exit code, and whatever it printed.
+    /// Waits for the process to exit; returns its exit code and everything that it printed.
     fn end(mut self) -> (Option<i32>, String) {
         let code = self.child.wait().expect("a child").code();
         let mut said = String::new();
@@ -134,7 +134,7 @@ impl Up {
 
 impl Drop for Up {
     fn drop(&mut self) {
-        // After `end` there is nothing to end.
+        // After `end`, the process has exited already.
         if matches!(self.child.try_wait(), Ok(None)) {
             self.signal("-TERM", self.child.id());
             let _ = self.child.wait();
@@ -183,7 +183,7 @@ fn nothing_outlives_it_if_it_is_killed() {
         let began = std::time::Instant::now();
         let alive = || {
             let state = std::fs::read_to_string(format!("/proc/{pid}/stat"));
-            // A zombie waits for whoever adopted it, and does nothing.
+            // A zombie has exited and only waits to be reaped.
             state.is_ok_and(|state| !state.contains(") Z "))
         };
         while alive() {

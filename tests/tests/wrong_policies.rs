@@ -1,5 +1,5 @@
-//! Policies that answer nonsense, through the whole chain of real processes:
-//! nothing of it becomes an outcome, and nothing else suffers from it.
+//! Policies with invalid answers, through the whole chain of real processes: no such answer becomes
+//! an outcome, and no other campaign suffers from it.
 
 use std::path::Path;
 use std::process::Command;
@@ -9,8 +9,8 @@ use tests::programs::{Campaigns, Process, program};
 
 /// Longest that the first attempts may take.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// A server whose every action is seven times one number, made with the package
-/// that policies' authors use.
+/// A policy server whose actions are one number seven times, written with the package that authors
+/// of policies use.
 const CROOKED: &str = "\
 import numpy as np
 from rollout_policies import Description, Policy, serve
@@ -30,8 +30,8 @@ class Crooked(Policy):
 serve(Crooked())
 ";
 
-/// The campaigns of a policy `crooked`, whose actions consist of this number, and
-/// of others; none where no interpreter is named.
+/// Creates a campaign of the policy `crooked`, whose actions consist of this number, beside other
+/// policies. Returns `None` if no interpreter is configured.
 fn crooked(test: &str, number: &str, data: &Path) -> Option<(Campaigns, Process)> {
     let Some(python) = std::env::var_os("ROLLOUT_PYTHON") else {
         eprintln!("SKIPPED {test}: `cargo xtask test` names the interpreter");
@@ -49,7 +49,7 @@ fn crooked(test: &str, number: &str, data: &Path) -> Option<(Campaigns, Process)
     Some((campaigns, policy))
 }
 
-/// Waits until what a command prints contains some words.
+/// Waits until the output of a command contains some words.
 fn wait_for(campaigns: &Campaigns, arguments: &[&str], words: &str) {
     let deadline = Instant::now() + PATIENCE;
     loop {
@@ -84,14 +84,14 @@ fn a_policy_that_answers_nan_holds_up_nobody_elses_campaign_on_the_same_worker()
         return;
     };
     let worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
-    // Past the five attempts after which it pauses, and the worker used to stop.
+    // The policy is paused after five attempts, which in the past stopped the worker.
     let status = ["campaign", "status", "crooked"];
     wait_for(&campaigns, &status, "policy `crooked` is paused");
     campaigns.create("sound", "noop", "libero_object/0", "0");
     campaigns.wait_for_commits("sound", None);
     assert_eq!(campaigns.outcomes("sound").len(), 7);
     assert!(campaigns.outcomes("crooked").is_empty());
-    // It is tried again and again, by the worker that is still there.
+    // The same worker tries the policy again and again.
     let list = ["jobs", "list", "crooked", "--state", "quarantined"];
     wait_for(&campaigns, &list, "object/t0/");
     let workers = campaigns.succeed(&["workers"]);

@@ -1,5 +1,5 @@
-//! Every flag of every program with values that it cannot mean: refused in words
-//! of ours. Which flags there are, the programs say themselves.
+//! Every flag of every program with invalid values: each value is refused in this project's own
+//! words. The flags are taken from the programs' help.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use tests::phrases::raw_phrase;
 use tests::programs::program;
 
-/// Values that few flags can mean.
+/// Values that most flags refuse.
 const VALUES: [&str; 5] = ["", "0", "-1", "x y", "99999999999999999999"];
 /// Options that keep a valid command from having any effect.
 const HARMLESS: [(&str, &str); 4] = [
@@ -17,7 +17,7 @@ const HARMLESS: [(&str, &str); 4] = [
     ("--listen", "192.0.2.1:1"),
 ];
 
-/// A command of a program, and what can be given to it.
+/// A command of a program, and its flags.
 struct Known {
     words: Vec<String>,
     /// Flags that take a value.
@@ -37,7 +37,7 @@ fn run(name: &str, arguments: &[&str], folder: &Path) -> Output {
         .expect("the program runs")
 }
 
-/// The commands of a program below some words of it, by its own help.
+/// Returns the commands of a program below a command, as its help lists them.
 fn commands(name: &str, words: &[&str], folder: &Path) -> Vec<Known> {
     let help = run(name, &[words, &["--help"]].concat(), folder);
     let help = String::from_utf8(help.stdout).expect("UTF-8");
@@ -87,7 +87,7 @@ fn check(name: &str) {
                 let code = output.status.code();
                 assert!(code.is_some_and(|code| code < 3), "{code:?}: {about}");
                 if code != Some(0) {
-                    // The usage line is the command's own, and says words twice.
+                    // The usage line follows the message and may repeat words.
                     let error = said.split("Usage:").next().unwrap_or_default();
                     assert_eq!(raw_phrase(error), None, "{about}");
                 }

@@ -1,15 +1,15 @@
 """The grammar that ``wordings`` draws from: how people ask for the forty tasks.
 
-A slot of a template is filled from the task's own entries first, then from ``words``. A
-construction says what kind of thing a task asks for. It has four kinds of clause, which
-``FRAMES`` make sentences of:
+A slot of a template is filled from the task's own entries first, then from
+``words``. A construction is the kind of action that a task asks for. It has
+four kinds of clause, which ``FRAMES`` turn into sentences:
 
 - ``do``: an imperative, "put the bowl on the plate";
 - ``doing``: a gerund, "putting the bowl on the plate";
-- ``must``: a whole sentence about the things, "the bowl belongs on the plate";
-- ``is``: how things are in the end, "the bowl is on the plate".
+- ``must``: a whole sentence about the objects, "the bowl belongs on the plate";
+- ``is``: the final state, "the bowl is on the plate".
 
-All of it is written from general English.
+Everything is written from general English.
 """
 
 from training.grammar.sentences import FRAMES

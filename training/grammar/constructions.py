@@ -1,5 +1,5 @@
-"""What a task asks for, as clauses. ``{x}`` is a thing with its article, ``{to}`` where it
-goes, ``{at}`` where it is.
+"""Constructions: the actions that tasks ask for, as clauses. ``{x}`` is an
+object with its article, ``{to}`` its destination, ``{at}`` its position.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from training.grammar.things import (
 )
 
 # fmt: off
-# Lists of words read better several to a line.
+# Lists of words are easier to read with several words to a line.
 
-# A thing that is carried to a place, wherever it is taken from.
+# An object that is carried to a place, from anywhere.
 CARRY: Mapping[str, Templates] = {
     "do": (
         "{take} {x} {then} {put it} {to}",
@@ -98,7 +98,7 @@ CARRY: Mapping[str, Templates] = {
     "be": ("be", "rest", "sit", "lie", "stand", "go", "be placed", "be put", "end up"),
 }
 
-# A thing that has to be told from others by where it is.
+# An object that is identified by its position.
 CARRY_FROM: Mapping[str, Templates] = {
     **CARRY,
     "do": (
@@ -129,7 +129,7 @@ CARRY_FROM: Mapping[str, Templates] = {
         "{at} is a {bowl}[;|,|.| which] {goes} {to}",
         "the one {at} is the {bowl} that {goes} {to}",
     ),
-    # What stands, lies, or is somewhere else.
+    # Noun phrases for an object at its position.
     "x": (
         "the {bowl} {at}", "the {bowl} {at}", "the {bowl} {at}", "the {bowl} {kept} {at}",
         "the {bowl} {kept} {at}", "the {bowl}, which is {at},", "the {bowl}, the one {at},",
@@ -149,7 +149,7 @@ CARRY_FROM: Mapping[str, Templates] = {
     "plate": PLATE,
 }
 
-# Two things that are carried to one place.
+# Two objects that are carried to one place.
 CARRY_BOTH: Mapping[str, Templates] = {
     "do": (
         "{put} {both x} {to}",
@@ -302,7 +302,7 @@ OPEN: Mapping[str, Templates] = {
     "cabinet": CABINET,
 }
 
-# The drawer is opened, and something goes inside.
+# The drawer is opened, and an object is put inside.
 OPEN_AND_PUT: Mapping[str, Templates] = {
     "do": (
         "{open} {x} {then} {put} {y} {inside}",
@@ -539,7 +539,7 @@ TURN_ON_AND_PUT: Mapping[str, Templates] = {
     "moka": MOKA,
 }
 
-# Something goes into a container, which is closed.
+# An object is put into a container, which is then closed.
 PUT_AND_CLOSE: Mapping[str, Templates] = {
     "do": (
         "{put} {y} {in} {x} {then} {close} {it}",
@@ -588,7 +588,7 @@ PUT_AND_CLOSE: Mapping[str, Templates] = {
     ),
 }
 
-# Two things that go to two places.
+# Two objects that are carried to two places.
 PUT_TWO: Mapping[str, Templates] = {
     "do": (
         "{put} {a} {to a}[ and|, and|, then| and then|;|. then|, and then|, and also|, while you] "

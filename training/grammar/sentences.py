@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from training.grammar.template import Templates
 
 # fmt: off
-# Lists of words read better several to a line.
+# Lists of words are easier to read with several words to a line.
 
 FRAMES: Mapping[str, Templates] = {
     "do": (

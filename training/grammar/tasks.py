@@ -1,4 +1,4 @@
-"""The forty tasks: the benchmark's own instruction of each, and its grammar."""
+"""The forty tasks: the benchmark's instruction of each, and its grammar."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ from training.grammar.things import (
 from training.grammar.words import COMMON
 
 # fmt: off
-# Lists of words read better several to a line.
+# Lists of words are easier to read with several words to a line.
 
 def _carry_from(*, at: Templates, place: Templates = (), **own: Templates) -> Grammar:
-    """A bowl that is somewhere: ``at`` says where, ``place`` names it after "from"."""
+    """A bowl at a position: ``at`` is the position, ``place`` its name after "from"."""
     return {
         **COMMON, **CARRY_FROM, "at": at, "place": place or at, "cabinet": CABINET, "stove": STOVE,
         "ramekin": RAMEKIN, "cookie box": COOKIE_BOX, **own,
@@ -67,7 +67,7 @@ def _carry_from(*, at: Templates, place: Templates = (), **own: Templates) -> Gr
 
 
 def _carry(thing: Templates, to: Templates, towards: Templates, **own: Templates) -> Grammar:
-    """A thing that goes to a place."""
+    """An object that is carried to a place."""
     return {
         **COMMON, **CARRY, "thing": thing, "to": to, "towards": towards,
         "x": (

@@ -1,10 +1,10 @@
-"""What a grammar is made of."""
+"""Types of a grammar."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 Templates = Sequence[str]
-"""Sentences with ``{slots}`` and ``[one|of|these]``, which nest; ``[|please]`` may be empty."""
+"""Sentences with ``{slots}`` and ``[one|of|these]``, which may nest; ``[|please]`` is optional."""
 Grammar = Mapping[str, Templates]
-"""What each slot may be filled with."""
+"""Templates that may fill each slot."""

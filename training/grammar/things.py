@@ -1,11 +1,11 @@
-"""Things and places, as people call them. Without an article."""
+"""Names of objects and places, without an article."""
 
 from __future__ import annotations
 
 from training.grammar.template import Templates
 
 # fmt: off
-# Lists of words read better several to a line.
+# Lists of words are easier to read with several words to a line.
 
 BOWL: Templates = (
     "black bowl", "black bowl", "black bowl", "bowl", "bowl", "dark bowl", "dark-colored bowl",

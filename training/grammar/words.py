@@ -1,11 +1,11 @@
-"""Verbs and small words of all tasks. A slot's forms: put, putting, was put."""
+"""Verbs and small words for all tasks. A slot has these forms: put, putting, was put."""
 
 from __future__ import annotations
 
 from training.grammar.template import Grammar
 
 # fmt: off
-# Lists of words read better several to a line.
+# Lists of words are easier to read with several words to a line.
 
 COMMON: Grammar = {
     "take": (

@@ -1,4 +1,4 @@
-"""Collection from an environment that is made up: what was seen, done and filed agree."""
+"""Collection from a fake environment: observed, executed and stored values agree."""
 
 import argparse
 from pathlib import Path
@@ -15,11 +15,11 @@ from training.shards import Driver, Outcome, Shard, read, shard_folders
 from training.wordings import TASK_NAMES
 
 LENGTHS = (7, 10)
-"""Steps after which an episode of an even and of an odd environment succeeds."""
+"""Steps until success of even and of odd environments."""
 
 
 class MadeUp:
-    """Environments whose pictures show the step, and whose expert says it."""
+    """Fake environments; both their pictures and their expert's actions encode the step."""
 
     max_steps = np.array([20, 20])
 
@@ -130,7 +130,7 @@ def test_four_of_ten_environments_are_of_libero_10() -> None:
     assert len(tasks) == 100
     assert sum(TASK_NAMES[task].startswith("libero_10") for task in tasks) == 40
     assert set(tasks) == set(range(40))
-    # Each of two groups has every task.
+    # Both groups cover all tasks.
     assert set(tasks[::2]) | set(tasks[1::2]) == set(range(40))
 
 

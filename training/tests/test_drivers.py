@@ -1,4 +1,4 @@
-"""Who drives, and what it adds to the expert's actions."""
+"""Choice of the driver, and the numbers that are added to the expert's actions."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The network's shape, and what goes into it."""
+"""The network's output shapes, and the conversion of its inputs."""
 
 import pytest
 
@@ -73,7 +73,7 @@ def test_actions_are_what_a_robot_takes(network: Network) -> None:
 
 
 def test_a_point_of_a_clear_peak_is_where_the_peak_is() -> None:
-    """Column and row from -1 to 1, the picture's top left being (-1, -1)."""
+    """Columns and rows range from -1 to 1; the picture's top left is (-1, -1)."""
     encoder = Network().agentview.eval()
     seen: list[torch.Tensor] = []
 

@@ -1,4 +1,4 @@
-"""Shards on disk, and the targets that are made of them."""
+"""Shards on disk, and the targets computed from them."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from training.shards import (
 
 def episode(steps: int, *, first_label: float = 0.0, driver: Driver = Driver.CLEAN,
             outcome: Outcome = Outcome.SUCCESS) -> Episode:  # fmt: skip
-    """A frame at every third step; the label's first number counts the steps."""
+    """A fake episode with a frame at every third step; the label's first number is the step."""
     frame_step = np.arange(0, steps, 3, dtype=np.int32)
     label = np.zeros((steps, 7), np.float32)
     label[:, 0] = first_label + np.arange(steps)
@@ -55,7 +55,7 @@ def test_targets_after_a_push_do_not_count(tmp_path: Path) -> None:
     pushed = episode(20)
     pushed.source[5:7] = Source.PUSH
     _, valid = targets(read(write(tmp_path, 0, [pushed])))
-    # From step 0 the push of step 5 still has its label; from step 6, within it, one does.
+    # From step 0, the pushed step 5 still has a valid label; from step 6, only its own step does.
     assert valid.sum(axis=1).tolist()[:4] == [6, 3, 1, 8]
     assert valid[0].tolist() == [True] * 6 + [False] * 2
 

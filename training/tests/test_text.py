@@ -1,4 +1,4 @@
-"""Hashing of instructions, which the product computes by itself: these numbers are fixed."""
+"""Hashing of instructions. The product has its own implementation, so these values are fixed."""
 
 from training.text import bucket, features, fnv1a, words
 
@@ -13,7 +13,7 @@ def test_words_are_runs_of_ascii_letters_and_digits() -> None:
 
 
 def test_the_hash_is_fnv_1a() -> None:
-    # From the hash's authors.
+    # Test vectors of the hash's authors.
     assert fnv1a("") == 0x811C9DC5
     assert fnv1a("a") == 0xE40C292C
     assert fnv1a("foobar") == 0xBF9CF968

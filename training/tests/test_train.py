@@ -1,4 +1,4 @@
-"""Samples, their changes, and a run that goes on after an interruption."""
+"""Samples, their augmentation, and a run that resumes after an interruption."""
 
 import argparse
 from pathlib import Path
@@ -22,7 +22,7 @@ CPU = torch.device("cpu")
 
 
 def fill(folder: Path, shards: int, *, first: int = 0, task: int = 0) -> None:
-    """Shards of a few small episodes; a frame's bytes say which episode it is of."""
+    """Writes shards of a few small episodes; a frame's bytes identify its episode."""
     rng = np.random.default_rng(0)
     for number in range(first, shards):
         episodes = []
@@ -52,7 +52,7 @@ def arguments(folder: Path, **given: object) -> argparse.Namespace:
 def test_a_library_keeps_episodes_apart_and_finds_new_shards(tmp_path: Path) -> None:
     fill(tmp_path, 2)
     library = Library([tmp_path], 100, 100, [1.0] * 4, CPU)
-    # Of shard 0 the first episode is held out; of shard 1 it would be the eighth.
+    # Shard 0 holds out its first episode; shard 1 would hold out its eighth, which it lacks.
     assert library.refresh() == 24
     assert library.held_out.count == 4 and library.training.count == 20
     assert library.refresh() == 0

@@ -1,4 +1,4 @@
-"""Wordings are many, different, and none of the evaluation's."""
+"""Wordings are many and distinct, and exclude those of the evaluation."""
 
 import re
 

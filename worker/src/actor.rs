@@ -50,12 +50,12 @@ pub enum PolicyError {
         /// Fault of the description.
         fault: DescriptionFault,
     },
-    /// Its answers are so short, and so late, that none would be executed.
+    /// The policy's answers are so short and so late that none would be executed.
     #[error("{} cannot be run so: {problem}", named(policy))]
     TooLate {
         /// The policy's name at the endpoint.
         policy: String,
-        /// Its answers and their delay. Part of the message, for campaigns show one sentence.
+        /// Length and delay of the answers. Within the message, as campaigns show one sentence.
         problem: TooLate,
     },
     /// The policy's answer is not an executable chunk of actions.
@@ -120,9 +120,9 @@ fn sentence(policy: &str, endpoint: &str, verb: &str, call: &str, problem: &str)
 pub struct Description {
     /// Description as the policy gave it.
     pub about: DescribeResponse,
-    /// The robot readings it wants, in its order.
+    /// Robot readings that the policy asks for, in its order.
     pub state: Vec<StateField>,
-    /// Actions per answer at most.
+    /// Maximum number of actions per answer.
     pub horizon: usize,
     /// Actions executed per answer.
     pub execute: usize,
@@ -168,9 +168,8 @@ pub trait Actor {
     /// sessions in any case.
     fn end(&mut self, _session: PolicySession<'_>) {}
 
-    /// Returns the actions for one observation: between one and `horizon`, finite, not yet
-    /// clipped. It is told what is executed meanwhile, if anything is said of
-    /// it.
+    /// Returns the actions for one observation: between one and `horizon`, finite, not yet clipped.
+    /// `under_way` holds the commands executed meanwhile; `None` if the actor is not told of them.
     ///
     /// # Errors
     /// If the actor does not answer, or its answer is not a valid chunk of actions.
@@ -188,8 +187,8 @@ pub trait Actor {
 mod tests {
     use super::*;
 
-    /// Defect: errors read as imperatives and named policy and session twice ("use the answer of
-    /// policy `bad` to query 0 of session … session …").
+    /// Regression: errors read as imperatives and named policy and session twice ("use the answer
+    /// of policy `bad` to query 0 of session … session …").
     #[test]
     fn errors_are_sentences_that_name_the_policy_once() {
         let failed = |policy: &str, problem: &str| PolicyError::Failed {

@@ -55,18 +55,18 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// The command line of a program of this version.
+    /// Returns the command-line parser of a program of this version.
     pub fn of(version: &'static str) -> clap::Command {
         Self::command().version(version)
     }
 
-    /// Reads a command line, its program's name included, and the environment, for a
-    /// program of this version.
+    /// Parses a command line, including the program's name, and the environment, for a program of
+    /// this version.
     ///
-    /// # Errors
-    /// If it asks for nothing that a worker can do, or for help. The coordinator's
-    /// address is looked at only where one is called: `COORDINATOR_URL` may hold
-    /// anything for the others, and for slots.
+    /// Errors
+    /// If the command line is invalid, or asks for help. The coordinator's address is checked only
+    /// for commands that call a coordinator; for the others, and for slots, `COORDINATOR_URL` may
+    /// hold anything.
     pub fn read<I>(version: &'static str, words: I) -> Result<Self, clap::Error>
     where
         I: IntoIterator<Item: Into<OsString>>,

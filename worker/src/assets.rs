@@ -314,7 +314,7 @@ fn origin(arguments: &FetchArguments) -> Result<Origin, PackError> {
 /// # Errors
 /// If the task files cannot be read, or the pack can show no task.
 pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Vec<TaskRef>, PackError> {
-    // The built-in pack is tested to be whole.
+    // Tests ensure that the built-in pack is complete.
     if pack.name() == PRIMITIVES {
         return Ok(Vec::new());
     }

@@ -296,7 +296,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let mut simulator = open(&arguments.simulator)?;
     let is_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
     if choice.benchmark() == Benchmark::Pro && is_folder {
-        // LIBERO's own files, and others beside them that count.
+        // Besides LIBERO's own files, LIBERO-PRO also uses further files in the folder.
         simulator.pack = AssetPack::open_whole(simulator.pack.dir())?;
     }
     let audit = variants::Audit::new(choice.cases()?, &simulator.pack, &simulator.sources)?;

@@ -176,8 +176,8 @@ pub struct Finished {
 /// hex.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
-    /// The renderer's own name, in campaigns also for rollouts without a frame; empty if no
-    /// renderer was opened.
+    /// Name that the renderer reports; campaigns give it even for rollouts without a frame. Empty
+    /// if no renderer was opened.
     pub renderer: String,
     /// See [`sim::fingerprint`]; empty if no renderer was opened.
     pub fingerprint: String,

@@ -85,7 +85,7 @@ impl RolloutError {
     }
 }
 
-/// Name of the setting that says what became of real-time chunking.
+/// Name of the setting that records the server's treatment of real-time chunking.
 const REAL_TIME_CHUNKING: &str = "real-time chunking";
 /// Batch mode if no gateway reports one: each query is answered alone.
 const UNBATCHED: &str = "single";
@@ -130,8 +130,8 @@ pub(crate) enum Change {
     Nudge,
 }
 
-/// Runs a rollout, with `resumed` from the state that earlier commands lead to, changed there. The
-/// policy is reset there, and the commands count against the step budget.
+/// Runs a rollout. With `resumed`, it starts from the state after the earlier commands, with the
+/// change applied; the policy is reset there, and the commands count against the step budget.
 ///
 /// # Errors
 /// As [`run`].
@@ -390,11 +390,11 @@ fn carry_on(verdict: ControlFlow<()>) -> Result<(), RolloutError> {
     }
 }
 
-/// Returns the settings that the policy's server resolved, with how much of each
-/// answer was executed, and how while it was under way.
+/// Returns the settings that the policy's server resolved, the number of actions executed per
+/// answer, and the execution model.
 fn settings(description: &Description, execution: &Execution) -> BTreeMap<String, String> {
     let given = description.about.settings.iter();
-    // A server's own word of that name would say of a rollout how it was executed.
+    // Drops a server's own setting of this name: it would pass for the rollout's execution model.
     let given = given.filter(|setting| setting.name != EXECUTION);
     let model = (!execution.is_wait()).then(|| (EXECUTION.to_owned(), execution.to_string()));
     let told = execution.is_rtc().then(|| {

@@ -1,4 +1,4 @@
-//! Rollouts whose policy is late: the same bits however long it takes by the clock.
+//! Rollouts with a late policy: the same bits, however long its answers take by the clock.
 
 use std::ops::ControlFlow;
 use std::thread::sleep;
@@ -21,12 +21,12 @@ const EXECUTE: usize = 6;
 /// Control steps of a rollout.
 const STEPS: u32 = 40;
 
-/// Answers with what follows from the hand's position to the last bit, so that one step that
-/// differs makes all later ones differ.
+/// Policy whose answers depend on every bit of the hand's position, so that a difference in one
+/// step changes all later steps.
 struct Nervous {
-    /// Takes a random time for each answer.
+    /// True if each answer takes a random time.
     dawdles: bool,
-    /// Steps so far, as the watcher counts them.
+    /// The `under_way` arguments of all queries that had one.
     told: Vec<Query>,
 }
 
@@ -59,7 +59,7 @@ impl Actor for Nervous {
             let mut action = [0.0; 7];
             for (axis, number) in action.iter_mut().enumerate() {
                 let mixed = position[axis % 3] * 1e4 * (1.0 + axis as f64 + place as f64);
-                // As answers travel: 32-bit numbers.
+                // Answers are transmitted as 32-bit numbers.
                 *number = f64::from((mixed.fract() * 0.9) as f32);
             }
             action
@@ -68,7 +68,7 @@ impl Actor for Nervous {
     }
 }
 
-/// Keeps the answers as they were executed.
+/// Records the executed actions.
 #[derive(Default)]
 struct Sent(Vec<Action>);
 
@@ -89,7 +89,7 @@ struct Ran {
 }
 
 impl Ran {
-    /// All of the result that is no time.
+    /// Returns the parts of the result that do not depend on time.
     fn bits(&self) -> (bool, u32, u32, u32, &Motion, &[Action]) {
         let Finished { result, motion, .. } = &self.simulated.finished;
         let counts = (result.steps, result.policy_queries, result.clipped_actions);
@@ -109,7 +109,7 @@ fn parsed(model: &str) -> Execution {
     model.parse().expect("a model")
 }
 
-/// A simulator of the built-in assets; none where `cargo xtask setup` was not run.
+/// Returns a simulator with the built-in assets; `None` if `cargo xtask setup` was not run.
 fn simulator(test: &str) -> Option<Simulator> {
     let sources = match Sources::open(&Sources::default_dir()) {
         Ok(sources) => sources,
@@ -220,7 +220,7 @@ fn a_policy_is_told_what_is_executed_while_it_thinks_and_only_then() {
         return;
     };
     let ran = run_under(&mut simulator, "overlap:3,rtc", false);
-    // Ten actions of which six are executed, three steps late: every six steps.
+    // Of ten actions, six are executed, three steps late: one query every six steps.
     let asked = (0..STEPS as usize).step_by(EXECUTE);
     assert_eq!(ran.told.len(), asked.clone().count());
     for (query, step) in ran.told.iter().zip(asked) {

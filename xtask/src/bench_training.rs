@@ -1,5 +1,5 @@
-//! Rollouts as programs for reinforcement learning make them, here and in the original, in
-//! turn. What is timed, and how, is in `python/bench/training.py` and in docs/PYTHON.md.
+//! Runs reinforcement learning's rollouts here and in the original, in turn.
+//! `python/bench/training.py` and docs/PYTHON.md describe the measurement.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -41,14 +41,14 @@ pub(crate) struct Options {
     assets: Option<PathBuf>,
 }
 
-/// A way to make rollouts.
+/// A way to run rollouts.
 struct Arm {
     what: &'static str,
     is_original: bool,
     arguments: &'static [&'static str],
 }
 
-/// The original first: ratios are to the first arm of the same scenario that runs.
+/// Ratios are relative to the first arm of a scenario that runs, which is the original if possible.
 const SCENARIOS: [(&str, &[Arm]); 2] = [
     (
         "each environment by itself, one look a chunk",
@@ -91,14 +91,14 @@ const SCENARIOS: [(&str, &[Arm]); 2] = [
         ],
     ),
 ];
-/// Quantities that are printed of a run.
+/// Printed quantities of a run.
 const MEASURES: [(&str, &str); 3] = [
     ("steps_per_second", "steps/s"),
     ("rollouts_per_second", "rollouts/s"),
     ("reset_ms", "reset of all, ms"),
 ];
 
-/// Runs everything in turn and prints the table.
+/// Runs all measurements in turn and prints the table.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
     let oracle = options.oracle.clone();
@@ -132,7 +132,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             command.args([name, &size.to_string()]);
         }
         command.env("ROLLOUT_ASSETS", &assets);
-        // Each environment has a core, as its users set it.
+        // One thread per environment, as users of the original set it.
         command.env("OMP_NUM_THREADS", "1");
         command.env("LP_NUM_THREADS", "1");
         last_json(&mut command).map(Some)
@@ -156,7 +156,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
                 measured.extend(measure(arm)?);
             }
         }
-        // A round takes minutes; whoever interrupts keeps what has been measured.
+        // Prints after every round, which takes minutes, so that an interrupted run has results.
         println!("after round {round}");
         print(&measured)?;
     }

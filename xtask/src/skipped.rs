@@ -1,8 +1,8 @@
-//! Reports tests that were skipped for what this machine lacks: reference data, a tool.
+//! Reports tests that were skipped because this machine lacks reference data or a tool.
 //!
 //! Such a test passes after printing a line that begins with `skipped`, in any case and on
 //! either stream. Nextest hides the output of passed tests but keeps it in its report.
-//! Documented commands that no test runs print lines that begin with `not run`.
+//! A documented command that no test runs is listed on a line that begins with `not run`.
 
 use std::path::Path;
 

@@ -161,9 +161,9 @@ struct SpecFlags {
     execution: Option<String>,
 }
 
-/// Checks an execution model as far as it needs no file.
+/// Checks an execution model; the contents of its file, if it names one, are not checked.
 fn execution_text(text: &str) -> Result<String, ExecutionError> {
-    // Any delay stands for those of the file, which is read later.
+    // A delay of 0 takes the place of the file, which is read later.
     let (model, file) = text.split_once(":@").unwrap_or((text, ""));
     let checked = match file {
         "" => model.to_owned(),
@@ -173,8 +173,8 @@ fn execution_text(text: &str) -> Result<String, ExecutionError> {
     Ok(text.to_owned())
 }
 
-/// The execution model that a flag says, with a file of measured latencies in place of its
-/// delays.
+/// Returns the execution model that a flag names. `@FILE` is replaced by the latencies that the
+/// file holds.
 fn execution(text: &str) -> anyhow::Result<Execution> {
     let Some((model, file)) = text.split_once(":@") else {
         return Ok(text.parse()?);

@@ -52,7 +52,7 @@ impl Changes {
         }
     }
 
-    /// Returns the change counter, which a page rendered now carries as its version.
+    /// Returns the change counter, which is the version of a page rendered now.
     pub(super) fn version(&self) -> u64 {
         match *self.news.borrow() {
             News::Version(version) => version,

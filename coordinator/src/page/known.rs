@@ -49,7 +49,7 @@ pub(super) async fn read(
         },
     };
     let measured = source(view, measured, asked).await?;
-    // Of several explaining campaigns, uses the one with the most rollouts of this configuration.
+    // Uses the explaining campaign with the most rollouts of this configuration.
     let mut explaining: Option<(Source, Explanation)> = None;
     for by in by {
         let Some(explanation) = explanation(view, &by).await? else {

@@ -1,7 +1,6 @@
-//! Callers without access: without a token, with a wrong one, with one of another role, with
-//! messages and names that are too long, and a coordinator whose certificate
-//! cannot be trusted. The real program on real sockets; after each, the
-//! database's bytes are what they were.
+//! Refused callers: without a token, with a wrong one or one of another role, with messages or
+//! names that are too long, and clients that cannot trust the coordinator's certificate. The real
+//! program on real sockets. Refusals leave the database's bytes unchanged.
 
 use std::fs::{File, Permissions};
 use std::io::{ErrorKind, Read, Write};
@@ -27,7 +26,7 @@ use crate::process::{Serve, coordinator, text};
 pub(crate) const WORKER: &str = "worker-secret-0123456789";
 pub(crate) const OPERATOR: &str = "operator-secret-0123456789";
 pub(crate) const VIEWER: &str = "viewer-secret-0123456789";
-/// Characters of a name that is meant to hurt.
+/// Length of a name that is meant to do harm, characters.
 const MILLION: usize = 1_000_000;
 
 /// Writes a file that only this user may read.
@@ -36,7 +35,7 @@ pub(crate) fn write_private(path: &Path, text: &str) {
     std::fs::set_permissions(path, Permissions::from_mode(0o600)).expect("set");
 }
 
-/// A guarded coordinator with its log.
+/// A coordinator that requires tokens, with its log.
 pub(crate) struct Guarded {
     folder: TempDir,
     serve: Serve,
@@ -65,7 +64,7 @@ impl Guarded {
         endpoint.connect().await.expect("a connection")
     }
 
-    /// The database with its write-ahead log, byte by byte.
+    /// Returns the bytes of the database and of its write-ahead log.
     fn database(&self) -> [Vec<u8>; 2] {
         ["coordinator.sqlite", "coordinator.sqlite-wal"].map(|name| {
             let path = self.folder.path().join("data").join(name);
@@ -73,7 +72,7 @@ impl Guarded {
         })
     }
 
-    /// Lines of the log that hold a word.
+    /// Counts the lines of the log that contain a word. No token may be in the log.
     pub(crate) fn logged(&self, word: &str) -> usize {
         let log = std::fs::read_to_string(self.folder.path().join("log")).expect("a log");
         for secret in [WORKER, OPERATOR, VIEWER, "wrong-secret"] {
@@ -85,7 +84,7 @@ impl Guarded {
 
 type Shown = Box<dyn FnMut(Request<()>) -> Result<Request<()>, Status>>;
 
-/// Shows a token, or none.
+/// Returns a service that sends a token, or none, with every call.
 fn showing(channel: &Channel, token: Option<&str>) -> InterceptedService<Channel, Shown> {
     let value = token.map(|token| format!("Bearer {token}").parse().expect("a header"));
     let show: Shown = Box::new(move |mut request: Request<()>| {
@@ -163,7 +162,7 @@ async fn a_role_allows_what_it_is_for_and_nothing_else() {
         assert_eq!(refused.expect_err(token).code(), Code::PermissionDenied);
         list(&channel, Some(token)).await.expect("may read");
     }
-    // A worker reads nothing of anybody's: neither campaigns nor results.
+    // A worker may read nothing: neither campaigns nor results.
     let refused = list(&channel, Some(WORKER)).await.expect_err("a worker");
     assert_eq!(refused.code(), Code::PermissionDenied);
     assert_eq!(guarded.logged("was refused"), 1);
@@ -239,7 +238,7 @@ async fn an_oversized_message_is_refused_before_it_is_read() {
     assert_eq!(guarded.database(), before);
 }
 
-/// A certificate authority in a folder, and what it signs for `localhost`.
+/// A certificate authority in a folder, which signs certificates for `localhost`.
 struct Authority {
     folder: TempDir,
     issuer: CertifiedIssuer<'static, KeyPair>,
@@ -262,7 +261,7 @@ impl Authority {
         self.folder.path().join(name)
     }
 
-    /// A server's certificate that is valid until the end of a year.
+    /// Signs a certificate that is valid until the end of a year; returns it as server arguments.
     fn sign(&self, until_year: i32) -> [String; 4] {
         let mut params = CertificateParams::new(["localhost".to_owned()]).expect("a name");
         params.not_after = date_time_ymd(until_year, 12, 31);
@@ -276,7 +275,7 @@ impl Authority {
     }
 }
 
-/// Lists the campaigns over TLS, trusting a file.
+/// Lists the campaigns over TLS with the certificate authority in a file.
 fn list_over_tls(guarded: &Guarded, ca: &Path) -> Output {
     let port = guarded.serve.url.rsplit(':').next().expect("a port");
     let tokens = guarded.folder.path().join("tokens");
@@ -338,11 +337,11 @@ fn other_machines_are_listened_to_only_with_guards_or_on_demand() {
     assert!(!folder.path().join("data").exists());
 }
 
-/// Finding A2: on a shared machine every user could call a coordinator that listened to this
-/// machine alone, delete its campaigns and set its policies' endpoints.
+/// Regression (finding A2): on a shared machine, every user could call a coordinator that listened
+/// on loopback, delete its campaigns and set its policies' endpoints.
 #[test]
 fn other_users_of_the_machine_are_let_in_only_on_demand() {
-    /// `nobody`.
+    /// User id of `nobody`.
     const OTHER: u32 = 65_534;
     if !rustix::process::geteuid().is_root() {
         println!("skipped other_users_of_the_machine_are_let_in_only_on_demand: not root");
@@ -422,13 +421,13 @@ fn secrets_that_others_can_read_are_refused_and_what_is_kept_they_cannot() {
         assert_eq!(mode(&file), 0o600, "{}", file.display());
     }
     drop(serve);
-    // One of an earlier release is closed, too.
+    // A database of an earlier release is made private, too.
     std::fs::set_permissions(&database, Permissions::from_mode(0o644)).expect("set");
     let _serve = Serve::start(&data);
     assert_eq!(mode(&database), 0o600);
 }
 
-/// Whoever can reach the port can open sockets and say nothing.
+/// Anyone who can reach the port can open sockets and send nothing.
 #[tokio::test(flavor = "multi_thread")]
 async fn silent_connections_lock_nobody_out_and_are_closed() {
     const FILES: usize = 128;
@@ -451,7 +450,7 @@ async fn silent_connections_lock_nobody_out_and_are_closed() {
     let listed = serve.command(&["workers", "--retry-secs", "5"]);
     assert!(listed.status.success(), "{}", text(&listed.stderr));
     assert!(text(&listed.stdout).contains("honest"));
-    // A few bytes are nothing said either. The end comes by itself.
+    // A few bytes do not make a connection active. It is closed after the timeout.
     let mut last = silent.pop().expect("a connection");
     last.write_all(b"GET / HTTP").expect("sent");
     last.set_read_timeout(Some(Duration::from_secs(120)))

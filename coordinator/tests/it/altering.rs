@@ -1,4 +1,4 @@
-//! Altering a campaign that is there: where its policy is, what it is called.
+//! Alteration of an existing campaign: its policy's endpoint and its name.
 
 use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;
@@ -52,8 +52,7 @@ async fn delete(bench: &Bench, name: &str) {
     deleted.expect("deleted");
 }
 
-/// A worker stores a video beside a committed outcome; returns its path below
-/// the data folder.
+/// Stores a video beside a committed outcome; returns its path below the data folder.
 async fn film(worker: &mut Worker, lease: &wire::Lease) -> String {
     let video = tokio_stream::iter([wire::ArtifactChunk {
         attempt_id: lease.attempt_id.clone(),
@@ -64,7 +63,7 @@ async fn film(worker: &mut Worker, lease: &wire::Lease) -> String {
     put.into_inner().path
 }
 
-/// A typo in the endpoint took deleting the campaign and creating it again.
+/// Regression: a typo in the endpoint could only be corrected by creating the campaign anew.
 #[tokio::test]
 async fn a_campaign_whose_endpoint_is_mended_goes_on_at_once() {
     let bench = Bench::start().await;
@@ -83,8 +82,8 @@ async fn a_campaign_whose_endpoint_is_mended_goes_on_at_once() {
     assert_eq!(status.policy_endpoint, ELSEWHERE);
     assert!(!status.policy_paused, "nothing bad is known of the new one");
 
-    // An attempt at the old endpoint is no longer for this campaign, and says nothing of the new
-    // one.
+    // An attempt at the old endpoint no longer belongs to this campaign, and is no evidence about
+    // the new endpoint.
     let over = worker.heartbeat(&[&held], 20).await;
     assert_eq!(over, std::slice::from_ref(&held.attempt_id));
     worker.release(&held, Reason::PolicyUnavailable).await;
@@ -99,7 +98,7 @@ async fn a_campaign_whose_endpoint_is_mended_goes_on_at_once() {
             .iter()
             .all(|lease| lease.policy_endpoint == ELSEWHERE)
     );
-    // The mistyped endpoint is nobody's any more.
+    // No policy has the mistyped endpoint any more.
     assert_eq!(bench.count("SELECT count(*) FROM policy").await, 1);
     is_in_order(&bench).await;
 }
@@ -227,8 +226,8 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
     is_in_order(&bench).await;
 }
 
-/// Files are below a folder of the campaign's name: one that takes over a former
-/// name must neither mix its files with the other's, nor delete them.
+/// A campaign's folder has its first name. A campaign that takes over a former name must neither
+/// mix its files with those of the renamed one nor delete them.
 #[tokio::test]
 async fn a_name_that_is_free_again_shares_no_files_with_who_had_it_before() {
     let bench = Bench::start().await;
@@ -252,14 +251,14 @@ async fn a_name_that_is_free_again_shares_no_files_with_who_had_it_before() {
     delete(&bench, "name").await;
     assert!(bench.folder.path().join(&kept).is_file());
     assert!(!bench.folder.path().join(&own).exists());
-    // Nobody has the name now, and nobody is sent elsewhere for it.
+    // No campaign has the name now, and no redirection from it is left.
     let request = wire::GetCampaignRequest {
         campaign: "name".to_owned(),
     };
     let refused = bench.operator().await.get_campaign(request).await;
     let refused = refused.expect_err("gone");
     assert!(refused.message().contains("no such campaign"), "{refused}");
-    // Back to its first name, and away again.
+    // The first campaign gets its first name back, and then another one.
     alter(&bench, to_name("first", "name"))
         .await
         .expect("renamed");

@@ -66,7 +66,7 @@ async fn a_video_is_kept_beside_the_outcome_of_its_attempt() {
     assert_eq!(bench.count(recorded).await, 1);
 }
 
-/// Defect 9: a failed attempt's film was shown beside the outcome of the next.
+/// Regression (defect 9): a failed attempt's film was shown beside the next attempt's outcome.
 #[tokio::test]
 async fn the_film_of_a_failed_attempt_is_never_beside_another_ones_outcome() {
     let bench = Bench::start().await;
@@ -83,8 +83,8 @@ async fn the_film_of_a_failed_attempt_is_never_beside_another_ones_outcome() {
     assert_eq!(bench.count("SELECT count(*) FROM artifact").await, 0);
 }
 
-/// Defect 10: two uploads under one lease shared a partial file, so that a
-/// published video was rewritten.
+/// Regression (defect 10): two uploads under one lease shared a partial file, so that a published
+/// video was overwritten.
 #[tokio::test]
 async fn two_uploads_of_one_attempt_at_once_leave_one_whole_video() {
     let bench = Bench::start().await;
@@ -106,7 +106,7 @@ async fn two_uploads_of_one_attempt_at_once_leave_one_whole_video() {
         let path = put(&mut worker, &lease, "video.mp4", &[vec![2; 500]]).await;
         let file = bench.folder.path().join(path.expect("kept"));
         assert_eq!(std::fs::read(&file).expect("a file"), [2; 500]);
-        // The rest of the slow upload goes nowhere near the published file.
+        // The rest of the slow upload does not change the published file.
         pieces.send(chunk(1)).await.expect("taken");
         tokio::time::sleep(Duration::from_millis(200)).await;
         assert_eq!(std::fs::read(&file).expect("a file"), [2; 500]);

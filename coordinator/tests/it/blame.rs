@@ -1,5 +1,4 @@
-//! Whom a failure counts against: policy, machine or simulator, and only one of
-//! them.
+//! Charging of failures: to the policy, the machine or the simulator, and to only one of them.
 
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
@@ -9,7 +8,7 @@ use serde_json::json;
 
 use crate::harness::{Bench, Worker, small_spec, with};
 
-/// Longer than any back-off, shorter than a worker is taken to be alive.
+/// Longer than any back-off, shorter than the time for which a worker counts as alive.
 const PAST_BACKOFF_SECS: u64 = 61;
 
 async fn create(bench: &Bench, name: &str, policy: &str) {
@@ -57,7 +56,7 @@ async fn a_policy_that_answers_nonsense_pauses_itself_and_never_a_worker() {
 async fn rollouts_of_a_policy_that_stays_nonsense_end_in_quarantine_with_its_words() {
     let bench = Bench::start().await;
     create(&bench, "first", "nonsense").await;
-    // Another machine would get the same answers: it need not be asked.
+    // Another machine would get the same answers, so it need not try.
     let (mut worker, mut other) = (bench.worker("a").await, bench.worker("b").await);
     while bench.status("first").await.quarantined < 2 {
         bench.pass(PAST_BACKOFF_SECS).await;
@@ -68,7 +67,7 @@ async fn rollouts_of_a_policy_that_stays_nonsense_end_in_quarantine_with_its_wor
     let with_its_words = "SELECT count(*) FROM job
         WHERE state = 'quarantined' AND last_error = 'the bench said so'";
     assert_eq!(bench.count(with_its_words).await, 2);
-    // It is mended: its next probe is answered, and the rest follows.
+    // The policy is corrected: its next probe is answered, and its other jobs follow.
     bench.pass(PAST_BACKOFF_SECS).await;
     let probe = worker.claim_one().await;
     assert!(worker.claim(1).await.is_empty(), "one probe");
@@ -104,8 +103,8 @@ async fn only_its_machines_failures_stop_a_worker() {
     }
 }
 
-/// Finding B2: a worker that is started again has a new id, so that one machine counted
-/// as many.
+/// Regression (finding B2): a restarted worker has a new id, so that one machine was counted as
+/// several.
 #[tokio::test]
 async fn a_machine_whose_worker_is_started_again_condemns_no_rollout_that_another_could_run() {
     let bench = Bench::start().await;
@@ -157,11 +156,11 @@ async fn a_broken_machine_has_one_failure_left_when_its_worker_is_started_again(
     }
     let mut second = bench.worker_at("broken", "second").await;
     assert!(fail(&mut second).await);
-    // Another machine has nothing to do with it, nor does a worker that names none.
+    // Other machines are not affected, nor is a worker that does not name its machine.
     let mut elsewhere = bench.worker_at("sound", "elsewhere").await;
     let mut nameless = bench.worker("nameless").await;
     assert!(!fail(&mut elsewhere).await && !fail(&mut nameless).await);
-    // It was mended.
+    // The machine is repaired.
     let mut third = bench.worker_at("broken", "third").await;
     let lease = third.claim_one().await;
     assert_eq!(third.commit(&lease, true).await, Verdict::Accepted);

@@ -1,4 +1,4 @@
-//! Numbers of workers that no machine and no rollout has: they would spoil the sums of others.
+//! Numbers reported by workers that are impossibly large: they must not spoil sums over workers.
 
 use tonic::Code;
 

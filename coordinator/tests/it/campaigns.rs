@@ -14,7 +14,7 @@ async fn the_same_specification_twice_adds_nothing_and_another_is_refused() {
     let spec = small_spec("same");
     let first = bench.create(&spec).await.expect("created");
     assert_eq!((first.jobs_added, first.jobs_total), (4, 4));
-    // The order in which a set is written does not make another campaign.
+    // The order in which a set is written does not make the specification a different one.
     let reordered = with(spec.clone(), json!({"axes": ["sensor", "camera"]}));
     let again = bench.create(&reordered).await.expect("the same");
     assert_eq!((again.jobs_added, again.jobs_total), (0, 4));

@@ -108,7 +108,7 @@ async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
     assert_eq!(rest.len(), 9, "warmth is a preference, not a limit");
 }
 
-/// In the order of scenes, and in the drawn order of a campaign that may end early.
+/// Both in a campaign that is leased task by task and in one that is leased in drawn order.
 #[tokio::test]
 async fn jobs_of_tasks_that_a_worker_cannot_show_are_left_to_others() {
     let bench = Bench::start().await;
@@ -156,7 +156,7 @@ async fn a_worker_that_names_no_renderer_is_not_registered() {
     assert_eq!(bench.count("SELECT count(*) FROM worker").await, 1);
 }
 
-/// The campaign that was created first once had all workers until it was done.
+/// Regression: the oldest campaign got all workers until it was done.
 #[tokio::test]
 async fn campaigns_of_one_priority_progress_together() {
     let bench = Bench::start().await;
@@ -164,14 +164,14 @@ async fn campaigns_of_one_priority_progress_together() {
     bench.create(&small_spec("newer")).await.expect("created");
     let mut worker = bench.worker("a").await;
     let mut names = Vec::new();
-    // One slot, which never holds two leases.
+    // A single slot, which never holds two leases.
     for _ in 0..4 {
         let lease = worker.claim_one().await;
         assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
         names.push(lease.campaign);
     }
     assert_eq!(names, ["older", "newer", "older", "newer"]);
-    // Many, which hold what they get.
+    // Several slots, which keep their leases.
     let rest = worker.claim(8).await;
     let of = |name: &str| rest.iter().filter(|lease| lease.campaign == name).count();
     assert_eq!((of("older"), of("newer")), (2, 2));
@@ -193,7 +193,7 @@ async fn the_campaign_with_the_fewest_leases_is_next() {
         .collect();
     assert_eq!(campaigns[..4], ["new"; 4], "until they hold the same");
     assert_eq!(campaigns[4..], ["begun", "new"], "then in turn");
-    // A slot that ends a rollout goes on with the same campaign, and its scene.
+    // A slot that finishes a rollout continues with the same campaign, whose scene it holds.
     assert_eq!(worker.commit(&begun[0], true).await, Verdict::Accepted);
     assert_eq!(worker.claim_one().await.campaign, "begun");
 }
@@ -207,7 +207,7 @@ async fn a_higher_priority_goes_first_and_may_be_changed_at_any_time() {
     let mut worker = bench.worker("a").await;
     assert_eq!(worker.claim_one().await.campaign, "urgent");
     assert_eq!(worker.claim_one().await.campaign, "urgent");
-    // The same again keeps the priority that it has.
+    // Creating the same campaign again keeps its priority.
     let again = bench.create(&small_spec("urgent")).await.expect("there");
     assert_eq!((again.jobs_added, again.priority), (0, 7));
 
@@ -238,12 +238,12 @@ async fn a_higher_priority_goes_first_and_may_be_changed_at_any_time() {
         let refused = refused.expect_err("no priority");
         assert_eq!(refused.code(), Code::InvalidArgument);
     }
-    // Jobs of a lower priority are leased once the higher ones are done.
+    // Jobs of lower priority are leased once all jobs of higher priority are leased.
     assert_eq!(worker.claim(64).await.len(), 5);
 }
 
-/// The first in line may be pinned to other assets, paused, or wait for its
-/// policy: those behind it go on.
+/// The first campaigns in order may be pinned to other assets, be paused, or wait for their policy;
+/// the campaigns after them are still leased.
 #[tokio::test]
 async fn nothing_starves_behind_a_campaign_that_a_worker_cannot_run() {
     let bench = Bench::start().await;
@@ -310,8 +310,8 @@ async fn a_stranger_is_told_to_register_and_another_protocol_version_is_refused(
     assert!(refused.message().contains(&ours), "{refused}");
 }
 
-/// Defect 5: a claim whose answer was lost on the way left a lease that its
-/// worker did not know of.
+/// Regression (defect 5): a claim whose answer was lost left a lease that its worker did not know
+/// of.
 #[tokio::test]
 async fn a_claim_that_is_asked_again_gets_the_lease_that_it_has_already() {
     let bench = Bench::start().await;
@@ -327,7 +327,7 @@ async fn a_claim_that_is_asked_again_gets_the_lease_that_it_has_already() {
     assert_eq!(leases[1].as_ref(), Some(first));
     assert_eq!(leases[2].as_ref(), Some(first));
     assert_eq!(bench.status("again").await.leased, 1);
-    // The name is the worker's own: another worker's is another claim.
+    // Claim ids are local to a worker: the same id from another worker is another claim.
     let mut other = bench.worker("b").await;
     let request = wire::ClaimRequest {
         worker_id: other.id.clone(),
@@ -344,7 +344,7 @@ async fn leases_that_were_never_acknowledged_expire_uncharged_and_strike_no_work
     let bench = Bench::start().await;
     bench.create(&small_spec("lost")).await.expect("created");
     let mut worker = bench.worker("a").await;
-    // More than would be too many in a row.
+    // More failures than would stop a worker if they counted.
     for _ in 0..8 {
         let claimed = worker.claim_response("").await;
         assert!(claimed.lease.is_some(), "{}", claimed.idle_reason);

@@ -1,7 +1,7 @@
-//! A clock that jumps between two starts of a coordinator: every column that stores an
-//! instant, and what becomes of it.
+//! The clock jumps between two starts of a coordinator: effect on every column that stores an
+//! instant.
 //!
-//! While a coordinator runs, its clock only goes forward (`queue::clock`).
+//! While a coordinator runs, its clock never goes back (`queue::clock`).
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,41 +21,41 @@ const DAY_MS: i64 = 24 * 3_600 * 1_000;
 const LONGEST_WAIT_MS: i64 = 60_000;
 const LEASE_MS: i64 = 30_000;
 
-/// Every column that stores an instant, and how far ahead of the clock it may lie after a
-/// start, whatever it was before. Behind the clock an instant is past, however far: a
-/// clock that jumped ahead ends back-offs and pauses, makes workers silent until they
-/// call, and leaves leases their full time.
+/// Every column that stores an instant, and how far after the current instant it may lie once the
+/// coordinator has started. Instants may lie in the past by any amount: a clock that jumped ahead
+/// ends back-offs and pauses, makes workers silent until they call, and leaves leases their full
+/// time.
 const INSTANTS: [(&str, &str, Option<i64>); 20] = [
-    // For people; the rates that estimates rest on.
+    // Displayed to people, and the basis of the rates in estimates.
     ("artifact", "stored_ms", Some(0)),
     ("campaign", "created_ms", Some(0)),
-    // Decides whether a result that does not suit was leased in good faith.
+    // Decides whether an unsuitable result was leased in good faith.
     ("campaign", "pinned_ms", Some(0)),
     ("campaign", "state_since_ms", Some(0)),
     ("divergence", "reported_ms", Some(0)),
-    // Until when a worker that was cut off is heard: as long after `leased_ms` as before.
+    // Latest report of a worker that was cut off; its distance from `leased_ms` is kept.
     ("failure", "ceiling_ms", None),
     ("failure", "failed_ms", Some(0)),
     ("failure", "leased_ms", Some(0)),
-    // The attempt's own length after its beginning, or the lease's if that is more.
+    // The attempt's own length after its start, or the lease's duration if that is longer.
     ("job", "ceiling_ms", None),
     ("job", "lease_expires_ms", Some(LEASE_MS)),
     ("job", "leased_ms", Some(0)),
     ("job", "not_before_ms", Some(LONGEST_WAIT_MS)),
-    // Since when a lease can be evidence of an outage.
+    // Leases granted earlier are no evidence of an outage.
     ("policy", "available_ms", Some(0)),
     ("policy", "resume_ms", Some(LONGEST_WAIT_MS)),
     ("result", "committed_ms", Some(0)),
     ("stop", "stopped_ms", Some(0)),
-    // Whether a lease was cut off with its worker.
+    // Decides whether a lease was cut off with its worker.
     ("worker", "heartbeat_ms", Some(0)),
-    // Whether a worker is alive.
+    // Decides whether a worker is alive.
     ("worker", "last_seen_ms", Some(0)),
     ("worker", "registered_ms", Some(0)),
     ("worker", "signed_off_ms", Some(0)),
 ];
 
-/// Instants of every column, at rest.
+/// Stores an instant in every column of `INSTANTS`.
 async fn every_instant(bench: &Bench) {
     let spec = with(small_spec("times"), json!({"configs": [0, 1]}));
     bench.create(&spec).await.expect("created");
@@ -79,7 +79,7 @@ async fn every_instant(bench: &Bench) {
     pool.close().await;
 }
 
-/// The latest instant of a column.
+/// Returns the latest instant in a column.
 async fn latest(bench: &Bench, table: &str, column: &str) -> Option<i64> {
     let pool = bench.database().await;
     let statement = format!("SELECT max({column}) FROM {table}");
@@ -111,7 +111,7 @@ async fn every_column_with_an_instant_is_named_here() {
     );
 }
 
-/// Finding B3.
+/// Regression (finding B3): instants stayed ahead of a clock that was set back.
 #[tokio::test]
 async fn a_clock_that_was_set_back_leaves_no_instant_ahead_of_it() {
     let bench = Bench::start().await;
@@ -139,7 +139,7 @@ async fn an_outage_is_noticed_and_a_dead_worker_is_dead_after_the_clock_was_set_
     let bench = Bench::start().await;
     bench.create(&small_spec("back")).await.expect("created");
     let mut worker = bench.worker("a").await;
-    // Since when the policy is available is as of today.
+    // The policy counts as available from today on.
     let lease = worker.claim_one().await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     bench.pass(5).await;

@@ -1,4 +1,4 @@
-//! Two policies against each other, from the command line and on the page.
+//! Comparison of two policies on the command line and on the page.
 
 use libero_ctrl::{Axis, Condition, Directions, Level};
 use proto::coordinator as wire;
@@ -12,8 +12,8 @@ use crate::process::{Serve, coordinator, text};
 /// The published outcomes of OpenVLA-OFT.
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
 
-/// Runs everything there is: the policy `strong` succeeds everywhere, any other
-/// only where nothing is simultaneous.
+/// Runs all jobs: the policy `strong` always succeeds, any other policy fails under simultaneous
+/// perturbation only.
 async fn run_all(worker: &mut Worker) {
     loop {
         let leases: Vec<wire::Lease> = worker.claim(64).await;
@@ -62,7 +62,7 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
     for said in [
         "A strong at http://127.0.0.1:50051, campaign a",
         "B weak at http://127.0.0.1:50051, campaign b",
-        // Ten tasks: all of A's, none of B's. Two of 1,024 sign-flips, times four conditions.
+        // Ten tasks: A succeeds on all, B on none. Two of 1,024 sign-flips, times four conditions.
         "simultaneous 10 100.0 0.0 +100.0 no spread 10 0 0.008",
         "nominal 10 100.0 100.0 +0.0 no spread 0 0 1.000",
         "left out: 40 rollouts that only A has, 0 rollouts that only B has",
@@ -125,7 +125,7 @@ async fn campaigns_and_folders_are_a_and_b_in_the_order_of_the_command_line() {
         assert_eq!(compared, 10 * 7, "five axes, simultaneous, nominal");
     }
 
-    // The published outcomes were perturbed in the other mode.
+    // The published outcomes have the other realisation mode.
     let output = serve.command(&["compare", "a", "--from", EXAMPLE]);
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{error}");
@@ -173,8 +173,8 @@ async fn compared(bench: &Bench, names: [&str; 2]) -> report::Comparison {
     report::Comparison::of([a, b], setups).expect("comparable")
 }
 
-/// Configuration 10 is drawn from the design's seed: under the same ids two
-/// designs have other perturbations, and other initial states.
+/// Configuration 10 is drawn from the design's seed: rollouts of two designs with the same ids have
+/// different perturbations and initial states.
 #[tokio::test]
 async fn rollouts_that_only_share_their_names_are_not_paired() {
     let bench = Bench::start().await;
@@ -247,7 +247,7 @@ async fn two_campaigns_are_compared_on_the_page() {
     let mut worker = bench.worker("w").await;
     run_all(&mut worker).await;
 
-    // Another address than before: a page is shown again for a second.
+    // A different address, since a page is cached for a second.
     let list = ask(&bench.url, "GET /?later").await.text();
     assert!(list.contains("action=\"/compare\""), "{list}");
     let form = ask(&bench.url, "GET /compare").await;
@@ -272,7 +272,7 @@ async fn two_campaigns_are_compared_on_the_page() {
     }
     let missing = ask(&bench.url, "GET /compare?a=first&b=third").await;
     assert!(missing.text().contains("There is no such campaign"));
-    // Campaigns that cannot be compared give a page, too, not an error.
+    // Campaigns that cannot be compared also give a page, not an error.
     let other = with(small_spec("other"), json!({"realisation": "reference"}));
     bench.create(&other).await.expect("created");
     let refused = ask(&bench.url, "GET /compare?a=first&b=other").await.text();

@@ -1,5 +1,5 @@
-//! Helpers of tests of campaigns that follow from others: workers that run waiting jobs with
-//! planted outcomes, and coordinators that die.
+//! Helpers for tests of derived campaigns: workers that run waiting jobs with planted outcomes, and
+//! coordinators that are killed.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -19,10 +19,10 @@ use crate::process::Serve;
 /// Longest time that a planted campaign may take.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
-/// How a rollout ends: what is planted.
+/// Planted outcome of a rollout.
 pub(crate) type Planted = fn(&RolloutId) -> Outcome;
 
-/// Runs what waits, until nothing does.
+/// Runs waiting jobs until none is left.
 pub(crate) async fn run_all(worker: &mut Worker, planted: Planted) {
     loop {
         let leases = worker.claim(64).await;
@@ -37,9 +37,9 @@ pub(crate) async fn run_all(worker: &mut Worker, planted: Planted) {
     }
 }
 
-/// Kills the coordinator of a folder around every transaction that a campaign of the
-/// specification takes, one life after the other: each goes on where the one before it
-/// died. Every invariant holds after each.
+/// Kills the coordinator of a folder around every transaction that a campaign of the specification
+/// needs, in consecutive runs, each of which continues where the previous one was killed. Every
+/// invariant holds after each.
 pub(crate) async fn die_everywhere(folder: &Path, spec: &Value, planted: Planted) {
     for (side, step, times) in [
         (Side::Before, Step::CreateCampaign, 1),
@@ -59,8 +59,8 @@ pub(crate) async fn die_everywhere(folder: &Path, spec: &Value, planted: Planted
     }
 }
 
-/// Serves a folder until it dies at the point, while a campaign is created of the
-/// specification, and a worker runs what it gets, without that of which nothing is planted.
+/// Serves a folder until the process is killed at a failpoint, while a campaign is created and a
+/// worker runs its jobs, except those without a planted outcome.
 pub(crate) async fn die_at(
     folder: &Path,
     point: &str,
@@ -85,7 +85,7 @@ pub(crate) async fn die_at(
     let mut serve = Serve::of(child);
     let began = Instant::now();
     if serve.is_ready() {
-        // Not by the command, which would go on trying while nobody answers.
+        // Not with the command, which would retry as long as nobody answers.
         let request = CreateCampaignRequest {
             spec: spec.to_string(),
             priority: 0,

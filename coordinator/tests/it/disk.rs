@@ -1,5 +1,5 @@
-//! A disk that is nearly full, and one that is: nothing is leased that could
-//! not be written down, and nothing that was accepted or is under way is lost.
+//! A disk that is nearly full, and one that is full: nothing is leased whose result could not be
+//! stored, and neither accepted results nor attempts in progress are lost.
 
 use std::fs::File;
 use std::process::Stdio;
@@ -19,7 +19,7 @@ async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so(
     let serve = Serve::start_with(folder.path(), &needed, Stdio::null());
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("a").await;
-    // The first look at the disk comes with the first sweep.
+    // The disk is first measured by the first sweep.
     let started = Instant::now();
     loop {
         let claim = worker.try_claim(1.0, "").await.expect("an answer");
@@ -50,7 +50,7 @@ async fn a_coordinator_that_cannot_write_leases_nothing_and_goes_on_when_it_can(
     let refused = worker.try_commit(&lease, true).await.expect_err("no room");
     assert_eq!(refused.code(), tonic::Code::Unavailable);
     serve.limit_files("unlimited:unlimited");
-    // Nothing was lost: neither the lease nor the outcome that it brings.
+    // Nothing was lost: neither the lease nor its outcome.
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let started = Instant::now();
     while worker.claim(1).await.is_empty() {
@@ -58,7 +58,7 @@ async fn a_coordinator_that_cannot_write_leases_nothing_and_goes_on_when_it_can(
     }
 }
 
-/// SQLite went on with the open file: `create` said "created", and all was lost at the end.
+/// Regression: SQLite wrote to the removed file, so that `create` said "created" and all was lost.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_data_folder_that_is_gone_takes_nothing_and_can_still_be_saved() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -86,13 +86,13 @@ async fn a_data_folder_that_is_gone_takes_nothing_and_can_still_be_saved() {
     let checked = coordinator(&["check", copy]);
     assert!(checked.status.success(), "{}", text(&checked.stderr));
 
-    // Another database in the same place is not this coordinator's.
+    // The coordinator does not use another database at the same path.
     drop(Serve::start(&data));
     let refused = serve.command(&create);
     assert_eq!(refused.status.code(), Some(1), "{refused:?}");
 }
 
-/// A log on the same disk: what cannot be written there is lost, and nothing else.
+/// The log is on the same disk: lines that cannot be written are lost, and nothing else.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -111,9 +111,9 @@ async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
     serve.worker("a").await.claim_one().await;
 }
 
-/// Defects 4 and 7: videos were sent before outcomes, which an artifacts folder
-/// on a full disk kept back for ever; and the error of a video's last write was
-/// swallowed, so that a truncated video counted as whole.
+/// Regression (defects 4 and 7): videos were sent before outcomes, so that an artifacts folder on a
+/// full disk held outcomes back forever; and the error of a video's last write was ignored, so that
+/// a truncated video counted as complete.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_artifacts_folder_on_a_full_disk_costs_the_video_and_not_the_outcome() {
     const ROOM: usize = 2_000_000;
@@ -122,7 +122,7 @@ async fn an_artifacts_folder_on_a_full_disk_costs_the_video_and_not_the_outcome(
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("a").await;
     let lease = worker.claim_one().await;
-    // The database is smaller than that, the videos are not.
+    // The database is smaller than this limit; the videos are not.
     serve.limit_files(&format!("{ROOM}:unlimited"));
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let artifacts = folder.path().join("artifacts/demo");
@@ -136,7 +136,7 @@ async fn an_artifacts_folder_on_a_full_disk_costs_the_video_and_not_the_outcome(
         let left = std::fs::read_dir(&artifacts).expect("a folder").count();
         assert_eq!(left, 0, "something was left of the video");
     }
-    // Work goes on, and the video may come when there is room again.
+    // Leasing continues, and the video can be uploaded when there is room again.
     let next = worker.claim_one().await;
     assert_eq!(worker.commit(&next, true).await, Verdict::Accepted);
     serve.limit_files("unlimited:unlimited");

@@ -1,5 +1,5 @@
-//! Explanation of failures by axes: planted rules of failure are found again, whatever dies on the
-//! way.
+//! Explanations of failures by axes: planted rules of failure are found again, even if the process
+//! is killed at any point.
 
 use std::collections::BTreeSet;
 use std::process::Stdio;
@@ -20,7 +20,7 @@ fn set(text: &str) -> AxisSet {
     text.parse().expect("a set of axes")
 }
 
-/// Planted outcome, by the task within its suite: the axes that it takes to fail.
+/// Planted outcome. The task's index within its suite determines the axes that cause a failure.
 pub(crate) fn outcome(id: &RolloutId) -> Outcome {
     let axes = id.condition().axes(AxisSet::ALL);
     let has = |text| set(text).is_subset(axes);
@@ -28,9 +28,9 @@ pub(crate) fn outcome(id: &RolloutId) -> Outcome {
         0 | 1 => has("camera+robot"),
         2 => has("camera+lighting+sensor"),
         3 => has("robot+language") || has("camera+sensor"),
-        // Robot alone fails, and the camera makes up for it.
+        // The robot axis alone causes a failure, and the camera axis compensates for it.
         4 => has("robot") && !has("camera"),
-        // A pair fails, unless a third axis is there; and all together.
+        // A pair causes a failure unless a third axis is added; so do all axes together.
         5 => has("lighting+actuation") && !has("lighting+actuation+sensor") || axes == AxisSet::ALL,
         _ => false,
     };
@@ -51,7 +51,7 @@ fn create(serve: &Serve) {
     create_with(serve, &[]);
 }
 
-/// Creates the campaign `first`, with further flags.
+/// Creates the campaign `first` with additional flags.
 pub(crate) fn create_with(serve: &Serve, further: &[&str]) {
     #[rustfmt::skip]
     let arguments = [
@@ -69,7 +69,7 @@ fn findings(serve: &Serve, arguments: &[&str]) -> Value {
     serde_json::from_slice(&output.stdout).expect("JSON")
 }
 
-/// Runs everything that follows, to the end.
+/// Runs all derived rollouts and returns the complete findings.
 pub(crate) async fn explained(serve: &Serve, arguments: &[&str]) -> Value {
     let mut worker = serve.worker("w").await;
     let began = Instant::now();
@@ -90,7 +90,7 @@ async fn planted_rules_are_found_again() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(folder.path());
     create(&serve);
-    // It may be asked for before the campaign is finished.
+    // The explanation can be requested before the campaign is finished.
     let output = serve.command(&["explain", "first", "--create"]);
     let said = text(&output.stderr);
     assert!(said.contains("80 rollouts without an outcome"), "{said}");
@@ -111,11 +111,11 @@ async fn planted_rules_are_found_again() {
         let open = answer["minimal"][0]["open"].as_array();
         assert_eq!(open.map(Vec::len), Some(0), "{name} is established");
     }
-    // A third of the lattices at most.
+    // At most a third of the subsets were run.
     let rollouts = found["rollouts"].as_u64().expect("a number");
     assert!(rollouts < 6 * 57 / 3, "{rollouts} rollouts");
 
-    // The whole lattices show what else there is.
+    // Running all subsets shows further findings.
     let whole = ["--exhaustive", "--name", "whole"];
     let all = explained(&serve, &whole).await;
     let mut printed = BTreeSet::new();
@@ -127,7 +127,7 @@ async fn planted_rules_are_found_again() {
     });
     assert_eq!(masked, &json!([pair]));
 
-    // The same again adds nothing; in words it is the same.
+    // Creating the same again adds nothing; the text has the same findings.
     assert_eq!(findings(&serve, &[]), found);
     let output = serve.command(&["explain", "first"]);
     let words = text(&output.stdout);
@@ -147,7 +147,7 @@ async fn planted_rules_are_found_again() {
     assert_eq!(violations, []);
 }
 
-/// A look created a campaign that took slots.
+/// Regression: looking at an explanation created a campaign that took slots.
 #[tokio::test(flavor = "multi_thread")]
 async fn to_look_at_an_explanation_that_is_not_there_changes_nothing_and_says_what_it_takes() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -183,7 +183,7 @@ async fn to_look_at_an_explanation_that_is_not_there_changes_nothing_and_says_wh
         refused(&["--budget", "100"], "need --create");
     }
     let said = serve.command(&["explain", "first"]);
-    // Six transitions of six axes: 56 subsets each.
+    // Six transitions with six axes: 56 subsets each.
     let words = text(&said.stdout);
     assert!(
         words.contains("at most 336 rollouts for 6 transitions"),
@@ -286,7 +286,7 @@ async fn a_death_around_any_transaction_leaves_the_same_explanation() {
     assert_eq!(found, expected);
 }
 
-/// Finding B8: a create whose client disconnected during COMMIT was stored, and woke nobody.
+/// Regression (finding B8): a campaign whose client disconnected during COMMIT got no rollouts.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_rollouts() {
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -1,5 +1,5 @@
-//! How an explanation is shown: in the report, on the page, as a table, in films; and how
-//! the axes interact where whole lattices were run.
+//! Display of explanations in the report, on the page, as a table and in films, and interactions of
+//! the axes where all subsets were run.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use crate::json::{documented, keys};
 use crate::page::ask;
 use crate::process::{Serve, text};
 
-/// The page at an address.
+/// Returns the page at an address.
 async fn page(serve: &Serve, path: &str) -> String {
     let answer = ask(&serve.url, &format!("GET {path}")).await;
     assert_eq!(answer.code, 200, "{path}");
@@ -36,8 +36,8 @@ async fn report_page_and_table_show_what_was_found() {
     create_with(&serve, &[]);
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;
-    // Before it is explained, the page says how to. Of another configuration than below:
-    // a page may be a second old.
+    // Before the explanation, the page tells how to get it. A configuration other than those below
+    // is requested, since a page may be a second old.
     let unexplained = "/campaigns/first/configurations/object/t1/combination/L2/c00";
     let hint = page(&serve, unexplained).await;
     assert!(hint.contains("coordinator explain first"), "{hint}");
@@ -90,7 +90,7 @@ async fn report_page_and_table_show_what_was_found() {
     );
     let bar = "camera+robot: 2 configurations, established in 2";
     assert!(campaign.contains(bar), "{campaign}");
-    // Of both campaigns, with a ring around what is minimal.
+    // Outcomes are those of both campaigns; minimal subsets have a ring.
     let subset = "/campaigns/first-explained/configurations/object/t0/camera+robot/L2/c00";
     for place in [emergent, subset] {
         let page = page(&serve, place).await;
@@ -121,7 +121,7 @@ async fn what_shows_an_explanation_is_filmed_and_stands_side_by_side() {
         let id = row["rollout_id"].as_str().or(row["id"].as_str());
         id.expect("an id").parse().expect("an id")
     };
-    // Of the third task a triple is minimal: it, and the pairs in it.
+    // The third task has a minimal triple: it is filmed, and so are its pairs.
     let of_task: BTreeSet<String> = all
         .iter()
         .filter(|film| film.campaign == "first-explained" && id(film).task().index() == 2)
@@ -135,7 +135,7 @@ async fn what_shows_an_explanation_is_filmed_and_stands_side_by_side() {
     ];
     assert_eq!(of_task, expected.map(str::to_owned).into());
 
-    // The command that makes them stands there once, with an address that can be pasted.
+    // The page shows the command that makes the films once, with an address that can be pasted.
     let subset = "/campaigns/first/configurations/object/t2/simultaneous/L2/c00";
     let before = page(&serve, subset).await;
     let command = "worker film --connect <span data-origin>http://127.0.0.1:7411</span>";
@@ -144,7 +144,7 @@ async fn what_shows_an_explanation_is_filmed_and_stands_side_by_side() {
     for film in &all {
         upload(&mut worker, &film.attempt_id).await;
     }
-    // A page is kept for a second.
+    // A page is cached for a second.
     tokio::time::sleep(Duration::from_millis(1100)).await;
     let page = page(&serve, subset).await;
     for set in expected {
@@ -193,7 +193,7 @@ async fn interactions_add_up_to_simultaneous_success() {
     let s_sim = report["paired"]["p"]["L2"]["s_sim"]
         .as_f64()
         .expect("a rate");
-    // Nominally everything succeeds: ten of ten.
+    // All ten nominal rollouts succeed.
     let simultaneous = 10 + sum("subsets", "moebius");
     assert_eq!(simultaneous as f64 / 10.0, s_sim);
     assert_eq!(10 + sum("sizes", "moebius"), simultaneous);
@@ -212,7 +212,7 @@ async fn interactions_add_up_to_simultaneous_success() {
     let lattice = self::page(&serve, lattice).await;
     assert!(lattice.contains("64 of 64 subsets have an outcome"));
 
-    // Of transitions alone they say what they are of.
+    // If only transitions were run, the output says so.
     let _ = explained(&serve, &["--exhaustive"]).await;
     let of_some = printed(&serve, &["interactions", "first-explained"]);
     assert!(

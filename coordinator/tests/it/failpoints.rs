@@ -1,6 +1,5 @@
-//! The process dies before and after the end of every transaction of the store,
-//! each once. Whatever it was doing, what is left is in order, and the campaign
-//! comes to the same report.
+//! Kills the process before and after the commit of each kind of transaction. The database holds
+//! every invariant afterwards, and the campaign ends with the same report.
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -21,15 +20,15 @@ use crate::harness::{Worker, small_spec};
 use crate::invariants::sound;
 use crate::process::Serve;
 
-/// Processes that die side by side.
+/// Number of processes that run, and are killed, at the same time.
 const AT_ONCE: usize = 4;
-/// The lease's seconds and the sweep that finds it over.
+/// Duration of a lease, seconds, and number of the sweep that finds it expired.
 const LEASE_SECS: u32 = 3;
 const EXPIRING_SWEEP: u32 = 5;
 /// Longest time until a process reaches its failpoint.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// `coordinator serve` on a folder, to die at a point.
+/// Starts `coordinator serve` on a folder, to be killed at a failpoint.
 pub(crate) fn serve(folder: &Path, point: &str) -> Child {
     Command::new(env!("CARGO_BIN_EXE_coordinator"))
         .args(["serve", "--listen", "127.0.0.1:0", "--lease-secs"])
@@ -43,7 +42,7 @@ pub(crate) fn serve(folder: &Path, point: &str) -> Child {
         .expect("starts")
 }
 
-/// Everything that writes, once, and as long as the coordinator answers.
+/// Performs every kind of write once, as long as the coordinator answers.
 async fn everything(serve: &Serve) -> Result<(), Status> {
     let mut operator = OperatorServiceClient::connect(serve.url.clone())
         .await
@@ -111,7 +110,7 @@ async fn retry_all(
     operator.retry_jobs(request).await.map(|_| ())
 }
 
-/// Archives a campaign and imports it as another.
+/// Archives a campaign and imports it under another name.
 async fn copy(
     operator: &mut OperatorServiceClient<tonic::transport::Channel>,
     campaign: &str,
@@ -134,7 +133,7 @@ async fn copy(
     operator.import_campaign(chunks).await.map(drop)
 }
 
-/// Brings the campaign to its end on a sound coordinator. Returns its report.
+/// Finishes the campaign on a coordinator without failpoints. Returns the report.
 async fn finish(folder: &Path) -> Vec<u8> {
     let serve = Serve::start(folder);
     let mut operator = OperatorServiceClient::connect(serve.url.clone())
@@ -146,7 +145,7 @@ async fn finish(folder: &Path) -> Vec<u8> {
     };
     operator.change_campaign(resume).await.expect("resumed");
     retry_all(&mut operator).await.expect("retried");
-    // It holds no lease of before: what it had then is its own again.
+    // Leases that a worker with this id held before the restart belong to this worker.
     let mut worker = serve.worker("a").await;
     let began = Instant::now();
     loop {
@@ -174,7 +173,7 @@ async fn finish(folder: &Path) -> Vec<u8> {
     json
 }
 
-/// Commits whatever can be leased, and what an earlier life left leased.
+/// Commits all jobs that can be leased, and releases those that an earlier process left leased.
 async fn take_over(
     worker: &mut Worker,
     operator: &mut OperatorServiceClient<tonic::transport::Channel>,
@@ -204,14 +203,14 @@ async fn take_over(
     }
 }
 
-/// A copy of a folder at rest.
+/// Returns a copy of a folder on which no coordinator runs.
 fn copy_of(folder: &Path) -> TempDir {
     let copy = tempfile::tempdir().expect("a temporary folder");
     std::fs::copy(folder.join(DATABASE_FILE), copy.path().join(DATABASE_FILE)).expect("copied");
     copy
 }
 
-/// One life that ends at the failpoint, and the next. Returns the report.
+/// Runs a process until its failpoint, and then another to the end. Returns the report.
 async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
     let times = if step == Step::Sweep {
         EXPIRING_SWEEP
@@ -222,7 +221,7 @@ async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
     let child = serve(folder.path(), &point);
     let mut serve = Serve::of(child);
     if serve.is_ready() {
-        // It breaks off wherever the process ends.
+        // Fails at the call during which the process is killed.
         let _ = everything(&serve).await;
     }
     let began = Instant::now();
@@ -250,8 +249,8 @@ async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
 async fn a_process_that_dies_around_any_transaction_leaves_order_and_the_same_report() {
     let folder = sound().await;
     let undisturbed = finish(copy_of(folder.path()).path()).await;
-    // Additions of a campaign that follows from another have tests of their own, in `explain` and
-    // `thresholds`, and so has a campaign that ends early, in `stops`.
+    // Additions to derived campaigns are tested in `explain` and `thresholds`, and early stops in
+    // `stops`.
     let has_its_own = [Step::Derive, Step::Stop];
     let steps = Step::ALL
         .into_iter()

@@ -23,7 +23,7 @@ async fn one_job(bench: &Bench) {
     assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 1);
 }
 
-/// Fails the one job on a worker, which must get it.
+/// Fails the only job on a worker, which must be able to lease it.
 async fn fail_on(bench: &Bench, worker: &mut Worker) -> Released {
     bench.pass(PAST_BACKOFF_SECS).await;
     let lease = worker.claim_one().await;
@@ -47,7 +47,7 @@ async fn late_result_from_an_old_attempt_is_refused() {
     assert_eq!(bench.status("one").await.succeeded, 0);
 }
 
-/// Finding B4: a network that is cut for longer than a lease charged every lease.
+/// Regression (finding B4): a network outage longer than a lease charged every lease.
 #[tokio::test]
 async fn a_worker_that_was_cut_off_is_charged_nothing_and_heard_when_it_comes_back() {
     let bench = Bench::start().await;
@@ -62,7 +62,7 @@ async fn a_worker_that_was_cut_off_is_charged_nothing_and_heard_when_it_comes_ba
     let told = "SELECT count(*) FROM failure WHERE reason = 'worker_silent' AND charged = 0
                 AND error LIKE '%fell silent after control step 12%'";
     assert_eq!(bench.count(told).await, 4);
-    // One had a result to tell; the others go on.
+    // One lease has a result to report; the others continue.
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Duplicate);
     assert_eq!(worker.heartbeat(&held[1..], 20).await, [""; 0]);
@@ -80,7 +80,7 @@ async fn a_worker_that_was_cut_off_is_charged_nothing_and_heard_when_it_comes_ba
     );
 }
 
-/// Chaos schedule 1955: a heartbeat that was sent before took the lease up again.
+/// Regression (chaos schedule 1955): a heartbeat sent before the release resumed the lease.
 #[tokio::test]
 async fn an_attempt_given_back_after_a_silence_is_not_taken_up_by_a_late_heartbeat() {
     let bench = Bench::start().await;
@@ -106,7 +106,7 @@ async fn an_attempt_given_back_after_a_silence_is_not_taken_up_by_a_late_heartbe
 async fn cuts_of_the_network_quarantine_nothing_and_stop_no_worker() {
     let bench = Bench::start().await;
     bench.create(&small_spec("cut")).await.expect("created");
-    // More than would quarantine a rollout or stop a worker, were they charged.
+    // More outages than would quarantine a rollout or stop a worker if they were charged.
     for _ in 0..6 {
         let mut worker = bench.worker("a").await;
         bench.pass(PAST_BACKOFF_SECS).await;
@@ -192,7 +192,7 @@ async fn another_outcome_of_a_committed_rollout_is_kept_as_a_divergence() {
     bench.pass(40).await;
     let new = quick.claim_one().await;
     assert_eq!(quick.commit(&new, true).await, Verdict::Accepted);
-    // Its lease is lost, but it did run the rollout: that is evidence.
+    // The worker has lost its lease, but it ran the rollout, so its result is evidence.
     let (verdict, detail) = slow.commit_request(slow.report(&old, false)).await;
     assert_eq!(verdict, Verdict::Divergent);
     assert!(detail.contains("success after 120 steps"), "{detail}");
@@ -263,8 +263,7 @@ async fn heartbeats_keep_a_lease_for_as_long_as_they_come() {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
 }
 
-/// Defect 14: a worker that is wedged and still sends heartbeats kept its job for
-/// ever.
+/// Regression (defect 14): a stuck worker that still sent heartbeats kept its job forever.
 #[tokio::test]
 async fn no_heartbeat_extends_a_lease_past_the_ceiling_of_its_attempt() {
     let bench = Bench::start().await;
@@ -374,7 +373,7 @@ async fn a_worker_that_fails_five_times_in_a_row_is_told_to_stop() {
         let released = worker.release(lease, Reason::SlotCrashed).await;
         assert_eq!(released.stop_leasing, "");
     }
-    // One success wipes the slate.
+    // One success resets the count.
     assert_eq!(worker.commit(&leases[4], true).await, Verdict::Accepted);
     for lease in &leases[5..9] {
         let released = worker.release(lease, Reason::MachineError).await;
@@ -438,7 +437,7 @@ async fn a_report_that_the_database_refuses_spoils_no_other() {
         .execute(&pool)
         .await;
     made.expect("a trigger");
-    // While this transaction is open, the reports gather.
+    // While this transaction is open, the reports queue up.
     let mut writing = pool
         .begin_with("BEGIN IMMEDIATE")
         .await

@@ -9,8 +9,8 @@ use crate::harness::{Bench, Worker, sha, small_spec, with};
 /// Longer than a rollout may take to be filmed.
 const LONG_SECS: u64 = 16 * 60;
 
-/// A campaign of one configuration that keeps actions, its nominal rollout and
-/// both axes done, and the lease of the combination.
+/// Creates a campaign of one configuration that stores actions, with outcomes for the nominal
+/// rollout and both single axes. Returns the lease of the combination.
 async fn all_but_the_combination(outcome: bool) -> (Bench, Worker, wire::Lease) {
     let bench = Bench::start().await;
     let spec = with(small_spec("filmed"), json!({"record": "transitions"}));
@@ -38,7 +38,7 @@ async fn next_film(worker: &mut Worker, pack: &str) -> wire::NextFilmResponse {
     answer.expect("an answer").into_inner()
 }
 
-/// Takes films until none is left; their jobs.
+/// Takes films until none is left; returns them.
 pub(crate) async fn films(worker: &mut Worker) -> Vec<wire::Film> {
     let mut films = Vec::new();
     while let Some(film) = next_film(worker, "primitives").await.film {
@@ -70,7 +70,7 @@ async fn a_configuration_that_its_combination_changes_is_filmed_whole() {
         assert_eq!(all.len(), 4, "the nominal rollout, two axes, all at once");
         assert_eq!((named("/clean/"), named("/combination/")), (1, 1));
         assert!(all.iter().all(|film| film.actions == [2; 28]));
-        // One is stored; the others were never brought back.
+        // One film is stored; the others were never uploaded.
         upload(&mut worker, &all[1].attempt_id).await;
         bench.pass(LONG_SECS).await;
         let answer = next_film(&mut worker, "primitives").await;

@@ -1,5 +1,5 @@
-//! A campaign whose results have several fingerprints says so, everywhere that
-//! people look.
+//! A campaign whose results have several fingerprints shows this in its status, its report and on
+//! its page.
 
 use std::time::{Duration, Instant};
 
@@ -10,10 +10,10 @@ use serde_json::json;
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 use crate::page::ask;
 
-/// A page shows results as they were a moment ago: longest wait for the newest.
+/// Longest wait for the newest results on a page, which shows slightly older ones.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Returns the words on fingerprints of the campaign's status, and those of its report.
+/// Returns the texts on fingerprints in the campaign's status and in its report.
 async fn told(bench: &Bench) -> [String; 2] {
     let request = wire::ReportRequest {
         campaign: "mixed".to_owned(),
@@ -34,7 +34,7 @@ async fn told(bench: &Bench) -> [String; 2] {
     ]
 }
 
-/// Waits until the status, the report and the page say all of these words.
+/// Waits until the status, the report and the page contain all of these texts.
 async fn check(bench: &Bench, words: &[&str]) {
     for said in told(bench).await {
         let said = said.to_lowercase();
@@ -71,7 +71,7 @@ async fn a_campaign_says_which_fingerprints_its_results_have_and_where_they_mix(
     let (ones, others) = (sha("bits"), sha("other bits"));
     let warning = "fingerprints, so that the machines' arithmetic or frames differ";
 
-    // All four rollouts of each task are of one initial state.
+    // All four rollouts of each task share one initial state.
     let mut leases = Vec::new();
     for task in &tasks {
         leases.push(one.claim_warm(4, task).await);
@@ -83,7 +83,7 @@ async fn a_campaign_says_which_fingerprints_its_results_have_and_where_they_mix(
     assert_eq!(status, "");
     assert!(!page.contains(warning) && !report.contains(warning));
 
-    // Slots of one worker may differ: all results are reported under its leases.
+    // Slots of one worker may differ: all results are reported under the first worker's leases.
     let report_as = |worker: &Worker, lease: &wire::Lease| wire::CommitRequest {
         attempt_id: lease.attempt_id.clone(),
         ..worker.report(lease, true)

@@ -1,5 +1,4 @@
-//! A coordinator on a free port with a clock that stands still, and workers
-//! that speak its protocol.
+//! A coordinator on a free port with a manual clock, and workers that speak its protocol.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -25,11 +24,11 @@ use tokio::task::JoinSet;
 use tonic::Status;
 use tonic::transport::Channel;
 
-/// Between two sweeps while time passes: less than half a lease, or the
-/// coordinator takes itself to have slept.
+/// Interval between two sweeps while time passes. It is less than half a lease, since the
+/// coordinator would otherwise conclude that it was suspended.
 const SWEEP_SECS: u64 = 10;
 
-/// Coordinators that were started.
+/// Number of coordinators started so far.
 static STARTS: AtomicU64 = AtomicU64::new(0);
 
 /// A running coordinator.
@@ -42,7 +41,7 @@ pub(crate) struct Bench {
     served: JoinSet<()>,
 }
 
-/// A worker that runs nothing but says what it is told to.
+/// A worker that runs nothing and reports what the test tells it to.
 #[derive(Clone)]
 pub(crate) struct Worker {
     pub(crate) id: String,
@@ -52,17 +51,17 @@ pub(crate) struct Worker {
     pub(crate) service: WorkerServiceClient<Channel>,
 }
 
-/// A coordinator's configuration, for a clock that the test moves.
+/// Returns the configuration of a coordinator with a clock that the test controls.
 pub(crate) fn config(data: &Path, clock: Arc<dyn Clock>) -> Config {
     Config {
         data: data.to_owned(),
         timing: Timing {
-            // Tests sweep by hand.
+            // Tests call the sweep themselves.
             sweep: Duration::from_secs(3_600),
             ..Timing::default()
         },
         clock,
-        // No two starts may name attempts alike.
+        // No two starts may draw the same attempt ids.
         rng: ChaCha8Rng::seed_from_u64(STARTS.fetch_add(1, Ordering::Relaxed)),
         security: transport::Security::loopback(),
         min_free_bytes: 0,
@@ -102,21 +101,21 @@ impl Bench {
         }
     }
 
-    /// Stops the coordinator in good order.
+    /// Shuts the coordinator down gracefully.
     pub(crate) async fn stop(self) -> TempDir {
         self.stop.send(()).expect("it runs");
         self.served.join_all().await;
         self.folder
     }
 
-    /// Stops it and starts another on the same folder.
+    /// Shuts the coordinator down and starts another on the same folder.
     pub(crate) async fn restart(self) -> Bench {
         let clock = self.clock.clone();
         let folder = self.stop().await;
         Bench::start_in(folder, clock).await
     }
 
-    /// Lets time pass, with the sweeps that happen in it.
+    /// Advances the clock, with regular sweeps.
     pub(crate) async fn pass(&self, secs: u64) {
         let mut left = secs;
         while left > 0 {
@@ -137,7 +136,7 @@ impl Bench {
         self.worker_drawing(id, pack, "llvmpipe").await
     }
 
-    /// Registers a worker of the `primitives` pack on a machine that it names.
+    /// Registers a worker of the `primitives` pack on a named machine.
     pub(crate) async fn worker_at(&self, machine: &str, id: &str) -> Worker {
         let mut worker = self.worker(id).await;
         let registration = wire::RegisterRequest {
@@ -213,12 +212,12 @@ impl Bench {
             .expect("a status")
     }
 
-    /// A look into the database, past the coordinator.
+    /// Opens the database directly, bypassing the coordinator.
     pub(crate) async fn database(&self) -> SqlitePool {
         open_database(self.folder.path()).await
     }
 
-    /// One number that a query answers.
+    /// Returns the number that a query yields.
     pub(crate) async fn count(&self, sql: &'static str) -> i64 {
         let pool = self.database().await;
         let count = sqlx::query_scalar(sql).fetch_one(&pool).await;
@@ -264,7 +263,7 @@ impl Worker {
         Ok(self.service.claim(request).await?.into_inner())
     }
 
-    /// A claim of its own name.
+    /// Returns a claim request with a new claim id.
     pub(crate) fn claim_request(&self, wait_secs: f64, warm: &str) -> wire::ClaimRequest {
         static CLAIMS: AtomicU64 = AtomicU64::new(1);
         wire::ClaimRequest {
@@ -276,14 +275,14 @@ impl Worker {
         }
     }
 
-    /// Claims the one job that must be there.
+    /// Claims exactly one job, which must be available.
     pub(crate) async fn claim_one(&mut self) -> wire::Lease {
         let mut leases = self.claim(1).await;
         assert_eq!(leases.len(), 1, "a job waits");
         leases.remove(0)
     }
 
-    /// Reports an outcome of `lease` that came about in good order.
+    /// Reports a consistent outcome of `lease`.
     pub(crate) async fn commit(&mut self, lease: &wire::Lease, success: bool) -> Verdict {
         self.commit_request(self.report(lease, success)).await.0
     }
@@ -307,7 +306,7 @@ impl Worker {
         (response.verdict(), response.detail)
     }
 
-    /// The report of an outcome, as a worker of this pack would send it.
+    /// Returns the report of an outcome as a worker with this pack would send it.
     pub(crate) fn report(&self, lease: &wire::Lease, success: bool) -> wire::CommitRequest {
         let row: Value = serde_json::from_str(&lease.manifest_row).expect("a manifest row");
         wire::CommitRequest {
@@ -370,7 +369,7 @@ impl Worker {
         self.release_after(lease, reason, None).await
     }
 
-    /// Loses the policy after it has answered so many queries.
+    /// Reports that the policy was lost after `answered` queries.
     pub(crate) async fn lose_policy(
         &mut self,
         lease: &wire::Lease,
@@ -396,7 +395,7 @@ impl Worker {
         response.expect("a verdict").into_inner()
     }
 
-    /// Sends a heartbeat that holds no lease, and says how many videos are made.
+    /// Sends a heartbeat without leases that reports the number of videos being made.
     pub(crate) async fn films(&mut self, filming: u32) {
         let request = wire::HeartbeatRequest {
             worker_id: self.id.clone(),
@@ -422,8 +421,8 @@ impl Worker {
     }
 }
 
-/// A specification: `libero_object/0`, `camera` and `sensor`, L1, configuration
-/// 0, with its nominal rollout: four rollouts.
+/// Returns a specification of four rollouts: `libero_object/0`, `camera` and `sensor`, L1,
+/// configuration 0, with its nominal rollout.
 pub(crate) fn small_spec(name: &str) -> Value {
     json!({
         "name": name,
@@ -436,7 +435,7 @@ pub(crate) fn small_spec(name: &str) -> Value {
     })
 }
 
-/// A specification with some fields changed.
+/// Returns a specification with some fields changed.
 pub(crate) fn with(mut spec: Value, changes: Value) -> Value {
     let changes = changes.as_object().expect("fields");
     for (field, value) in changes {
@@ -466,8 +465,8 @@ pub(crate) fn rollout_id(lease: &wire::Lease) -> String {
     row["rollout_id"].as_str().expect("an id").to_owned()
 }
 
-/// Returns the perturbation that the bench would realise: of the parameters alone, as if no axis
-/// drew anything, so that the modes realise the same.
+/// Returns the perturbation that the simulated worker realises: the parameters and one constant
+/// element, so that both realisation modes give the same values.
 fn realised(row: &Value) -> Vec<wire::RealisedAxis> {
     let parameters = &row["perturb"];
     let axis = |name: &str, values: &Value| {
@@ -496,7 +495,7 @@ pub(crate) async fn open_database(folder: &Path) -> SqlitePool {
     SqlitePool::connect_with(options).await.expect("a database")
 }
 
-/// A digest that looks like one and says what it is of.
+/// Returns the SHA-256 of a text, in place of a real digest.
 pub(crate) fn sha(of: &str) -> String {
     use sha2::{Digest, Sha256};
     Sha256::digest(of.as_bytes())

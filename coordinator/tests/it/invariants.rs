@@ -1,5 +1,4 @@
-//! Every invariant is found when it is broken, by its name, and `check` changes
-//! nothing.
+//! A violation of each invariant is reported by the invariant's name, and `check` changes nothing.
 
 use std::path::Path;
 
@@ -15,7 +14,7 @@ use tempfile::TempDir;
 use crate::harness::{Bench, small_spec, with};
 use crate::process::{coordinator, text};
 
-/// Statements that break each invariant, past the coordinator, and a word of the violation.
+/// For each invariant: a statement that violates it, and a word of the violation's description.
 const BROKEN: [(&str, &str, &str); 20] = [
     (
         "file_is_whole",
@@ -124,7 +123,7 @@ const BROKEN: [(&str, &str, &str); 20] = [
     ),
 ];
 
-/// A database at rest with jobs in every state.
+/// Returns a database that no coordinator uses, with jobs in every state.
 pub(crate) async fn sound() -> TempDir {
     let bench = Bench::start().await;
     let spec = with(small_spec("sound"), json!({"configs": [0, 1]}));
@@ -142,7 +141,7 @@ pub(crate) async fn sound() -> TempDir {
     bench.stop().await
 }
 
-/// Alters a copy of a database as no coordinator would.
+/// Alters a copy of a database in a way that no coordinator would.
 async fn broken(folder: &Path, statement: &'static str) -> TempDir {
     let copy = tempfile::tempdir().expect("a temporary folder");
     let file = copy.path().join(DATABASE_FILE);

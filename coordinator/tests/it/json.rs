@@ -1,5 +1,5 @@
-//! `--json`: what is printed has the keys that docs/JSON.md documents, no more and
-//! no less, whatever state things are in.
+//! Output of `--json` has exactly the keys that docs/JSON.md documents, in every state of a
+//! campaign.
 
 use std::collections::BTreeSet;
 
@@ -9,8 +9,7 @@ use serde_json::Value;
 
 use crate::process::{CREATE, Serve, text};
 
-/// The keys of one command in the document: those that its table's rows begin
-/// with.
+/// Returns the documented keys of a command: the first cells of its table's rows.
 pub(crate) fn documented(command: &str) -> BTreeSet<String> {
     let page = include_str!("../../../docs/JSON.md");
     let title = format!("## `{command}`");
@@ -23,8 +22,8 @@ pub(crate) fn documented(command: &str) -> BTreeSet<String> {
     section.lines().filter_map(key).collect()
 }
 
-/// Collects the keys of a value, with those of the values in it: `campaigns[].rollouts.total`. The
-/// keys of a manifest row are its own business.
+/// Collects the keys of a value, including nested ones such as `campaigns[].rollouts.total`. Keys
+/// of a manifest row are not collected.
 pub(crate) fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
     match value {
         Value::Object(fields) if at != "manifest_row" => {
@@ -55,7 +54,7 @@ impl Printed {
         Printed(serde_json::from_str(text(&output.stdout)).expect("JSON"))
     }
 
-    /// Nothing that is not documented; what is `null` has no keys.
+    /// Asserts that all keys are documented; some may be missing, since `null` has no keys.
     fn has_the_keys_of_a_part(&self, command: &str) {
         let mut found = BTreeSet::new();
         keys(&self.0, "", &mut found);
@@ -132,7 +131,7 @@ async fn what_is_printed_has_the_keys_that_are_documented() {
     assert_eq!(few.0["is_truncated"], true);
     assert_eq!(few.0["jobs"].as_array().map(Vec::len), Some(2));
 
-    // A result is of one job, failures of another.
+    // One job has a result, another has failures.
     let mut shown = BTreeSet::new();
     for job in &jobs {
         let id = job["rollout_id"].as_str().expect("an id");
@@ -215,7 +214,7 @@ async fn a_placebo_is_planned_counted_and_listed_by_its_level() {
     let dry = [&create[..], &["--dry-run"]].concat();
     let json = Printed::by(&serve, &dry);
     json.has_the_keys_of_a_part("campaign create --dry-run");
-    // Two nominal rollouts of each task, three conditions at L1 of both configurations.
+    // Per task: two nominal rollouts, three conditions of two configurations at L1, three at L0.
     assert_eq!(json.0["rollouts"], 10 * (2 + 2 * 3 + 3));
     assert_eq!(json.0["placebo_rollouts"], 30);
     let level = &json.0["planning"]["levels"][0];
@@ -244,7 +243,7 @@ async fn a_placebo_is_planned_counted_and_listed_by_its_level() {
         words.lines().all(|line| line.chars().count() <= 80),
         "{words}"
     );
-    // More is found where outcomes are known to be steadier.
+    // Steadier assumed outcomes make other, smaller differences detectable.
     let example = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
     let earlier = Printed::by(&serve, &[&dry[..], &["--planning-from", example]].concat());
     assert_ne!(

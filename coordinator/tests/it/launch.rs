@@ -1,5 +1,5 @@
-//! `coordinator launch slurm`: what is shown, what is written, and what is refused.
-//! That the scripts work on a cluster is tested with a real one, in `tests`.
+//! Scripts that `coordinator launch slurm` shows and writes, and arguments that it refuses. The
+//! package `tests` runs the scripts on a real cluster.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -9,7 +9,7 @@ use crate::process::{coordinator, text};
 
 const SCRIPTS: [&str; 3] = ["coordinator.sh", "gateway.sbatch", "workers.sbatch"];
 
-/// A folder with files that are called as the programs are.
+/// Returns a folder with empty files named like the programs.
 fn programs() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a temporary folder");
     for name in ["coordinator", "worker", "policy-gateway"] {
@@ -49,7 +49,7 @@ fn scripts_are_shown_and_nothing_is_written_unless_asked_for() {
     ] {
         assert!(said.contains(words), "no {words:?} in {said}");
     }
-    // A flag that was not given makes no line; without a policy there is no gateway.
+    // A flag that is not given adds no line, and without a policy there is no gateway.
     for words in [
         "{{",
         "--partition",
@@ -104,7 +104,7 @@ fn what_is_written_is_whole_bash_whatever_the_values_hold() {
         assert!(workers.contains(words), "no {words:?} in {workers}");
     }
 
-    // An edited script is nobody's to overwrite.
+    // An edited script is never overwritten.
     let edited = Path::new(into).join("workers.sbatch");
     std::fs::write(&edited, "mine").expect("edited");
     let output = launch(programs.path(), &arguments);
@@ -133,7 +133,7 @@ fn tokens_are_named_by_their_file_and_never_written_out() {
         "--connect", "https://login1:7411", "--token-file", &tokens, "--tls-cert", &pem,
         "--tls-key", &pem, "--ca", &pem, "--policy", "mine=builtin:student",
     ];
-    // Whoever gets into a worker's job is not to find an operator's token.
+    // Anyone who gains access to a worker's job must not find an operator's token there.
     let wrong: [&[&str]; 2] = [&[], &["--worker-token-file", &tokens]];
     for more in wrong {
         let output = launch(programs.path(), &[&guarded[..], more].concat());

@@ -1,5 +1,5 @@
-//! The coordinator as its users meet it: real sockets, real SQLite files, and
-//! where a process has to die, real processes. Only the clock is moved by hand.
+//! End-to-end tests of the coordinator on real sockets and SQLite files, and with real processes
+//! where one must be killed. Only the clock is controlled by the tests.
 
 mod access;
 mod altering;

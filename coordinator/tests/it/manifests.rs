@@ -1,4 +1,4 @@
-//! Manifests as files: expanded, checked, compared, and run as they stand.
+//! Manifest files: expansion, checking, comparison, and campaigns that run a file unchanged.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -64,7 +64,7 @@ fn the_whole_design_is_2_000_clean_and_8_400_perturbed_rows() {
     assert_eq!(ids.len(), all.len());
     assert!(ids.contains("spatial/t0/clean/i07"));
     let row = |id: &str| all.iter().find(|row| row["rollout_id"] == id).expect(id);
-    // As the reference's own files have them.
+    // These values are in the reference's own files.
     let camera = row("goal/t0/combination/L1/c01");
     assert_eq!(camera["init_id"], 6);
     assert_eq!(camera["perturb"]["camera"]["d_azimuth_deg"], -3.58936);
@@ -192,8 +192,8 @@ async fn an_imported_manifest_is_run_as_it_stands() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let all = expand(folder.path(), "all.jsonl", &["--version", "v0.1"]);
     let mut rows = rows(&all);
-    // A configuration's language row and its nominal one, the latter last and
-    // spelt otherwise.
+    // The rows are a configuration's language row and its nominal row; the nominal row comes last
+    // and is spelt differently.
     rows.retain(|row| {
         let id = row["rollout_id"].as_str().expect("text");
         id == "goal/t7/language/L3/c02" || id.starts_with("goal/t7/clean/")
@@ -258,7 +258,7 @@ async fn an_imported_manifest_is_run_as_it_stands() {
         ]
     );
     assert_eq!(leased[1].0["max_steps"], 123);
-    // A replicate repeats the row and changes the policy's seed.
+    // A replicate has the same row and another policy seed.
     assert_eq!(leased[0].0, leased[2].0);
     assert_eq!(leased[1].0, leased[3].0);
     let seeds: BTreeSet<u64> = leases.iter().map(|lease| lease.policy_seed).collect();

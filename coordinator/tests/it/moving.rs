@@ -1,5 +1,5 @@
-//! Campaigns on their way from one coordinator to another, whole or in halves, and what
-//! becomes of archives that are not what they should be.
+//! Transfer of campaigns between coordinators, whole or in halves, and the refusal of invalid
+//! archives.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -23,7 +23,7 @@ use crate::process::{Serve, text};
 
 static WORKERS: AtomicU32 = AtomicU32::new(0);
 
-/// Three levels and three axes, and their nominal rollout: 13 rollouts.
+/// Three axes and their combination at three levels, and one nominal rollout: 13 rollouts.
 fn spec() -> Value {
     with(
         small_spec("moved"),
@@ -31,12 +31,12 @@ fn spec() -> Value {
     )
 }
 
-/// How rollouts come out, on whatever machine.
+/// Returns the outcome of a rollout, which is the same on every machine.
 fn succeeds(rollout: &str) -> bool {
     !rollout.contains("sensor/L2")
 }
 
-/// A coordinator with the campaign, of which some rollouts have outcomes.
+/// A coordinator with the campaign, some of whose rollouts have outcomes.
 pub(crate) struct Bench {
     pub(crate) folder: TempDir,
     pub(crate) serve: Serve,
@@ -47,7 +47,7 @@ impl Bench {
     pub(crate) async fn empty() -> Bench {
         let folder = tempfile::tempdir().expect("a folder");
         let serve = Serve::start(folder.path());
-        // No two workers have one id.
+        // Worker ids must be unique.
         let number = WORKERS.fetch_add(1, Ordering::Relaxed);
         let worker = serve.worker(&format!("w{number}")).await;
         Bench {
@@ -66,7 +66,7 @@ impl Bench {
         bench
     }
 
-    /// Commits some rollouts, but those that are left out.
+    /// Commits some rollouts, except those whose id contains `leave_out`.
     pub(crate) async fn run(&mut self, rollouts: usize, leave_out: &str) {
         let mut left = Vec::new();
         let mut done = 0;
@@ -87,14 +87,14 @@ impl Bench {
         }
     }
 
-    /// Runs a command that must work. Returns what it printed.
+    /// Runs a command that must succeed. Returns its output.
     pub(crate) fn must(&self, arguments: &[&str]) -> String {
         let output = self.serve.command(arguments);
         assert!(output.status.success(), "{}", text(&output.stderr));
         text(&output.stdout).to_owned()
     }
 
-    /// Runs a command that must fail. Returns what it said.
+    /// Runs a command that must fail. Returns its error message.
     pub(crate) fn refused(&self, arguments: &[&str]) -> String {
         let output = self.serve.command(arguments);
         assert!(!output.status.success(), "{}", text(&output.stdout));
@@ -116,7 +116,7 @@ impl Bench {
         self.must(&["report", name, "--json"])
     }
 
-    /// Everything that is in the database but of workers, who call all the time.
+    /// Returns all rows of the database except those of workers, which change with every call.
     pub(crate) async fn rows(&self) -> Vec<String> {
         let pool = open_database(self.folder.path()).await;
         let tables = "SELECT name FROM sqlite_schema WHERE type = 'table'
@@ -152,7 +152,7 @@ impl Bench {
     }
 }
 
-/// The members of an archive, in order.
+/// Returns the members of an archive, in order.
 pub(crate) fn members(file: &Path) -> Vec<(String, Vec<u8>)> {
     let mut tar = tar::Archive::new(GzDecoder::new(File::open(file).expect("an archive")));
     let entries = tar.entries().expect("members");
@@ -166,8 +166,8 @@ pub(crate) fn members(file: &Path) -> Vec<(String, Vec<u8>)> {
     entries.map(member).collect()
 }
 
-/// Writes an archive of these members. A list that is to be true again names what they
-/// are now.
+/// Writes an archive of these members. With `list_anew`, the table of contents is recomputed from
+/// the members.
 pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], list_anew: bool) {
     let mut members = members.to_vec();
     if list_anew {
@@ -186,7 +186,7 @@ pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], list_anew: bool)
         let mut header = tar::Header::new_gnu();
         header.set_size(bytes.len() as u64);
         header.set_mode(0o644);
-        // As it is written: `append_data` would refuse some of these names.
+        // The name is written unchanged: `append_data` would refuse some of these names.
         header.as_old_mut().name[..name.len()].copy_from_slice(name.as_bytes());
         header.set_cksum();
         tar.append(&header, bytes.as_slice()).expect("written");
@@ -215,7 +215,7 @@ async fn an_interrupted_campaign_goes_on_at_another_coordinator_to_the_same_repo
         .expect("kept");
     let failed = here.worker.claim_one().await;
     here.worker.release(&failed, Reason::SimulatorError).await;
-    // One is under way while it is archived.
+    // One rollout is in progress while the campaign is archived.
     let held = here.worker.claim_one().await;
     here.must(&["campaign", "set-priority", "moved", "7"]);
     let before = here.rows().await;
@@ -253,7 +253,7 @@ async fn an_interrupted_campaign_goes_on_at_another_coordinator_to_the_same_repo
             .expect("JSON");
     let status = status.to_string();
     assert!(status.contains("\"priority\":7"), "{status}");
-    // The workers that made the results are none of this coordinator.
+    // The workers that made the results are not workers of this coordinator.
     let workers = there.must(&["workers", "--all", "--json"]);
     let workers: Value = serde_json::from_str(&workers).expect("JSON");
     let workers = workers["workers"].as_array().expect("workers");
@@ -261,7 +261,7 @@ async fn an_interrupted_campaign_goes_on_at_another_coordinator_to_the_same_repo
     let alive: Vec<&Value> = alive.map(|it| &it["worker_id"]).collect();
     assert_eq!((workers.len(), alive), (2, vec![&json!(there.worker.id)]));
 
-    // Both go on, and come to the same.
+    // Both campaigns continue and end with the same report.
     let success = succeeds(&rollout_id(&held));
     assert_eq!(here.worker.commit(&held, success).await, Verdict::Accepted);
     for bench in [&mut here, &mut there] {
@@ -291,7 +291,7 @@ async fn a_name_that_is_taken_is_refused_with_the_remedy_and_another_one_is_a_co
     );
     assert_eq!(here.rows().await, before);
 
-    // A copy beside the original: no attempt is in both.
+    // A copy beside the original shares no attempt id with it.
     here.must(&["campaign", "import", &path, "--as", "copy"]);
     here.in_order().await;
     let original = here.report("moved").replace("\"moved\"", "\"copy\"");
@@ -343,7 +343,7 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
     write(&bad, &[("notes.txt".to_owned(), vec![1; 10])], false);
     refused(&["no archive of a campaign", "archive.json"]);
 
-    // Every member, altered, missing, doubled, or called otherwise.
+    // Every member in turn is altered, missing, or renamed.
     for number in 1..sound.len() {
         let name = sound[number].0.as_str();
         let mut altered = sound.clone();
@@ -368,7 +368,7 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
     refused(&["does not name"]);
     write(&bad, &more, true);
     refused(&["no film of this campaign"]);
-    // A browser that is given one of these by the coordinator would run it.
+    // A browser would execute one of these files if the coordinator served it.
     for page in ["page.html", "film.mp4.svg", ".mp4", "a b.mp4"] {
         more.pop();
         more.push((format!("artifacts/moved/{page}"), vec![1]));
@@ -380,7 +380,7 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
     write(&bad, &more, true);
     refused(&["coordinator.sqlite", "other films"]);
 
-    // A list that is true of what somebody has altered.
+    // The table of contents matches members that somebody has altered.
     let mut report = sound.clone();
     let text = String::from_utf8(report[3].1.clone()).expect("JSON");
     report[3].1 = text
@@ -413,7 +413,7 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
             "CREATE TRIGGER mine AFTER UPDATE ON job BEGIN DELETE FROM artifact; END",
             &["schema_is_the_programs", "mine"][..],
         ),
-        // Whoever reads the version of the schema would count for ever.
+        // Reading the schema version would never end.
         (
             "DROP TABLE _sqlx_migrations;
              CREATE VIEW _sqlx_migrations AS
@@ -461,7 +461,7 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
     there.in_order().await;
 }
 
-/// A small archive that says it is a large one costs neither memory nor disk.
+/// A small archive that would unpack to a large one costs neither memory nor disk space.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_archive_that_swells_is_refused_before_it_is_unpacked() {
     const SWOLLEN: u64 = 192 << 20;
@@ -478,7 +478,7 @@ async fn an_archive_that_swells_is_refused_before_it_is_unpacked() {
     };
     let before = here.serve.peak_memory_bytes();
 
-    // A name of so many characters, before the list and before a member.
+    // A name of that many characters, before the table of contents and before a member.
     for place in [0, 1] {
         let out = GzEncoder::new(File::create(&bad).expect("a file"), Compression::fast());
         let mut tar = tar::Builder::new(out);
@@ -500,7 +500,7 @@ async fn an_archive_that_swells_is_refused_before_it_is_unpacked() {
             .expect("its end");
         refused(&["bad.tar.gz"]);
     }
-    // A film of nothing, and a list that is true of it.
+    // A film of zeros that the table of contents lists correctly.
     let mut large = sound.clone();
     large.push((
         "artifacts/moved/film.mp4".to_owned(),
@@ -508,14 +508,14 @@ async fn an_archive_that_swells_is_refused_before_it_is_unpacked() {
     ));
     write(&bad, &large, true);
     refused(&["archive.json", "it claims 192 MiB of members"]);
-    // The same, and a list that says that there is none.
+    // The same film, listed with a size of one byte.
     let mut list: Value = serde_json::from_slice(&sound[0].1).expect("a list");
     let film = json!({"name": "artifacts/moved/film.mp4", "bytes": 1, "sha256": "00"});
     list["members"].as_array_mut().expect("members").push(film);
     large[0].1 = list.to_string().into_bytes();
     write(&bad, &large, false);
     refused(&["artifacts/moved/film.mp4", "it has 201326592 bytes"]);
-    // An end that does not end.
+    // Endless padding after the last member.
     let out = GzEncoder::new(File::create(&bad).expect("a file"), Compression::fast());
     let mut tar = tar::Builder::new(out);
     for (name, bytes) in &sound {
@@ -531,7 +531,7 @@ async fn an_archive_that_swells_is_refused_before_it_is_unpacked() {
 
     let grown = here.serve.peak_memory_bytes() - before;
     assert!(grown < SWOLLEN / 2, "{} MiB were taken", grown >> 20);
-    // As it is, it fits.
+    // The unaltered archive is accepted.
     write(&bad, &sound, false);
     here.must(&["campaign", "import", &path, "--as", "another"]);
 }
@@ -542,7 +542,7 @@ async fn a_campaign_that_follows_from_another_comes_after_it() {
     here.run(64, "").await;
     here.must(&["explain", "moved", "--create", "--budget", "20"]);
     let name = "moved-explained";
-    // Its rollouts follow from the outcomes in a moment.
+    // Its rollouts are derived from the outcomes after a moment.
     let began = Instant::now();
     let lease = loop {
         if let Some(lease) = here.worker.claim(1).await.pop() {
@@ -552,7 +552,7 @@ async fn a_campaign_that_follows_from_another_comes_after_it() {
         tokio::time::sleep(Duration::from_millis(100)).await;
     };
     assert_eq!(here.worker.commit(&lease, true).await, Verdict::Accepted);
-    // Jobs that follow from that are there in a moment, too.
+    // Jobs derived from this outcome are also added after a moment.
     tokio::time::sleep(Duration::from_secs(1)).await;
     assert!(
         here.must(&["export", name, "--format", "jsonl"])
@@ -574,14 +574,14 @@ async fn a_campaign_that_follows_from_another_comes_after_it() {
     let said = there.refused(&["campaign", "delete", "moved", "--confirm", "moved"]);
     assert!(said.contains(name), "{said}");
 
-    // Outcomes of another campaign of that name are no source.
+    // A campaign of that name with other outcomes is not accepted as the source.
     let mut other = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
     other.run(3, "").await;
     let said = other.refused(&["campaign", "import", &path]);
     assert!(said.contains("others here"), "{said}");
 }
 
-/// Merges archives with the program.
+/// Runs `coordinator merge` on archives; returns its output or its error message.
 fn merge(archives: &[&Path], output: &Path) -> Result<String, String> {
     let archives: Vec<String> = archives.iter().map(|it| it.display().to_string()).collect();
     let output = output.display().to_string();
@@ -624,12 +624,12 @@ async fn two_halves_that_agree_become_the_campaign_that_one_coordinator_would_ha
     there.in_order().await;
     let films = there.folder.path().join("artifacts/moved");
     assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
-    // Rollouts that neither half has run are still to be run.
+    // Rollouts that neither half has run are still waiting.
     there.run(64, "").await;
     there.in_order().await;
     first.run(64, "").await;
     assert_eq!(there.report("moved"), first.report("moved"));
-    // Merged with itself it is what it was.
+    // A campaign merged with itself stays the same.
     let done = there.archive("moved");
     let again = folder.path().join("again.tar.gz");
     let said = merge(&[&done, &done], &again).expect("merged");
@@ -671,7 +671,7 @@ async fn halves_that_contradict_each_other_are_refused_with_both_outcomes() {
     }
     assert!(!whole.exists());
 
-    // Another scene under the same outcome is another rollout.
+    // A rollout in another scene is a different rollout, even with the same outcome.
     let mut third = Bench::with(&spec()).await;
     let lease = third.worker.claim_one().await;
     let mut report = third.worker.report(&lease, succeeds(&rollout_id(&lease)));
@@ -683,7 +683,7 @@ async fn halves_that_contradict_each_other_are_refused_with_both_outcomes() {
     let said = merge(&[&a, &c], &whole).expect_err("another scene");
     assert!(said.contains("scene digest"), "{said}");
 
-    // And another design is no half.
+    // A campaign of another design is not a half of this one.
     let fourth = Bench::with(&with(spec(), json!({"levels": ["L1"]}))).await;
     let d = fourth.archive("moved");
     let said = merge(&[&a, &d], &whole).expect_err("another design");

@@ -1,5 +1,5 @@
-//! Pausing, cancelling, deleting and backing up campaigns; jobs and workers as
-//! operators see them.
+//! Pausing, cancelling, deleting and backing up campaigns, and listing jobs and workers for
+//! operators.
 
 use proto::coordinator as wire;
 use proto::coordinator::campaign_status::State;
@@ -51,8 +51,7 @@ async fn is_in_order(bench: &Bench) {
     assert_eq!(violations, []);
 }
 
-/// A campaign of one rollout that a lone worker failed on until it was
-/// quarantined.
+/// Creates a campaign of one rollout, which fails on its only worker until it is quarantined.
 async fn quarantined(bench: &Bench) -> Worker {
     let changes = json!({"axes": ["camera"], "nominal": "none"});
     let spec = with(small_spec("one"), changes);
@@ -233,7 +232,7 @@ async fn what_is_in_quarantine_is_requeued_by_hand_with_its_failures_forgiven() 
     assert!(again.message().contains("queued"), "{again}");
     assert_eq!(retry(&bench, "one", &[], true).await.expect("none left"), 0);
 
-    // Three more failures, not one, put it into quarantine again.
+    // Only after three more failures is the job quarantined again.
     for expected in [Released::Requeued, Released::Requeued] {
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::Draining).await;
@@ -381,7 +380,7 @@ async fn a_backup_of_a_running_coordinator_is_in_order_and_can_be_served() {
     assert_eq!(text(&checked.stdout), "all 20 invariants hold\n");
     let second = Serve::start(&restored);
     let mut worker = second.worker("a").await;
-    // Results committed since the backup are repeated; leases of then are still held.
+    // Results committed since the backup are committed again; leases from then are still held.
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Duplicate);
     assert_eq!(worker.commit(&leases[1], true).await, Verdict::Accepted);
     assert_eq!(worker.commit(&leases[2], true).await, Verdict::Accepted);
@@ -472,10 +471,9 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     run(&["campaign", "list"], 0, &["no campaigns yet"]);
 }
 
-/// Defect 3: the ids of deleted jobs were given to new ones, and a lease named a
-/// job and an attempt number, so that a slot that still ran the old rollout
-/// committed into the new campaign. Now a lease has an id of its own, and numbers are
-/// given once (finding B9).
+/// Regression (defect 3): new jobs reused the ids of deleted ones, and a lease was identified by
+/// job and attempt number, so that a slot that still ran an old rollout committed it into the new
+/// campaign. Now a lease has an id of its own, and numbers are never reused (finding B9).
 #[tokio::test]
 async fn an_attempt_of_a_deleted_campaign_fits_no_job_of_the_next_one() {
     let bench = Bench::start().await;

@@ -1,5 +1,4 @@
-//! A policy that is down pauses its own jobs only, and they resume by
-//! themselves.
+//! An unavailable policy pauses only its own jobs, and they resume automatically.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +13,7 @@ use serde_json::json;
 
 use crate::harness::{Bench, rollout_id, small_spec, with};
 
-/// Past the first back-off of an outage (1 s), and of the one after (2 s).
+/// Time after which the first and the second back-off of an outage (1 s, 2 s) are over.
 const PAST_FIRST_SECS: u64 = 2;
 
 fn spec_of(name: &str, policy: &str) -> serde_json::Value {
@@ -73,7 +72,7 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
     );
 }
 
-/// There was no way to say that the policy is back.
+/// Regression: an operator could not report that the policy is available again.
 #[tokio::test]
 async fn an_operator_who_resumes_a_campaign_has_its_policy_tried_at_once() {
     let bench = two_campaigns().await;
@@ -121,7 +120,7 @@ async fn a_pause_lets_one_probe_through_and_its_first_answer_resumes_the_rest() 
             .all(|lease| lease.policy == "sound")
     );
 
-    // Ten settling steps need no policy; the eleventh does.
+    // The ten settling steps need no policy; the eleventh step does.
     worker.heartbeat(&[&probe], 10).await;
     assert!(bench.status("first").await.policy_paused);
     worker.heartbeat(&[&probe], 11).await;
@@ -156,7 +155,7 @@ async fn a_probe_that_fails_waits_longer_and_one_that_crashes_is_replaced() {
     let paused = "SELECT max(resume_ms) FROM policy WHERE name = 'fragile'";
     let paused_secs = (bench.count(paused).await - now_ms) as f64 / 1e3;
     assert!((30.0..=60.0).contains(&paused_secs), "{paused_secs}");
-    // It gives way to another rollout, which is to try the policy first.
+    // The job lets another rollout go first, which then tries the policy.
     let gives_way = last.backoff_secs - paused_secs;
     assert!((9.9..=10.1).contains(&gives_way), "{gives_way}");
 
@@ -202,8 +201,8 @@ async fn a_pause_survives_a_restart_and_still_ends_by_itself() {
     assert!(!bench.status("first").await.policy_paused);
 }
 
-/// Plays a campaign of eight rollouts on two slots, of which one rollout takes the policy
-/// down after it has answered so many of its queries, and everything with it that runs.
+/// Runs a campaign of eight rollouts on two slots. One rollout crashes the policy after
+/// `killer_is_answered` queries, and every other rollout in progress loses the policy with it.
 async fn plays_on(killer_is_answered: u32) -> Bench {
     let bench = Bench::start().await;
     let spec = spec_of("first", "fragile");
@@ -214,7 +213,7 @@ async fn plays_on(killer_is_answered: u32) -> Bench {
         bench.pass(3).await;
         worker.heartbeat(&[], 0).await;
         let mut leases = worker.claim(2).await;
-        // It dies before the others are through.
+        // The policy crashes before the other rollouts finish.
         leases.sort_by_key(|lease| !killer(lease));
         let dies = leases.iter().any(killer);
         for lease in &leases {
@@ -240,7 +239,7 @@ async fn plays_on(killer_is_answered: u32) -> Bench {
     bench
 }
 
-/// Finding B1: it was requeued in its place, was the next probe, and so on for ever.
+/// Regression (finding B1): the rollout was requeued, became the next probe, and so on forever.
 #[tokio::test]
 async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_the_others_are_done() {
     for killer_is_answered in [3, 0] {
@@ -273,13 +272,13 @@ async fn an_outage_that_lasts_quarantines_nothing_and_is_tried_with_one_rollout_
         .await
         .expect("created");
     let mut worker = bench.worker("a").await;
-    // All of them had it when it went down.
+    // All of them had reached the policy when it went down.
     for lease in worker.claim(8).await {
         worker.lose_policy(&lease, 4).await;
     }
     let mut probes = BTreeSet::new();
     for _ in 0..30 {
-        // Longer than a policy waits, shorter than twice that.
+        // Longer than the longest back-off, shorter than twice that.
         bench.pass(65).await;
         worker.heartbeat(&[], 0).await;
         let probe = worker.claim_one().await;

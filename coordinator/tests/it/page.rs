@@ -1,6 +1,6 @@
-//! The live page and the metrics, as HTTP: what they say, who may read them,
-//! and what hostile addresses come to. How they look and move is a browser's
-//! business: `tests/tests/page.rs` of the package `tests`.
+//! The live page and the metrics over HTTP: their content, access to them, and the answers to
+//! hostile addresses. Layout and scripts are tested in a browser, in `tests/tests/page.rs` of the
+//! package `tests`.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -13,7 +13,7 @@ use crate::artifacts::put;
 use crate::harness::{Bench, small_spec};
 use crate::process::{coordinator, text};
 
-/// A socket that says nothing for so long says nothing any more.
+/// Read timeout of a socket.
 const SILENCE: Duration = Duration::from_secs(30);
 
 /// An answer over HTTP/1.1.
@@ -28,7 +28,7 @@ impl Answer {
         String::from_utf8_lossy(&self.body).into_owned()
     }
 
-    /// The value of a header.
+    /// Returns the value of a header.
     pub(crate) fn header(&self, name: &str) -> Option<&str> {
         let mut lines = self.head.lines().filter_map(|line| line.split_once(": "));
         let found = lines.find(|(key, _)| key.eq_ignore_ascii_case(name));
@@ -36,8 +36,8 @@ impl Answer {
     }
 }
 
-/// Sends a request as it is written: clients that tidy addresses would hide
-/// what is tested here. Chunked answers are put together.
+/// Sends a request unchanged: clients that normalise addresses would hide what is tested here.
+/// Chunked answers are joined.
 fn send(url: &str, request: &str) -> Answer {
     let address = url.strip_prefix("http://").expect("a URL");
     let mut stream = TcpStream::connect(address).expect("a connection");
@@ -87,14 +87,14 @@ fn joined(mut chunks: &[u8]) -> Vec<u8> {
     body
 }
 
-/// As [`send`], from a thread that may wait.
+/// As [`send`], on a thread that may block.
 pub(crate) async fn ask(url: &str, request: &str) -> Answer {
     let (url, request) = (url.to_owned(), request.to_owned());
     let answer = tokio::task::spawn_blocking(move || send(&url, &request));
     answer.await.expect("an answer")
 }
 
-/// A campaign with two results, one job in quarantine and one that waits.
+/// Returns a campaign with two results, one quarantined job and one waiting job.
 async fn begun() -> Bench {
     let bench = Bench::start().await;
     bench.create(&small_spec("begun")).await.expect("created");
@@ -171,7 +171,7 @@ async fn every_page_says_what_there_is_and_may_load_nothing_from_elsewhere() {
         let policy = answer.header("content-security-policy").expect("a policy");
         assert!(policy.starts_with("default-src 'none'"), "{policy}");
         assert_eq!(answer.header("cache-control"), Some("no-store"));
-        // A browser that has the page is not sent it again.
+        // A browser that already has the page does not get it again.
         let tag = answer.header("etag").expect("a tag");
         let again = ask(&bench.url, &format!("GET {address}\nif-none-match: {tag}")).await;
         assert_eq!((again.code, again.body.len()), (304, 0), "{address}");
@@ -192,13 +192,13 @@ async fn an_outage_and_a_quarantine_are_told_in_words() {
     assert!(page.contains("Policy expert is paused"), "{page}");
 }
 
-/// The page said "no attempt is charged" where `jobs list` said "1 charged".
+/// Regression: the page said "no attempt is charged" where `jobs list` said "1 charged".
 #[tokio::test(flavor = "multi_thread")]
 async fn page_and_command_line_agree_on_what_nonsense_of_a_policy_is_charged_to() {
     let bench = begun().await;
     let mut worker = bench.worker("w").await;
     for attempt in 1..=5 {
-        // Past the back-off of a rollout that failed.
+        // Longer than the back-off of a failed rollout.
         bench.pass(10).await;
         let lease = worker.claim_one().await;
         worker.release(&lease, Reason::PolicyMisbehaved).await;
@@ -208,7 +208,7 @@ async fn page_and_command_line_agree_on_what_nonsense_of_a_policy_is_charged_to(
     let listed = coordinator(&["jobs", "list", "begun", "--connect", &bench.url]);
     let listed = text(&listed.stdout).to_owned();
     assert!(listed.contains("2 charged"), "{listed}");
-    // A page is kept for a second.
+    // A page is cached for a second.
     tokio::time::sleep(Duration::from_millis(1100)).await;
     let page = ask(&bench.url, "GET /policies").await.text();
     assert!(!page.contains("no attempt is charged"), "{page}");
@@ -325,7 +325,7 @@ async fn a_video_is_sent_whole_and_in_ranges() {
         (416, Some("bytes */200000"))
     );
 
-    // A database that leads elsewhere, whoever made it, leads nowhere.
+    // Paths in the database that lead out of the artifacts folder are not served.
     let database = bench.database().await;
     std::fs::write(bench.folder.path().join("outside"), "outside").expect("written");
     std::fs::write(bench.folder.path().join("artifacts/page.html"), "<p>").expect("written");
@@ -333,7 +333,7 @@ async fn a_video_is_sent_whole_and_in_ranges() {
         "artifacts/../outside",
         "/etc/passwd",
         "outside",
-        // Nor is anything shown but a video: a page from here could read all others.
+        // Only videos are served: a page from this server could read all other pages.
         "artifacts/page.html",
     ] {
         let update = sqlx::query("UPDATE artifact SET path = ?").bind(path);
@@ -365,7 +365,7 @@ async fn metrics_are_prometheus_text_and_count_what_there_is() {
     ] {
         assert!(text.lines().any(|found| found == line), "no {line}\n{text}");
     }
-    // Every sample belongs to the family that was announced before it, once.
+    // Every sample belongs to the family announced before it, and each family occurs once.
     let mut family = "";
     let mut families = Vec::new();
     for line in text.lines() {
@@ -442,7 +442,7 @@ async fn streams_are_bounded_and_a_seat_is_free_when_somebody_leaves() {
     }
     assert!(!follow().1, "the 129th is told to look by itself");
     seated.clear();
-    // That they left is noticed when something is sent to them.
+    // The server notices that streams have closed only when it sends something to them.
     let mut tries = 0;
     while !follow().1 {
         tries += 1;
@@ -499,7 +499,7 @@ async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
         page.text()
     );
 
-    // A client that may not read pages is refused; a token opens what it opens elsewhere.
+    // A client that may not read pages is refused; a token gives the same access as elsewhere.
     for (token, code) in [
         (None, 401),
         (Some(WORKER), 403),
@@ -510,7 +510,7 @@ async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
         let answer = ask(url, &format!("GET /metrics{}", bearer.unwrap_or_default())).await;
         assert_eq!(answer.code, code, "{token:?}");
     }
-    // A cookie opens no call.
+    // A cookie gives access to no call.
     let call = "/rollout.coordinator.v1.OperatorService/ListCampaigns";
     let call = format!("POST {call}\ncontent-type: application/grpc\ncookie: {cookie}");
     let answer = ask(url, &call).await;
@@ -520,17 +520,17 @@ async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
         out.header("set-cookie")
             .is_some_and(|set| set.contains("Max-Age=0"))
     );
-    // The session is over, whoever kept its name.
+    // The session has ended, even for a client that kept its id.
     let page = ask(url, &format!("GET /workers\ncookie: {cookie}")).await;
     assert_eq!(page.code, 401, "{}", page.text());
-    // A token that is missing or wrong, one of another role, a call by a browser.
+    // Refusals: a missing or wrong token, a token of another role, and a call by a browser.
     assert_eq!(guarded.logged("was refused"), 3, "each kind is logged once");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
     let bench = begun().await;
-    // Its own name, led to this machine.
+    // A DNS name of another site that resolves to this machine.
     let rebound = ask(&bench.url, "GET /\nhost: evil.example:7411").await;
     assert_eq!(rebound.code, 403);
     assert!(!rebound.text().contains("begun"), "{}", rebound.text());
@@ -541,8 +541,7 @@ async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
     )
     .await;
     assert_eq!(call.header("grpc-status"), Some("3"), "{}", call.head);
-    // The body that a page may send without asking the server first: a whole message, as plain
-    // text.
+    // A body that a page may send without a preflight request: a complete message as plain text.
     let message = "\0\0\0\0\x0e\n\x05begun\x12\x05begun";
     for headers in [
         "content-type: text/plain\nsec-fetch-site: cross-site\norigin: https://evil.example",
@@ -554,7 +553,7 @@ async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
         assert_ne!(answer.code, 200, "{headers}: {}", answer.head);
     }
     assert_eq!(bench.status("begun").await.total, 4);
-    // Nor does it see a page, or send a form.
+    // The other site's page can neither read a page nor send a form.
     for request in [
         "GET /campaigns/begun\nsec-fetch-site: cross-site\nsec-fetch-mode: no-cors",
         "POST /login\norigin: https://evil.example\n\ntoken=x",
@@ -568,8 +567,8 @@ async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
     assert_eq!(ask(&bench.url, link).await.code, 200);
 }
 
-/// Defect 2: a page held one of four connections to the database while it asked
-/// for two more, so that a few tabs that refreshed together waited for each other.
+/// Regression (defect 2): a page held one of four database connections while it requested two more,
+/// so that a few tabs that refreshed together blocked each other.
 #[tokio::test(flavor = "multi_thread")]
 async fn many_pages_that_are_asked_for_at_once_do_not_wait_for_each_other() {
     const TABS: usize = 24;
@@ -588,7 +587,7 @@ async fn many_pages_that_are_asked_for_at_once_do_not_wait_for_each_other() {
             let url = bench.url.clone();
             async move { ask(&url, &format!("GET {address}")).await.code }
         });
-        // A connection that is waited for in vain fails after 30 s.
+        // Waiting for a connection fails after 30 s.
         let answers = tokio::time::timeout(SILENCE / 2, futures_util::future::join_all(asked));
         let codes = answers.await.expect("they stall each other");
         assert_eq!(codes, [200; TABS]);

@@ -1,4 +1,4 @@
-//! Results that may not stand beside each other are kept apart.
+//! Results that are inconsistent with their siblings are refused.
 
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
@@ -7,7 +7,7 @@ use tonic::Code;
 
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
-/// Two committed siblings, and the lease of a third.
+/// Commits two siblings and returns the lease of a third.
 async fn with_siblings() -> (Bench, Worker, wire::Lease) {
     let bench = Bench::start().await;
     bench.create(&small_spec("paired")).await.expect("created");
@@ -20,7 +20,7 @@ async fn with_siblings() -> (Bench, Worker, wire::Lease) {
     (bench, worker, lease)
 }
 
-/// Commits with an altered provenance; it must be refused in these words.
+/// Commits a result with an altered provenance and asserts that it is refused with these words.
 async fn check_unpaired(alter: impl FnOnce(&mut wire::Provenance), words: &[&str]) {
     let (bench, mut worker, lease) = with_siblings().await;
     let mut report = worker.report(&lease, true);
@@ -85,7 +85,7 @@ async fn other_initial_states_are_no_siblings_and_replicates_are() {
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(4).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
-    // Another initial state of the same task: nothing to agree with.
+    // Another initial state of the same task has no siblings to agree with.
     let mut other = worker.report(&leases[1], true);
     other.provenance.as_mut().expect("some").scene_digest = sha("moved");
     assert_eq!(worker.commit_request(other).await.0, Verdict::Accepted);
@@ -95,7 +95,7 @@ async fn other_initial_states_are_no_siblings_and_replicates_are() {
     assert_eq!(worker.commit_request(replicate).await.0, Verdict::Unpaired);
 }
 
-/// The leases of a campaign of one configuration, in paired-unit order.
+/// Returns the leases of a campaign of one configuration, in paired-unit order.
 async fn leases_of(changes: Value) -> (Bench, Worker, Vec<wire::Lease>) {
     let bench = Bench::start().await;
     let spec = with(small_spec("paired"), changes);
@@ -105,7 +105,7 @@ async fn leases_of(changes: Value) -> (Bench, Worker, Vec<wire::Lease>) {
     (bench, worker, leases)
 }
 
-/// Commits with an altered provenance; returns what became of it, in words.
+/// Commits a result with an altered provenance; returns the verdict and its explanation.
 async fn commit_altered(
     worker: &mut Worker,
     lease: &wire::Lease,
@@ -116,7 +116,7 @@ async fn commit_altered(
     worker.commit_request(report).await
 }
 
-/// Realises one axis so much further off.
+/// Shifts all realised elements of one axis by `by`.
 fn realise_otherwise(provenance: &mut wire::Provenance, axis: &str, by: f64) {
     let of_axis = |realised: &&mut wire::RealisedAxis| realised.axis == axis;
     for realised in provenance.realised.iter_mut().filter(of_axis) {
@@ -218,14 +218,14 @@ async fn conditions_that_leave_the_pictures_alone_must_see_the_nominal_first_fra
     let (verdict, detail) = saw(language, "moved").await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert!(detail.contains("object/t0/clean/i"), "{detail}");
-    // Of this combination only the camera shows in the first picture.
+    // In this combination, only the camera axis affects the first frame.
     let (verdict, detail) = saw(combination, "nominal").await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert!(detail.contains("object/t0/camera/L1/c00"), "{detail}");
 }
 
-/// Defect 6: workers on two kinds of processor, whose last bits differ, refused
-/// each other's configurations.
+/// Regression (defect 6): results from two kinds of processor, whose last bits differ, were refused
+/// as inconsistent with each other.
 #[tokio::test]
 async fn last_bits_of_another_processor_are_accepted_and_kept_as_they_are() {
     for (by, expected) in [

@@ -1,5 +1,5 @@
-//! The coordinator's background tasks: none holds up connections and signals, and a panic in
-//! one of them ends the coordinator with an error, so that whatever started it starts it again.
+//! The coordinator's background tasks: none blocks connections or signals, and a panic in one of
+//! them ends the coordinator with an error, so that its supervisor restarts it.
 
 use std::process::{Command, Stdio};
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use tokio::task::JoinSet;
 
 use crate::harness::{config, registration};
 
-/// A clock that breaks: the writer asks it in every transaction.
+/// A clock that panics once broken; the writer reads it in every transaction.
 #[derive(Default)]
 struct BreakableClock {
     clock: ManualClock,
@@ -32,14 +32,14 @@ impl Clock for BreakableClock {
     }
 }
 
-/// Defect 11: panics of spawned tasks were not joined, and a coordinator whose
-/// writer was gone answered "shutting down" for ever.
+/// Regression (defect 11): panics of spawned tasks were not noticed, and a coordinator whose writer
+/// had panicked answered "shutting down" forever.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let clock = Arc::new(BreakableClock::default());
     let mut config = config(folder.path(), clock.clone());
-    // More than any disk has: the first sweep says so, and is over then.
+    // No disk has so much free space; once a claim's answer says so, the first sweep is over.
     config.min_free_bytes = u64::MAX;
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("an address");
@@ -76,7 +76,7 @@ async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so()
     assert!(matches!(error, ServeError::Panicked { .. }), "{error:?}");
 }
 
-/// Finding B6: the sweep was awaited in the loop that also accepts connections and signals.
+/// Regression (finding B6): the loop that accepts connections and signals also awaited the sweep.
 #[tokio::test(flavor = "multi_thread")]
 async fn connections_and_signals_are_served_while_the_database_is_locked() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -98,7 +98,7 @@ async fn connections_and_signals_are_served_while_the_database_is_locked() {
     served.spawn(coordinator.serve(listener, async {
         let _ = stopped.await;
     }));
-    // Some sweeps wait for the writer by then.
+    // By then, some sweeps wait for the writer.
     tokio::time::sleep(Duration::from_millis(200)).await;
     let connected = tokio::time::timeout(
         Duration::from_secs(5),

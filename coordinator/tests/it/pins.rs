@@ -1,5 +1,5 @@
-//! Assets, simulator and renderer of a campaign's workers: those that it asks for, and those that
-//! its first result pins it to.
+//! Assets, simulator and renderer of a campaign's workers: those that the campaign requires, and
+//! those that its first result pins it to.
 
 use proto::coordinator::Provenance;
 use proto::coordinator::commit_response::Verdict;
@@ -10,8 +10,8 @@ use crate::harness::{Bench, registration, small_spec, with};
 const SOFTWARE: &str = "rollout-raster 1";
 const GL: &str = "llvmpipe";
 
-/// Why a worker on this pack and renderer gets nothing, as it is told when it
-/// registers; empty if it may have jobs.
+/// Returns the reason why a worker with this pack and renderer gets no jobs, as its registration is
+/// answered; empty if it may have jobs.
 async fn told(bench: &Bench, pack: &str, renderer: &str) -> String {
     let mut worker = bench.worker_drawing("asks", pack, renderer).await;
     let mut announced = registration("asks", pack);
@@ -26,12 +26,12 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
     bench.create(&small_spec("pinned")).await.expect("created");
     let mut first = bench.worker_on("a", "primitives").await;
     let mut other = bench.worker_on("b", "libero").await;
-    // Until a result decides, both may try: one that drains pins nothing.
+    // Both workers may run jobs until a result pins the campaign; leases alone pin nothing.
     let (lease, of_other) = (first.claim_one().await, other.claim_one().await);
     assert_eq!(bench.status("pinned").await.live_workers, 2);
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.status("pinned").await.live_workers, 1);
-    // Its rollout was for nothing, and that is nobody's fault.
+    // The other worker's rollout was run in vain, and nobody is charged for it.
     let (verdict, detail) = other.commit_request(other.report(&of_other, true)).await;
     assert_eq!(verdict, Verdict::Unpaired);
     let nothing = other.claim_response("").await;
@@ -81,8 +81,8 @@ async fn a_result_that_is_refused_pins_nothing() {
     assert_eq!(told(&bench, "libero", GL).await, "");
 }
 
-/// Weights that were replaced, or another `--execute`, are another policy: its
-/// jobs wait until the one that was measured is back, and nobody is charged.
+/// Replaced weights or another `--execute` make a different policy: its jobs wait until the
+/// measured policy is back, and nobody is charged.
 #[tokio::test]
 async fn a_policy_that_was_replaced_is_an_outage_of_the_one_that_was_measured() {
     for (what, replace) in [
@@ -124,7 +124,7 @@ async fn a_policy_that_was_replaced_is_an_outage_of_the_one_that_was_measured() 
     }
 }
 
-/// A worker that is older than execution models waits, and says nothing of it.
+/// A worker older than execution models waits for answers and reports no execution model.
 #[tokio::test]
 async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() {
     for (of_campaign, of_result, expected) in [
@@ -215,7 +215,7 @@ async fn what_a_campaign_asks_for_is_told_at_once_to_a_worker_that_does_not_suit
         ] {
             assert!(told.contains(word), "{told}");
         }
-        // And so is whoever looks at the campaign.
+        // The campaign's status shows the same reason.
         let waits = bench.status("choosy").await.waiting_reason;
         for word in ["wants assets `libero`", pack, renderer] {
             assert!(waits.contains(word), "{waits}");

@@ -1,4 +1,4 @@
-//! The program itself: killed, stopped, and called wrongly.
+//! The program itself: killed, stopped, and called with invalid arguments.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -14,10 +14,10 @@ use tonic::Status;
 
 use crate::harness::{Worker, open_database, registration, small_spec};
 
-/// `coordinator serve` as a process; killed when it goes out of scope.
+/// A `coordinator serve` process; killed when dropped.
 pub(crate) struct Serve {
     child: Child,
-    /// Empty if it ended before it listened.
+    /// Empty if the process exited before it listened.
     pub(crate) url: String,
 }
 
@@ -26,9 +26,9 @@ impl Serve {
         Serve::start_with(data, &[], Stdio::null())
     }
 
-    /// With more arguments, and its log somewhere. Through a shell that makes a
-    /// write beyond a limit fail instead of killing: a full disk does not kill
-    /// either.
+    /// Starts the program with further arguments and a file for its log, through a shell that
+    /// ignores SIGXFSZ: a write beyond the file size limit then fails, as on a full disk, instead
+    /// of killing the process.
     pub(crate) fn start_with(data: &Path, arguments: &[&str], log: Stdio) -> Serve {
         let child = Command::new("sh")
             .args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""])
@@ -46,7 +46,7 @@ impl Serve {
         serve
     }
 
-    /// Waits until the process listens or ends.
+    /// Waits until the process listens or exits.
     pub(crate) fn of(mut child: Child) -> Serve {
         let mut line = String::new();
         let stdout = child.stdout.take().expect("a pipe");
@@ -59,17 +59,17 @@ impl Serve {
         Serve { child, url }
     }
 
-    /// Whether it came to listen.
+    /// Returns true if the process listens.
     pub(crate) fn is_ready(&self) -> bool {
         !self.url.is_empty()
     }
 
-    /// Returns the exit status, if it has ended.
+    /// Returns the exit status; `None` while the process runs.
     pub(crate) fn ended(&mut self) -> Option<ExitStatus> {
         self.child.try_wait().expect("a child")
     }
 
-    /// Sets how large its files may become, `soft:hard`.
+    /// Sets the process's file size limit, `soft:hard`.
     pub(crate) fn limit_files(&self, limit: &str) {
         let status = Command::new("prlimit")
             .args(["--pid", &self.child.id().to_string()])
@@ -78,7 +78,7 @@ impl Serve {
         assert!(status.expect("prlimit runs").success());
     }
 
-    /// The most memory that it has taken so far.
+    /// Returns the peak memory of the process.
     pub(crate) fn peak_memory_bytes(&self) -> u64 {
         let status = format!("/proc/{}/status", self.child.id());
         let status = std::fs::read_to_string(status).expect("it runs");
@@ -119,7 +119,7 @@ impl Serve {
 
 impl Drop for Serve {
     fn drop(&mut self) {
-        // It may have ended already, as the test wanted.
+        // The process may have exited already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -170,7 +170,7 @@ async fn a_coordinator_killed_in_the_middle_continues_where_it_was() {
     drop(first);
 
     let second = Serve::start(folder.path());
-    // The worker process lived on: its lease is still its own.
+    // The worker process survived the restart and still holds its lease.
     let mut worker = second.worker("a").await;
     assert!(worker.heartbeat(&[&held], 50).await.is_empty());
     assert_eq!(worker.commit(&held, true).await, Verdict::Accepted);
@@ -189,8 +189,8 @@ async fn a_coordinator_killed_in_the_middle_continues_where_it_was() {
     );
 }
 
-/// Its sweeps came a second apart, which it took for sleep: no lease of two seconds or less
-/// ever expired.
+/// Regression: sweeps a second apart were taken for a suspension, so that leases of two seconds or
+/// less never expired.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_shortest_leases_expire_too() {
     for secs in ["1", "2"] {
@@ -370,7 +370,7 @@ fn an_address_in_use_and_a_folder_that_cannot_be_made_fail_with_the_remedy() {
     );
 }
 
-/// A policy's error, which its worker passes on, could set the operator's clipboard.
+/// Regression: a policy's error text, relayed by its worker, could set the operator's clipboard.
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
     const HOSTILE: &str = "\x1b]52;c;cm0gLXJm\x07\x1b[2K\rall is well \u{9b}31m\u{202e}";
@@ -398,7 +398,7 @@ async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
         let is_obeyed = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
         text.contains(is_obeyed)
     };
-    // It is not kept,
+    // Control sequences are not stored.
     let pool = open_database(folder.path()).await;
     let kept: String = sqlx::query_scalar("SELECT error FROM failure")
         .fetch_one(&pool)
@@ -408,7 +408,7 @@ async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
         kept.contains("all is well") && !is_obeyed(&kept),
         "{kept:?}"
     );
-    // and where something else kept it, it is not printed.
+    // Control sequences that something else stored are not printed.
     for update in [
         "UPDATE failure SET error = ?",
         "UPDATE policy SET pause_reason = ?",

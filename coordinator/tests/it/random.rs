@@ -1,12 +1,11 @@
-//! Random sequences of events. Whatever happens, attempts only rise, a stale
-//! attempt never commits, a paused campaign leases nothing, a cancelled one
-//! holds nothing, and every job of another ends with exactly one result or one
-//! quarantine. Duplicates and late reports come about by themselves: leases are
-//! named whether or not they are still held.
+//! Random sequences of events. In any sequence, attempt numbers only rise, a stale attempt never
+//! commits, a paused campaign leases nothing, a cancelled one holds no lease, and every job of any
+//! other campaign ends with exactly one result or in quarantine. Duplicates and late reports occur
+//! by themselves, since events name leases that may no longer be held.
 //!
-//! A failing sequence is printed, shrunk. Its seed is the line `cc …` that is
-//! written into `proptest-regressions` beside this file; the next run, here or
-//! wherever the file is copied to, replays it first.
+//! A failing sequence is printed after shrinking. Its seed is the line `cc …` in
+//! `proptest-regressions` beside this file; the next run replays it first, here or wherever the
+//! file is copied to.
 
 mod pure_core;
 mod real_queue;
@@ -15,24 +14,24 @@ use proptest::prelude::*;
 use queue::rules::campaign::Change;
 use queue::rules::lease::FailureReason;
 
-/// Workers that events speak of.
+/// Number of workers in the events.
 const WORKERS: usize = 3;
-/// Jobs that events speak of.
+/// Number of jobs in the events.
 const JOBS: usize = 4;
-/// Tasks that slots may hold the scene of.
+/// Number of tasks whose scenes slots may hold.
 const TASKS: usize = 2;
 
-/// Something that happens. Jobs, workers and past leases are named by numbers
-/// that are taken modulo what there is.
+/// An event. Jobs, workers and past leases are given by numbers, which are taken modulo the number
+/// of those that exist.
 #[derive(Clone, Debug)]
 enum Event {
-    /// A claim of its own name, by a slot that holds no scene or one of the tasks'.
+    /// A claim with a new id, by a slot that holds no scene or the scene of a task.
     Claim {
         worker: usize,
         job: usize,
         warm: Option<usize>,
     },
-    /// A claim that was made before, as if its answer had been lost.
+    /// A repeated claim, as if its answer had been lost.
     ClaimAgain {
         claim: usize,
     },
@@ -58,7 +57,7 @@ enum Event {
         job: usize,
     },
     Restart,
-    /// Asked at the same time, by callers that do not wait for one another.
+    /// Concurrent requests of callers that do not wait for one another.
     Together(Vec<Event>),
 }
 

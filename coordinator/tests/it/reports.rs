@@ -1,4 +1,4 @@
-//! Content of the report, which is the same whatever went wrong on the way.
+//! Content of the report, which is the same regardless of faults along the way.
 
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
@@ -20,7 +20,7 @@ fn spec() -> Value {
     )
 }
 
-/// A deterministic policy: fails under the combination of task 0, else succeeds.
+/// Outcome of a deterministic policy: only the combination of task 0 fails.
 fn outcome(lease: &wire::Lease) -> bool {
     !rollout_id(lease).starts_with("object/t0/combination")
 }
@@ -35,13 +35,13 @@ async fn run_all(bench: &Bench, worker: &mut Worker) {
     }
 }
 
-/// The report in both of its forms.
+/// A report in both of its formats.
 struct Told {
     json: Value,
     table: String,
 }
 
-/// Returns the report that `coordinator report` makes of the coordinator's answer.
+/// Returns the report that `coordinator report` computes from the coordinator's answer.
 async fn report(bench: &Bench) -> Told {
     let request = wire::ReportRequest {
         campaign: "told".to_owned(),
@@ -79,7 +79,7 @@ async fn a_report_is_the_same_with_and_without_faults() {
     let rough = rough.restart().await;
     let mut worker = rough.worker("z").await;
     run_all(&rough, &mut worker).await;
-    // The first worker comes back late with the outcome that others found.
+    // The first worker reports late, with the outcome that other workers found too.
     let mut late = rough.worker("x").await;
     let success = outcome(&lost[0]);
     assert_eq!(late.commit(&lost[0], success).await, Verdict::Duplicate);
@@ -215,7 +215,7 @@ async fn a_privileged_policy_and_mixed_origins_are_said_at_the_top() {
     assert!(!words.contains("say nothing about LIBERO"), "{table}");
 }
 
-/// No commit lets this happen: the database is altered past the coordinator.
+/// No commit can lead to this state, so the database is altered directly.
 #[tokio::test]
 async fn a_report_leaves_results_of_another_realisation_out_and_says_so_at_the_top() {
     let bench = Bench::start().await;
@@ -282,7 +282,7 @@ fn result_files_are_reported_without_a_coordinator_in_every_form() {
     );
 }
 
-/// At four configurations, the terminal was full of symbols.
+/// Regression: with four configurations, the terminal was full of symbols.
 #[test]
 fn a_report_is_short_and_in_sentences_unless_all_of_it_is_asked_for() {
     let output = coordinator(&["report", "--from", EXAMPLE]);
@@ -314,7 +314,7 @@ fn a_report_is_short_and_in_sentences_unless_all_of_it_is_asked_for() {
     );
 }
 
-/// 500 rollouts of one suite could never decide a gate that asks for 2,000.
+/// Regression: 500 rollouts of one suite could never decide a gate that needs 2,000.
 #[test]
 fn a_figure_that_was_published_of_one_suite_has_a_gate_of_its_own() {
     let folder = tempfile::tempdir().expect("a temporary folder");

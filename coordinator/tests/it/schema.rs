@@ -1,8 +1,8 @@
-//! The schema refuses by itself what the state enums cannot express.
+//! The database schema itself refuses states that the state enums cannot express.
 
 use crate::harness::{Bench, small_spec};
 
-/// Statements, and what refuses them.
+/// Invalid statements, each with the constraint that refuses it.
 const FOUL: &[(&str, &str)] = &[
     (
         "UPDATE job SET state = 'lost' WHERE state = 'queued'",

@@ -1,5 +1,5 @@
-//! A replicate changes the policy's seed and nothing else, and the seed goes
-//! with the rollout from the specification to the result.
+//! A replicate changes only the policy's seed, and the seed stays with the rollout from the
+//! specification to the result.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,7 +15,7 @@ const CAMERA: (&str, [u64; 3]) = (
     "object/t0/camera/L1/c00",
     [2_407_598_533, 1_434_740_286, 3_431_806_852],
 );
-/// As above, of another condition of the same configuration.
+/// The same for another condition of the configuration.
 const COMBINATION: (&str, u64) = ("object/t0/combination/L1/c00", 2_351_656_207);
 
 fn spec(name: &str, realisation: &str) -> Value {
@@ -25,7 +25,7 @@ fn spec(name: &str, realisation: &str) -> Value {
     )
 }
 
-/// All leases of a campaign of four rollouts, committed.
+/// Creates a campaign of four rollouts, commits all of its leases and returns them.
 async fn run(bench: &Bench, spec: &Value) -> Vec<wire::Lease> {
     bench.create(spec).await.expect("created");
     let mut worker = bench.worker("a").await;

@@ -1,4 +1,4 @@
-//! Statements on workers, paces and policies hold at every moment.
+//! Statements about workers, rates and policies are correct at every moment.
 
 use std::time::Duration;
 
@@ -26,7 +26,7 @@ async fn commit_after(worker: &mut Worker, lease: &wire::Lease, wall_secs: f64) 
     assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
 }
 
-/// Workers that had ended in good order stayed "live" for a minute.
+/// Regression: workers that had shut down cleanly stayed "live" for a minute.
 #[tokio::test]
 async fn a_worker_that_says_good_bye_is_gone_at_once() {
     let bench = Bench::start().await;
@@ -46,7 +46,7 @@ async fn a_worker_that_says_good_bye_is_gone_at_once() {
     let line = list.expect("a list").into_inner().workers.remove(0);
     assert!(!line.alive && line.signed_off);
 
-    // It may come back under its name.
+    // The worker may register again under the same id.
     let again = worker.service.register(registration("a", "primitives"));
     again.await.expect("registers");
     assert_eq!(bench.status("watched").await.live_workers, 1);
@@ -70,8 +70,8 @@ async fn a_worker_counts_as_alive_for_the_length_of_a_lease() {
     assert_eq!(bench.status("watched").await.live_workers, 1);
 }
 
-/// "100.0/s ETA 16s" right after `resume`: what was under way before the pause
-/// was divided by the moment since.
+/// Regression: `resume` was followed by "100.0/s ETA 16s", since rollouts from before the pause
+/// were divided by the short time after it.
 #[tokio::test]
 async fn what_began_before_a_pause_says_nothing_of_the_pace_after_it() {
     let bench = Bench::start().await;
@@ -97,8 +97,8 @@ async fn what_began_before_a_pause_says_nothing_of_the_pace_after_it() {
     assert_eq!(status.eta_secs, Some(5.0 / 0.05));
 }
 
-/// A campaign that waited for its first worker is as fast as its rollouts, not as
-/// slow as the wait.
+/// The rate of a campaign that waited for its first worker follows from its rollouts, not from the
+/// wait.
 #[tokio::test]
 async fn the_wait_for_the_first_worker_is_in_no_pace() {
     let bench = Bench::start().await;
@@ -137,7 +137,7 @@ async fn the_policy_of_a_deleted_campaign_is_listed_no_more() {
 async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let dry = [&CREATE[..], &["--dry-run"]].concat();
-    // Without a coordinator the rest is said, and that is no failure.
+    // Without a coordinator, the rest is printed, and the command succeeds.
     let nowhere = [&dry[..], &["--connect", "http://127.0.0.1:9"]].concat();
     let alone = coordinator(&nowhere);
     assert!(alone.status.success(), "{}", text(&alone.stderr));
@@ -148,13 +148,13 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
         "{said}"
     );
 
-    // Workers count as alive for so long as a slow machine takes.
+    // Workers must count as alive even if this machine is slow.
     let lease = ["--lease-secs", "3600"];
     let serve = Serve::start_with(folder.path(), &lease, std::process::Stdio::null());
     let forecast_with = |more: &[&str]| {
         let output = serve.command(&[&dry[..], more].concat());
         assert!(output.status.success(), "{}", text(&output.stderr));
-        // Lines may end anywhere.
+        // Line breaks may be anywhere.
         let words = text(&output.stdout).split_whitespace();
         words.collect::<Vec<_>>().join(" ")
     };
@@ -168,14 +168,14 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
         commit_after(&mut worker, &lease, wall_secs).await;
     }
     let _second = serve.worker("b").await;
-    // 14 rollouts of a minute on two workers of two slots.
+    // 14 rollouts of a minute each on two workers with two slots each.
     let said = forecast();
     assert!(
         said.contains("about 3m30s on the 2 workers connected now (4 slots, 4 cores)"),
         "{said}"
     );
     assert!(said.contains("2 recent rollouts of expert"), "{said}");
-    // Nearly all of the minute each waits, with a core for every slot.
+    // Each waits for nearly all of the minute, although every slot has a core.
     assert!(
         said.contains("a rollout takes 60.0 s: physics 1 %"),
         "{said}"
@@ -184,7 +184,7 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
         said.contains("mean of 2 rollouts bottleneck: slots"),
         "{said}"
     );
-    // 30 queries of each, one a second.
+    // 30 queries per rollout, at one query per second.
     let said = forecast_with(&["--policy-rate", "1"]);
     assert!(said.contains("about 7m00s on the 2 workers"), "{said}");
     let bound = "bottleneck: the policy's server, which answers no faster. More slots do not \

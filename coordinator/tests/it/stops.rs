@@ -1,5 +1,5 @@
-//! Campaigns that end early: where the statistics say on the same outcomes, whatever
-//! dies on the way.
+//! Campaigns that stop early stop where the statistics of the same outcomes say, even if the
+//! process is killed at any point.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -18,7 +18,7 @@ use crate::harness::{Worker, rollout_id};
 use crate::page::ask;
 use crate::process::{Serve, coordinator, text};
 
-/// How long it is watched not to stop one.
+/// Time for which a test observes that a campaign does not stop.
 const A_WHILE: Duration = Duration::from_millis(400);
 const RULE: &str = "width(S_sim) < 0.7 and R_c excludes 1";
 
@@ -43,8 +43,8 @@ fn succeeds(id: &RolloutId) -> bool {
     }
 }
 
-/// A planted campaign: its rollouts in the order in which they are to be leased, and
-/// after how many of them and of its configurations it is to stop.
+/// A campaign with planted outcomes: its rollouts in the order of their leases, and the numbers of
+/// rollouts and of configurations after which it must stop.
 struct Planted {
     ids: Vec<RolloutId>,
     rollouts: usize,
@@ -72,7 +72,7 @@ fn planted(spec: &Value) -> Planted {
     assert!((5..look.units - 5).contains(&used), "{used} is no test");
     Planted {
         ids: rows.iter().map(|(id, _)| *id).collect(),
-        // Two levels of four conditions, and the nominal rollout.
+        // Two levels of four conditions each, and the nominal rollout.
         rollouts: used * 9,
         configurations: used,
     }
@@ -90,7 +90,7 @@ fn id(lease: &Lease) -> RolloutId {
     rollout_id(lease).parse().expect("an id")
 }
 
-/// Runs so many rollouts. Returns their ids.
+/// Runs this number of rollouts. Returns their ids.
 async fn run(worker: &mut Worker, rollouts: usize) -> Vec<RolloutId> {
     let mut ids = Vec::new();
     for _ in 0..rollouts {
@@ -113,7 +113,7 @@ fn status(serve: &Serve, name: &str) -> Value {
     printed(serve, &["campaign", "status", name, "--json"])["campaigns"][0].clone()
 }
 
-/// Waits until a campaign has stopped, and returns how it stands.
+/// Waits until a campaign has stopped, and returns its status.
 async fn stopped(serve: &Serve, name: &str) -> Value {
     let began = Instant::now();
     loop {
@@ -135,7 +135,7 @@ async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
     let mut worker = serve.worker("w").await;
     let begun = run(&mut worker, planted.rollouts - 1).await;
     assert_eq!(begun, planted.ids[..begun.len()], "in the drawn order");
-    // Another seed draws another order of the same.
+    // Another seed draws the same rollouts in another order.
     let mut another = spec("early");
     another["stop"]["seed"] = json!(8);
     let another = self::planted(&another).ids;
@@ -146,13 +146,13 @@ async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
     let running = status(&serve, "early");
     assert_eq!(running["state"], "running");
     assert_eq!(running["early_stop"]["used"], Value::Null);
-    // Until then, the report has intervals for every look.
+    // Before the stop, the report has intervals for every look.
     let report = printed(&serve, &["report", "early", "--json"]);
     let sequential = &report["reports"][0]["sequential"];
     assert_eq!(sequential["has_stopped"], false);
     assert_eq!(sequential["used"], planted.configurations - 1);
 
-    // The last rollout that counts, and two beyond it.
+    // The last rollout that counts, and two rollouts after it.
     let leases = worker.claim(3).await;
     assert_eq!(worker.commit(&leases[2], true).await, Verdict::Accepted);
     let last = succeeds(&id(&leases[0]));
@@ -165,7 +165,7 @@ async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
     assert_eq!(status["early_stop"]["configurations"], 40);
     assert_eq!(status["early_stop"]["saved"], saved);
     assert_eq!(status["rollouts"]["leased"], 0);
-    // Attempts in flight are taken back, and nothing more is leased.
+    // Attempts in progress are revoked, and nothing more is leased.
     assert_eq!(worker.commit(&leases[1], true).await, Verdict::Stale);
     assert!(worker.claim(1).await.is_empty());
 
@@ -205,7 +205,7 @@ async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
     let words = words.replace('<', "&lt;");
     assert!(page.contains(&words), "the campaign's page says it too");
 
-    // Figures are of the configurations that the intervals rest on.
+    // Figures cover the same configurations as the intervals.
     let report = printed(&serve, &["report", "early", "--json"]);
     for level in ["L1", "L2"] {
         assert_eq!(report["paired"]["p"][level]["n"], used, "{level}");
@@ -231,7 +231,7 @@ async fn a_stopped_campaign_stays_as_it_is_and_others_follow_from_what_counts() 
     create(&serve, folder.path(), &spec("early"));
     let mut worker = serve.worker("w").await;
     run(&mut worker, planted.rollouts - 1).await;
-    // The whole of a configuration beyond, which does not count, and then the last rollout
+    // First, all rollouts of a later configuration, which does not count, and then the last rollout
     // that does.
     let leases = worker.claim(10).await;
     let beyond = id(&leases[9]);
@@ -255,8 +255,8 @@ async fn a_stopped_campaign_stays_as_it_is_and_others_follow_from_what_counts() 
     create(&serve, folder.path(), &spec("early"));
     assert_eq!(status(&serve, "early")["state"], "stopped");
 
-    // Results that count are explained, though some rollouts will never have an outcome; and how
-    // far the explanation holds is measured.
+    // Transitions among the results that count are explained and their thresholds measured,
+    // although some rollouts will never have an outcome.
     let explained = derived(&serve, &mut worker, &["explain", "early"]).await;
     assert_eq!(explained["explained"], explained["transitions"]);
     let report = printed(&serve, &["report", "early", "--json"]);
@@ -288,7 +288,7 @@ async fn a_stopped_campaign_stays_as_it_is_and_others_follow_from_what_counts() 
     assert_eq!(violations, []);
 }
 
-/// Runs what follows from a campaign, until everything is found out.
+/// Runs all rollouts of a derived campaign and returns the complete findings.
 async fn derived(serve: &Serve, worker: &mut Worker, arguments: &[&str]) -> Value {
     let began = Instant::now();
     loop {
@@ -331,7 +331,7 @@ fn a_rule_that_cannot_end_a_campaign_is_refused_before_anything_is_created() {
         "with 2 `replicates`",
     );
     create(&["--stop-seed", "7"], "were not provided:\n  --stop <RULE>");
-    // The reason why a design is refused is said once, too.
+    // The reason for refusing a design is given only once, too.
     create(&["--placebo-configs", "0"], "add L0 to `levels`");
     create(
         &["--levels", "L0,L1", "--placebo-configs", "77"],
@@ -351,8 +351,8 @@ async fn a_death_around_any_transaction_leaves_the_same_state_and_the_same_repor
     let expected_report = serve.command(&report).stdout;
     drop(serve);
 
-    // One life after the other: each goes on where the one before it died, and runs what is
-    // to be run before the stop.
+    // Consecutive processes: each continues where the previous one was killed, and runs the
+    // rollouts before the stop.
     let folder = tempfile::tempdir().expect("a temporary folder");
     let outcome = |id: &RolloutId| match planted.ids[..planted.rollouts].contains(id) {
         true => Outcome::from(succeeds(id)),
@@ -379,7 +379,7 @@ async fn a_death_around_any_transaction_leaves_the_same_state_and_the_same_repor
     assert!(found == expected_report, "{}", text(&found));
 }
 
-/// A campaign that has no rule to end by, but the order: its rule is never met.
+/// Returns a campaign whose stop rule is never met; the rule only gives it a drawn order.
 fn drawn(name: &str, seed: u64) -> Value {
     let mut spec = spec(name);
     spec["levels"] = json!(["L1"]);
@@ -392,7 +392,7 @@ async fn campaigns_of_one_order_are_compared_at_any_look() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(folder.path());
     let mut worker = serve.worker("w").await;
-    // A configuration has five rollouts, of which four are perturbed.
+    // A configuration has five rollouts, four of them perturbed.
     for (name, configurations) in [("weak", 20), ("strong", 25)] {
         create(&serve, folder.path(), &drawn(name, 7));
         for lease in worker.claim(5 * configurations).await {
@@ -416,13 +416,13 @@ async fn campaigns_of_one_order_are_compared_at_any_look() {
             (&cell["used"], &cell["configurations"]),
             (&json!(20), &json!(40))
         );
-        // The twenty that were seen differ by one each; of the others, little is known.
+        // Each of the twenty seen configurations differs by one; little is known of the others.
         assert!(cell["difference"][0].as_f64() > Some(0.0), "{cell}");
         assert_eq!(cell["difference"][1], 1.0);
         let after = cell["met_after"].as_u64().expect("it is met");
         assert!((2..20).contains(&after), "{cell}");
     }
-    // It is there without being asked for, and in words.
+    // The result is also printed as text without being requested.
     let found = serve.command(&["compare", "strong", "weak"]);
     let words = text(&found.stdout);
     assert!(

@@ -1,4 +1,4 @@
-//! Films that are kept in another folder or in S3-compatible storage, which may be down.
+//! Films stored in another folder or in S3-compatible storage, which may be unavailable.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -14,12 +14,12 @@ use crate::artifacts::put;
 use crate::harness::{Worker, rollout_id, small_spec};
 use crate::process::{Serve, text};
 
-/// The server of S3's calls that tests start: `moto_server` of the package `moto[server]`.
+/// Variable with the path of the S3 server for tests: `moto_server` of the package `moto[server]`.
 const SERVER: &str = "ROLLOUT_S3_SERVER";
-/// Longest time until a film is stored: the mirror pauses while storage fails.
+/// Longest wait until a film is stored: the mirror pauses while the storage fails.
 const PATIENCE: Duration = Duration::from_secs(90);
 
-/// A server that keeps objects in memory; killed when it goes out of scope.
+/// An S3 server that keeps objects in memory; killed when dropped.
 struct Bucket {
     child: Child,
     address: SocketAddr,
@@ -44,7 +44,7 @@ impl Bucket {
         bucket
     }
 
-    /// Names of the objects that are there.
+    /// Returns the keys of the stored objects.
     fn keys(&self) -> Vec<String> {
         let (_, body) = http(self.address, "GET", "/films?list-type=2", "");
         let body = String::from_utf8(body).expect("XML");
@@ -61,7 +61,7 @@ impl Drop for Bucket {
     }
 }
 
-/// One request. Returns head and body.
+/// Sends one request. Returns head and body of the response.
 fn http(address: SocketAddr, method: &str, path: &str, headers: &str) -> (String, Vec<u8>) {
     let mut stream = TcpStream::connect(address).expect("it listens");
     let request = format!(
@@ -76,13 +76,13 @@ fn http(address: SocketAddr, method: &str, path: &str, headers: &str) -> (String
     (head, answer[end + 4..].to_vec())
 }
 
-/// A port that nobody listens on.
+/// Returns an address at which nobody listens.
 fn free_address() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     listener.local_addr().expect("an address")
 }
 
-/// The variables that say where a bucket is.
+/// Returns the environment variables that lead to a bucket.
 fn variables(address: SocketAddr) -> Vec<(&'static str, String)> {
     vec![
         ("AWS_ENDPOINT_URL", format!("http://{address}")),
@@ -93,7 +93,7 @@ fn variables(address: SocketAddr) -> Vec<(&'static str, String)> {
     ]
 }
 
-/// A coordinator that keeps its films at `place`.
+/// Starts a coordinator that stores its films at `place`.
 fn serve(data: &Path, place: &str, variables: &[(&str, String)]) -> Serve {
     let child = Command::new(env!("CARGO_BIN_EXE_coordinator"))
         .args(["serve", "--listen", "127.0.0.1:0", "--data"])
@@ -125,7 +125,7 @@ fn create(serve: &Serve, folder: &TempDir) {
     );
 }
 
-/// Commits a rollout and sends its film. Returns the rollout's name.
+/// Commits a rollout and uploads its film. Returns the rollout's id.
 async fn film(worker: &mut Worker, bytes: &[u8]) -> String {
     let lease = worker.claim_one().await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -135,7 +135,7 @@ async fn film(worker: &mut Worker, bytes: &[u8]) -> String {
     rollout_id(&lease)
 }
 
-/// Films in the data folder.
+/// Counts the films in the data folder.
 fn here(folder: &TempDir) -> usize {
     let films = std::fs::read_dir(folder.path().join("artifacts/filmed"));
     films.map_or(0, Iterator::count)
@@ -149,7 +149,7 @@ async fn until(what: &str, is_so: impl Fn() -> bool) {
     }
 }
 
-/// Checks that a browser can load all of a film, and pieces of it.
+/// Asserts that a browser can load a whole film and ranges of it.
 fn shows(serve: &Serve, rollout: &str, bytes: &[u8]) {
     let address = serve.url.strip_prefix("http://").expect("a URL");
     let address = address.parse().expect("an address");
@@ -177,7 +177,7 @@ fn some_film(seed: u8) -> Vec<u8> {
     (0..300_000_u32).map(|at| (at / 7) as u8 ^ seed).collect()
 }
 
-/// The whole life of films at a place that is there.
+/// Stores, serves, archives, imports and deletes films at an available place.
 async fn lives(place: &str, variables: &[(&str, String)], stored: &dyn Fn() -> usize) {
     let folder = tempfile::tempdir().expect("a folder");
     let coordinator = serve(folder.path(), place, variables);
@@ -191,7 +191,7 @@ async fn lives(place: &str, variables: &[(&str, String)], stored: &dyn Fn() -> u
     shows(&coordinator, &one, &first);
     shows(&coordinator, &other, &second);
 
-    // Another start finds them, and so does another coordinator through an archive.
+    // A restarted coordinator finds the films, and so does another one through an archive.
     drop(coordinator);
     let coordinator = serve(folder.path(), place, variables);
     shows(&coordinator, &other, &second);
@@ -288,7 +288,7 @@ async fn storage_that_is_down_costs_no_rollout_and_no_film() {
     assert_eq!(bucket.keys().len(), 2);
     shows(&coordinator, &rollout, &bytes);
     drop(bucket);
-    // A campaign can be deleted meanwhile; what is left of it goes later.
+    // The campaign can be deleted while the storage is unavailable; its films are removed later.
     must(&coordinator, &["campaign", "cancel", "filmed"]);
     let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
     must(&coordinator, &delete);

@@ -1,4 +1,4 @@
-//! How far: planted thresholds are found again, whatever dies on the way.
+//! Thresholds: planted ones are found again, even if the process is killed at any point.
 
 use std::collections::BTreeSet;
 use std::process::Stdio;
@@ -14,13 +14,13 @@ use crate::json::{documented, keys};
 use crate::page::ask;
 use crate::process::{Serve, text};
 
-/// The radius from which on a rollout of one suite fails.
+/// Returns the smallest radius at which a rollout of this suite fails.
 fn fails_from(id: &RolloutId) -> f64 {
     let task = f64::from(id.task().index());
     match (id.condition(), id.task().index()) {
-        // Nominally.
+        // Fails even nominally.
         (_, 9) => 0.0,
-        // At no radius that is run.
+        // Fails at no radius that is run.
         (Condition::Single(libero_ctrl::Axis::Robot), 0) => 50.0,
         (Condition::Combination, _) => 0.7 + task / 2.0,
         _ => 1.3 + task,
@@ -29,7 +29,7 @@ fn fails_from(id: &RolloutId) -> f64 {
 
 fn outcome(id: &RolloutId) -> Outcome {
     let (radius, from) = (id.level().radius(), fails_from(id));
-    // The robot's first task but one recovers at a larger radius.
+    // Under the robot axis, the second task recovers at a larger radius.
     let robot = Condition::Single(libero_ctrl::Axis::Robot);
     let recovers = id.condition() == robot && id.task().index() == 1 && radius == 8.0;
     match id.condition() {
@@ -57,7 +57,7 @@ fn found(serve: &Serve, arguments: &[&str]) -> Value {
     serde_json::from_slice(&output.stdout).expect("JSON")
 }
 
-/// Runs everything that follows, to the end.
+/// Runs all derived rollouts and returns the complete findings.
 async fn measured(serve: &Serve, arguments: &[&str]) -> Value {
     let mut worker = serve.worker("w").await;
     let began = Instant::now();
@@ -82,7 +82,7 @@ async fn planted_thresholds_are_found_again() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(folder.path());
     create(&serve);
-    // It may be asked for before the campaign is finished.
+    // Thresholds can be requested before the campaign is finished.
     let output = serve.command(&["thresholds", "first", "--create"]);
     let said = text(&output.stderr);
     assert!(said.contains("rollouts without an outcome"), "{said}");
@@ -125,7 +125,7 @@ async fn planted_thresholds_are_found_again() {
         assert_eq!(curve["points"][0]["survival"], json!(0.9));
         let half = &curve["half_success"];
         let radius = half["radius"].as_f64().expect("half of them fail");
-        // The fifth threshold and the sixth of ten, of which one is 0.
+        // Mean of the fifth and sixth of ten thresholds, one of which is 0.
         let median = match curve["condition"].as_str() {
             Some("combination") => 2.45,
             Some("camera") => 4.8,
@@ -134,7 +134,7 @@ async fn planted_thresholds_are_found_again() {
         assert!((radius - median).abs() <= 0.75, "{curve}");
         assert!(half["ci95"].is_array(), "{half}");
     }
-    // The campaign's own outcomes were not run again, nor what fails nominally.
+    // Neither the campaign's own rollouts nor those of a task that fails nominally were run again.
     let jobs = serve.command(&["jobs", "list", "first-thresholds", "--json"]);
     let jobs: Value = serde_json::from_slice(&jobs.stdout).expect("JSON");
     let ids = list(&jobs, "jobs").iter();
@@ -148,7 +148,7 @@ async fn planted_thresholds_are_found_again() {
     );
     assert!(ids.contains("object/t0/camera/L1/c00"), "{ids:?}");
 
-    // The same again adds nothing; in words and figures it is the same.
+    // Creating the same again adds nothing; the text and the figures show the same findings.
     assert_eq!(self::found(&serve, &[]), found);
     let figures = folder.path().join("figures");
     let figures = figures.to_string_lossy();
@@ -171,7 +171,7 @@ async fn planted_thresholds_are_found_again() {
         let figure = std::fs::read_to_string(figure).expect("written");
         assert!(figure.contains("still succeed, by radius"), "{figure}");
     }
-    // The campaign's report is what it found.
+    // The report of the campaign shows its findings.
     let path = folder.path().join("thresholds.csv");
     let csv = path.to_string_lossy();
     let report = serve.command(&["report", "first-thresholds", "--table", &csv]);
@@ -297,7 +297,7 @@ async fn a_budget_is_kept() {
     create(&serve);
     let found = measured(&serve, &["--budget", "100", "--seed", "3"]).await;
     assert!(found["rollouts"].as_u64() <= Some(100), "{found}");
-    // Four configurations of three conditions, 24 rollouts each at most.
+    // Four configurations, each with three conditions and at most 24 rollouts.
     assert_eq!([&found["found"], &found["beyond_budget"]], [12, 18]);
 }
 

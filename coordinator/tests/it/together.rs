@@ -1,5 +1,5 @@
-//! Batching: calls that arrive while a transaction runs go into the next one together, and each is
-//! answered as if it had come alone.
+//! Batching: calls that arrive during a transaction share the next one, and each is answered as if
+//! it had arrived alone.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -16,8 +16,8 @@ use crate::harness::{Bench, Worker, sha, small_spec, with};
 /// Long enough for requests to arrive while nothing can be written.
 const ARRIVAL: Duration = Duration::from_millis(300);
 
-/// Asks everything while another process holds the database, so that it waits
-/// for one transaction. Answers are in the order of the questions.
+/// Sends all requests while the database is locked, so that they wait for one transaction. Answers
+/// are in the order of the requests.
 async fn together<T: Send + 'static>(
     bench: &Bench,
     asked: Vec<impl Future<Output = T> + Send + 'static>,
@@ -36,14 +36,14 @@ async fn together<T: Send + 'static>(
     answers.into_iter().map(|(_, answer)| answer).collect()
 }
 
-/// Stops the coordinator; its database is in order.
+/// Stops the coordinator and checks its database.
 async fn in_order(bench: Bench) {
     let folder = bench.stop().await;
     let violations = check(folder.path()).await.expect("checked");
     assert!(violations.is_empty(), "{violations:?}");
 }
 
-/// Twelve leases of one task: three configurations of four rollouts.
+/// Returns twelve leases of one task: three configurations with four rollouts each.
 async fn twelve_leases() -> (Bench, Worker, Vec<wire::Lease>) {
     let bench = Bench::start().await;
     let spec = with(small_spec("together"), json!({"configs": [0, 1, 2]}));
@@ -125,7 +125,7 @@ async fn siblings_that_disagree_and_arrive_together_are_not_both_stored() {
 #[tokio::test(flavor = "multi_thread")]
 async fn claims_that_arrive_together_share_the_jobs_in_their_order() {
     let (bench, mut first, leases) = twelve_leases().await;
-    // One is pinned and committed; the others come back.
+    // One result pins the campaign; the other leases are released.
     assert_eq!(first.commit(&leases[0], true).await, Verdict::Accepted);
     for lease in &leases[1..] {
         first.release(lease, Reason::Draining).await;
@@ -133,7 +133,7 @@ async fn claims_that_arrive_together_share_the_jobs_in_their_order() {
     let mut asked = Vec::new();
     for number in 0..13_u32 {
         let mut worker = bench.worker(&format!("w{number}")).await;
-        // Every fourth comes cold; the last ones find less than they ask for.
+        // Every fourth worker holds no scene; the last ones find too few jobs.
         let warm = ["libero_object/0", ""][usize::from(number % 4 == 3)];
         asked.push(async move { worker.claim_response(warm).await.lease });
     }

@@ -1,5 +1,5 @@
-//! A database of every released schema is brought to today's, keeps its rows,
-//! and its campaigns go on.
+//! Databases of every released schema are upgraded to the current one without losing rows, and
+//! their campaigns continue.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -17,10 +17,9 @@ use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 use crate::harness::{Bench, open_database, sha, small_spec};
 use crate::process::{coordinator, text};
 
-/// A database that the released program of each schema wrote, as SQL: jobs of
-/// every state, charged and uncharged failures, a policy that is down, films. The
-/// later ones are what released programs made of the second. A new migration adds the
-/// one of the schema before it.
+/// SQL dumps of databases, one per earlier schema, with jobs of every state, charged and uncharged
+/// failures, an unavailable policy, and films. From the third on, they are the second one as
+/// upgraded by later releases. A new migration adds a dump of the schema before it.
 const RELEASED: [&str; 11] = [
     include_str!("../databases/schema_1.sql"),
     include_str!("../databases/schema_2.sql"),
@@ -38,7 +37,7 @@ const RELEASED: [&str; 11] = [
 const FIRST_MIGRATION: &str = "0001_campaigns_jobs_results.sql";
 const NOW_MS: i64 = 1_700_000_000_000;
 
-/// An empty database of schema 1.
+/// Returns an empty database of schema 1.
 async fn first_schema(folder: &Path) -> SqlitePool {
     let migrations = tempfile::tempdir().expect("a temporary folder");
     let released = Path::new(env!("CARGO_MANIFEST_DIR")).join("../migrations");
@@ -56,9 +55,8 @@ async fn first_schema(folder: &Path) -> SqlitePool {
     pool
 }
 
-/// A pinned campaign of four rollouts, two of them committed: the first under
-/// the first of these renderers, the second under the second. No renderer means
-/// that no frame was drawn.
+/// Stores a pinned campaign of four rollouts, two of them committed, each under one of these
+/// renderers. An empty renderer means that no frame was drawn.
 async fn begun(pool: &SqlitePool, id: i64, name: &str, renderers: [&str; 2]) {
     let spec = small_spec(name).to_string();
     let campaign = NewCampaign::from_json(&spec).expect("a campaign");
@@ -187,7 +185,7 @@ async fn a_database_of_schema_1_is_upgraded_keeps_its_rows_and_goes_on() {
     assert_eq!(bench.count("SELECT count(*) FROM motion").await, 6);
     assert_eq!(bench.status("drawn").await.committed, 2);
 
-    // Only the campaign of which nothing was drawn is anybody's.
+    // Only the campaign for which no frame was drawn accepts any renderer.
     let mut worker = bench.worker_drawing("new", "primitives", "software").await;
     let leases = worker.claim(64).await;
     let campaigns: Vec<&str> = leases.iter().map(|lease| lease.campaign.as_str()).collect();
@@ -219,7 +217,7 @@ async fn a_database_of_schema_1_is_upgraded_keeps_its_rows_and_goes_on() {
     assert_eq!(check(folder.path()).await.expect("a database"), []);
 }
 
-/// Every table, index and trigger, as SQLite keeps its text.
+/// Returns the SQL of every table, index and trigger, as SQLite stores it.
 async fn schema(folder: &Path) -> Vec<(String, String)> {
     let pool = open_database(folder).await;
     let schema = sqlx::query_as("SELECT name, coalesce(sql, '') FROM sqlite_schema ORDER BY name");
@@ -228,8 +226,8 @@ async fn schema(folder: &Path) -> Vec<(String, String)> {
     schema
 }
 
-/// Rows that an upgrade must not lose: jobs of each final state, results with
-/// their outcomes, failures, motions.
+/// Counts rows that an upgrade must not lose: jobs of each final state, results with their
+/// outcomes, failures, motions.
 async fn kept(folder: &Path) -> Vec<(String, i64)> {
     let pool = open_database(folder).await;
     let kept = sqlx::query_as(
@@ -263,7 +261,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
         let options = SqliteConnectOptions::new()
             .filename(folder.path().join(DATABASE_FILE))
             .create_if_missing(true)
-            // Rows may come before those that they refer to.
+            // Dumps may insert rows before the rows that they refer to.
             .foreign_keys(false);
         let pool = SqlitePool::connect_with(options).await.expect("a database");
         sqlx::raw_sql(released).execute(&pool).await.expect("rows");
@@ -272,7 +270,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
             .await
             .expect("an instant");
         pool.close().await;
-        // In an archive, it would be taken for what it is: several campaigns, not a foreign schema.
+        // As an archive it is refused for holding several campaigns, not for a foreign schema.
         let archived = tempfile::tempdir().expect("a temporary folder");
         let database = archived.path().join(DATABASE_FILE);
         std::fs::copy(folder.path().join(DATABASE_FILE), database).expect("copied");
@@ -288,7 +286,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
         let clock = Arc::new(ManualClock::at(UnixMillis(now)));
         let bench = Bench::start_in(folder, clock.clone()).await;
         assert_eq!(kept(bench.folder.path()).await, before, "schema {version}");
-        // Since the fifth, one of the campaigns explains another.
+        // Since schema 5, one of the campaigns explains another.
         let derived = bench.count("SELECT count(*) FROM derivation").await;
         assert_eq!(derived, i64::from(version >= 5), "schema {version}");
         let leased = "SELECT count(*) FROM job WHERE state = 'leased'";
@@ -299,7 +297,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
         assert!(output.status.success(), "{}", text(&output.stdout));
         assert_eq!(schema(folder.path()).await, fresh, "schema {version}");
 
-        // Open jobs of running campaigns are leased again.
+        // Waiting jobs of running campaigns are leased again.
         let bench = Bench::start_in(folder, clock).await;
         let pool = bench.database().await;
         let renderer: String = sqlx::query_scalar("SELECT max(renderer) FROM campaign")
@@ -321,7 +319,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
     }
 }
 
-/// For a day, the third migration did what the third and the fourth do now.
+/// For a day, the third migration did what the third and the fourth do together now.
 #[tokio::test]
 async fn a_database_whose_third_migration_did_what_the_fourth_does_is_taken_over() {
     let folder = Bench::start().await.stop().await;

@@ -1,4 +1,4 @@
-//! Campaigns that follow from another: they are not finished while something may follow.
+//! Derived campaigns: they are not finished while further rollouts may be added.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ use crate::harness::{Worker, rollout_id};
 use crate::page::ask;
 use crate::process::{Serve, text};
 
-/// Three axes fail together and two never do, so that it takes two rounds to find out.
+/// Three axes together cause a failure, but no two do, so that the search takes two rounds.
 fn outcome(id: &RolloutId) -> Outcome {
     let axes = id.condition().axes(AxisSet::ALL);
     let fatal: AxisSet = "camera+robot+sensor".parse().expect("a set");
@@ -40,7 +40,7 @@ fn status(serve: &Serve, name: &str) -> Value {
     list["campaigns"][0].clone()
 }
 
-/// Runs one rollout, if one waits.
+/// Runs one rollout, if one is waiting.
 async fn run_one(worker: &mut Worker) {
     for lease in worker.claim(1).await {
         let id = rollout_id(&lease).parse().expect("an id");
@@ -78,7 +78,7 @@ async fn an_explaining_campaign_says_what_it_waits_for_and_is_finished_at_its_en
         assert!(page.contains(why), "{address}");
     }
 
-    // Whenever it says that it is finished, everything is explained.
+    // When the status says that it is finished, everything is explained.
     let began = Instant::now();
     while status(&serve, "first-explained")["is_finished"] == false {
         assert!(began.elapsed() < PATIENCE);
@@ -87,7 +87,7 @@ async fn an_explaining_campaign_says_what_it_waits_for_and_is_finished_at_its_en
     let found = explain(&serve, "first");
     assert_eq!(found["complete"], true);
     assert_eq!(found["transitions"], 1);
-    // All pairs of six axes, and then the triples.
+    // All 15 pairs of the six axes were run, and then triples.
     let rollouts = found["rollouts"].as_u64().expect("a count");
     assert!(rollouts > 15, "{rollouts}");
     let finished = status(&serve, "first-explained");

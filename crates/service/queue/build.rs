@@ -1,5 +1,5 @@
-//! A new migration must reach the program: `sqlx::migrate!` reads the folder
-//! while compiling, which cargo does not see.
+//! Rebuilds the crate when a migration is added or changed: `sqlx::migrate!` reads the folder
+//! during compilation, which cargo does not notice.
 
 fn main() {
     println!("cargo:rerun-if-changed=../../../migrations");

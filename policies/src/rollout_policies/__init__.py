@@ -1,10 +1,10 @@
 """Serve a robot policy to a rollout campaign.
 
-Subclass `Policy`, say in `description` what it is and wants to see, implement
-`reset` and `infer`, and call `run`, or `serve` with a policy made by yourself.
+Subclass `Policy`, describe the policy and its inputs in `description`, implement
+`reset` and `infer`, and call `run`, or `serve` with an instance of your own.
 This package is responsible for the wire: sessions, retries, checks and errors.
-The numbers are the policy's. `check` tells whether a policy keeps the protocol,
-`fake_observation` makes up what it would be shown.
+The actions come from the policy. `check` checks that a policy keeps the protocol, and
+`fake_observation` generates an observation of the kind that the policy receives.
 """
 
 from .access import AccessError, UnguardedAddress

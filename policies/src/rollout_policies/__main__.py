@@ -26,13 +26,13 @@ from .conformance import CannotCheck, Target, check_server
 from .fake import TASKS
 from .server import require_servable, serve
 
-#: Columns that every terminal has.
+#: Columns of the narrowest usual terminal.
 TERMINAL_WIDTH = 80
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs a command; returns its exit code: 2 for a wrong command line, 1 for
-    what failed."""
+    """Runs a command and returns its exit code: 2 for an invalid command line,
+    1 for a failure."""
     given = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     if given.command == "list":
@@ -53,8 +53,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         options_of_server = server_options(given)
         require_servable(**options_of_server)
-        # Upstream packages print while they load; the first line of the output
-        # is the address.
+        # Upstream packages print while they load, but the first line of stdout must be
+        # the address.
         with contextlib.redirect_stdout(sys.stderr):
             policy = load(given.policy, options)
         serve(policy, **options_of_server)
@@ -139,7 +139,7 @@ def _add_check(parser: argparse.ArgumentParser) -> None:
 
 
 def _check(given: argparse.Namespace) -> int:
-    """Prints a verdict per point; 1 if one of them failed."""
+    """Prints a verdict per point. Returns 1 if a point failed."""
     try:
         target = Target(
             given.url, given.policy, given.suite, given.ca, read_tokens(given.token_file)

@@ -1,5 +1,5 @@
-"""Who may connect to a server: a certificate, tokens, and the rule that other
-machines need both. Files and words are those of the gateway's server."""
+"""Access control of a server: the certificate, the tokens, and the rule that an address reachable
+from other machines needs both. Files and messages are those of the gateway's server."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from pathlib import Path
 import grpc
 
 ROLES = ("worker", "operator", "viewer")
-#: Who may ask a policy.
+#: Roles that may query a policy.
 ASKING_ROLES = ("worker", "operator")
-#: Bytes in a token, tokens in a file, and bytes of a file.
+#: Fewest and most bytes in a token, most tokens in a file, and most bytes of a file.
 MIN_TOKEN_BYTES, MAX_TOKEN_BYTES = 16, 256
 MAX_TOKENS = 256
 MAX_TOKEN_FILE_BYTES = 128 << 10
 #: Environment variable that holds the lines of a token file.
 TOKENS_VARIABLE = "ROLLOUT_TOKENS"
-#: Whether a server is up is no secret.
+#: Method prefix of the health service, which needs no token.
 HEALTH_PATH = "/grpc.health.v1.Health/"
-#: A refusal of the same kind to the same machine is logged again after this.
+#: Interval after which a refusal of the same kind to the same machine is logged again, s.
 LOGGED_AGAIN_SECS = 600.0
-#: Refusals that are remembered for that.
+#: Number of refusals remembered for that purpose.
 MAX_LOGGED = 1024
 
 log = logging.getLogger("rollout_policies")
 
 
 class AccessError(ValueError):
-    """Certificate, key or tokens are no use. Never holds a token."""
+    """The certificate, key or tokens cannot be used. The message never contains a token."""
 
 
 class UnguardedAddress(ValueError):
-    """Other machines could connect, and something is missing for that."""
+    """Other machines could connect, but TLS or tokens are missing."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Tokens:
         return cls(tuple(entries))
 
     def role_of(self, shown: str) -> str | None:
-        """The role that a token gives, in a time that tells nothing about it."""
+        """Returns the role of a token, in a time that does not depend on the tokens."""
         digest = _digest(shown)
         found = None
         for role, token in self.entries:
@@ -113,10 +113,10 @@ class Tokens:
 
 
 def _require_private(what: str, path: str | Path, found: os.stat_result) -> None:
-    """Refuses a file of secrets that other users can read or write, as the gateway does: its
-    owner's group may read it only where its owner is another user, who gave it to this one."""
+    """Refuses a file of secrets that other users can read or write, as the gateway
+    does. The group may have access only if the file belongs to another user."""
     if not hasattr(os, "geteuid"):
-        return  # Windows, whose permissions are others.
+        return  # Windows has another kind of permissions.
     others = 0o077 if found.st_uid == os.geteuid() else 0o007
     if stat.S_ISREG(found.st_mode) and found.st_mode & others:
         raise AccessError(
@@ -145,7 +145,7 @@ def _digest(secret: str) -> bytes:
 
 
 def read_tokens(path: str | Path | None) -> Tokens | None:
-    """Tokens of a file, or else of the environment; None where neither is."""
+    """Returns the tokens of a file, else of the environment, else None."""
     if path is not None:
         return Tokens.read(path)
     text = os.environ.get(TOKENS_VARIABLE)
@@ -153,9 +153,9 @@ def read_tokens(path: str | Path | None) -> Tokens | None:
 
 
 def server_credentials(certificate: str | Path, key: str | Path) -> grpc.ServerCredentials:
-    """What a server shows its clients. Raises AccessError."""
+    """Returns the server's TLS credentials. Raises AccessError."""
     try:
-        # gRPC would only log that they do not fit.
+        # gRPC itself would only log that certificate and key do not match.
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         with open(key, "rb") as file:
             _require_private("private key", key, os.fstat(file.fileno()))
@@ -170,12 +170,12 @@ def server_credentials(certificate: str | Path, key: str | Path) -> grpc.ServerC
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches a host."""
+    """Returns True if only this machine can reach the host."""
     host = host.strip("[]")
     try:
         found = {info[4][0] for info in socket.getaddrinfo(host or "0.0.0.0", None)}
     except OSError:
-        # Listening there fails, which says more.
+        # Listening on the host fails later, with a better message.
         return False
     addresses = [ipaddress.ip_address(str(address).partition("%")[0]) for address in found]
     mapped = [getattr(address, "ipv4_mapped", None) or address for address in addresses]
@@ -183,7 +183,7 @@ def is_loopback(host: str) -> bool:
 
 
 def require_guarded(listen: str, encrypted: bool, tokens: Tokens | None) -> None:
-    """Refuses an address that other machines reach, without TLS or tokens.
+    """Refuses an address that other machines can reach if TLS or the tokens are missing.
 
     Raises UnguardedAddress.
     """
@@ -204,7 +204,7 @@ def require_guarded(listen: str, encrypted: bool, tokens: Tokens | None) -> None
 
 
 class TokenGate(grpc.ServerInterceptor):
-    """Demands a token of a role that may ask policies."""
+    """Demands a token whose role may ask policies."""
 
     def __init__(self, tokens: Tokens) -> None:
         self._tokens = tokens

@@ -1,4 +1,4 @@
-"""What a policy answers: the check of its shape, and the gripper's conventions."""
+"""A policy's actions: the check of their shape, and the gripper conventions."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ ACTION_WIDTH = 7
 
 
 class UnusableActions(ValueError):
-    """A policy answered something that is no chunk of actions."""
+    """A policy's answer is not a valid chunk of actions."""
 
 
 def read_actions(answer: object, horizon: int) -> np.ndarray:
     """Checks a policy's answer and returns it as float32 [n, 7].
 
-    Raises UnusableActions. Numbers beyond -1..1 pass: the worker clips them,
-    and counts them in the result.
+    Raises UnusableActions. Numbers beyond -1..1 are accepted: the worker clips
+    them and counts them in the result.
     """
     if answer is None:
         raise UnusableActions("its infer returned nothing; end it with `return actions`")
@@ -41,7 +41,7 @@ def read_actions(answer: object, horizon: int) -> np.ndarray:
 
 
 def from_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
-    """Actions float32 [n, 7] of the simulator's convention with this one."""
+    """Converts actions float32 [n, 7] from the simulator's gripper convention to `gripper`."""
     turned = actions.copy()
     if gripper is Gripper.RLDS:
         turned[:, -1] = (1 - turned[:, -1]) / 2
@@ -53,8 +53,8 @@ def from_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
 
 
 def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
-    """Actions float32 [n, 7] of this convention with the simulator's: -1 open,
-    1 closed."""
+    """Converts actions float32 [n, 7] from `gripper` to the simulator's
+    convention: -1 open, 1 closed."""
     if gripper is Gripper.MINUS_ONE_OPENS:
         return actions
     if gripper is Gripper.RLDS:
@@ -62,14 +62,14 @@ def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
     turned = actions.copy()
     turned[:, -1] *= -1
     if gripper is Gripper.ZERO_OPENS:
-        # Turned, it counts from -1 (closed) to 0 (open); plus 1, as RLDS does.
+        # After the sign change the range is -1 (closed) to 0 (open); adding 1 gives RLDS's.
         turned[:, -1] += 1
         return gripper_from_rlds(turned).astype(np.float32)
     return turned
 
 
 def read_under_way(message: pb.InferRequest, description: Description) -> UnderWay | None:
-    """Returns the chunk that is under way at a query.
+    """Returns the chunk that is being executed at a query.
 
     Raises UnusableObservation if its shape is wrong.
     """

@@ -1,9 +1,9 @@
-"""Errors of an accelerator from which only a new process recovers."""
+"""Detects accelerator errors after which only a new process helps."""
 
 from __future__ import annotations
 
-#: Words of CUDA, cuBLAS, cuDNN, HIP and PyTorch; the same as in the gateway's
-#: policy-gateway/src/health.rs, which takes such a server out at once.
+#: Words from errors of CUDA, cuBLAS, cuDNN, HIP and PyTorch. The gateway has the same list
+#: in policy-gateway/src/health.rs, and takes a server with such an error out at once.
 BROKEN_WORDS = (
     "cuda error",
     "cuda runtime error",
@@ -17,6 +17,6 @@ BROKEN_WORDS = (
 
 
 def is_broken(error: BaseException) -> bool:
-    """Whether asking again in this process is in vain."""
+    """Returns True if a retry in this process cannot succeed."""
     text = f"{type(error).__name__}: {error}".lower()
     return any(words in text for words in BROKEN_WORDS)

@@ -1,4 +1,4 @@
-"""What checkpoints.toml says of the policies that this package can serve."""
+"""The policies that this package can serve, as listed in checkpoints.toml."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ else:
     import tomli as tomllib
 
 
-#: The suites that weights are trained for.
+#: Suites for which weights are trained.
 SUITES = ("libero_spatial", "libero_object", "libero_goal", "libero_10")
 
 
@@ -22,37 +22,37 @@ class UnknownPolicy(ValueError):
 
 
 class NoCheckpoint(ValueError):
-    """Which weights to serve was not said."""
+    """No checkpoint was specified."""
 
 
 @dataclass(frozen=True)
 class Entry:
     """One policy of the catalogue."""
 
-    #: As the command line and the policy's description call it.
+    #: Name on the command line and in the policy's description.
     name: str
-    #: As its paper calls it.
+    #: Name in its paper.
     title: str
-    #: As its publisher counts them.
+    #: Number of parameters according to its publisher.
     parameters: int
-    #: Checkpoint id; by suite where every suite has its own.
+    #: Checkpoint id; one per suite if every suite has its own.
     checkpoint: str | Mapping[str, str]
-    #: The upstream package's top module, and how to install it.
+    #: The upstream package's top module, and how to install the package.
     module: str
     install: str
-    #: Of every chunk of these checkpoints, how many actions LIBERO-CTRL's protocol
-    #: executes; None where the policy leaves no choice.
+    #: Number of actions of every chunk that LIBERO-CTRL's protocol executes with these checkpoints;
+    #: None if the policy leaves no choice.
     execute: int | None = None
-    #: What is downloaded besides the checkpoint, by name, and what it is.
+    #: Downloads besides the checkpoint: a description by name.
     downloads: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def per_suite(self) -> bool:
-        """Whether every suite has its own weights, and so its own server."""
+        """True if every suite has its own weights, and thus its own server."""
         return not isinstance(self.checkpoint, str)
 
     def lists(self, checkpoint: str | None) -> bool:
-        """Whether a checkpoint of the command line is one of these."""
+        """Returns True if the command line's checkpoint is one of these."""
         if isinstance(self.checkpoint, str):
             return checkpoint in (None, self.checkpoint)
         return checkpoint is None or checkpoint in self.checkpoint.values()
@@ -60,7 +60,7 @@ class Entry:
     def checkpoint_for(self, suite: str | None) -> str:
         """The checkpoint's id for a suite such as "libero_goal".
 
-        Raises NoCheckpoint where a suite is needed and is missing or unknown.
+        Raises NoCheckpoint if a suite is needed and is missing or unknown.
         """
         if isinstance(self.checkpoint, str):
             return self.checkpoint
@@ -73,13 +73,13 @@ class Entry:
 
 
 def entries() -> dict[str, Entry]:
-    """All policies by name, in the paper's order of fame."""
+    """Returns all policies by name, in the order of the paper."""
     text = importlib.resources.files(__package__).joinpath("checkpoints.toml").read_text("utf-8")
     return {name: Entry(name=name, **fields) for name, fields in tomllib.loads(text).items()}
 
 
 def entry(name: str) -> Entry:
-    """One policy. Raises UnknownPolicy, naming those that there are."""
+    """Returns one policy. Raises UnknownPolicy, which lists the known names."""
     known = entries()
     if name not in known:
         raise UnknownPolicy(f"there is no adapter {name!r}; there are: {', '.join(known)}")

@@ -1,4 +1,4 @@
-"""A policy's command line, made from its constructor: what `run` does."""
+"""A policy's command line, generated from its constructor for `run`."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from .actions import UnusableActions
 from .policy import Policy, UnusableDescription, description_of, require_methods
 from .server import CannotListen, require_servable, serve
 
-#: Types of parameters that flags are made for.
+#: Parameter types for which flags can be generated.
 FLAG_TYPES = (bool, int, float, str, Path)
 
 
 def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> None:
     """Makes a policy from the command line and serves it until it is stopped.
 
-    Every parameter of the class's `__init__` becomes a flag: its type, one of
-    bool, int, float, str and Path, is its annotation's or its default's, and
-    `X | None` is taken, too. A parameter without a default must be given.
-    Beside them are --listen, --tls-cert, --tls-key, --token-file, --insecure and
-    --execute. --help shows the class's docstring. `arguments` are those of the
-    process if None.
+    Every parameter of the class's `__init__` becomes a flag. Its type (bool,
+    int, float, str or Path) is that of its annotation or default; `X | None` is
+    accepted, too. A parameter without a default is required.
+    Further flags are --listen, --tls-cert, --tls-key, --token-file, --insecure
+    and --execute. --help shows the class's docstring. If `arguments` is None,
+    the process's arguments are used.
 
-    Exits with 2 for a wrong command line, and with 1 and one line for a class that
-    cannot be served and for what fails otherwise. Raises what the constructor, the
-    warm-up and the policy's methods raise.
+    Exits with 2 for an invalid command line, and with 1 and one line for a
+    class that cannot be served and for other failures. Propagates exceptions of
+    the constructor, the warm-up and the policy's methods.
     """
     try:
         parser, own = _parser(policy_class)
@@ -52,7 +52,7 @@ def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> N
         parser.error(str(error))
     except (AccessError, CannotListen) as error:
         sys.exit(f"error: {error}")
-    # Models print while they load; the first line of the output is the address.
+    # Models print while they load, but the first line of stdout must be the address.
     with contextlib.redirect_stdout(sys.stderr):
         policy = policy_class(**{name: getattr(given, name) for name in own})
     try:
@@ -68,16 +68,16 @@ def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> N
 
 
 class UnusableParameter(TypeError):
-    """No flag can be made for a constructor's parameter."""
+    """A constructor's parameter cannot be turned into a flag."""
 
 
 class UnusableExecute(ValueError):
-    """A policy cannot execute so many actions per query."""
+    """A policy cannot execute this number of actions per query."""
 
 
 def set_execute(policy: Policy, execute: int) -> None:
-    """Has `execute` actions of every answer executed, whatever the policy's
-    description said. Raises UnusableExecute."""
+    """Executes `execute` actions of every answer, overriding the policy's
+    description. Raises UnusableExecute."""
     try:
         policy.description = dataclasses.replace(description_of(policy), execute=execute)
     except ValueError as error:
@@ -85,7 +85,7 @@ def set_execute(policy: Policy, execute: int) -> None:
 
 
 def add_server_flags(parser: argparse.ArgumentParser) -> None:
-    """The flags of every server of a policy."""
+    """Adds the flags that every policy server has."""
     server = parser.add_argument_group("server")
     server.add_argument(
         "--listen",
@@ -115,8 +115,8 @@ def add_server_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def server_options(given: argparse.Namespace) -> dict[str, Any]:
-    """What the flags say, as `serve` takes it. Raises UnguardedAddress if a
-    certificate comes without its key, or a key without its certificate."""
+    """Returns the flags as arguments of `serve`. Raises UnguardedAddress if a
+    certificate is given without its key, or a key without its certificate."""
     pair = (given.tls_cert, given.tls_key)
     if any(pair) and not all(pair):
         raise UnguardedAddress("--tls-cert and --tls-key belong together: give both")
@@ -129,7 +129,7 @@ def server_options(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def _parser(policy_class: type[Policy]) -> tuple[argparse.ArgumentParser, list[str]]:
-    """The command line of a class, and which of its names are the class's own."""
+    """Returns the command line of a class, and the names of its constructor's parameters."""
     if not (isinstance(policy_class, type) and issubclass(policy_class, Policy)):
         raise UnusableDescription(
             f"run makes the policy itself: give it a subclass of rollout_policies.Policy, not"
@@ -145,7 +145,7 @@ def _parser(policy_class: type[Policy]) -> tuple[argparse.ArgumentParser, list[s
     own = []
     try:
         for parameter in inspect.signature(policy_class, eval_str=True).parameters.values():
-            # What is caught in bulk has no names.
+            # *args and **kwargs have no names of their own.
             if parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 _add_flag(group, policy_class, parameter)
                 own.append(parameter.name)
@@ -181,7 +181,7 @@ def _add_flag(
     shown = "" if required or default is None else f"default: {default}".replace("%", "%%")
     options: dict[str, Any] = {"dest": parameter.name, "required": required, "default": default}
     if kind is bool:
-        # It says its default itself in some versions of Python.
+        # Some versions of Python add the default to this action's help themselves.
         group.add_argument(flag, action=argparse.BooleanOptionalAction, help=shown, **options)
     else:
         help_ = shown or ("required" if required else "default: none")
@@ -189,7 +189,7 @@ def _add_flag(
 
 
 def _type_of(parameter: inspect.Parameter) -> type | None:
-    """Of which type a parameter is; None if no flag can be of it."""
+    """Returns the type of a parameter; None if a flag cannot have it."""
     annotation = parameter.annotation
     if annotation is parameter.empty:
         unsaid = parameter.default is parameter.empty or parameter.default is None

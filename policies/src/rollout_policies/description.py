@@ -1,4 +1,4 @@
-"""A policy's description: plain data, checked when it is made."""
+"""A policy's description: plain data, checked when it is created."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from dataclasses import dataclass, field
 from .proto import policy_pb2 as pb
 
 PROTOCOL_VERSION = 1
-#: Longest chunk that a policy may declare: twice LIBERO's longest episode.
+#: Longest chunk that a policy may declare: twice the length of LIBERO's longest episode.
 MAX_HORIZON = 1040
 #: Longest text of a description, bytes: results hold as much.
 MAX_TEXT_BYTES = 512
-#: Largest message, bytes: as in the gateway and the worker.
+#: Largest message, in bytes: as in the gateway and the worker.
 MAX_MESSAGE_BYTES = 32 << 20
 
 
 class State(enum.Enum):
-    """Robot readings that a policy may ask for, in SI units, world frame."""
+    """Robot readings that a policy may ask for, in SI units and in the world frame."""
 
     #: Position of the site between the fingertips, m (3).
     EEF_POS = pb.STATE_FIELD_EEF_POS
-    #: Orientation of the hand body, quaternion x y z w (4).
+    #: Orientation of the hand body, as a quaternion x y z w (4).
     EEF_QUAT_XYZW = pb.STATE_FIELD_EEF_QUAT_XYZW
-    #: The same as axis times angle, rad (3), antipodes not flipped.
+    #: The same orientation as axis times angle, rad (3), with antipodes kept.
     EEF_AXIS_ANGLE = pb.STATE_FIELD_EEF_AXIS_ANGLE
-    #: The same as a rotation matrix, row by row (9).
+    #: The same orientation as a rotation matrix, row by row (9).
     EEF_ROTATION = pb.STATE_FIELD_EEF_ROTATION
     #: The seven arm joints, rad (7).
     JOINT_POS = pb.STATE_FIELD_JOINT_POS
@@ -39,7 +39,7 @@ class State(enum.Enum):
 
     @property
     def size(self) -> int:
-        """How many numbers the reading has."""
+        """Number of values in the reading."""
         return _SIZES[self]
 
 
@@ -56,29 +56,29 @@ _SIZES = {
 
 
 class Language(enum.Enum):
-    """Which instructions a policy can be given."""
+    """Kinds of instructions that a policy accepts."""
 
     #: Any sentence.
     FREE_FORM = pb.LANGUAGE_FREE_FORM
-    #: Only the 40 canonical instructions: the language axis is the identity.
+    #: Only the 40 canonical instructions: the language axis changes nothing.
     CANONICAL_ONLY = pb.LANGUAGE_CANONICAL_ONLY
-    #: The instruction is not looked at.
+    #: The instruction is ignored.
     IGNORED = pb.LANGUAGE_IGNORED
 
 
 class Gripper(enum.Enum):
-    """What the seventh number of a policy's actions means.
+    """Meaning of the seventh number of a policy's actions.
 
-    The simulator wants -1 to open and 1 to close; answers of a policy that
-    declares another convention are converted by this package. Conventions
-    between 0 and 1 are decided at one half, and become -1 or 1.
+    The simulator expects -1 to open and 1 to close; this package converts the
+    answers of a policy that declares another convention. Conventions between 0
+    and 1 are thresholded at one half, and become -1 or 1.
     """
 
-    #: LIBERO's own. Numbers in between pass as they are.
+    #: LIBERO's own. Values in between are kept.
     MINUS_ONE_OPENS = "-1 open, 1 closed"
-    #: The opposite: the sign is changed.
+    #: The opposite: the sign is changed in conversion.
     ONE_OPENS = "-1 closed, 1 open"
-    #: As in RLDS data: what OpenVLA, Octo and their kin have learnt.
+    #: As in RLDS data: the convention of OpenVLA, Octo and related policies.
     RLDS = "0 closed, 1 open"
     #: The opposite of RLDS.
     ZERO_OPENS = "0 open, 1 closed"
@@ -86,7 +86,7 @@ class Gripper(enum.Enum):
 
 @dataclass(frozen=True)
 class Camera:
-    """Frames of one camera, in pixels."""
+    """A camera, and the size of its frames in pixels."""
 
     #: "agentview" or "robot0_eye_in_hand".
     name: str
@@ -100,11 +100,11 @@ class Camera:
 
 @dataclass(frozen=True)
 class Description:
-    """What a policy is and wants to see.
+    """Properties of a policy and the inputs that it needs.
 
-    `horizon` is the most actions that one query may answer, `execute` how many
-    of them the robot runs before the next query (all of them by default).
-    A description that cannot be true raises ValueError.
+    `horizon` is the largest number of actions in an answer, `execute` the
+    number that the robot runs before the next query (all of them by default).
+    An inconsistent description raises ValueError.
     """
 
     name: str
@@ -112,28 +112,28 @@ class Description:
     execute: int | None = None
     cameras: tuple[Camera, ...] = ()
     state: tuple[State, ...] = ()
-    #: Id of the weights as their publisher writes it, and a digest of them.
+    #: Id of the weights as their publisher writes it, and their digest.
     checkpoint: str = ""
     checkpoint_digest: str = ""
     parameters: int = 0
-    #: Keeps something in `episode.memory` between the queries of an episode.
+    #: The policy keeps state in `episode.memory` between the queries of an episode.
     stateful: bool = False
-    #: Draws random numbers: other seeds give other actions.
+    #: The policy draws random numbers: another seed gives other actions.
     stochastic: bool = False
     language: Language = Language.FREE_FORM
-    #: Above 1: `infer_batch` answers up to so many queries at once.
+    #: Largest batch: above 1, `infer_batch` answers up to this many queries at once.
     max_batch: int = 1
-    #: What the seventh number of an answer means.
+    #: Meaning of the seventh number of an action.
     gripper: Gripper = Gripper.MINUS_ONE_OPENS
-    #: What was resolved and decides the actions, one fact each, for example
-    #: {"image slots": "image=agentview", "revision": "1f2e3d"}. Recorded with
-    #: every result, and the same for all results of a campaign and suite.
+    #: Resolved settings that determine the actions, one fact each, for example {"image slots":
+    #: "image=agentview", "revision": "1f2e3d"}. Recorded with every result; they must be the same
+    #: for all results of a campaign and suite.
     settings: Mapping[str, str] = field(default_factory=dict, hash=False)
-    #: Name or digest of the asset pack that it was taught on, such as "libero".
-    #: Reports warn where it is measured on another.
+    #: Name or digest of the asset pack used in training, such as "libero". Reports warn if the
+    #: policy is measured on another.
     taught_on: str = ""
-    #: Heeds `observation.under_way`: its answers go on from what is executed while they are
-    #: under way.
+    #: The policy uses `observation.under_way`: its answers continue the actions that are executed
+    #: while it computes.
     real_time_chunking: bool = False
 
     def __post_init__(self) -> None:
@@ -179,8 +179,8 @@ class Description:
                 )
 
     def to_message(self) -> pb.DescribeResponse:
-        """The same on the wire, where a gripper that is converted is one of the
-        settings."""
+        """Returns the description as a message. A converted gripper is one of
+        its settings."""
         settings = dict(self.settings)
         if self.gripper is not Gripper.MINUS_ONE_OPENS:
             settings.setdefault("gripper", self.gripper.value)
@@ -209,9 +209,9 @@ class Description:
 
     @classmethod
     def from_message(cls, message: pb.DescribeResponse) -> Description:
-        """What a server says of its policy; its actions are LIBERO's.
+        """Returns the description that a server sent; its actions follow LIBERO's convention.
 
-        Raises ValueError if it cannot be true.
+        Raises ValueError if it is inconsistent.
         """
         return cls(
             name=message.name,
@@ -231,7 +231,7 @@ class Description:
         )
 
     def lines(self) -> list[str]:
-        """Everything that was resolved, one `name: value` each, for people."""
+        """Returns all resolved settings, one `name: value` line each, for people."""
         cameras = [f"{camera.name} {camera.width}x{camera.height}" for camera in self.cameras]
         facts = {
             "policy": self.name,

@@ -1,5 +1,5 @@
-"""What a policy is given: an episode at its start, then one observation per
-query. Responsible for checking that a message holds what was asked for."""
+"""A policy's input: an episode at its start, then one observation per query.
+This module checks that a message holds everything that was requested."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from .proto import policy_pb2 as pb
 class Episode:
     """One rollout, from its reset to its last query."""
 
-    #: Rollout id, replicate and the attempt's random id: names the episode.
+    #: Name of the episode: rollout id, replicate and the attempt's random id.
     session: str
-    #: For example "libero_goal".
+    #: Suite, for example "libero_goal".
     suite: str
-    #: What to do, verbatim: never to be replaced by a canonical sentence.
+    #: The instruction, verbatim: never to be replaced by a canonical sentence.
     instruction: str
-    #: The policy's seed of this rollout and replicate.
+    #: The policy's seed for this rollout and replicate.
     seed: int
-    #: Whatever the policy keeps between queries; set it in `reset`. The server
-    #: lets go of it when the episode is over.
+    #: State that the policy keeps between queries; set it in `reset`. The server releases it when
+    #: the episode is over.
     memory: Any = None
 
     def rng(self, query_index: int) -> np.random.Generator:
         """Random numbers of one query.
 
-        They depend on the seed and the query index alone, so that neither the
-        order of requests nor a retry nor a batch neighbour changes a rollout.
+        They depend only on the seed and the query index, so that the order of
+        requests, retries and batch neighbours cannot change a rollout.
         """
         key = np.array([self.seed, query_index], dtype=np.uint64)
         return np.random.Generator(np.random.Philox(key=key))
@@ -41,59 +41,58 @@ class Episode:
 
 @dataclass(frozen=True)
 class UnderWay:
-    """Actions that the robot executes while the answer to a query is under way."""
+    """Actions that the robot executes while the answer to a query is computed."""
 
     #: Commands of the control steps from this observation on, float32 [n, 7], with the
-    #: gripper as the description says. The first `delay` are executed whatever is answered;
-    #: those behind them are what is left of the last answer, and this one replaces them.
+    #: description's gripper convention. The first `delay` are executed in any case; the others are
+    #: the rest of the last answer, which the new answer replaces.
     actions: np.ndarray
-    #: Control steps until the answer takes effect: its first `delay` actions are dropped.
+    #: Control steps until the answer takes effect; its first `delay` actions are dropped.
     delay: int
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What the robot sees and feels at one query."""
+    """The robot's camera frames and readings at one query."""
 
     episode: Episode
-    #: 0, 1, 2, ... within the episode.
+    #: Index within the episode: 0, 1, 2, ...
     query_index: int
-    #: By camera name: uint8 [height, width, 3], RGB, contiguous and this
-    #: observation's own. Row 0 is the BOTTOM of the picture, as the simulator
-    #: renders it.
+    #: Frames by camera name: uint8 [height, width, 3], RGB, contiguous and owned by this
+    #: observation. Row 0 is the BOTTOM of the picture, as the simulator renders it.
     images: Mapping[str, np.ndarray]
-    #: By reading: float64, in the units that `State` names.
+    #: Readings, float64, in the units that `State` documents.
     state: Mapping[State, np.ndarray] = field(default_factory=dict)
-    #: What the policy's `prepare` made of it.
+    #: Result of the policy's `prepare`.
     prepared: Any = None
-    #: Under real-time chunking, None otherwise; say `real_time_chunking` in the description if
-    #: it is heeded.
+    #: Set under real-time chunking, else None. A policy that uses it declares `real_time_chunking`
+    #: in its description.
     under_way: UnderWay | None = None
 
     @property
     def rng(self) -> np.random.Generator:
-        """This query's random numbers, from their beginning at every use."""
+        """This query's random generator, restarted at every access."""
         return self.episode.rng(self.query_index)
 
     def upright(self, camera: str) -> np.ndarray:
-        """A camera's frame with row 0 at the top: what a person would see. A
-        contiguous copy, as `torch.from_numpy` wants it."""
+        """Returns a camera's frame with row 0 at the top, as a person sees it.
+        A contiguous copy, as `torch.from_numpy` needs."""
         return self.images[camera][::-1].copy()
 
     def rotated(self, camera: str) -> np.ndarray:
-        """A camera's frame turned by 180 degrees: upright, left and right
-        exchanged. Most LIBERO checkpoints were trained on this. A contiguous
-        copy, as `torch.from_numpy` wants it."""
+        """Returns a camera's frame turned by 180 degrees: upright, with left
+        and right exchanged. Most LIBERO checkpoints were trained on this. A
+        contiguous copy, as `torch.from_numpy` needs."""
         return self.images[camera][::-1, ::-1].copy()
 
     def vector(self, *fields: State) -> np.ndarray:
-        """Readings end to end, in this order; all that were asked for, in
-        their declared order, if none is named."""
+        """Returns the given readings concatenated in this order; without
+        arguments, all requested readings in their declared order."""
         return np.concatenate([self.state[field] for field in fields or self.state])
 
 
 class UnusableObservation(ValueError):
-    """An observation lacks what the policy's description asks for."""
+    """An observation lacks an input that the policy's description requests."""
 
 
 def read_observation(
@@ -101,7 +100,7 @@ def read_observation(
 ) -> Observation:
     """Checks an observation against the description and unpacks it.
 
-    Raises UnusableObservation, naming what is missing or misshapen.
+    Raises UnusableObservation, which names the missing or misshapen input.
     """
     frames = {image.camera: image for image in message.images}
     readings = {reading.field: reading for reading in message.state}
@@ -117,7 +116,7 @@ def read_observation(
                 f" {len(frame.rgb)} bytes, not {camera.width}x{camera.height} in"
                 f" {int(np.prod(shape))}"
             )
-        # A copy, because what lies in a message cannot be written to.
+        # Copied because arrays over a message's bytes are read-only.
         images[camera.name] = np.frombuffer(frame.rgb, dtype=np.uint8).reshape(shape).copy()
     state = {}
     for wanted in description.state:

@@ -1,5 +1,5 @@
-"""Made-up observations: all that a policy can ask for, of the right shape and
-of plausible size, and the same for the same seed."""
+"""Made-up observations: any input that a policy can request, of the right shape
+and a plausible size, reproducible from a seed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from .description import Camera, Description, State
 from .episode import Episode, Observation
 
-#: Suites, and the canonical instruction of a task of each.
+#: The suites, each with the canonical instruction of one of its tasks.
 TASKS = {
     "libero_object": "pick up the butter and place it in the basket",
     "libero_spatial": (
@@ -17,17 +17,17 @@ TASKS = {
     "libero_goal": "open the middle drawer of the cabinet",
     "libero_10": "put both the alphabet soup and the tomato sauce in the basket",
 }
-#: Things on the table of a frame.
+#: Objects on the table of a frame.
 THINGS = 6
 #: The Panda's rest posture, rad.
 JOINTS = (0.0, -0.16, 0.0, -2.44, 0.0, 2.23, 0.785)
-#: How far readings are from rest: m and rad; joint velocities, rad/s.
+#: Spread of readings around the rest posture: m and rad; joint velocities, rad/s.
 AWAY = 0.05
 
 
 def fake_episode(suite: str = "libero_object", seed: int = 0, session: str = "made up") -> Episode:
-    """An episode of a task of this suite; of `libero_object`'s if the suite is
-    unknown."""
+    """Returns an episode of a task of this suite, or of `libero_object` if the
+    suite is unknown."""
     return Episode(session, suite, TASKS.get(suite, TASKS["libero_object"]), seed)
 
 
@@ -37,11 +37,10 @@ def fake_observation(
     query_index: int = 0,
     episode: Episode | None = None,
 ) -> Observation:
-    """An observation of what a policy asks for, drawn from (seed, query_index).
+    """Returns an observation as the description requests it, drawn from (seed, query_index).
 
-    Frames are a table with coloured things on it, readings those of an arm near
-    its rest posture, which agree with one another. `episode` is a made-up one
-    if it is not given.
+    Frames show a table with coloured objects; readings are consistent with one
+    arm near its rest posture. Without `episode`, one is made up.
     """
     rng = np.random.default_rng([seed, query_index])
     readings = fake_readings(rng)
@@ -54,7 +53,7 @@ def fake_observation(
 
 
 def fake_frame(camera: Camera, rng: np.random.Generator) -> np.ndarray:
-    """A frame uint8 [height, width, 3], bottom row first."""
+    """Returns a frame uint8 [height, width, 3], bottom row first."""
     height, width = camera.height, camera.width
     up = np.linspace(0.0, 1.0, height)[:, None, None]
     wood, wall = rng.uniform([120, 90, 60], [200, 150, 110]), rng.uniform(150, 230, 3)
@@ -70,10 +69,10 @@ def fake_frame(camera: Camera, rng: np.random.Generator) -> np.ndarray:
 
 
 def fake_readings(rng: np.random.Generator) -> dict[State, np.ndarray]:
-    """Every reading that there is, of one posture: the fingers point down, and
-    the hand is turned about the vertical."""
+    """Returns every kind of reading, all of one posture: the fingers point
+    down, and the hand is turned about the vertical."""
     turn = rng.uniform(-AWAY, AWAY)
-    # Half a turn about a horizontal axis, which lies at half the turn.
+    # A half turn about a horizontal axis, whose direction is half the turn angle.
     axis = np.array([np.cos(turn / 2), np.sin(turn / 2), 0.0])
     opening = rng.uniform(0.03, 0.04)
     return {

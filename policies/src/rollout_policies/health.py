@@ -1,15 +1,15 @@
-"""The standard health service, `grpc.health.v1`, as far as a policy server
-needs it. Its two messages have one field each and are read and written here by
-hand: the package that brings them wants newer protobuf versions than many
-policies' environments have, and a second copy of its generated messages could
-not be loaded beside the first."""
+"""The part of the standard health service, `grpc.health.v1`, that a policy
+server needs. Its two messages have one field each and are encoded by hand here:
+the usual package needs newer protobuf versions than many policies' environments
+have, and a second copy of its generated messages could not be loaded beside the
+first."""
 
 from __future__ import annotations
 
 import grpc
 
 SERVICES = ("", "rollout.policy.v1.Policy")
-#: HealthCheckResponse{status = SERVING}: field 1, a varint, of value 1.
+#: HealthCheckResponse{status = SERVING}: field 1, a varint, with value 1.
 SERVING = b"\x08\x01"
 #: HealthCheckRequest{service}: field 1, length-delimited.
 SERVICE_TAG = 0x0A
@@ -25,7 +25,7 @@ def handler() -> grpc.GenericRpcHandler:
 
 
 def _check(request: bytes, context: grpc.ServicerContext) -> bytes:
-    # A name short enough to be one of ours has a length of one byte.
+    # The names served here are short enough for a length of one byte.
     if request and (request[0] != SERVICE_TAG or len(request) != 2 + request[1]):
         context.abort(grpc.StatusCode.INVALID_ARGUMENT, "not a HealthCheckRequest")
     service = request[2:].decode("utf-8", errors="replace")

@@ -1,7 +1,7 @@
-"""The one thread that touches a policy.
+"""The single thread that calls a policy.
 
 Compiled models belong to the thread that compiled them: CUDA graphs fail in any
-other. So requests, which come in many threads, are answered in turn by one.
+other. So one thread answers, in turn, the requests that arrive in many threads.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 
 class InferenceThread:
-    """Calls that wait for their turn; the thread that calls `work` makes them."""
+    """A queue of calls, which are made in the thread that runs `work`."""
 
     def __init__(self) -> None:
         self._calls: queue.SimpleQueue[tuple[Future, Callable, tuple] | None] = queue.SimpleQueue()
@@ -23,8 +23,8 @@ class InferenceThread:
         self._closed = False
 
     def submit(self, call: Callable, *arguments: Any) -> Future:
-        """Makes a call after those that came before. The result is cancelled if
-        the work is over."""
+        """Queues a call behind earlier ones. The returned future is cancelled
+        if `work` has ended."""
         answer: Future = Future()
         with self._lock:
             if self._closed:
@@ -34,10 +34,10 @@ class InferenceThread:
         return answer
 
     def work(self, sweep: Callable[[], None], every_secs: float) -> None:
-        """Makes calls, in this thread, until `close`; calls `sweep` now and then."""
+        """Makes calls in this thread until `close`, and calls `sweep` at intervals."""
         sweep_at = time.monotonic() + every_secs
         while True:
-            # Before each call: where calls never stop coming, nothing is ever idle.
+            # Checked before each call, because a busy queue is never idle.
             left = sweep_at - time.monotonic()
             if left <= 0:
                 sweep()
@@ -56,11 +56,11 @@ class InferenceThread:
                 try:
                     answer.set_result(call(*arguments))
                 except BaseException as error:
-                    # To whoever waits for it: this thread has more to do.
+                    # The error goes to the waiting caller, and this thread continues.
                     answer.set_exception(error)
 
     def close(self) -> None:
-        """Ends `work` after the call under way, and cancels what waits."""
+        """Ends `work` after the current call, and cancels the queued ones."""
         with self._lock:
             if not self._closed:
                 self._closed = True

@@ -22,29 +22,28 @@ log = logging.getLogger("rollout_policies")
 class Policy(abc.ABC):
     """A policy: a description and two methods.
 
-    Calls come one at a time and from one thread, whatever the number of
-    episodes under way, so a model on one device needs no lock and may be
-    compiled; `prepare` alone is called from others. With `serve` and `run` it
-    is the thread that calls them, so that the constructor runs there, too.
-    What belongs to one episode goes into `episode.memory`, never into `self`:
-    episodes interleave.
+    Calls are made one at a time and from one thread, whatever the number of
+    open episodes, so a model on one device needs no lock and may be compiled;
+    only `prepare` is called from other threads. `serve` and `run` use the
+    thread that called them, so the constructor runs in it, too. State of one
+    episode belongs in `episode.memory`, never in `self`: episodes interleave.
     """
 
-    #: What the policy is and wants to see: a class attribute, or set by
+    #: Properties of the policy and the inputs that it needs: a class attribute, or set by
     #: `__init__`.
     description: Description
 
     @abc.abstractmethod
     def reset(self, episode: Episode) -> None:
-        """Starts an episode. One that was under way may be started anew."""
+        """Starts an episode. An open episode may be started again."""
 
     @abc.abstractmethod
     def infer(self, observation: Observation) -> np.ndarray:
-        """Answers actions [n, 7], 0 < n <= horizon; [7] is taken as n = 1.
+        """Returns actions [n, 7], 0 < n <= horizon; [7] is taken as n = 1.
 
-        Each is end-effector translation (3) and rotation (3), within -1..1,
-        and the gripper, as the description's `gripper` says. Random numbers
-        come from `observation.rng` only. A retry never gets here: the server
+        Each holds end-effector translation (3) and rotation (3), within -1..1,
+        and the gripper, in the description's convention. Random numbers must
+        come from `observation.rng` only. Retries are not passed on: the server
         repeats its last answer. An exception fails the rollout's attempt, with
         its message, and is not counted as a failure of the task.
         """
@@ -52,43 +51,43 @@ class Policy(abc.ABC):
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
         """Answers several episodes' observations at once, in their order.
 
-        Only called if the description's max_batch is above 1. If it raises,
-        `infer` is asked one by one, so that only the guilty query fails; not if
-        the policy is stateful, whose memories may have moved on already, nor
-        after an error from which the process does not recover.
+        Only called if the description's max_batch is above 1. If it raises, `infer` is
+        called for each query, so that only the faulty query fails; but not if the
+        policy is stateful, because its memories may have advanced already, nor after an
+        error that only a new process can recover from.
         """
         return [self.infer(observation) for observation in observations]
 
     def prepare(self, observation: Observation) -> Any:
-        """Work on an observation that needs neither the model nor
+        """Does work on an observation that needs neither the model nor
         `episode.memory`, such as decoding or resizing frames.
 
-        Called before `infer`, which finds the result in
-        `observation.prepared`. Calls come from several threads and at once,
-        while the model answers other queries.
+        Called before `infer`, which finds the result in `observation.prepared`.
+        Calls come from several threads concurrently, while the model answers
+        other queries.
         """
         return None
 
     def end(self, episode: Episode) -> None:  # noqa: B027 - most policies need nothing here
-        """Notes that an episode is over: it ended, was started anew, or was
-        forgotten because nothing was heard of it. The server lets go of
-        `episode.memory` afterwards, so that most policies need nothing here."""
+        """Called when an episode is over: it ended, was started again, or was
+        forgotten after a long silence. The server releases `episode.memory`
+        afterwards, so most policies need nothing here."""
 
     def warm_up(self) -> None:
-        """Does once, before the server accepts a connection, what makes the
-        first answer slow, such as compiling.
+        """Does slow initial work, such as compiling, before the server accepts
+        a connection.
 
-        Answers made-up observations unless overridden: one, and a full batch
-        if there are batches. What this raises ends the server before it began.
+        Unless overridden, answers made-up observations: one, and a full batch if the
+        policy takes batches. An exception stops the server before it starts.
         """
         _answer_made_up(self)
 
 
 class UnusableDescription(TypeError):
-    """A policy does not say what it is, or lacks a method that it is called by."""
+    """A policy has no usable description, or lacks a method that the server calls."""
 
 
-#: What the server calls, and the names of the arguments that it passes.
+#: Methods that the server calls, with the names of their arguments.
 _CALLS = {
     "reset": ("episode",),
     "infer": ("observation",),
@@ -100,8 +99,8 @@ _CALLS = {
 
 
 def require_methods(policy_class: type[Policy]) -> None:
-    """Checks that the server can call every method of a class. Raises
-    UnusableDescription, which names the method and the line to write."""
+    """Checks that the server can call every method of a class. Raises UnusableDescription,
+    whose message names the method and the line to write."""
     name = policy_class.__name__
     for method, arguments in _CALLS.items():
         line = f"`def {method}({', '.join(('self', *arguments))})`"
@@ -119,7 +118,7 @@ def require_methods(policy_class: type[Policy]) -> None:
         implied = () if isinstance(kind, (staticmethod, classmethod)) else (policy_class,)
         try:
             signature = inspect.signature(function)
-        except ValueError:  # A method written in C may not tell.
+        except ValueError:  # A method written in C may have no signature.
             continue
         try:
             signature.bind(*implied, *arguments)
@@ -131,8 +130,8 @@ def require_methods(policy_class: type[Policy]) -> None:
 
 
 def description_of(policy: Policy) -> Description:
-    """Returns a policy's description. Raises UnusableDescription, also for a policy
-    whose methods cannot be called."""
+    """Returns a policy's description. Raises UnusableDescription, also if the
+    policy's methods cannot be called."""
     name = type(policy).__name__
     if not isinstance(policy, Policy):
         remedy = " (make one: MyPolicy(), not MyPolicy)" if isinstance(policy, type) else ""
@@ -157,12 +156,12 @@ def description_of(policy: Policy) -> Description:
 
 
 def _answer_made_up(policy: Policy) -> None:
-    """Has a policy answer a made-up observation and, if it takes batches, a full
-    batch of them, in episodes that are ended again.
+    """Makes a policy answer a made-up observation and, if it takes batches, a
+    full batch of them. The episodes are ended afterwards.
 
-    A policy that accepts no episode of any suite is left cold, with a warning: it
-    may know other tasks than those made up here. Raises what its methods raise, and
-    UnusableActions.
+    A policy that accepts no episode of any suite is not warmed up, with a
+    warning: it may know tasks other than those made up here. Propagates
+    exceptions of its methods; raises UnusableActions.
     """
     description = policy.description
     sizes = sorted({1, description.max_batch})
@@ -174,7 +173,7 @@ def _answer_made_up(policy: Policy) -> None:
                 return
             episodes.append(episode)
         for size in sizes:
-            # Of each episode its next query: the first one has been alone before.
+            # In the batch, the first episode sends query 1: its query 0 was the single one.
             asked = [
                 fake_observation(description, at, int(size > 1 and at == 0), episode)
                 for at, episode in enumerate(episodes[:size])

@@ -1,4 +1,4 @@
-"""A policy's server: its port, its threads, its beginning and its end."""
+"""A policy's server: its port, threads, start and shutdown."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from .proto import policy_pb2_grpc as pb_grpc
 from .service import PolicyService
 from .sessions import SessionTable
 
-#: Requests that may wait for their turn; more are refused.
+#: Largest number of waiting requests; more are refused.
 MAX_CONCURRENT_RPCS = 256
-#: How long requests under way may take after the signal to stop.
+#: Time that open requests have to finish after the stop signal.
 SHUTDOWN_GRACE_SECS = 10.0
-#: Between two looks for episodes that are idle.
+#: Interval between searches for idle episodes.
 SWEEP_SECS = 30.0
 
 
 class CannotListen(OSError):
-    """An address is none, or its port is taken."""
+    """An address is invalid, or its port is taken."""
 
 
 class Server:
-    """A server of one policy, which is answered for by the thread in `work`."""
+    """A server of one policy, whose calls are made by the thread in `work`."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class Server:
             options=[
                 ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
                 ("grpc.max_send_message_length", MAX_MESSAGE_BYTES),
-                # Else a second server on the same port would share its requests.
+                # Without this, a second server on the same port would receive part of the requests.
                 ("grpc.so_reuseport", 0),
             ],
         )
@@ -72,21 +72,21 @@ class Server:
             raise CannotListen(f"failed to listen on {listen}: {error}") from error
         if port == 0:
             raise CannotListen(f"failed to listen on {listen}: is the port taken?")
-        #: host:port, with the real port.
+        #: host:port, with the port that was assigned.
         self.address = f"{listen.rpartition(':')[0]}:{port}"
         self._server.start()
 
     def work(self) -> None:
-        """Asks the policy, in this thread, until `stop`."""
+        """Calls the policy in this thread until `stop`."""
         self._inference.work(self._service.close_idle, SWEEP_SECS)
 
     def work_in_background(self) -> None:
-        """Asks the policy in a thread of its own."""
+        """Calls the policy in a separate thread."""
         self._thread = threading.Thread(target=self.work, name="inference", daemon=True)
         self._thread.start()
 
     def stop(self, grace_secs: float = SHUTDOWN_GRACE_SECS) -> None:
-        """Lets requests under way finish, then frees the port."""
+        """Lets open requests finish, then frees the port."""
         self._server.stop(grace_secs).wait()
         self._inference.close()
         if self._thread is not None:
@@ -98,11 +98,11 @@ class Server:
 
 
 def start(policy: Policy, listen: str = "127.0.0.1:0") -> Server:
-    """Serves a policy in the background, to this machine; for tests and
-    notebooks. Port 0 takes a free one.
+    """Serves a policy in the background, to this machine only; for tests and
+    notebooks. Port 0 selects a free one.
 
-    The policy is asked in a thread of the server's: a model that must stay in
-    the thread that made it is for `serve`. `warm_up` is not called.
+    The policy is called in a thread of the server. A model that must stay in
+    the thread that created it needs `serve`. `warm_up` is not called.
     """
     _require_address(listen)
     require_guarded(listen, encrypted=False, tokens=None)
@@ -119,16 +119,16 @@ def serve(
     token_file: str | Path | None = None,
     insecure: bool = False,
 ) -> None:
-    """Serves a policy until SIGTERM or SIGINT, and asks it in this thread.
+    """Serves a policy until SIGTERM or SIGINT, and calls it in this thread.
 
-    Prints what was resolved to stderr, warms the policy up, and prints one line
-    to stdout, the address. `tls` are the files of a certificate chain and its
-    key, `token_file` has a line `ROLE TOKEN` for everybody who is let in (or
-    its lines are in ROLLOUT_TOKENS). An address that other machines reach needs
-    both, or `insecure`.
+    Prints the resolved settings to stderr, warms the policy up, and prints the
+    address as one line to stdout. `tls` holds the files of a certificate chain
+    and its key; `token_file` has a line `ROLE TOKEN` for everybody who is
+    admitted (or ROLLOUT_TOKENS has these lines). An address that other machines
+    can reach needs both, or `insecure`.
 
     Raises UnusableDescription, UnguardedAddress, AccessError, CannotListen, and
-    what the warm-up raises.
+    exceptions of the warm-up.
     """
     description = description_of(policy)
     credentials, tokens = require_servable(listen, tls, token_file, insecure)
@@ -136,14 +136,14 @@ def serve(
         print(line, file=sys.stderr)
     began = time.monotonic()
     print("warming up", file=sys.stderr, flush=True)
-    # Models print while they compile; the first line of the output is the address.
+    # Models print while they compile, but the first line of stdout must be the address.
     with contextlib.redirect_stdout(sys.stderr):
         policy.warm_up()
     print(f"warm after {time.monotonic() - began:.1f} s", file=sys.stderr, flush=True)
 
     server = Server(policy, description, listen, credentials, tokens)
     for number in (signal.SIGTERM, signal.SIGINT):
-        # Requests under way need this thread to finish.
+        # Open requests need this thread to finish.
         signal.signal(number, lambda *_: threading.Thread(target=server.stop).start())
     over = "" if credentials is None else " over TLS"
     print(f"listening on {server.address}{over}", flush=True)
@@ -156,8 +156,8 @@ def require_servable(
     token_file: str | Path | None,
     insecure: bool,
 ) -> tuple[grpc.ServerCredentials | None, Tokens | None]:
-    """What a server shows and asks for; to be found wrong before weights are
-    loaded. Raises UnguardedAddress, AccessError, CannotListen."""
+    """Returns the server's credentials and tokens, so that errors show before
+    weights are loaded. Raises UnguardedAddress, AccessError, CannotListen."""
     _require_address(listen)
     tokens = read_tokens(token_file)
     credentials = None if tls is None else server_credentials(*tls)
@@ -173,8 +173,8 @@ def _require_address(listen: str) -> None:
 
 
 def _require_free(listen: str) -> None:
-    """Finds a port taken before a long warm-up, not after it. Nothing listens
-    there meanwhile, so that callers are refused and not kept waiting."""
+    """Detects a taken port before a long warm-up. Nothing listens there during
+    the warm-up, so that callers are refused rather than kept waiting."""
     host, _, port = listen.rpartition(":")
     try:
         [family, kind, number, _, address], *_ = socket.getaddrinfo(
@@ -184,6 +184,6 @@ def _require_free(listen: str) -> None:
             tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             tried.bind(address)
     except OSError as error:
-        # Of other troubles gRPC knows more, which tries every address of a name.
+        # gRPC, which tries every address of a name, reports other errors better.
         if error.errno in (errno.EADDRINUSE, errno.EACCES):
             raise CannotListen(f"failed to listen on {listen}: {error.strerror}") from error

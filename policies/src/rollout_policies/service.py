@@ -1,7 +1,7 @@
-"""The protocol's calls around a policy: sessions, retries, checks and errors.
+"""The protocol's calls to a policy: sessions, retries, checks and errors.
 
-A call comes in a thread of gRPC's, where its message is read and its frames are
-prepared; the policy itself is asked in the inference thread.
+A call arrives in a gRPC thread, which reads its message and prepares its
+frames; the policy itself is called in the inference thread.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .proto import policy_pb2 as pb
 from .proto import policy_pb2_grpc as pb_grpc
 from .sessions import Session, SessionTable
 
-#: An episode of so many executed actions should have opened the gripper once.
+#: Number of executed actions after which the gripper should have opened once.
 TELLING_ACTIONS = 50
 
 log = logging.getLogger("rollout_policies")
@@ -32,15 +32,15 @@ log = logging.getLogger("rollout_policies")
 
 @dataclass(frozen=True)
 class QueryError:
-    """Why one query got no answer. The caller knows which policy, session and query it
-    asked, so that the text names none of them."""
+    """Reason why a query got no answer. The caller knows the policy, session
+    and query, so the text does not name them."""
 
     code: grpc.StatusCode
     text: str
 
 
 class PolicyService(pb_grpc.PolicyServicer):
-    """Answers for one policy."""
+    """Service of one policy."""
 
     def __init__(
         self,
@@ -56,7 +56,7 @@ class PolicyService(pb_grpc.PolicyServicer):
         self._sessions = sessions
         self._warned_of_gripper = False
 
-    # In threads of gRPC's.
+    # The following methods run in gRPC threads.
 
     def Describe(self, request, context):
         if request.protocol_version != PROTOCOL_VERSION:
@@ -96,7 +96,7 @@ class PolicyService(pb_grpc.PolicyServicer):
             self._require_policy(query.policy, context)
         results = self._results(request.queries, context)
         for result in results:
-            # The text of one result could not say that nobody is to blame.
+            # UNAVAILABLE blames no query, which the text of one result could not say.
             if isinstance(result, QueryError) and result.code == grpc.StatusCode.UNAVAILABLE:
                 context.abort(result.code, result.text)
         return pb.InferBatchResponse(
@@ -112,12 +112,12 @@ class PolicyService(pb_grpc.PolicyServicer):
         self._require_policy(request.policy, context)
         session = self._sessions.close(request.session)
         if session is not None:
-            # Nobody waits for it: queries of other episodes may be before it.
+            # Not awaited: queries of other episodes may come first.
             self._inference.submit(self._forget, session)
         return pb.EndResponse()
 
     def _require_policy(self, name, context):
-        # A worker that means another policy must not measure this one.
+        # A worker that expects another policy must not measure this one.
         if name not in ("", self._description.name):
             context.abort(
                 grpc.StatusCode.NOT_FOUND,
@@ -132,8 +132,8 @@ class PolicyService(pb_grpc.PolicyServicer):
         return results
 
     def _read(self, request) -> Observation | pb.InferResponse | QueryError:
-        """What to ask the policy; or the answer that it gave before; or why it
-        cannot be asked."""
+        """Returns the observation for the policy, the earlier answer to a
+        retry, or the reason for refusing the query."""
         where = f"session {request.session!r}, query {request.query_index}"
         session = self._sessions.get(request.session)
         if session is None:
@@ -158,8 +158,8 @@ class PolicyService(pb_grpc.PolicyServicer):
             return QueryError(grpc.StatusCode.INTERNAL, text)
 
     def _in_turn(self, context, call: Callable, *arguments: Any) -> Any:
-        """Returns what a call in the inference thread returns. A call whose caller
-        stops waiting before its turn is never made."""
+        """Returns the result of a call in the inference thread. If the caller
+        stops waiting before its turn, the call is never made."""
         answer = self._inference.submit(call, *arguments)
         if not context.add_callback(answer.cancel):
             answer.cancel()
@@ -170,16 +170,16 @@ class PolicyService(pb_grpc.PolicyServicer):
                 context.abort(grpc.StatusCode.CANCELLED, "the caller stopped waiting")
             context.abort(grpc.StatusCode.UNAVAILABLE, "this server is stopping")
 
-    # In the inference thread.
+    # The following methods run in the inference thread.
 
     def close_idle(self) -> None:
-        """Forgets episodes that nothing was heard of for too long."""
+        """Forgets episodes that have been idle for too long."""
         for session in self._sessions.close_idle():
             log.info("session %r is forgotten: nobody ended it", session.episode.session)
             self._forget(session)
 
     def _begin(self, episode: Episode) -> str | None:
-        """Starts an episode, anew if it is under way. Returns what went wrong."""
+        """Starts an episode, again if it is open. Returns an error text, or None."""
         before = self._sessions.close(episode.session)
         if before is not None:
             self._forget(before)
@@ -193,7 +193,7 @@ class PolicyService(pb_grpc.PolicyServicer):
         return None
 
     def _forget(self, session: Session) -> None:
-        """Tells the policy that an episode is over, and lets go of its memory."""
+        """Tells the policy that an episode is over, and releases its memory."""
         episode = session.episode
         if session.executed >= TELLING_ACTIONS and not session.opened:
             self._warn_of_gripper(session)
@@ -217,7 +217,7 @@ class PolicyService(pb_grpc.PolicyServicer):
         )
 
     def _answer(self, results: list) -> list:
-        """The same with answers in place of observations."""
+        """Returns the results with observations replaced by answers."""
         results = list(results)
         asked = []
         for at, observation in enumerate(results):
@@ -233,7 +233,7 @@ class PolicyService(pb_grpc.PolicyServicer):
         return results
 
     def _known(self, observation: Observation) -> pb.InferResponse | QueryError | None:
-        """The answer to a query that needs no policy, now that it is its turn."""
+        """Returns the answer to a query that needs no policy, checked again when its turn comes."""
         name, query = observation.episode.session, observation.query_index
         where = f"session {name!r}, query {query}"
         session = self._sessions.get(name)
@@ -251,7 +251,7 @@ class PolicyService(pb_grpc.PolicyServicer):
         return None
 
     def _infer(self, observations: Sequence[Observation]) -> list:
-        """The policy's answers, or what it raised, in their order."""
+        """Returns the policy's answers, or its errors, in the order of the observations."""
         if len(observations) > 1:
             try:
                 answers = list(self._policy.infer_batch(observations))
@@ -262,14 +262,14 @@ class PolicyService(pb_grpc.PolicyServicer):
                 return answers
             except Exception as error:
                 log.exception("infer_batch of %d queries failed", len(observations))
-                # The memories of a stateful policy may have moved on already.
+                # The memories of a stateful policy may have advanced already.
                 if self._description.stateful or is_broken(error):
                     return [error] * len(observations)
         answers = []
         for observation in observations:
             answers.append(self._infer_one(observation))
             if isinstance(answers[-1], Exception) and is_broken(answers[-1]):
-                # The others would fail likewise, each after its own time.
+                # The other queries would fail in the same way, each after some time.
                 return answers + [answers[-1]] * (len(observations) - len(answers))
         return answers
 
@@ -313,6 +313,6 @@ def _not_open(where: str) -> QueryError:
 
 
 def one_line(error: BaseException) -> str:
-    """Type and message, short enough for a status."""
+    """Returns an error's type and message, shortened for a status."""
     text = f"{type(error).__name__}: {error}"
     return " ".join(text.split())[:500]

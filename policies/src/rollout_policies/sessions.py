@@ -1,5 +1,5 @@
-"""The episodes under way: a bounded table, which forgets those that nobody
-ended. What happens to a forgotten one is the caller's affair."""
+"""The open episodes: a bounded table, which forgets episodes that nobody ended.
+The caller handles the forgotten ones."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from .episode import Episode
 from .proto import policy_pb2 as pb
 
-#: Episodes remembered; the one idle for longest is forgotten first.
+#: Number of episodes kept; the one idle for longest is forgotten first.
 MAX_SESSIONS = 1024
-#: An episode without a call for so long is over, if nobody said so before.
+#: Idle time after which an episode counts as over, if nobody ended it before.
 IDLE_SECS = 900.0
 
 
@@ -24,17 +24,17 @@ class Session:
 
     episode: Episode
     next_query: int = 0
-    #: The last query and its answer. One attribute, because threads that look
-    #: for a retry's answer read it while another writes.
+    #: The last query and its answer, in one attribute because threads that handle a retry read it
+    #: while another thread writes it.
     last: tuple[int, pb.InferResponse] | None = None
-    #: Actions answered that are executed, and whether one opened the gripper.
+    #: Number of answered actions that are executed, and whether one opened the gripper.
     executed: int = 0
     opened: bool = False
     used_at: float = 0.0
 
 
     def answered(self, query_index: int) -> pb.InferResponse | None:
-        """The answer to a query, if it was the last one."""
+        """Returns the answer to a query, if it was the last query."""
         last = self.last
         return last[1] if last is not None and last[0] == query_index else None
 
@@ -52,14 +52,14 @@ class SessionTable:
         self._idle_secs = idle_secs
         self._clock = clock
         self._lock = threading.Lock()
-        # The one idle for longest comes first.
+        # Ordered by last use: the session idle for longest is first.
         self._sessions: OrderedDict[str, Session] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._sessions)
 
     def open(self, session: Session) -> list[Session]:
-        """Adds a session; returns those that had to go for it."""
+        """Adds a session and returns those that were removed to make room."""
         with self._lock:
             session.used_at = self._clock()
             self._sessions[session.episode.session] = session
@@ -68,7 +68,7 @@ class SessionTable:
             return [self._sessions.popitem(last=False)[1] for _ in range(over)]
 
     def get(self, name: str) -> Session | None:
-        """A session that is open, which is not idle now."""
+        """Returns an open session and resets its idle time."""
         with self._lock:
             session = self._sessions.get(name)
             if session is not None:
@@ -77,12 +77,12 @@ class SessionTable:
             return session
 
     def close(self, name: str) -> Session | None:
-        """Takes a session out, if it is open."""
+        """Removes and returns a session, if it is open."""
         with self._lock:
             return self._sessions.pop(name, None)
 
     def close_idle(self) -> list[Session]:
-        """Takes out the sessions that nothing was heard of for too long."""
+        """Removes and returns the sessions that have been idle for too long."""
         gone = []
         with self._lock:
             latest = self._clock() - self._idle_secs

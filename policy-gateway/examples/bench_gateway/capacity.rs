@@ -1,5 +1,4 @@
-//! Observations per second that come through when every slot asks again as soon
-//! as it is answered.
+//! Observations per second if every slot sends its next query as soon as the last one is answered.
 
 use std::time::{Duration, Instant};
 
@@ -15,7 +14,7 @@ use crate::{
     simulated,
 };
 
-/// Answers that come before this are not counted: queues fill meanwhile.
+/// Answers within this time are not counted, since queues are still filling.
 const WARM_UP: Duration = Duration::from_secs(2);
 
 #[derive(Args)]
@@ -34,8 +33,8 @@ pub(crate) struct Slots {
     secs: u64,
 }
 
-/// A gateway before a simulated server, and the share of that one's capacity
-/// that its slots get.
+/// Measures a gateway in front of a simulated server, and the share of that server's capacity that
+/// the slots get.
 pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     let options = simulated::Options {
         batch_millis: measure.batch_millis,
@@ -60,7 +59,7 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     Ok(report)
 }
 
-/// Puts the slots on a server; fails if one of their queries does.
+/// Runs the slots against a server; fails if one of their queries fails.
 pub(crate) async fn ask(slots: &Slots) -> Result<Value> {
     let began = Instant::now() + WARM_UP;
     let ends = began + Duration::from_secs(slots.secs);
@@ -76,7 +75,7 @@ pub(crate) async fn ask(slots: &Slots) -> Result<Value> {
     let mut seconds = vec![0.0; slots.secs as usize];
     for (at, _) in &answers {
         let second = (*at - began).as_secs() as usize;
-        // The queries under way at the end are answered after it.
+        // Queries in progress at the end are answered after it.
         if let Some(second) = seconds.get_mut(second) {
             *second += 1.0;
         }

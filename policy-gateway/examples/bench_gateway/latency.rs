@@ -1,6 +1,6 @@
-//! Latency that the gateway adds to a query: the same open loop of queries at a
-//! fixed rate, directly and through the gateway in turn. The server answers at
-//! once and takes no batches, so that nothing waits on purpose.
+//! Latency that the gateway adds to a query: the same open loop of queries at a fixed rate,
+//! alternately direct and through the gateway. The server answers at once and takes no batches, so
+//! that no query waits deliberately.
 
 use std::{
     thread,
@@ -18,7 +18,7 @@ use crate::{
     simulated,
 };
 
-/// Slots that take turns. Each asks again long after its last answer.
+/// Number of slots that take turns; each sends its next query long after its last answer.
 const SLOTS: u32 = 64;
 
 pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
@@ -34,7 +34,7 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     let secs = Duration::from_secs(measure.secs);
     let mut first_query = 0;
     let mut rounds = Vec::new();
-    // The first round makes connections and memory warm and is not counted.
+    // The first round warms up connections and memory, and is not counted.
     for _ in 0..=measure.rounds {
         let queries = first_query..first_query + measure.rate * measure.secs as u32;
         first_query = queries.end;
@@ -64,8 +64,8 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     }))
 }
 
-/// Asks at a fixed rate, whether earlier queries are answered or not: latencies
-/// from the moment at which each was due.
+/// Sends queries at a fixed rate, even if earlier ones are not answered yet. Returns latencies
+/// since the scheduled time of each query.
 async fn open_loop(
     slots: &[Slot],
     rate: u32,
@@ -74,7 +74,7 @@ async fn open_loop(
 ) -> Result<Vec<Duration>> {
     let queries = rate * span.as_secs() as u32;
     let (due, mut dues) = mpsc::unbounded_channel();
-    // A thread of its own: the runtime's timer counts whole milliseconds.
+    // A separate thread, since the runtime's timer has a resolution of a millisecond.
     let ticker = thread::spawn(move || {
         let began = Instant::now();
         for number in 0..queries {

@@ -1,5 +1,5 @@
-//! Simulated slots: one connection each, as workers have, and one session that
-//! asks about a made-up observation again and again.
+//! Simulated slots: each has a connection of its own, like a worker, and one session that sends the
+//! same made-up observation repeatedly.
 
 use std::time::Duration;
 
@@ -26,8 +26,7 @@ pub(crate) struct Slot {
 }
 
 impl Slot {
-    /// Connects to `host:port`, asks what the policy wants to see and opens a
-    /// session.
+    /// Connects to `host:port`, requests the policy's description and opens a session.
     pub(crate) async fn open(address: &str, policy: &str, number: u32) -> Result<Self> {
         let channel = Endpoint::from_shared(format!("http://{address}"))?
             .tcp_nodelay(true)
@@ -74,7 +73,7 @@ impl Slot {
         Ok(open)
     }
 
-    /// Another session of the same connection.
+    /// Opens another session on the same connection.
     pub(crate) async fn sibling(&self, number: u32) -> Result<Self> {
         let mut sibling = self.clone();
         sibling.query.session = format!("sibling {number} of {}", std::process::id());
@@ -88,7 +87,7 @@ impl Slot {
         Ok(sibling)
     }
 
-    /// Asks one query.
+    /// Sends one query.
     pub(crate) async fn ask(&self, query_index: u32) -> Result<(), Status> {
         let query = InferRequest {
             query_index,
@@ -107,7 +106,7 @@ pub(crate) fn percentiles(latencies: &[Duration]) -> Value {
     })
 }
 
-/// The latency that a share of them does not exceed, ms.
+/// Returns the latency that a share of the queries does not exceed, ms.
 pub(crate) fn percentile_millis(latencies: &[Duration], share: f64) -> f64 {
     let mut sorted = latencies.to_vec();
     sorted.sort_unstable();
@@ -117,7 +116,7 @@ pub(crate) fn percentile_millis(latencies: &[Duration], share: f64) -> f64 {
         .map_or(f64::NAN, |latency| latency.as_secs_f64() * 1e3)
 }
 
-/// Least, median and most of several measurements.
+/// Returns minimum, median and maximum of several measurements.
 pub(crate) fn spread(values: &[f64]) -> Value {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -1,5 +1,5 @@
-//! Memory use of the gateway while more queries wait than it accepts, in front
-//! of a server that answers none.
+//! Memory use of the gateway in front of a server that never answers, with more waiting queries
+//! than the gateway accepts.
 
 use std::time::Duration;
 
@@ -10,9 +10,9 @@ use tonic::Code;
 
 use crate::{Measure, load::Slot, programs::Running, simulated};
 
-/// Connections over which the queries come.
+/// Number of connections over which the queries are sent.
 const CONNECTIONS: u32 = 64;
-/// The load is complete when for this long no query is refused and memory does not grow.
+/// The load is complete once no query is refused and memory does not grow for this long.
 const QUIET: Duration = Duration::from_secs(2);
 
 pub(crate) async fn measure(measure: &Measure) -> Result<Value> {

@@ -1,5 +1,5 @@
-//! The processes of a measurement: they listen on free ports, say where, and
-//! end with the measurement.
+//! Processes of a measurement: they listen on free ports, print their addresses, and are killed
+//! with the measurement.
 
 use std::{path::PathBuf, process::Stdio};
 
@@ -36,7 +36,7 @@ impl Running {
         })
     }
 
-    /// This program again, as a simulated server.
+    /// Starts this program as a simulated server.
     pub(crate) async fn simulated(options: &simulated::Options) -> Result<Self> {
         let mut command = Command::new(std::env::current_exe()?);
         command.arg("serve-simulated");
@@ -48,7 +48,7 @@ impl Running {
         Self::start(command).await
     }
 
-    /// The gateway that was built with this program, in front of `server`.
+    /// Starts the gateway that was built with this program, in front of `server`.
     pub(crate) async fn gateway(server: &Self) -> Result<Self> {
         let mut command = Command::new(gateway_program()?);
         command.args(["--listen", "127.0.0.1:0", "--route"]);
@@ -57,8 +57,8 @@ impl Running {
         Self::start(command).await
     }
 
-    /// A size that the kernel keeps of the process, MiB: `VmRSS` now, `VmHWM`
-    /// at most.
+    /// Returns a memory size of the process from `/proc`, MiB: `VmRSS`, the current one, or
+    /// `VmHWM`, the peak.
     pub(crate) fn memory_mib(&self, size: &str) -> Result<f64> {
         let pid = self.child.id().context("it still runs")?;
         let path = format!("/proc/{pid}/status");
@@ -72,8 +72,8 @@ impl Running {
     }
 }
 
-/// Examples are built into a folder beside the programs; somebody may have put
-/// them together.
+/// Returns the path of the gateway: in the parent folder, since examples are built in a subfolder,
+/// or in this program's own folder.
 fn gateway_program() -> Result<PathBuf> {
     let this = std::env::current_exe()?;
     let mut folders = this.ancestors().skip(1).take(2);

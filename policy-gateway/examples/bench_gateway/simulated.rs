@@ -1,5 +1,5 @@
-//! A policy server without a policy: it takes a fixed time per batch, as an
-//! accelerator does, and answers zeros; or it never answers.
+//! A policy server without a policy: it takes a fixed time per batch, like an accelerator, and
+//! answers zeros; or it never answers.
 
 use std::{
     net::SocketAddr,
@@ -24,7 +24,7 @@ use tonic::{
 
 /// The cameras of LIBERO-CTRL, at its resolution.
 const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
-/// Pixels of a frame's side.
+/// Side of a frame, pixels.
 const SIDE: u32 = 256;
 
 #[derive(Args)]
@@ -45,7 +45,7 @@ pub(crate) fn observation_bytes() -> u32 {
     CAMERAS.len() as u32 * SIDE * SIDE * 3
 }
 
-/// Serves on a free port, which the line printed names, until it is killed.
+/// Serves on a free port until it is killed; the printed line has the address.
 pub(crate) async fn serve(options: Options) -> Result<()> {
     let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0))).await?;
     println!("listening on {}", listener.local_addr()?);
@@ -66,14 +66,14 @@ pub(crate) async fn serve(options: Options) -> Result<()> {
 
 struct Simulated {
     options: Options,
-    /// Time at which the last batch accepted will be done.
+    /// End of the last accepted batch.
     busy_until: Mutex<Instant>,
 }
 
 impl Simulated {
-    /// Takes its turn. A batch that came while another was computed begins at
-    /// that one's end, however late the timer is: batches are not computed by
-    /// the thread that takes them in.
+    /// Waits for the turn of a batch and its computation. A batch that arrives during another one
+    /// starts at that one's end, even if the timer is late, since a real server does not compute
+    /// batches on the thread that receives them.
     async fn compute(&self) {
         if self.options.stalled {
             std::future::pending::<()>().await;

@@ -22,7 +22,7 @@ pub struct Array {
     pub numbers: Vec<f32>,
 }
 
-/// Reason why a value is not an array of numbers. Reads after "its actions".
+/// Reason why a value is not an array of numbers. Messages begin with "its actions".
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ArrayError {
     /// The value is not an array.

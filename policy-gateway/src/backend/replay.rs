@@ -2,8 +2,8 @@
 //! episode gets the recorded actions. For any other, the error names the first difference. It
 //! needs neither computation nor a server.
 //!
-//! An episode is identified by suite, instruction and seed. Of several recordings of an episode,
-//! the one with the query's observation answers.
+//! An episode is identified by suite, instruction and seed. If there are several recordings of an
+//! episode, the one with the query's observation is used.
 
 use std::{
     fmt,

@@ -1,5 +1,5 @@
-//! Latency of a policy server under load, in control steps: what a campaign's execution model
-//! draws delays from.
+//! Latency of a policy server under load, in control steps. A campaign's execution model draws its
+//! delays from this distribution.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -11,35 +11,35 @@ use super::probe::Probe;
 use super::target::ConformanceError;
 use super::{CONCURRENCY, Target};
 
-/// Rounds of episodes side by side.
+/// Number of rounds of concurrent episodes.
 const ROUNDS: u32 = 20;
 
-/// Latencies of a server while several rollouts ask it at once; also the content of a file that
-/// `coordinator campaign create --execution overlap:@FILE` reads.
+/// Latencies of a server that is queried by several rollouts at once. Also the content of the file
+/// that `coordinator campaign create --execution overlap:@FILE` reads.
 #[derive(Clone, Debug, Serialize)]
 pub struct Latency {
     /// Address of the server.
     pub server: String,
-    /// Name that the policy gives itself.
+    /// The policy's own name.
     pub policy: String,
-    /// Its checkpoint.
+    /// Checkpoint of the policy.
     pub checkpoint: String,
-    /// Rollouts that ask at once.
+    /// Number of concurrent rollouts.
     pub at_once: u32,
-    /// Answers that were measured.
+    /// Number of measured answers.
     pub answers: usize,
-    /// Half of them came within this time, milliseconds.
+    /// Median of the answers' times, milliseconds.
     pub median_ms: f64,
-    /// Of 100 answers 95 did.
+    /// 95th percentile of the answers' times, milliseconds.
     pub p95_ms: f64,
-    /// All of them did.
+    /// Longest time of an answer, milliseconds.
     pub slowest_ms: f64,
-    /// Control steps per second that delays are counted in.
+    /// Control steps per second, the unit of delays.
     pub control_hz: u32,
-    /// Answers by their delay in control steps, rounded up: an answer takes effect with the
+    /// Number of answers by delay in control steps, rounded up: an answer takes effect in the first
     /// step after it.
     pub delay_steps: BTreeMap<u16, u64>,
-    /// True if the server goes on from what is executed meanwhile.
+    /// True if the server uses the commands executed meanwhile.
     pub real_time_chunking: bool,
 }
 
@@ -69,7 +69,7 @@ pub async fn measure(target: &Target) -> Result<Latency, ConformanceError> {
 }
 
 impl Latency {
-    /// The figures of some latencies, at least one, of a server without a name.
+    /// Computes the figures of at least one latency, without the names.
     fn of(mut latencies: Vec<Duration>) -> Self {
         latencies.sort();
         let within = |hundredths: usize| {
@@ -96,15 +96,15 @@ impl Latency {
         }
     }
 
-    /// Returns the delays that a campaign draws from these.
+    /// Returns the distribution of delays for a campaign.
     ///
-    /// # Errors
-    /// If one is longer than a campaign takes, or too many are different.
+    /// Errors
+    /// If a delay is longer than a campaign accepts, or there are too many distinct delays.
     pub fn delays(&self) -> Result<Delays, LatencyFileError> {
         Delays::measured(self.delay_steps.clone())
     }
 
-    /// Says the latency in a sentence, and whether the server heeds real-time chunking.
+    /// Describes the latency in a sentence, and whether the server uses real-time chunking.
     pub fn in_words(&self) -> String {
         let step = |milliseconds: f64| steps(Duration::from_secs_f64(milliseconds / 1000.0));
         let steps =
@@ -128,10 +128,10 @@ impl Latency {
     }
 }
 
-/// Control steps until an answer takes effect.
+/// Returns the number of control steps until an answer takes effect.
 fn steps(latency: Duration) -> u16 {
     let steps = (latency.as_secs_f64() * f64::from(CONTROL_HZ)).ceil();
-    // A cast stops at the end of its range, almost an hour away.
+    // A cast from float to integer saturates, at almost an hour.
     steps as u16
 }
 

@@ -34,7 +34,7 @@ pub enum Part {
     FingersShare,
     /// Distance between the fingers, m (1).
     Opening,
-    /// That many zeros.
+    /// The given number of zeros.
     Zeros(usize),
 }
 

@@ -15,7 +15,7 @@ use crate::conformance::verdict::Verdict;
 /// Indentation of a finding's continuation lines, columns.
 const INDENT: usize = 6;
 
-/// Queried server, by its description.
+/// A queried server, as it describes itself.
 #[derive(Clone, Debug, Serialize)]
 pub struct Asked {
     url: String,

@@ -408,7 +408,7 @@ impl fmt::Display for Replica {
     }
 }
 
-/// Whether an error says nothing of the server.
+/// Returns true if an error is no evidence about the server's health.
 fn says_nothing(error: &BackendError) -> bool {
     matches!(
         error,

@@ -1,6 +1,5 @@
-//! Policy servers over TLS and with tokens: the right papers let the gateway in,
-//! wrong ones are named with what to do about them, and none is ever logged. The
-//! server is the program itself.
+//! Policy servers with TLS and tokens: the right credentials let the gateway in, wrong ones are
+//! reported with a remedy, and none is ever logged. The server is the real program.
 
 use std::{
     io::{BufRead, BufReader, Read},
@@ -51,8 +50,7 @@ impl Papers {
         std::fs::set_permissions(self.path(name), private).expect("set");
     }
 
-    /// A server of these papers, whose certificate is valid until the end of a
-    /// year.
+    /// Starts a server with these credentials, whose certificate is valid until the end of a year.
     fn serve(&self, until_year: i32) -> Server {
         let mut params = CertificateParams::new(["localhost".to_owned()]).expect("a name");
         params.not_after = date_time_ymd(until_year, 12, 31);
@@ -81,7 +79,7 @@ struct Server {
 }
 
 impl Server {
-    /// Ends it, and hands over its log.
+    /// Stops the server and returns its log.
     fn log(mut self) -> String {
         self.child.kill().expect("it runs");
         self.child.wait().expect("it ends");
@@ -92,7 +90,7 @@ impl Server {
     }
 }
 
-/// One query through a gateway that has these papers for the server.
+/// Sends one query through a gateway that has these credentials for the server.
 async fn ask(server: &Server, ca: &Path, token_file: &Path) -> Result<(), Status> {
     ask_over("https", server, ca, token_file).await
 }
@@ -156,7 +154,7 @@ async fn an_expired_certificate_is_named() {
     drop(server.log());
 }
 
-/// The server is none of openpi's or vla-eval's: what is looked at is how far one
+/// The server speaks neither openpi's nor vla-eval's protocol; the test checks how far a connection
 /// gets.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn over_websocket_too_only_a_server_of_the_given_authority_is_trusted() {

@@ -1,5 +1,5 @@
-//! Treatment of a policy's answers: kept for retries, and refused when they are
-//! no actions. The servers here are deliberately wrong ones.
+//! A policy's answers: they are kept for retries, and refused if they are not actions. The servers
+//! here are faulty on purpose.
 
 use std::sync::{
     Arc,
@@ -87,7 +87,7 @@ async fn a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again() {
     );
     assert_eq!(asked.load(Ordering::SeqCst), 3);
 
-    // A session that is started anew has answered nothing yet.
+    // A restarted session has no answers yet.
     gateway
         .client()
         .await

@@ -1,5 +1,5 @@
-//! Queries that go to a server together. The server here is simulated: its
-//! batches take a fixed time, one after the other.
+//! Queries that are sent to a server as a batch. The server is simulated: its batches take a fixed
+//! time each, one after the other.
 
 use std::{
     sync::{
@@ -83,8 +83,8 @@ impl Policy for FixedSpeed {
     }
 }
 
-/// Plays 12 sessions of 3 queries at once; returns the largest batch, and what
-/// results say of how the policy was asked.
+/// Plays 12 concurrent sessions of 3 queries; returns the largest batch, and the batch mode that
+/// results record.
 async fn play(batching: Batching) -> (usize, String) {
     let largest = Arc::new(AtomicUsize::new(0));
     let server = serve(FixedSpeed {

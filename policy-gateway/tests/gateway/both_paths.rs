@@ -1,5 +1,4 @@
-//! A worker judges a policy server alike, whether it asks the server itself or a
-//! gateway before it.
+//! A worker judges a policy server in the same way, directly and through a gateway.
 
 use std::{
     cell::{Cell, RefCell},
@@ -52,7 +51,7 @@ fn answers() -> impl Strategy<Value = InferResponse> {
     (numbers, width).prop_map(|(numbers, width)| chunk(&numbers, width))
 }
 
-/// One of the values, mostly the first.
+/// Draws one of the values, mostly the first.
 fn mostly<T: Clone + std::fmt::Debug + 'static>(values: &[T]) -> impl Strategy<Value = T> + use<T> {
     prop_oneof![6 => Just(values[0].clone()), 1 => select(values.to_vec())]
 }
@@ -93,7 +92,7 @@ fn descriptions() -> impl Strategy<Value = DescribeResponse> {
         )
 }
 
-/// Fails if only one of two verdicts is a refusal, or one does not name the fault.
+/// Fails if only one of two verdicts is a refusal, or if a refusal does not name the fault.
 fn alike<T: PartialEq + std::fmt::Debug, E: std::fmt::Display>(
     direct: Result<T, E>,
     through: Result<T, E>,
@@ -116,9 +115,9 @@ fn alike<T: PartialEq + std::fmt::Debug, E: std::fmt::Display>(
     Ok(())
 }
 
-/// Defect: the gateway refused numbers beyond 1,000, which the worker clipped
-/// where a campaign's endpoint was the policy server itself, and so counted a broken
-/// network's failures as the task's.
+/// Regression: the gateway refused numbers beyond 1,000, which the worker clipped if the campaign's
+/// endpoint was the policy server itself, so that failures of a broken network were counted as the
+/// task's.
 #[test]
 fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
     let runtime = Runtime::new().expect("a runtime");
@@ -176,7 +175,7 @@ fn a_worker_judges_descriptions_alike_with_and_without_a_gateway() {
     let judged = TestRunner::default().run(&descriptions(), |about| {
         let fault = policy_protocol::description(&about).err();
         *said.lock().expect("no panic") = about;
-        // Forgets the description before, with which the policy would have to agree.
+        // Drops the previous description, which the policy would otherwise have to match.
         handle.reload(&config).expect("the same route");
         let [direct, through] = workers
             .borrow_mut()
@@ -189,7 +188,7 @@ fn a_worker_judges_descriptions_alike_with_and_without_a_gateway() {
             let kind = FailureKind::from(error);
             prop_assert_eq!(kind, FailureKind::PolicyUnavailable, "{}", error);
         }
-        // Only a gateway says how it asks.
+        // Only a gateway reports a batch mode.
         let through = through.map(|mut description| {
             description.about.batch_mode.clear();
             description

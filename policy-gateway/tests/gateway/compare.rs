@@ -1,5 +1,5 @@
-//! `compare` names the mistake that is planted in one of two servers, and accuses
-//! none that answer alike.
+//! `compare` names a mistake planted in one of two servers, and reports nothing for servers that
+//! answer alike.
 
 use libero_ctrl::Suite;
 use policy_gateway::referee::{
@@ -32,8 +32,7 @@ fn url(server: &Running) -> String {
     format!("grpc://{}", server.address)
 }
 
-/// Compares two policies, in either order; returns what is found with the second one
-/// as B.
+/// Compares two policies in either order; returns the comparison with the second one as B.
 async fn both_ways(one: Planted, other: Planted, expected: &[Kind]) -> Comparison {
     let (one, other) = (serve(one).await, serve(other).await);
     let found = compared(&url(&one), &url(&other)).await;
@@ -45,14 +44,14 @@ async fn both_ways(one: Planted, other: Planted, expected: &[Kind]) -> Compariso
     found
 }
 
-/// Holds that a mistake is named, with these words, and nothing else is.
+/// Asserts that a mistake is named with these words, and that nothing else is reported.
 async fn names(mistaken: Planted, kind: Kind, words: &str) {
     let found = both_ways(Planted::sound(), mistaken, &[kind]).await;
     let text = &found.differences[0].text;
     assert!(text.contains(words), "{words:?} in {text}");
 }
 
-/// Changes the axis-angle of position, axis-angle and fingers.
+/// Returns a policy that changes the axis-angle in its state of position, axis-angle and fingers.
 fn rotation(change: impl Fn([f64; 3]) -> [f64; 3] + Send + Sync + 'static) -> Planted {
     Planted::sound().preparing(move |seen: &mut Seen| {
         let own = [seen.state[3], seen.state[4], seen.state[5]];
@@ -60,7 +59,7 @@ fn rotation(change: impl Fn([f64; 3]) -> [f64; 3] + Send + Sync + 'static) -> Pl
     })
 }
 
-/// Changes every action.
+/// Returns a policy that changes every action.
 fn acting(change: impl Fn(&mut Action) + Send + Sync + 'static) -> Planted {
     Planted::sound().finishing(move |actions| actions.iter_mut().for_each(&change))
 }
@@ -255,7 +254,7 @@ async fn what_descriptions_say_otherwise_is_said_and_no_mistake_by_itself() {
         StateField::EefQuatXyzw,
         StateField::GripperPos,
     ];
-    // Makes of the quaternion what the other one asks for.
+    // Converts the quaternion to the axis-angle that the other policy requests.
     let converting = Planted::sound().with_state(&pose).preparing(|seen| {
         let quaternion: [f64; 4] = seen.state[3..7].try_into().expect("four numbers");
         seen.state.splice(3..7, pose::axis_angle(quaternion));
@@ -274,7 +273,7 @@ async fn servers_that_answer_alike_are_not_accused() {
             unseeded.described.unseeded = true;
             unseeded.preparing(|seen| seen.seed = seen.asked_before)
         },
-        // Kernels for batches move low-order bits.
+        // Batch kernels change low-order bits.
         || {
             Planted::sound().preparing(|seen| {
                 let moved = 1e-5 * hash(&[9, seen.asked_before]);

@@ -1,5 +1,5 @@
-//! The conformance check passes servers that keep the protocol, and fails
-//! others for the right reason and no other.
+//! The conformance check passes servers that keep to the protocol, and fails other servers on
+//! exactly the points that they violate.
 
 use policy_gateway::conformance::{
     self,
@@ -15,7 +15,7 @@ use tonic::Status;
 
 use crate::support::{Query, Running, Scripted, chunk, description, gateway, serve};
 
-/// The points that fail.
+/// Returns the points on which a server fails.
 async fn failures(server: &Running, policy: &str) -> Vec<Point> {
     let target = Target {
         url: format!("grpc://{}", server.address),
@@ -35,19 +35,19 @@ async fn failures(server: &Running, policy: &str) -> Vec<Point> {
     failed
 }
 
-/// Holds that a scripted policy fails on these points.
+/// Asserts that a scripted policy fails on exactly these points.
 async fn check<F>(described: DescribeResponse, answer: F, expected: &[Point])
 where
     F: Fn(Query) -> Result<InferResponse, Status> + Send + Sync + 'static,
 {
     let server = serve(Scripted::new(described, answer)).await;
     let mut found = failures(&server, "").await;
-    // A scripted policy looks at no version.
+    // A scripted policy does not check versions.
     assert_eq!(found.remove(0), Version);
     assert_eq!(found, expected);
 }
 
-/// Answers as a well-behaved policy does: a function of seed and query alone.
+/// Answers like a well-behaved policy: a function of seed and query alone.
 fn proper(query: &Query) -> Result<InferResponse, Status> {
     let seed = query
         .seed

@@ -1,5 +1,5 @@
-//! More sessions than a server answers at once. The server here is simulated, and
-//! slow: it computes one query after the other, and each takes a fixed time.
+//! More sessions than a server can answer at once. The server is simulated and slow: it computes
+//! one query after the other, each in a fixed time.
 
 use std::{
     sync::{
@@ -29,13 +29,13 @@ struct SlowServer {
     max_batch: u32,
     computing: Arc<Mutex<()>>,
     gate: Arc<Semaphore>,
-    /// Queries that it has begun to compute.
+    /// Queries whose computation has begun.
     begun: Arc<AtomicUsize>,
-    /// Calls that have come and whose callers have not gone.
+    /// Calls that have arrived and whose callers still wait.
     awaited: Arc<AtomicUsize>,
 }
 
-/// A call that its caller waits for.
+/// Counts a call while its caller waits.
 struct Awaited(Arc<AtomicUsize>);
 
 impl Drop for Awaited {
@@ -56,8 +56,8 @@ impl SlowServer {
         }
     }
 
-    /// Computes so many queries when it is their turn, unless the caller has gone. What
-    /// has begun goes on.
+    /// Computes this number of queries in turn, unless the caller has gone by then. A computation
+    /// that has begun runs to its end.
     async fn compute(&self, queries: usize) {
         self.awaited.fetch_add(1, Ordering::SeqCst);
         let _awaited = Awaited(Arc::clone(&self.awaited));
@@ -113,7 +113,7 @@ impl Policy for SlowServer {
     }
 }
 
-/// A gateway before a server, from which an answer may take so long.
+/// Starts a gateway in front of a server, with this time limit for an answer.
 async fn before(server: &Running, answer_within: Duration) -> Running {
     let route = format!("slow=grpc://{}", server.address);
     let spec = RouteSpec {
@@ -123,7 +123,7 @@ async fn before(server: &Running, answer_within: Duration) -> Running {
     reloadable(vec![spec]).await.0
 }
 
-/// Asks so many queries of an open session.
+/// Sends this number of queries in an open session.
 async fn ask(
     client: &mut PolicyClient<Channel>,
     session: &str,
@@ -142,9 +142,9 @@ fn end(session: &str) -> EndRequest {
     }
 }
 
-/// Defect: the time that a query waited for its turn counted toward its answer's, one
-/// time-out was taken for a silent server, and all sessions were given up at once. The
-/// numbers are those of 128 slots at 0.4 s a query, all of them a 25th.
+/// Regression: the time that a query waited for its turn counted toward the time limit of its
+/// answer, one time-out was taken for a silent server, and all sessions were given up. The times
+/// are a 25th of those of 128 slots with 0.4 s per query.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_crowd_of_slots_at_a_slow_server_runs_to_its_end() {
     let server = serve(SlowServer::new(Duration::from_millis(16))).await;
@@ -168,7 +168,7 @@ async fn a_crowd_of_slots_at_a_slow_server_runs_to_its_end() {
     }
 }
 
-/// Waits until a count is as expected.
+/// Waits until a count has the expected value.
 async fn until(count: &AtomicUsize, expected: usize) {
     while count.load(Ordering::SeqCst) != expected {
         tokio::time::sleep(Duration::from_millis(1)).await;
@@ -177,7 +177,7 @@ async fn until(count: &AtomicUsize, expected: usize) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_query_whose_caller_has_gone_is_never_computed() {
-    // Of eight queries all wait at the server, or two batches; the others here.
+    // Of eight queries, all or only two batches are at the server; the others wait in the gateway.
     for (max_batch, calls) in [(1, 8), (2, 2)] {
         let policy = SlowServer {
             max_batch,
@@ -201,13 +201,13 @@ async fn a_query_whose_caller_has_gone_is_never_computed() {
         }
         until(&awaited, calls).await;
         asking.shutdown().await;
-        // Comes after the others' ends, on the same connection.
+        // Arrives after the ends of the other calls, on the same connection.
         client
             .reset(reset("slow", "last"))
             .await
             .expect("an episode");
-        // The gateway ends the streams of one connection in tasks of their own: for a moment
-        // after the reset, a caller that has gone may still be in its queue.
+        // The gateway ends the streams of a connection in separate tasks, so that a caller that
+        // gave up may still be in the server's queue for a moment after the Reset.
         let mut quiet = 0;
         while quiet < 50 {
             until(&awaited, 0).await;
@@ -229,11 +229,11 @@ async fn a_query_whose_caller_has_gone_is_never_computed() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn sessions_beyond_what_is_answered_in_time_wait_for_another_to_end() {
-    // At this pace four have their answers in time.
+    // At this speed, four sessions get their answers in time.
     let server = serve(SlowServer::new(Duration::from_millis(250))).await;
     let gateway = before(&server, Duration::from_secs(1)).await;
     let mut client = gateway.client().await;
-    // Its pace is known from then on.
+    // From these answers, the gateway learns the server's speed.
     client
         .reset(reset("slow", "first"))
         .await
@@ -247,7 +247,7 @@ async fn sessions_beyond_what_is_answered_in_time_wait_for_another_to_end() {
             .await
             .expect("a place");
     }
-    // One that is open has its place.
+    // An open session keeps its place.
     client
         .reset(reset("slow", "slot 0"))
         .await

@@ -1,4 +1,4 @@
-//! `doctor` finds the mistake that is planted in a server, and nothing in others.
+//! `doctor` finds a mistake planted in a server, and reports nothing for other servers.
 
 use std::time::Duration;
 
@@ -40,7 +40,7 @@ async fn examined(url: &str, measures: Measures) -> Vec<Finding> {
     findings
 }
 
-/// The points on which a policy fails, with what is said.
+/// Returns the points on which a policy fails, with their messages.
 async fn failures(policy: Planted, measures: Measures) -> Vec<(Point, String)> {
     let server = serve(policy).await;
     let findings = examined(&format!("grpc://{}", server.address), measures).await;
@@ -51,8 +51,7 @@ async fn failures(policy: Planted, measures: Measures) -> Vec<(Point, String)> {
     failed.collect()
 }
 
-/// Holds that a planted mistake is found at these points and no other, the first with
-/// these words.
+/// Asserts that a planted mistake is found on exactly these points, the first with these words.
 async fn finds(policy: Planted, expected: &[Point], words: &str) {
     let failed = failures(policy, MEASURES).await;
     let points: Vec<Point> = failed.iter().map(|(point, _)| *point).collect();

@@ -1,4 +1,4 @@
-//! `compare` and `doctor` as programs: what they print, and how they end.
+//! `compare` and `doctor` as programs: their output and their exit codes.
 
 use std::collections::BTreeSet;
 
@@ -21,7 +21,7 @@ struct Ended {
     complained: String,
 }
 
-/// Runs a command to its end, beside the servers of this test.
+/// Runs a command to its end while the servers of this test run.
 async fn ended(arguments: &[&str]) -> Ended {
     let mut command = program(arguments);
     let output = tokio::task::spawn_blocking(move || command.output());
@@ -123,7 +123,7 @@ async fn url_of_nobody() -> String {
     format!("grpc://{}", crate::support::unused_address().await)
 }
 
-/// The keys that a section of docs/JSON.md documents.
+/// Returns the keys that a section of docs/JSON.md documents.
 fn documented(command: &str) -> BTreeSet<String> {
     let page = include_str!("../../../docs/JSON.md");
     let title = format!("`{command}`");
@@ -175,7 +175,7 @@ async fn json_has_the_keys_that_are_documented() {
     }
 }
 
-/// An episode of two observations with noise in their frames.
+/// Records an episode of two observations with noise in their frames.
 async fn record(folder: &std::path::Path) {
     let server = serve(Planted::sound()).await;
     let route: RouteSpec = format!("x={}", url(&server)).parse().expect("a route");

@@ -1,5 +1,4 @@
-//! The gateway on real sockets: what it promises to workers, whatever answers
-//! behind it.
+//! The gateway on real sockets keeps its promises to workers, even if a policy server misbehaves.
 
 mod access;
 mod answers;

@@ -1,4 +1,4 @@
-//! Back-ends that are down, go down and come back.
+//! Backends that are unavailable, become unavailable, and return.
 
 use std::time::{Duration, Instant};
 
@@ -8,7 +8,7 @@ use tonic::{Code, Status, transport::Channel};
 
 use crate::support::{describe, gateway, gateway_at, infer, reset, unused_address};
 
-/// Asks until an answer comes, for as long as the back-off may take.
+/// Sends queries until one is answered, for as long as the back-off may take.
 async fn until_it_answers(client: &mut PolicyClient<Channel>) -> Result<(), Status> {
     let deadline = Instant::now() + 2 * WAITS.longest;
     loop {
@@ -35,7 +35,7 @@ async fn a_policy_that_is_down_is_unavailable_and_named_until_it_comes_up() {
     for part in ["route pi05", &address.to_string(), "nothing listens there"] {
         assert!(down.message().contains(part), "{part} in {down}");
     }
-    // At once, and without another attempt to connect.
+    // The error is returned at once, without another attempt to connect.
     let backing_off = client
         .describe(describe("pi05"))
         .await
@@ -79,8 +79,8 @@ async fn a_policy_that_restarts_is_found_again() {
     until_it_answers(&mut client)
         .await
         .expect("the policy came back");
-    // It has forgotten the session, but keeps nothing between queries: its
-    // Reset is made again, and the session goes on.
+    // The server has lost the session, but keeps no state between queries: the gateway repeats the
+    // session's Reset, and the session continues.
     let answer = client.infer(infer("", "s", 1)).await.expect("an answer");
     assert_eq!(answer.get_ref().actions, NOOP_ACTION);
 }
@@ -98,7 +98,7 @@ async fn a_caller_that_goes_away_while_it_tries_a_policy_keeps_nobody_from_tryin
         .await
         .expect_err("it stopped");
 
-    // Something that takes connections and never says a word.
+    // A server that accepts connections and never sends anything.
     let mute = tokio::net::TcpListener::bind(address).await.expect("free");
     tokio::time::sleep(WAITS.longest / 10).await;
     let probe = client.reset(reset("", "gone"));

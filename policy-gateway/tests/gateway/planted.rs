@@ -1,6 +1,5 @@
-//! A policy with a pipeline like those of the field, in which a test plants
-//! mistakes: a smooth function of its frames by position, its state, its
-//! instruction and its noise, in chunks of actions.
+//! A policy with a pipeline like that of real policies, in which tests plant mistakes: its chunks
+//! of actions are a smooth function of frames by position, state, instruction and noise.
 
 use std::{
     collections::HashMap,
@@ -17,14 +16,14 @@ use proto::policy::{
 };
 use tonic::{Request, Response, Status};
 
-/// One of its actions.
+/// An action of the policy.
 pub(crate) type Action = [f64; 7];
 
-/// Side of its frames, pixels.
+/// Side of the policy's frames, pixels.
 pub(crate) const SIDE: usize = 128;
-/// Samples along a side of a frame, as a network has patches.
+/// Samples along a side of a frame, similar to a network's patches.
 const PATCHES: usize = 32;
-/// Actions that it computes beyond its horizon, for those that skip some.
+/// Number of actions computed beyond the horizon, for mistakes that skip some.
 const BEYOND: usize = 4;
 
 /// Input of the policy's network.
@@ -33,17 +32,17 @@ pub(crate) struct Seen {
     pub(crate) state: Vec<f64>,
     pub(crate) instruction: String,
     pub(crate) seed: u64,
-    /// How many queries came before, of all sessions.
+    /// Number of earlier queries, over all sessions.
     pub(crate) asked_before: u64,
 }
 
 /// Change to a network's actions.
 type Finish = dyn Fn(&mut Vec<Action>) + Send + Sync;
 
-/// The policy, and what it does before and after its network.
+/// The policy, with its preprocessing and postprocessing.
 pub(crate) struct Planted {
     pub(crate) described: DescribeResponse,
-    /// Size of its noise.
+    /// Standard amplitude of its noise.
     noise: f64,
     prepare: Box<dyn Fn(&mut Seen) + Send + Sync>,
     finish: Box<Finish>,
@@ -52,7 +51,7 @@ pub(crate) struct Planted {
 }
 
 impl Planted {
-    /// One that makes no mistakes: two cameras, eight numbers, chunks of eight.
+    /// Creates a policy without mistakes: two cameras, eight state values, chunks of eight actions.
     pub(crate) fn sound() -> Self {
         let camera = |name: &str| CameraRequest {
             name: name.to_owned(),
@@ -83,26 +82,26 @@ impl Planted {
         }
     }
 
-    /// One that draws noise of this size from the seed.
+    /// Creates a policy that draws noise of this size from the seed.
     pub(crate) fn drawing(noise: f64) -> Self {
         let mut policy = Self::sound();
         policy.described.stochastic = true;
         Self { noise, ..policy }
     }
 
-    /// Asks for another state.
+    /// Requests another state.
     pub(crate) fn with_state(mut self, fields: &[StateField]) -> Self {
         self.described.state = fields.iter().map(|&field| field.into()).collect();
         self
     }
 
-    /// Changes what its network is given.
+    /// Changes the input of the policy's network.
     pub(crate) fn preparing(self, prepare: impl Fn(&mut Seen) + Send + Sync + 'static) -> Self {
         let prepare = Box::new(prepare);
         Self { prepare, ..self }
     }
 
-    /// Changes what its network answers. There are some actions more than it answers.
+    /// Changes the output of the network, which has some actions more than the answer.
     pub(crate) fn finishing(
         self,
         finish: impl Fn(&mut Vec<Action>) + Send + Sync + 'static,
@@ -138,7 +137,7 @@ impl Planted {
     }
 }
 
-/// Between -1 and 1, another number for other words.
+/// Hashes words to a number between -1 and 1.
 pub(crate) fn hash(words: &[u64]) -> f64 {
     let mut sum = 0x9e37_79b9_7f4a_7c15_u64;
     for word in words {
@@ -149,7 +148,7 @@ pub(crate) fn hash(words: &[u64]) -> f64 {
     (sum >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
 }
 
-/// Chunks that change smoothly with everything that is seen.
+/// Computes chunks that change smoothly with every input.
 fn network(seen: &Seen, query: u64, count: usize, noise: f64) -> Vec<Action> {
     let mut features = [0.0; 14];
     for (slot, frame) in seen.frames.iter().enumerate() {
@@ -187,7 +186,7 @@ fn network(seen: &Seen, query: u64, count: usize, noise: f64) -> Vec<Action> {
         .collect()
 }
 
-/// A network's weights: no place is like another.
+/// Returns a weight of the network, which is different for each position.
 fn weight(place: usize, feature: usize) -> f64 {
     static WEIGHTS: std::sync::OnceLock<Vec<f64>> = std::sync::OnceLock::new();
     let all = 2 * PATCHES * PATCHES * 3 * 14;
@@ -195,13 +194,13 @@ fn weight(place: usize, feature: usize) -> f64 {
     weights[place * 14 + feature]
 }
 
-/// Puts the rows of a frame into the opposite order.
+/// Reverses the order of a frame's rows.
 pub(crate) fn upside_down(frame: &mut Image) {
     let rows = frame.rgb.chunks_exact(3 * frame.width as usize).rev();
     frame.rgb = rows.flatten().copied().collect::<Vec<u8>>().into();
 }
 
-/// Halves a frame by the means of four pixels, and doubles it by repeating them.
+/// Halves a frame by averaging four pixels, and doubles it by repeating them.
 pub(crate) fn halved_and_doubled(frame: &mut Image) {
     let width = frame.width as usize;
     let old = frame.rgb.clone();

@@ -1,4 +1,4 @@
-//! The program itself: its one line of output, its exit codes, its signals.
+//! The program itself: its line of output, its exit codes and its signals.
 
 use std::{
     io::{BufRead, BufReader},
@@ -158,7 +158,7 @@ fn a_check_whose_reader_leaves_ends_with_its_verdict() {
     assert!(ended.success(), "{ended}");
 }
 
-/// Tokens of a worker and of a viewer in a file.
+/// Creates a file with the tokens of a worker and of a viewer.
 fn token_file() -> tempfile::NamedTempFile {
     let file = tempfile::NamedTempFile::new().expect("a file");
     let tokens = "worker worker-secret-0123456789\nviewer viewer-secret-0123456789\n";
@@ -225,7 +225,7 @@ fn other_machines_are_listened_to_only_with_guards() {
     }
 }
 
-/// Defect: the default was 7071, and every page says 7412.
+/// Regression: the default was 7071, but every page says 7412.
 #[test]
 fn the_default_port_is_the_pages() {
     let help = program(&["--help"]).output().expect("the program runs");

@@ -1,5 +1,5 @@
-//! Sessions recorded and replayed: the same observation gets the same actions
-//! without the server, and another one is named.
+//! Recorded and replayed sessions: without the server, the same observation gets the same actions,
+//! and a different observation is reported.
 
 use std::path::Path;
 
@@ -40,7 +40,7 @@ async fn ask(
     client.infer(query).await.map(tonic::Response::into_inner)
 }
 
-/// Two queries of one session through a gateway that records up to `max_bytes`.
+/// Sends two queries of one session through a gateway that records up to `max_bytes`.
 async fn record(folder: &Path, max_bytes: u64) -> Vec<InferResponse> {
     let answer = |query: Query| Ok(chunk(&[0.1 * query.query_index as f32; 7], 7));
     let server = serve(Scripted::new(description("p", 1), answer)).await;

@@ -1,4 +1,4 @@
-//! Several servers behind one name: which one answers, and which may not.
+//! Several servers behind one name: the choice of the one that answers.
 
 use std::{
     collections::BTreeSet,
@@ -17,7 +17,7 @@ use crate::support::{
     unused_address,
 };
 
-/// A server that answers `number` everywhere.
+/// Starts a server whose answers consist of `number`.
 async fn numbered(described: DescribeResponse, number: f32) -> Running {
     serve(Scripted::new(described, move |_| {
         Ok(chunk(&[number; 7], 7))
@@ -62,7 +62,7 @@ async fn sessions_of_a_stateful_policy_are_shared_out_and_stay_where_they_are() 
             assert_eq!(number(&mut client, session, query_index).await, *place);
         }
     }
-    // The replica of such a session may not be replaced by another.
+    // A session of a stateful policy may not move to another replica.
     let (fallen, victim) = (one, places.iter().position(|it| *it == 0.1));
     fallen.stop().await;
     let victim = ["a", "b", "c", "d"][victim.expect("one of them")];
@@ -89,7 +89,7 @@ async fn a_query_of_a_stateless_policy_goes_on_at_another_replica_which_gets_its
     assert_eq!(number(&mut client, "s", 0).await, 7.0);
     one.stop().await;
     assert_eq!(number(&mut client, "s", 1).await, 7.0);
-    // New sessions find the one that is left, too.
+    // New sessions go to the remaining server, too.
     for session in ["t", "u", "v"] {
         client.reset(reset("x", session)).await.expect("an episode");
         assert_eq!(number(&mut client, session, 0).await, 7.0);
@@ -146,7 +146,7 @@ async fn the_only_replica_that_changes_its_description_is_refused_by_what_it_cha
     }
 }
 
-/// A route with a checkpoint for each of two suites.
+/// Returns a route with a checkpoint for each of two suites.
 fn per_suite(goal: &Running, object: &Running) -> RouteSpec {
     let backend = |server: &Running| {
         let text = format!("grpc://{}", server.address);
@@ -213,7 +213,7 @@ async fn a_reload_moves_new_sessions_and_leaves_open_ones_where_they_are() {
     client.reset(reset("x", "after")).await.expect("an episode");
     assert_eq!(number(&mut client, "after", 0).await, 0.2);
 
-    // A policy that is no longer configured ends with its open sessions.
+    // A policy that is removed from the configuration serves its open sessions to their end.
     let other = Config::new(vec![route("y=builtin:noop")]).expect("routes");
     gateway.reload(&other).expect("addresses");
     assert_eq!(number(&mut client, "before", 2).await, 0.1);

@@ -1,4 +1,4 @@
-//! Workers of several campaigns behind one gateway.
+//! Sessions of workers of several campaigns at one gateway.
 
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ use crate::{
     support::{Scripted, chunk, description, infer, reloadable, reset, serve},
 };
 
-/// A rollout as its worker plays it.
+/// A rollout with the calls that its worker makes.
 struct Episode {
     session: Session,
     seed: u64,
@@ -39,16 +39,16 @@ impl Episode {
     }
 }
 
-/// Defect: a session was named by rollout, replicate and attempt number, which
-/// two campaigns and two coordinators count alike. The gateway answers a query
-/// that is asked again from memory, so one rollout executed another's actions.
+/// Regression: the name of a session was made of rollout, replicate and attempt number, which are
+/// the same in two campaigns or coordinators. Since the gateway answers a repeated query from
+/// memory, one rollout executed another's actions.
 #[tokio::test(flavor = "multi_thread")]
 async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
     let described = DescribeResponse {
         stateful: true,
         ..description("stateful", 1)
     };
-    // Tells whose query it is and which: the seed is the episode's.
+    // Answers with the seed, which identifies the episode, and the index of the query.
     let policy = serve(Scripted::new(described, |query| {
         let seed = query.seed.unwrap_or(0) as f32;
         let index = query.query_index as f32;
@@ -91,7 +91,7 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
     asked.expect("every rollout got its own answers");
 }
 
-/// A server that notes which sessions began and ended, or knows no End.
+/// A server that records the starts and ends of sessions, or does not implement End.
 struct Noting {
     events: mpsc::UnboundedSender<String>,
     knows_end: bool,
@@ -155,7 +155,7 @@ async fn the_end_of_an_episode_reaches_its_server_and_closes_its_session() {
         }
         all.sort();
         assert_eq!(all, ["begin one", "begin two", "end one", "end two"]);
-        // A server that does not know the call counts as healthy as before.
+        // A server that does not implement the call stays healthy.
         client.reset(reset("x", "one")).await.expect("an episode");
         client.infer(infer("x", "one", 0)).await.expect("an answer");
         drop(client);

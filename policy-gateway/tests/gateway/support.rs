@@ -1,5 +1,5 @@
-//! Servers on free ports of the loopback, clients of them, and a policy whose
-//! answers a test writes.
+//! Servers on free loopback ports, their clients, and a policy whose answers are defined by the
+//! test.
 
 use std::{
     collections::HashMap,
@@ -26,7 +26,7 @@ use tonic::{
     transport::{Channel, Server, server::TcpIncoming},
 };
 
-/// A server in this process; stops, and frees its port, when told to.
+/// A server in this process, which can be stopped to free its port.
 pub(crate) struct Running {
     pub(crate) address: SocketAddr,
     stop: oneshot::Sender<()>,
@@ -45,12 +45,12 @@ impl Running {
     }
 }
 
-/// A gateway with these routes, on a free port.
+/// Starts a gateway with these routes on a free port.
 pub(crate) async fn gateway(routes: &[&str]) -> Running {
     gateway_at("127.0.0.1:0".parse().expect("an address"), routes).await
 }
 
-/// A gateway with these routes, at this address.
+/// Starts a gateway with these routes at this address.
 pub(crate) async fn gateway_at(address: SocketAddr, routes: &[&str]) -> Running {
     let routes = routes
         .iter()
@@ -83,7 +83,7 @@ async fn run(gateway: Gateway, address: SocketAddr) -> Running {
     }
 }
 
-/// A gateway of these routes on a free port, and what reloads it.
+/// Starts a gateway with these routes on a free port; returns it with its handle for reloading.
 pub(crate) async fn reloadable(routes: Vec<RouteSpec>) -> (Running, Gateway) {
     let config = Config::new(routes).expect("routes that can be served");
     let gateway = Gateway::new(&config).expect("addresses");
@@ -91,12 +91,12 @@ pub(crate) async fn reloadable(routes: Vec<RouteSpec>) -> (Running, Gateway) {
     (run(gateway.clone(), address).await, gateway)
 }
 
-/// A policy server that is not a gateway, on a free port.
+/// Starts a policy server that is not a gateway, on a free port.
 pub(crate) async fn serve(policy: impl Policy) -> Running {
     serve_any(Any(Box::new(policy))).await
 }
 
-/// A policy of any type, so that the server is compiled once and not for each of them.
+/// A policy of any type, so that the server is compiled only once.
 struct Any(Box<dyn Policy>);
 
 #[tonic::async_trait]
@@ -164,7 +164,7 @@ pub(crate) async fn client(address: SocketAddr) -> PolicyClient<Channel> {
         .expect("a server at the address")
 }
 
-/// An address of the loopback at which nothing listens.
+/// Returns a loopback address at which nothing listens.
 pub(crate) async fn unused_address() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     listener.local_addr().expect("a bound address")
@@ -198,7 +198,7 @@ pub(crate) fn infer(policy: &str, session: &str, query_index: u32) -> InferReque
     }
 }
 
-/// A description that any gateway accepts.
+/// Returns a description that any gateway accepts.
 pub(crate) fn description(name: &str, horizon: u32) -> DescribeResponse {
     DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,
@@ -209,7 +209,7 @@ pub(crate) fn description(name: &str, horizon: u32) -> DescribeResponse {
     }
 }
 
-/// One chunk of actions, as wide as told.
+/// Returns one chunk of actions of the given width.
 pub(crate) fn chunk(actions: &[f32], action_width: u32) -> InferResponse {
     InferResponse {
         actions: actions.to_vec(),
@@ -219,15 +219,15 @@ pub(crate) fn chunk(actions: &[f32], action_width: u32) -> InferResponse {
 
 /// Query to a scripted policy.
 pub(crate) struct Query {
-    /// Of the session's Reset, if there was one.
+    /// Seed of the session's Reset, if there was one.
     pub(crate) seed: Option<u64>,
     pub(crate) query_index: u32,
-    /// How many queries came before, of all sessions.
+    /// Number of earlier queries, over all sessions.
     pub(crate) asked_before: u32,
 }
 
-/// A policy that describes itself as told and answers what a function says. It
-/// keeps nothing of the protocol by itself.
+/// A policy with a given description, whose answers a function computes. It does not check the
+/// protocol itself.
 pub(crate) struct Scripted {
     described: Box<dyn Fn() -> DescribeResponse + Send + Sync>,
     answer: Box<dyn Fn(Query) -> Result<InferResponse, Status> + Send + Sync>,
@@ -248,7 +248,7 @@ impl Scripted {
         }
     }
 
-    /// The same, with a description that a function makes anew every time.
+    /// The same, but a function computes the description anew for each call.
     pub(crate) fn describing(
         mut self,
         described: impl Fn() -> DescribeResponse + Send + Sync + 'static,

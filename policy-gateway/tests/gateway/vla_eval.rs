@@ -1,5 +1,5 @@
-//! Model servers of vla-eval that do what the real ones cannot be made to do.
-//! Those are held against the gateway in `policies/tests/test_vla_eval.py`.
+//! vla-eval model servers with behaviour that real ones cannot be made to show.
+//! `policies/tests/test_vla_eval.py` tests the gateway with real ones.
 
 use std::{sync::Arc, time::Duration};
 
@@ -38,14 +38,14 @@ enum Answer {
 /// Event that a server noticed.
 #[derive(Debug, PartialEq)]
 enum Noticed {
-    /// A connection, with its `Authorization`.
+    /// A connection, with the value of its `Authorization` header.
     Connected(Option<String>),
-    /// A message's type.
+    /// Type of a received message.
     Asked(String),
     Gone,
 }
 
-/// A server whose answers a function says, from a message's type and number.
+/// A server whose answers a function computes from a message's type and number.
 struct Server {
     port: u16,
     noticed: UnboundedReceiver<Noticed>,
@@ -65,7 +65,7 @@ impl Server {
                 let (answer, notices) = (Arc::clone(&answer), notices.clone());
                 connections.spawn(async move {
                     let note = notices.clone();
-                    // The type is the library's.
+                    // The library dictates the type.
                     #[allow(clippy::result_large_err)]
                     let see = |request: &Request, response: Response| {
                         let shown = request.headers().get("authorization");
@@ -139,7 +139,7 @@ fn message(kind: &str, payload: Value, number: u64) -> Answer {
     Answer::Message(bytes)
 }
 
-/// As vla-eval's servers greet.
+/// Returns the greeting of a vla-eval server.
 fn greeting(number: u64) -> Answer {
     let payload = vec![
         ("harness_version", "0.8.0".into()),
@@ -154,7 +154,7 @@ fn action(numbers: Vec<Value>, number: u64) -> Answer {
     message("action", payload, number)
 }
 
-/// Greets, and answers observations as told.
+/// Greets, and answers observations with the given function.
 fn answering(
     observed: impl Fn(u64) -> Answer + Send + Sync + 'static,
 ) -> impl Fn(&str, u64) -> Answer + Send + Sync + 'static {
@@ -212,7 +212,7 @@ async fn an_answer_that_is_none_is_named_and_the_episode_is_given_up_where_it_mu
             "a message of more than 1 MiB",
             Code::Unavailable,
         ),
-        // These leave a connection on which the next question can be asked.
+        // After these answers, the connection can be used for the next query.
         (short_of_numbers, "no array of numbers", Code::Internal),
         (
             |number| action(vec!["left".into(); 7], number),
@@ -253,7 +253,7 @@ async fn a_connection_that_breaks_in_a_query_is_an_outage() {
 async fn what_is_no_vla_eval_server_or_one_of_another_version_is_told_apart() {
     type Greeting = fn(&str, u64) -> Answer;
     let cases: [(Greeting, &str); 4] = [
-        // As openpi's servers begin.
+        // The first message of openpi's servers.
         (
             |_, _| {
                 let Answer::Message(metadata) = message("none", map(vec![]), 0) else {
@@ -298,7 +298,7 @@ async fn an_answer_that_came_too_late_is_given_to_no_other_query() {
     client.reset(reset("x", "s")).await.expect("an episode");
     let late = query(&mut client, "s", 0).await.expect_err("silence");
     assert_eq!(late.code(), Code::DeadlineExceeded, "{late}");
-    // The connection of the question goes with it; that of the description stays.
+    // The connection of the query is closed; that of the description stays open.
     let mut noticed = vec![];
     while noticed.last() != Some(&Noticed::Gone) {
         noticed.push(server.noticed.recv().await.expect("a server"));

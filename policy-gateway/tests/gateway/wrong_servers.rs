@@ -1,6 +1,5 @@
-//! Servers that are wrong on purpose: each is told apart for the right reason,
-//! and what is the server's trouble reaches a worker as an outage, which is
-//! never charged.
+//! Servers that are faulty on purpose: each fault is recognised, and faults of the server reach a
+//! worker as an outage, which is never charged.
 
 use std::{
     sync::{
@@ -21,7 +20,7 @@ use crate::support::{
     Running, Scripted, chunk, description, gateway, infer, reloadable, reset, serve,
 };
 
-/// One query of a new session whose task is `task`.
+/// Sends one query in a new session whose task is `task`.
 async fn one_query(client: &mut PolicyClient<Channel>, task: &str) -> Result<(), Status> {
     let request = ResetRequest {
         instruction: task.to_owned(),
@@ -114,7 +113,7 @@ async fn answers_of_no_use_to_three_tasks_are_an_outage_of_the_policy() {
     }
 }
 
-/// Opens sessions and answers a query after a while, if ever.
+/// Opens sessions and answers a query after a time, or never.
 struct Late(Option<Duration>);
 
 #[tonic::async_trait]

@@ -1,4 +1,4 @@
-"""LIBERO's package, as its environments' users see it, on rollout-libero's simulator."""
+"""LIBERO's package, with the interface of its environments, on rollout-libero's simulator."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Parts of LIBERO that this package leaves out, and what to do without them."""
+"""Parts of LIBERO that this package leaves out, with a remedy for each."""
 
 from __future__ import annotations
 
@@ -47,16 +47,16 @@ _MODULES = {
 
 
 class AbsentModules:
-    """Finder of modules, asked last: names the remedy for what is left out."""
+    """A finder of modules, tried last, whose error names the remedy for an omitted module."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> None:
-        """Raises ImportError for modules of the original that are not here."""
+        """Raises ImportError for modules of the original that are omitted here."""
         remedy = _MODULES.get(name)
         if remedy is not None:
             raise ImportError(f"{name} is not part of rollout-libero-shim: {remedy}", name=name)
 
 
 def absent_attribute(what: str, name: str, remedy: str) -> AttributeError:
-    """What to raise where an object of the original has more attributes than ours."""
+    """Returns the error for an attribute of the original's objects that ours lack."""
     return AttributeError(f"{what} has no `{name}` in rollout-libero-shim: {remedy}")

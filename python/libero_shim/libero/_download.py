@@ -1,4 +1,4 @@
-"""`libero-download-assets`, as installations of LIBERO call it."""
+"""The command `libero-download-assets`, as LIBERO's installations call it."""
 
 from __future__ import annotations
 
@@ -24,6 +24,6 @@ def command(arguments: Sequence[str] | None = None) -> list[str]:
 
 
 def main() -> int:
-    """Fetches them; returns the exit status."""
+    """Fetches the assets and returns the exit status."""
     module = [sys.executable, "-m", "rollout_libero"]
     return subprocess.run([*module, *command()], check=False).returncode

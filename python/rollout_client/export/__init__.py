@@ -1,4 +1,4 @@
-"""Campaigns for other tools, from archives: LeRobot datasets, TensorBoard, Weights & Biases."""
+"""Exports of archived campaigns to LeRobot datasets, TensorBoard and Weights & Biases."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""A LeRobot dataset, format v2.1: an episode for each committed rollout.
+"""LeRobot dataset, format v2.1, with an episode for each committed rollout.
 
-What a campaign does not keep is not in it: joints, the gripper's state, the end-effector's
-orientation, and pictures as the policy got them. Films are those of the campaign, both
-cameras side by side and compressed.
+It lacks the data that a campaign does not keep: joints, the gripper's state,
+the end-effector's orientation, and pictures as the policy got them. Films are
+those of the campaign, with both cameras side by side and compressed.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from ..archive import Archive, ArchiveError, Rollout
 from ..errors import SettingsError
 from . import needed
 
-#: Control steps, and pictures of a film, each second.
+#: Control steps, and pictures of a film, per second.
 FPS = 20
 
-#: Episodes in a folder.
+#: Episodes per folder.
 CHUNK = 1_000
 
-#: Pictures of a film: both cameras, 256 pixels each.
+#: Size of a film's pictures: both cameras, 256 pixels each.
 HEIGHT, WIDTH = 256, 512
 
 FILM = "observation.images.both"
 DATA_PATH = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
 VIDEO_PATH = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
 
-#: Displacements and rotations of the end-effector, and the gripper: -1 opens it.
+#: Displacements and rotations of the end-effector, and the gripper (-1 opens).
 ACTION = ["x", "y", "z", "roll", "pitch", "yaw", "gripper"]
 
 
 def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = False) -> int:
-    """Writes an archive's rollouts that have actions into a new folder; returns how many.
+    """Writes an archive's rollouts that have actions into a new folder; returns their number.
 
-    films: only rollouts that were filmed, with their films. Raises ArchiveError where there are
-    none, and SettingsError where the folder is not new or pyarrow is missing.
+    films: only rollouts that were filmed, with their films. Raises ArchiveError if
+    there are none, and SettingsError if the folder is not new or pyarrow is missing.
     """
     needed("pyarrow")
     target = Path(folder)
@@ -49,7 +49,7 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
         raise SettingsError(f"failed to export into {target}: it is not empty; name a new folder")
     writing = _Writing(target, films)
     for rollout in archive.rollouts():
-        # Of a campaign that records something else, no actions were kept.
+        # Actions are only kept by campaigns that record transitions.
         if len(rollout.actions) > 0 and (rollout.film or not films):
             writing.add(rollout)
     if writing.episodes == 0:
@@ -63,7 +63,7 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
 
 
 class _Writing:
-    """A dataset that grows."""
+    """A dataset that is being written."""
 
     def __init__(self, folder: Path, films: bool) -> None:
         self.folder, self.films = folder, films
@@ -83,7 +83,7 @@ class _Writing:
         task = self.tasks.setdefault(rollout.instruction, len(self.tasks))
         at = np.arange(length)
         columns: dict[str, np.ndarray[Any, Any]] = {
-            # Where the end-effector was when the action was chosen.
+            # Position of the end-effector when the action was chosen.
             "observation.state": rollout.path[:length],
             "action": rollout.actions,
             "next.done": at == length - 1,
@@ -125,7 +125,7 @@ class _Writing:
         self.frames += length
 
     def finish(self, archive: Archive) -> None:
-        """Writes what is said of all episodes."""
+        """Writes the metadata of all episodes."""
         tasks = [{"task_index": index, "task": task} for task, index in self.tasks.items()]
         for name, lines in {**self.lines, "tasks": tasks}.items():
             _write(self.folder / "meta" / f"{name}.jsonl", map(json.dumps, lines))

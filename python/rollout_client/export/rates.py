@@ -1,4 +1,4 @@
-"""Success rates of a campaign as they came about, for tools that show curves."""
+"""Success rates of a campaign over time, for tools that show curves."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from ..archive import Archive
 
 @dataclass(frozen=True)
 class Point:
-    """What was known after a result."""
+    """Success rate of a condition after a result."""
 
-    #: `L2/camera`, and `L0/clean` of nominal rollouts.
+    #: Level and axis such as `L2/camera`; `L0/clean` for nominal rollouts.
     condition: str
-    #: Results of the condition so far, and successes among them.
+    #: Number of results of the condition so far, and of successes among them.
     results: int
     successes: int
-    #: When the last of them was committed, seconds since the Unix epoch.
+    #: Commit time of the last of them, seconds since the Unix epoch.
     committed: float
 
     @property
     def rate(self) -> float:
-        """A fraction."""
+        """Success rate as a fraction."""
         return self.successes / self.results
 
 
 def points(archive: Archive) -> Iterator[Point]:
-    """A point after each result, in the order in which they were committed."""
+    """Yields a point after each result, in the order of the commits."""
     so_far: dict[str, tuple[int, int]] = {}
     rollouts = [
         (it.committed_ms, it.rollout_id, it.replicate, f"{it.level}/{it.axis}", it.success)

@@ -1,4 +1,4 @@
-"""Events for TensorBoard: the success rate of each condition as results came in."""
+"""Events for TensorBoard: the success rate of each condition over time."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from .rates import points
 
 
 def export(archive: Archive, folder: str | os.PathLike[str]) -> int:
-    """Writes a run into a folder of TensorBoard's; returns how many points it has.
+    """Writes a run into a TensorBoard folder and returns its number of points.
 
-    Tags are `success_rate/LEVEL/CONDITION`, steps the results of that condition so far, times
-    those of the commits. The text `specification` is the campaign's. Raises SettingsError
-    where tensorboard is missing.
+    Tags are `success_rate/LEVEL/CONDITION`; a step is the number of results of
+    that condition so far, at the time of the commit. The text `specification`
+    is the campaign's. Raises SettingsError if tensorboard is missing.
     """
     needed("tensorboard")
     from tensorboard.compat.proto.event_pb2 import Event

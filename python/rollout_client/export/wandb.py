@@ -1,4 +1,4 @@
-"""A run of Weights & Biases: the same curves, the results as a table, and the report."""
+"""Exports a Weights & Biases run: success curves, results as a table, and the report."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ COLUMNS = ["rollout_id", "replicate", "task", "axis", "level", "success", "steps
 
 
 def export(archive: Archive, folder: str | os.PathLike[str], *, project: str = "rollout") -> int:
-    """Writes a run into a folder, without the network: `wandb sync` uploads it. Returns how
-    many points it has. Raises SettingsError where wandb is missing."""
+    """Writes a run into a folder, without the network: `wandb sync` uploads it.
+    Returns its number of points. Raises SettingsError if wandb is missing."""
     wandb = needed("wandb")
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)

@@ -1,1 +1,1 @@
-"""Generated from coordinator.proto by proto/regenerate.py; not to be edited."""
+"""Generated from coordinator.proto by proto/regenerate.py; do not edit."""

@@ -1,4 +1,4 @@
-"""The real programs: a coordinator of one's own, and a small campaign that a worker has run."""
+"""The real programs: a separate coordinator, and a small campaign run by a worker."""
 
 import contextlib
 import os
@@ -17,10 +17,10 @@ pytest.importorskip("pandas", reason="pip install grpcio protobuf pandas")
 
 from rollout_client import Client
 
-#: Longest wait for a program to say that it listens, and for the small campaign, s.
+#: Longest wait for a program to listen, and for the small campaign, s.
 START_SECS, CAMPAIGN_SECS = 60, 600
 
-#: What users have set, and the tests have not.
+#: Variables that users may have set and that tests must not have.
 UNSET = ("COORDINATOR_URL", "ROLLOUT_TOKENS", "ROLLOUT_TOKEN_FILE", "ROLLOUT_CA")
 
 
@@ -34,7 +34,7 @@ def nothing_is_set():
 
 @pytest.fixture(scope="session")
 def programs():
-    """The folder of the programs."""
+    """The programs' folder."""
     folder = os.environ.get("ROLLOUT_PROGRAMS")
     if not folder:
         pytest.skip("ROLLOUT_PROGRAMS names no folder with coordinator, worker and policy-gateway")
@@ -42,7 +42,7 @@ def programs():
 
 
 class Server:
-    """A program that listens."""
+    """A listening program."""
 
     def __init__(self, *command):
         self.process = subprocess.Popen(
@@ -75,7 +75,7 @@ class Server:
 
 @pytest.fixture(scope="session")
 def serve(programs, tmp_path_factory):
-    """Starts `coordinator serve` with further flags; stopped at the end."""
+    """Starts `coordinator serve` with further flags, and stops it at the end."""
     with contextlib.ExitStack() as stack:
 
         def start(*flags, listen="127.0.0.1:0"):
@@ -99,7 +99,7 @@ def gateway(programs):
 
 @pytest.fixture(scope="session")
 def connect(programs):
-    """Clients that do not wait for what is not there."""
+    """Creates clients that do not wait for an unreachable coordinator."""
     with contextlib.ExitStack() as stack:
 
         def connected(url, **settings):
@@ -111,12 +111,12 @@ def connect(programs):
 
 @pytest.fixture
 def client(serve, connect):
-    """A client of a coordinator that has nothing yet."""
+    """A client of an empty coordinator."""
     return connect(f"http://{serve().address}")
 
 
 def specification(name, endpoint="http://127.0.0.1:1", **fields):
-    """A campaign of 8 rollouts: two configurations, each under four conditions."""
+    """Returns a campaign of 8 rollouts: two configurations, each under four conditions."""
     return {
         "name": name,
         "policy": {"name": "expert", "endpoint": endpoint},
@@ -131,7 +131,7 @@ def specification(name, endpoint="http://127.0.0.1:1", **fields):
 
 @pytest.fixture(scope="session")
 def run(programs):
-    """Has a worker run a campaign of a coordinator to its end."""
+    """Runs a coordinator's campaign to its end with a worker."""
 
     def run_all(server, campaign):
         flags = ("--connect", f"http://{server.address}", "--slots", "2", "--assets", "primitives")
@@ -156,7 +156,7 @@ def run(programs):
 
 @pytest.fixture(scope="session")
 def measured(serve, connect, gateway, run):
-    """A client of a coordinator whose campaign `measured` a worker has run."""
+    """A client of a coordinator with the finished campaign `measured`."""
     server = serve()
     client = connect(f"http://{server.address}")
     run(server, client.create(specification("measured", f"http://{gateway.address}")))
@@ -165,8 +165,8 @@ def measured(serve, connect, gateway, run):
 
 @pytest.fixture(scope="session")
 def certificates(tmp_path_factory):
-    """A folder with an authority `ca.pem`, another `other.pem`, and the first one's certificate
-    for localhost, `cert.pem` and `key.pem`, as docs/OPERATING.md makes them."""
+    """A folder with an authority `ca.pem`, another one `other.pem`, and the first one's certificate
+    for localhost, `cert.pem` and `key.pem`, made as in docs/OPERATING.md."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed")
     folder = tmp_path_factory.mktemp("certificates")
@@ -198,8 +198,8 @@ def openssl(folder, command):
 
 @pytest.fixture
 def listening():
-    """Starts something that is no coordinator: it sends `greeting` to whoever connects, and
-    hangs up. Returns its port."""
+    """Starts a server that is not a coordinator: it sends `greeting` to every
+    client and closes. Returns its port."""
     with contextlib.ExitStack() as stack:
 
         def start(greeting):
@@ -223,7 +223,7 @@ def listening():
 
 
 def in_a_process(code, *arguments, **options):
-    """Python that runs the code, with this process's packages."""
+    """Runs the code in a new Python with this process's packages."""
     return subprocess.Popen(
         [sys.executable, "-c", code, *map(str, arguments)],
         stdout=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""Who is let in, and what is said of what is not a coordinator."""
+"""Access to a coordinator, and messages about servers that are not coordinators."""
 
 import http.server
 import logging
@@ -40,7 +40,7 @@ def test_a_token_file_that_others_can_read_is_refused(tmp_path):
 
 @pytest.fixture(scope="module")
 def guarded(serve, certificates, tmp_path_factory):
-    """The URL of a coordinator with TLS and tokens."""
+    """Returns the URL of a coordinator with TLS and tokens."""
     lines = [f"{role} {token}" for role, token in TOKENS.items()]
     tokens = token_file(tmp_path_factory.mktemp("tokens"), *lines)
     server = serve(
@@ -53,7 +53,7 @@ def guarded(serve, certificates, tmp_path_factory):
 def test_an_operator_steers_a_guarded_coordinator_and_its_program_too(
     guarded, certificates, connect, tmp_path
 ):
-    # Of a whole file, the operator's line is shown.
+    # The client uses the operator's line of a file with several roles.
     tokens = token_file(tmp_path, "# mine", *(f"{r} {t}" for r, t in sorted(TOKENS.items())[::-1]))
     client = connect(guarded, ca=certificates / "ca.pem", token_file=tokens)
     campaign = client.create(specification("guarded"))

@@ -1,4 +1,4 @@
-"""Campaigns: created, listed, steered and followed, with a real coordinator."""
+"""Creates, lists, steers and follows campaigns, with a real coordinator."""
 
 import json
 import signal

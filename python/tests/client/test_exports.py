@@ -1,4 +1,4 @@
-"""Archives read without a coordinator, and what other tools are given of them."""
+"""Archives read without a coordinator, and their exports to other tools."""
 
 import contextlib
 import gzip
@@ -26,8 +26,8 @@ from .conftest import specification
 
 @pytest.fixture(scope="session")
 def archive(serve, connect, gateway, programs, run, tmp_path_factory):
-    """The archive of a campaign that a worker has run and kept the actions of, and the
-    campaign."""
+    """The archive of a campaign that a worker has run, with its actions, and
+    the campaign."""
     server = serve()
     client = connect(f"http://{server.address}")
     fields = {"record": "transitions", "configs": [0]}
@@ -55,7 +55,7 @@ def test_an_archive_has_the_results_and_the_motion_of_its_campaign(archive):
         assert rollout.actions.shape == (rollout.steps, 7)
         assert rollout.path.shape == (rollout.steps + 1, 3)
         assert np.abs(rollout.actions).max() <= 1
-        # The end-effector is above LIBERO's table, and moves.
+        # The end-effector stays above LIBERO's table, and moves.
         assert np.abs(rollout.path).max() < 3
         assert np.ptp(rollout.path, axis=0).max() > 0.05
         assert rollout.instruction.startswith("pick up")
@@ -102,8 +102,8 @@ def test_what_is_no_whole_archive_is_refused_by_name(archive, tmp_path):
 
 
 def rewritten(file, to, films=(), sql="", lie=None):
-    """Writes an archive with films added and its database altered, and a list that is true of
-    it, but for one member's size."""
+    """Writes an archive with added films and a changed database, and a correct
+    list of members, except for one member's size."""
     with tarfile.open(file) as tar:
         members = {member.name: tar.extractfile(member).read() for member in tar}
     contents = json.loads(members.pop("archive.json"))
@@ -130,7 +130,7 @@ def rewritten(file, to, films=(), sql="", lie=None):
 
 
 def test_a_film_is_a_member_of_its_archive_or_none(archive, tmp_path):
-    """Whoever exported the films of a stranger's archive published what its database named."""
+    """Otherwise an export of an untrusted archive's films would publish any file that it names."""
     pytest.importorskip("pyarrow")
     file, _ = archive
     secret = tmp_path / "secret"
@@ -147,7 +147,7 @@ def test_a_film_is_a_member_of_its_archive_or_none(archive, tmp_path):
                 export(kept, tmp_path / "dataset", films=True)
         exported = [it for it in tmp_path.glob("dataset/**/*") if it.is_file()]
         assert all(b"hunter2" not in it.read_bytes() for it in exported)
-    # One with a name that is too long for a header of a tar is a member like any other.
+    # A film with a name too long for a tar header is a member like any other.
     film = f"artifacts/kept/{'f' * 120}.mp4"
     rewritten(file, bad, films={film: b"a film"}, sql=filmed.format(path=film))
     with Archive(bad) as kept:
@@ -182,7 +182,7 @@ def test_a_strangers_archive_takes_no_memory_no_disk_and_runs_nothing(archive, t
     rewritten(file, bad, films={film: bytes(swollen)}, lie=film)
     with pytest.raises(ArchiveError, match="it has 201326592 bytes"):
         Archive(bad)
-    # Without the rule, it would count for ever.
+    # Without the rule, this view would count without end.
     endless = """
         ALTER TABLE motion RENAME TO former;
         CREATE VIEW motion AS
@@ -225,9 +225,9 @@ def test_a_lerobot_dataset_has_an_episode_for_each_rollout(archive, tmp_path):
         assert stats["max"] == pytest.approx(rollout.actions.max(axis=0).tolist())
         assert lines["rollouts"][index]["rollout_id"] == rollout.rollout_id
         first += rollout.steps
-    # A folder that has something is left as it is.
+    # A folder that is not empty is left unchanged.
     assert main(["export", "lerobot", str(file), "--output", str(folder)]) == 1
-    # Nothing was filmed, and nothing is made up.
+    # No rollout was filmed, so nothing is exported.
     assert main(["export", "lerobot", str(file), "--films", "--output", str(tmp_path / "f")]) == 1
     assert not (tmp_path / "f").exists()
 
@@ -265,7 +265,7 @@ def test_tensorboard_reads_the_rates_as_they_came_about(archive, tmp_path):
 def test_a_run_of_wandb_is_written_without_the_network(archive, tmp_path, monkeypatch):
     pytest.importorskip("wandb", reason="pip install wandb")
     file, _ = archive
-    # As a program: what wandb still has to write is written when it ends.
+    # Run as a program, because wandb writes its remaining data at exit.
     command = [
         sys.executable,
         "-m",

@@ -1,4 +1,4 @@
-"""The package by itself."""
+"""The package without a coordinator."""
 
 from .conftest import in_a_process
 

@@ -1,5 +1,5 @@
-"""Results, reports and comparisons of a campaign that a real worker has run, and of published
-outcomes."""
+"""Results, reports and comparisons of a campaign run by a real worker, and of
+published outcomes."""
 
 import json
 from collections import Counter
@@ -78,7 +78,7 @@ def test_a_campaign_without_results_has_a_report_that_says_what_is_missing(clien
 
 
 def test_emergent_and_compensated_configurations_are_as_many_as_the_paired_table_counts(connect):
-    # Files need no coordinator.
+    # Result files need no coordinator.
     report = connect("http://127.0.0.1:1").report(PUBLISHED)
     paired = report.paired.set_index("level")
     assert list(paired.index) == ["L1", "L2", "L3"]

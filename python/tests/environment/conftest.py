@@ -1,4 +1,4 @@
-"""Environments of the built-in assets, small enough to be quick."""
+"""Fast small environments with the built-in assets."""
 
 import pytest
 
@@ -11,7 +11,7 @@ TASK = "libero_goal/0"
 
 @pytest.fixture
 def make():
-    """Makes environments, and closes them after the test."""
+    """Creates environments, and closes them after the test."""
     made = []
 
     def make(task=TASK, **options):
@@ -27,7 +27,7 @@ def make():
 
 @pytest.fixture
 def make_vector():
-    """The same for several at once."""
+    """The same for vector environments."""
     made = []
 
     def make(tasks=TASK, num_envs=3, **options):
@@ -42,14 +42,14 @@ def make_vector():
 
 
 def diverge(simulation):
-    """Has the physics of the next control step diverge."""
+    """Makes the physics of the next control step diverge."""
     state = simulation.state().copy()
     state[1:8] = 1e9
     simulation.set_state(state)
 
 
 def open_the_drawer(simulation):
-    """Has the goal of TASK hold from the next control step on."""
+    """Makes the goal of TASK hold from the next control step on."""
     state = simulation.state().copy()
     names = simulation.names("joint")
     drawer = names.index("wooden_cabinet_1_middle_level")

@@ -1,4 +1,4 @@
-"""A rollout here is a campaign's, step for step, under each axis."""
+"""A rollout here equals a campaign's, step for step, under each axis."""
 
 import json
 import os
@@ -18,7 +18,7 @@ CAMERAS = ("agentview", "robot0_eye_in_hand")
 
 @pytest.fixture(scope="module")
 def worker():
-    """The program that simulates campaigns' rollouts."""
+    """The worker program, which simulates campaigns' rollouts."""
     folder = os.environ.get("ROLLOUT_PROGRAMS")
     if not folder:
         pytest.skip("ROLLOUT_PROGRAMS names no folder with worker")
@@ -26,7 +26,7 @@ def worker():
 
 
 def beyond_the_range():
-    """Actions of which many lie outside -1..1, as policies answer them."""
+    """Returns actions with many values outside -1..1, as policies may answer."""
     return np.random.default_rng(0).uniform(-2.5, 2.5, (STEPS, 7))
 
 

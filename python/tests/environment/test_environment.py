@@ -128,7 +128,7 @@ def test_a_seed_chooses_the_initial_state_and_later_resets_go_on_from_it(make):
     environment = make(cameras=[])
     assert [environment.reset(seed=seed)[1]["init_state"] for seed in (0, 7, 7, 53)] == [0, 7, 7, 3]
     assert [environment.reset()[1]["init_state"] for _ in range(2)] == [4, 5]
-    # A state that is named comes first, and takes no turn.
+    # A given state takes precedence, and does not advance the turn.
     assert environment.reset(seed=9, options={"init_state": 2})[1]["init_state"] == 2
     assert environment.reset()[1]["init_state"] == 9
     of_two = make(cameras=[], init_states=[4, 2])
@@ -194,7 +194,7 @@ def test_poses_under_perturbed_actuation_are_refused(make, make_vector):
     with pytest.raises(ValueError, match="control='relative'"):
         environments.set_perturbation(1, "actuation/L1/c00")
     environments.reset()
-    # Nor by way of a snapshot.
+    # Restoring a snapshot must not allow it either.
     distorted = make(cameras=[], perturbation="actuation/L1/c00")
     distorted.reset()
     environment.restore(distorted.snapshot())
@@ -205,7 +205,7 @@ def test_poses_under_perturbed_actuation_are_refused(make, make_vector):
 
 
 def axis_angle(matrix):
-    """Of a rotation of nearly half a turn: the axis is what it leaves as it is."""
+    """Axis times angle of a rotation near half a turn, from the eigenvector with eigenvalue 1."""
     values, vectors = np.linalg.eig(matrix)
     axis = np.real(vectors[:, np.argmin(np.abs(values - 1.0))])
     return axis * np.arccos((np.trace(matrix) - 1.0) / 2.0)

@@ -1,4 +1,4 @@
-"""The scripted expert beside environments: demonstrations and labels."""
+"""The scripted expert with environments: demonstrations and labels."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def test_labels_are_what_the_expert_would_do_whoever_drives(make_vector):
     given = np.zeros((2, 5, 7))
     *_, infos = environments.step_chunk(given, "none", expert=drives)
     labels = infos["expert_action"]
-    # Both begin alike; then one follows the expert and the other stands still.
+    # Both start equally; then one follows the expert and the other stands still.
     np.testing.assert_array_equal(labels[0, 0], labels[1, 0])
     assert np.abs(labels[0] - labels[1]).max() > 0.0
     assert np.abs(labels).max() <= 1.0
@@ -55,7 +55,7 @@ def test_sampled_scenes_may_be_perturbed(make_vector):
     environments.set_perturbation(1, "camera/L3/c12")
     observation, infos = environments.reset(seed=[7, 7])
     assert infos["init_state"].tolist() == [None, None]
-    # Only the camera was moved.
+    # Only the camera differs.
     np.testing.assert_allclose(observation["eef_pos"][0], observation["eef_pos"][1], atol=1e-9)
     assert (observation["agentview"][0] != observation["agentview"][1]).mean() > 0.1
     environments.set_perturbation(1, None)
@@ -75,7 +75,7 @@ def test_a_snapshot_includes_what_the_expert_remembers(make_vector):
         labels.append(infos["expert_action"])
         environments.restore(snapshot)
     np.testing.assert_array_equal(*labels)
-    # In another environment too, whose expert has seen nothing of it.
+    # The same in another environment, whose expert has no history.
     other = make_vector(TASK, 1, init_states=[3], cameras=[])
     other.reset()
     other.restore(snapshot)

@@ -1,4 +1,4 @@
-"""Misuse is an exception that names the remedy, never a crash."""
+"""Misuse raises an exception that names the remedy, and never crashes."""
 
 import os
 import subprocess
@@ -103,7 +103,7 @@ def test_sources_that_cannot_be_fetched_say_what_to_do(tmp_path):
     environment = {
         **os.environ,
         "ROLLOUT_SOURCES": str(tmp_path / "sources"),
-        # Nobody listens there.
+        # Nothing listens at this address.
         "PIP_INDEX_URL": "http://127.0.0.1:9/simple",
         "PIP_RETRIES": "0",
         "PIP_NO_CACHE_DIR": "1",

@@ -1,4 +1,4 @@
-"""The vector environment beside a plain model of it, under whatever is done to it."""
+"""The vector environment against a simple model of it, under random operations."""
 
 import json
 import random
@@ -26,7 +26,7 @@ READINGS = ("eef_pos", "joint_pos", "joint_vel")
 
 @dataclass
 class One:
-    """One environment of the model: a simulation of its own that takes steps one by one."""
+    """One environment of the model: a separate simulation that steps singly."""
 
     task: str
     rank: int
@@ -62,7 +62,7 @@ class One:
         self.steps, self.begun, self.over = 0, True, False
 
     def step(self, actions):
-        """Steps taken, success, truncation, failure."""
+        """Returns steps taken, success, truncation, failure."""
         for taken, action in enumerate(actions):
             if self.steps == BUDGET:
                 return taken, False, True, False
@@ -80,7 +80,7 @@ class One:
 
 @dataclass
 class Machine:
-    """A vector environment and its model, and what may happen to them."""
+    """A vector environment with its model, and the operations on both."""
 
     mode: AutoresetMode
     init_states: str
@@ -117,7 +117,7 @@ class Machine:
             for name in READINGS:
                 np.testing.assert_array_equal(observation[name][at], readings[name], err_msg=name)
 
-    # What may happen.
+    # Operations.
 
     def reset(self, seed=None, mask=None, wanted=None):
         options = {} if mask is None else {"reset_mask": np.array(mask)}

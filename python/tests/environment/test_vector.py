@@ -47,9 +47,9 @@ def test_environments_of_a_task_take_different_turns(make_vector):
     assert states == [[0, 1, 2, 3], [4, 5, 6, 7]]
     assert environments.reset(seed=11)[1]["init_state"].tolist() == [11, 12, 13, 14]
     assert environments.reset()[1]["init_state"].tolist() == [15, 16, 17, 18]
-    # A seed of its own chooses as it does alone.
+    # An individual seed selects as in a single environment.
     assert environments.reset(seed=[3, 3, 9, None])[1]["init_state"].tolist() == [3, 3, 9, 22]
-    # Each task has its own turns.
+    # Each task has its own sequence of states.
     tasks = ["libero_goal/0", "libero_object/1", "libero_goal/0"]
     several = make_vector(tasks, 6, init_states="cycle", cameras=[])
     assert several.reset()[1]["init_state"].tolist() == [0, 0, 1, 2, 1, 3]
@@ -227,5 +227,5 @@ def test_other_threads_run_while_environments_compute(make_vector):
     while not done.is_set():
         turns += 1
     thread.join()
-    # With the interpreter held, this thread would have had a turn or two.
+    # If the interpreter were held, this thread would get only a turn or two.
     assert turns > 1000

@@ -1,5 +1,5 @@
-"""Makes the original what the reference was recorded with: imported by scripts that run with
-the original and with the shim. With the shim it changes nothing."""
+"""Configures the original as for the recording of the reference. Scripts that run with
+the original and with the shim import it; with the shim it changes nothing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 def _disable_native_ccd() -> None:
-    """MuJoCo 3.3.7 without `nativeccd` collides as the benchmark's 2.3.7 does."""
+    """Disables `nativeccd`, so that MuJoCo 3.3.7 collides as the benchmark's 2.3.7."""
     import mujoco
     from robosuite.utils import binding_utils
 
@@ -24,7 +24,7 @@ def _disable_native_ccd() -> None:
 
 
 def _widen_segment_ids() -> None:
-    """robosuite 1.4.0 computes segments' numbers in bytes, which overflow in NumPy 2."""
+    """Widens the segment ids that robosuite 1.4.0 computes in bytes, which overflow in NumPy 2."""
     import mujoco
     from robosuite.utils import binding_utils
 

@@ -1,7 +1,7 @@
-"""An episode of a client of LIBERO, as PyPI has it: `client_episodes.py CLIENT ACTIONS OUT`.
+"""An episode of a PyPI client of LIBERO: `client_episodes.py CLIENT ACTIONS OUT`.
 
-Runs with the shim and with the original alike. `CLIENT_PACKAGES` names a folder of packages
-to look for after this Python's own.
+Runs with the shim and with the original. `CLIENT_PACKAGES` names a folder of
+packages that is searched after this Python's own.
 """
 
 from __future__ import annotations

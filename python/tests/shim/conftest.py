@@ -1,4 +1,4 @@
-"""Where the shim's tests find what they are held against."""
+"""Locations of the references for the shim's tests."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-# The scripts and helpers of this folder, however pytest imports the tests.
+# Makes scripts and helpers of this folder importable, however pytest imports the tests.
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-# Before anything imports the shim: no configuration of whoever runs the tests counts.
+# Set before anything imports the shim, so that the user's own configuration is ignored.
 os.environ["LIBERO_CONFIG_PATH"] = tempfile.mkdtemp(prefix="libero-config-")
 
 pytest.importorskip("libero._absent", reason="rollout-libero-shim is not installed")
@@ -22,7 +22,7 @@ from reference import fetched_assets
 
 @pytest.fixture(scope="module", autouse=True)
 def assets() -> Iterator[None]:
-    """Tests draw with LIBERO's assets if they can be fetched, otherwise with simple shapes."""
+    """Draws with LIBERO's assets if they can be fetched, otherwise with simple shapes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROLLOUT_ASSETS", "libero" if fetched_assets() else "primitives")
         yield
@@ -30,7 +30,7 @@ def assets() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def real_assets() -> Path:
-    """LIBERO's assets, with which reference frames and contacts were recorded."""
+    """LIBERO's assets, which were used to record reference frames and contacts."""
     folder = fetched_assets()
     if folder is None:
         pytest.skip("LIBERO's assets cannot be fetched")
@@ -39,7 +39,7 @@ def real_assets() -> Path:
 
 @pytest.fixture
 def bddl_file() -> str:
-    """The file of a task with few objects."""
+    """The BDDL file of a task with few objects."""
     from libero.libero import benchmark
 
     return benchmark.get_benchmark_dict()["libero_goal"]().get_task_bddl_file_path(8)

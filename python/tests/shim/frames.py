@@ -1,4 +1,4 @@
-"""How far frames may be from the original's, as docs/FIDELITY.md says."""
+"""Permitted differences of frames from the original's, as in docs/FIDELITY.md."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from numpy.typing import NDArray
 
 FEW = 8
 AS_RECORDED = 0.94
-#: Another processor's driver rounds otherwise, most of all on the floor of libero_object.
+#: Another processor's driver rounds differently, mostly on the floor of libero_object.
 DRAWN_HERE = 0.85
 
 
 def assert_close_frames(
     ours: NDArray[np.uint8], theirs: NDArray[np.uint8], what: str, at_least: float = AS_RECORDED
 ) -> None:
-    """Enough of the pixels are equal, and 99.97 % within two levels. Edges matter more in
-    small frames: a few pixels may be further off in any."""
+    """Checks that enough of the pixels are equal, and 99.97 % within two levels. Edges
+    matter more in small frames, so a few pixels may differ more in any frame."""
     assert ours.shape == theirs.shape and ours.dtype == theirs.dtype == np.uint8, what
     off = np.abs(ours.astype(int) - theirs.astype(int)).max(axis=-1)
     equal, far = (off == 0).mean(), (off > 2).sum()

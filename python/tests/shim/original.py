@@ -1,4 +1,4 @@
-"""Runs a script of this folder with the shim, and with the original where it is installed.
+"""Runs a script of this folder with the shim, and with the original if it is installed.
 
 `ROLLOUT_ORIGINAL` names the Python of an environment with the original (hf-libero 0.1.4,
 robosuite 1.4.0, MuJoCo 3.3.7) and its assets.
@@ -21,7 +21,7 @@ MINUTES = 20
 
 
 def original_python() -> str:
-    """The original's Python, or the test is skipped."""
+    """Returns the original's Python, or skips the test."""
     python = os.environ.get("ROLLOUT_ORIGINAL")
     if not python or not Path(python).exists():
         pytest.skip("the original is not installed: ROLLOUT_ORIGINAL names no Python")
@@ -29,7 +29,7 @@ def original_python() -> str:
 
 
 def run(python: str, script: str, *arguments: str, **variables: str) -> Any:
-    """What a script of this folder has pickled into the file that is its last argument."""
+    """Returns the object that a script pickled into the file of its last argument."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.pickle"
         done = subprocess.run(
@@ -46,7 +46,7 @@ def run(python: str, script: str, *arguments: str, **variables: str) -> Any:
 
 
 def run_original(script: str, *arguments: str, **variables: str) -> Any:
-    """The same with the original, which draws through OpenGL without a display."""
+    """The same with the original, which draws with OpenGL without a display."""
     python = original_python()
     packages = subprocess.run(
         [python, "-c", "import site; print(site.getsitepackages()[0])"],
@@ -55,7 +55,7 @@ def run_original(script: str, *arguments: str, **variables: str) -> Any:
         check=True,
     ).stdout.strip()
     root = Path(packages) / "libero" / "libero"
-    # Without it the original asks on standard input.
+    # Without this configuration the original asks on standard input.
     with tempfile.TemporaryDirectory() as settings:
         folders = {
             "benchmark_root": root,
@@ -68,10 +68,10 @@ def run_original(script: str, *arguments: str, **variables: str) -> Any:
             "".join(f"{key}: {folder}\n" for key, folder in folders.items())
         )
         variables = {"LIBERO_CONFIG_PATH": settings, "MUJOCO_GL": "egl", **variables}
-        # The shim must not be found by it.
+        # The original's Python must not find the shim.
         return run(python, script, *arguments, PYTHONPATH="", **variables)
 
 
 def run_shim(script: str, *arguments: str, **variables: str) -> Any:
-    """The same with the shim, in a process of its own as well."""
+    """The same with the shim, also in a separate process."""
     return run(sys.executable, script, *arguments, **variables)

@@ -1,4 +1,4 @@
-"""What the shim is held against, beside the checkout; tests skip where it is missing."""
+"""The shim's references, in a folder beside the checkout; tests skip if it is missing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SHARED = Path(__file__).resolve().parents[4] / "shared"
 
 @functools.cache
 def fetched_assets() -> Path | None:
-    """LIBERO's assets, or none without a network."""
+    """Returns LIBERO's assets, or None without a network."""
     try:
         return rollout_libero.fetch_assets()
     except FileNotFoundError as error:

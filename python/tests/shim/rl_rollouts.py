@@ -1,7 +1,7 @@
-"""Rollouts of a framework for reinforcement learning, its own files unmodified:
+"""Rollouts of a reinforcement-learning framework with its own unmodified files:
 `rl_rollouts.py FRAMEWORK OUT`.
 
-`FRAMEWORK_SOURCES` names a folder with a checkout of it where the package index has none.
+`FRAMEWORK_SOURCES` names the folder of its checkout if the package index has none.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 SUITE, SIZE = "libero_spatial", 64
 Rollouts = dict[str, Any]
 SOURCES = Path(os.environ.get("FRAMEWORK_SOURCES") or ".")
-#: What these files import beside LIBERO, for policies and training, and do not call here.
+#: Other imports of these files, for policies and training, that are not called here.
 _BESIDE = (
     *("codetiming", "draccus", "h5py", "hydra", "imageio", "matplotlib", "natsort", "ray"),
     *("pandas", "robosuite", "tensordict", "tensorflow", "termcolor", "tqdm", "transformers"),
@@ -36,7 +36,7 @@ _BESIDE = (
 
 
 class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Stands in for packages of these names that are not installed. Asked last."""
+    """Finder of stand-ins for packages of these names that are not installed. Tried last."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
         if name.partition(".")[0] in _BESIDE:
@@ -57,7 +57,7 @@ def _absent(name: str) -> Any:
 
 
 class _Bare(importlib.abc.MetaPathFinder):
-    """Finds frameworks' packages as folders alone: what they import is their training."""
+    """Finds frameworks' packages as plain folders, because their __init__ imports training code."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
         if name.partition(".")[0] not in ("ript", "siirl", "verl_vla"):
@@ -71,17 +71,17 @@ class _Bare(importlib.abc.MetaPathFinder):
         return None
 
 
-# Processes that are spawned import this file too.
+# Spawned processes import this file, too.
 sys.meta_path.insert(0, _Bare())
 sys.meta_path.append(_StandIns())
 
 
 def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollouts:
-    """Two resets, two chunks each, of two environments."""
+    """Runs two resets, with two chunks each, of two environments."""
     import torch
     from omegaconf import OmegaConf
 
-    # Its logger is Ray's.
+    # RLinf's own logger needs Ray.
     log = types.ModuleType("rlinf.utils.logging")
     log.get_logger = lambda *_: logging.getLogger("rlinf")  # type: ignore[attr-defined]
     sys.modules["rlinf.utils.logging"] = log
@@ -131,12 +131,12 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
 
 
 def rlinf_of_130() -> Rollouts:
-    """Tasks of all suites together, counted through the suites' order."""
+    """Uses the tasks of all suites, numbered through in the suites' order."""
     return rlinf(suite="libero_130", specific_reset_id=None)
 
 
 def rlinf_together() -> Rollouts:
-    """The same as `rlinf` in one process."""
+    """Runs the same as `rlinf` in one process."""
     return rlinf(together=True)
 
 
@@ -164,7 +164,7 @@ def _task(i: int) -> tuple[str, Any]:
 
 
 class _Construct:
-    """Constructs an environment, in whatever process."""
+    """Constructs an environment, in any process."""
 
     def __init__(self, i: int) -> None:
         self.arguments = {
@@ -180,7 +180,7 @@ class _Construct:
 
 
 def simplevla_rl() -> Rollouts:
-    """Its process for a rollout, forked from one that has imported everything."""
+    """Runs the framework's rollout process, forked from one that has imported everything."""
     from libero.libero.envs import OffScreenRenderEnv  # noqa: F401
 
     rollout = importlib.import_module("verl.workers.rollout.rob_rollout")
@@ -204,7 +204,7 @@ def simplevla_rl() -> Rollouts:
 
 
 def _vectors(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
-    """Some of several environments are reset and take the places of the others' results."""
+    """Resets some of several environments and puts their results in place of earlier ones."""
     envs = getattr(venv, kind)([_Construct(i) for i in (0, 3)])
     states = [_task(0)[1][1], _task(3)[1][2]]
     envs.seed(4)
@@ -245,7 +245,7 @@ def siirl() -> Rollouts:
 
 
 def ript_vla() -> Rollouts:
-    """Its wrappers of one environment and of several, reset in both of their ways."""
+    """Runs wrappers of one environment and of several, with both kinds of reset."""
     utils = importlib.import_module("ript.utils.libero_utils")
     from libero.libero import benchmark
 

@@ -1,4 +1,4 @@
-"""What is done with the original and with the shim alike: `scenarios.py NAME OUT`.
+"""Scenarios run with the original and with the shim: `scenarios.py NAME OUT`.
 
 Each scenario is a list of labelled values, which `test_original.py` compares.
 """
@@ -21,7 +21,7 @@ from libero.libero.envs import OffScreenRenderEnv, SegmentationRenderEnv
 
 Log = list[tuple[str, Any]]
 
-# Fixtures and zones; an open drawer; a bowl in a drawer; a floor; a stove that is on.
+# Tasks with fixtures and zones, an open drawer, a bowl in a drawer, a floor, and a burning stove.
 TASKS = {
     "goal": "libero_goal/put_the_bowl_on_the_plate",
     "drawer": "libero_10/KITCHEN_SCENE4_put_the_black_bowl_in_the_bottom_drawer_of_the_cabinet_and_close_it",
@@ -112,7 +112,7 @@ def absolute_control() -> Log:
 
 
 def states() -> Log:
-    """States read and written in the middle of an episode, with and without observing."""
+    """Reads and writes states in the middle of an episode, with and without observing."""
     env = blind("drawer")
     env.seed(1)
     env.reset()
@@ -128,7 +128,7 @@ def states() -> Log:
     log.append(("set, success", bool(env.check_success())))
     for i, action in enumerate(actions(3)):
         log.append((f"step after set {i}", env.step(action)))
-    # Each of these moves the instant at which later steps sample.
+    # Each of these calls moves the instant at which later steps sample.
     for i in range(27):
         log.append((f"regenerated {i}", env.regenerate_obs_from_state(kept)))
         if i % 3 == 0 or i > 20:
@@ -167,7 +167,7 @@ def horizon() -> Log:
 
 
 def frames() -> Log:
-    """Frames, depths and pictures of the present."""
+    """Draws frames, depths and pictures of the present."""
     env = make("in_drawer", camera_depths=True, camera_heights=[96, 128], camera_widths=[128, 64])
     env.seed(2)
     log: Log = [("reset", env.reset())]
@@ -206,7 +206,7 @@ def segmentations() -> Log:
 
 
 def stove() -> Log:
-    """A burner glows once it is on, and stays so when the model is not loaded anew."""
+    """Turns on a burner, which glows, and continues to glow if the model is not reloaded."""
     log: Log = []
     for hard_reset in (False, True):
         env = make("turn_on", hard_reset=hard_reset)
@@ -228,7 +228,7 @@ def stove() -> Log:
 
 
 def details() -> Log:
-    """What scripts read besides observations."""
+    """Reads values that scripts use besides observations."""
     env = blind("stove")
     env.seed(4)
     env.reset()

@@ -1,6 +1,6 @@
-"""Clients of LIBERO as PyPI has them, unmodified, on the shim: an episode each, which picks
-something up, drops it into a basket, and succeeds. Where the original is installed, they give
-the same frames and success with it.
+"""Unmodified PyPI clients of LIBERO on the shim: in an episode of each, an
+object is picked up, dropped into a basket, and the task succeeds. Where the
+original is installed, they give the same frames and success with it.
 
 `ROLLOUT_CLIENTS` names the Python of an environment with the clients and the packages of
 clients.txt (`cargo xtask test` makes one where it can). Where `ROLLOUT_ORIGINAL` is of the same
@@ -26,15 +26,15 @@ from libero.libero.envs import OffScreenRenderEnv
 
 CLIENTS = ["vla-eval", "lerobot", "torchrl"]
 SUITE, TASK = "libero_object", 0
-# Steps before the gripper touches something.
+# Number of steps before the gripper touches anything.
 UNTOUCHED = 34
-# Grasps amplify rounding; a frame later or sooner is not another outcome.
+# Grasps amplify rounding, so success may come this many frames earlier or later.
 LATER = 2
 
 
 @pytest.fixture(scope="module")
 def clients() -> str:
-    """The clients' Python."""
+    """Returns the Python of the clients' environment."""
     python = os.environ.get("ROLLOUT_CLIENTS")
     if not python or not Path(python).exists():
         pytest.skip("the clients are not installed: ROLLOUT_CLIENTS names no Python")
@@ -43,8 +43,8 @@ def clients() -> str:
 
 @pytest.fixture(scope="module")
 def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path:
-    """Actions [steps, 7] that put the task's object into the basket, found by a script that
-    knows where both are."""
+    """Actions [steps, 7] that put the task's object into the basket, from a
+    script that knows both positions."""
     suite = benchmark.get_benchmark_dict()[SUITE]()
     env = OffScreenRenderEnv(
         bddl_file_name=suite.get_task_bddl_file_path(TASK), use_camera_obs=False
@@ -71,7 +71,7 @@ def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path
     for steps, goal, gripper in plan:
         for _ in range(steps):
             towards = np.clip((goal - observation["robot0_eef_pos"]) / 0.05, -1, 1)
-            # Clients hand single precision on.
+            # Clients pass single precision on.
             taken.append(np.float32([*towards, 0, 0, 0, gripper]))
             observation, _, done, _ = env.step(taken[-1])
     assert done, "the script did not put the object into the basket"
@@ -83,7 +83,7 @@ def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path
 
 @pytest.fixture(scope="module")
 def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with nothing but the packages under test."""
+    """A folder with only the packages under test."""
     folder = tmp_path_factory.mktemp("packages")
     for package in (rollout_libero, libero):
         (folder / package.__name__).symlink_to(Path(str(package.__file__)).parent)
@@ -94,7 +94,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_client_runs_an_episode_and_sees_what_it_sees_with_the_original(
     client: str, clients: str, actions: Path, shim: Path, tmp_path: Path
 ) -> None:
-    # vla-eval and torchrl write or need a configuration; an empty folder is as new.
+    # vla-eval and torchrl write or need a configuration; an empty folder acts as a new one.
     ours = run(
         clients,
         "client_episodes.py",
@@ -114,8 +114,8 @@ def test_a_client_runs_an_episode_and_sees_what_it_sees_with_the_original(
     )
     assert abs(len(ours) - len(theirs)) <= LATER
     assert [list(step) for step in ours[:90]] == [list(step) for step in theirs[:90]]
-    # Until the gripper touches something, frames and readings are the same; from then on
-    # rounding grows in the original too, and frames look alike.
+    # Until the gripper touches something, frames and readings are equal. Later, rounding errors
+    # grow in the original too, and frames are only similar.
     for i in range(UNTOUCHED):
         assert_same(ours[i], theirs[i], f"{client} step {i}")
     for i in range(UNTOUCHED, min(len(ours), len(theirs))):
@@ -141,7 +141,7 @@ def assert_same(our: Any, their: Any, what: str) -> None:
 
 
 def assert_alike(our: Any, their: Any, what: str) -> None:
-    """Nearly all pixels of all frames are nearly the same."""
+    """Checks that nearly all pixels of all frames are nearly equal."""
     if isinstance(their, dict):
         for key in their:
             assert_alike(our[key], their[key], f"{what}: {key}")

@@ -1,4 +1,4 @@
-"""The shim against recordings of the original: 23 tasks, two initial states each."""
+"""Compares the shim with recordings of the original: 23 tasks, two initial states each."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ pytestmark = pytest.mark.skipif(not RECORDED, reason=f"no recordings in {SHARED 
     ids=[f"{task.parent.name}-{task.name[:2]}" for task in RECORDED],
 )
 def task(request: pytest.FixtureRequest, real_assets: Path) -> Iterator[Path]:
-    """A task's folder; its scene is compiled once for all of its tests."""
+    """A task's folder; its scene is compiled once for all tests."""
     suite, i = suite_of(request.param)
     kept = OffScreenRenderEnv(bddl_file_name=suite.get_task_bddl_file_path(i))
     yield request.param
@@ -56,7 +56,7 @@ def suite_of(task: Path) -> tuple[Any, int]:
 
 
 def seeded(task: Path) -> OffScreenRenderEnv:
-    """A fresh environment, seeded and reset once, as it was recorded."""
+    """A new environment, seeded and reset once, as in the recording."""
     suite, i = suite_of(task)
     env = OffScreenRenderEnv(
         bddl_file_name=suite.get_task_bddl_file_path(i), camera_heights=256, camera_widths=256
@@ -135,12 +135,12 @@ def test_grasping_gives_the_originals_success_flags_and_positions_as_far_as_roun
 
 
 def rounding_grows_to(task: Path, step: int) -> float:
-    """How far positions may be off at a step in contact: a hundred times what the original's
-    own response to noise of 1e-14 in its torques was, as docs/FIDELITY.md says."""
+    """Permitted position error at a step in contact: a hundred times the original's
+    response to noise of 1e-14 in its torques, as in docs/FIDELITY.md."""
     measured = SENSITIVITY.get(f"{task.parent.name}/{int(task.name[:2])}", {}).get("contact")
     if measured is None:
         return np.inf
-    # Measured at steps 20, 40, …
+    # The response was measured at steps 20, 40, …
     response = measured[min((step - 1) // 20, len(measured) - 1)]
     return NEAR if response < CALM else 100 * response
 

@@ -1,5 +1,5 @@
-"""Calls of frameworks for reinforcement learning to LIBERO beside episodes: the lines of
-theirs that failed, or got something else, in as few words as they can be said in."""
+"""Calls to LIBERO by reinforcement-learning frameworks, besides episodes: the
+lines that failed or got another result, shortened."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def in_a_process(code: str, **environment: str) -> subprocess.CompletedProcess[s
     )
 
 
-# RLinf: its configuration is pointed at the package, in every process.
+# RLinf: every process points its configuration at the package.
 
 
 def test_the_root_is_the_package_as_in_the_original(config_file: Path) -> None:
@@ -53,7 +53,7 @@ def test_the_root_is_the_package_as_in_the_original(config_file: Path) -> None:
 
 
 def test_the_packages_own_folder_is_the_default(config_file: Path, tmp_path: Path) -> None:
-    # As another installation left it behind.
+    # A configuration left by another installation.
     config_file.write_text(f"benchmark_root: {tmp_path}\nbddl_files: {tmp_path}\n")
     for _ in range(2):
         set_libero_default_path(PACKAGE)
@@ -79,7 +79,7 @@ def test_many_processes_set_the_packages_folder_at_once(tmp_path: Path) -> None:
 
 
 def test_suites_are_in_the_originals_order() -> None:
-    # RLinf counts the tasks of libero_130 through them.
+    # RLinf numbers the tasks of libero_130 in this order.
     order = ["libero_spatial", "libero_object", "libero_goal", "libero_90", "libero_10"]
     assert benchmark.libero_suites == order
     assert list(benchmark.libero_task_map) == list(benchmark.task_maps) == order
@@ -91,7 +91,7 @@ def test_suites_are_in_the_originals_order() -> None:
 def test_what_a_cameras_depths_mean_can_be_read(bddl_file: str) -> None:
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
     model = env.sim.model
-    # Against the depth buffer: MuJoCo's planes are in units of the extent.
+    # Converts the depth buffer to metres: MuJoCo's planes are in units of the extent.
     planes = (model.vis.map.znear, model.vis.map.zfar)
     near, far = (float(plane) * model.stat.extent for plane in planes)
     assert 0 < near < 0.1 < 2 < far
@@ -109,7 +109,7 @@ def test_what_a_cameras_depths_mean_can_be_read(bddl_file: str) -> None:
     env.close()
 
 
-# verl-vla, and what builds on RLinf before it had a copy of LIBERO's module.
+# verl-vla, and projects based on an RLinf that had no copy of LIBERO's module yet.
 
 
 def _serve_once(parent: Any, connection: Any, env_fn: Any, buffers: Any = None) -> None:
@@ -124,7 +124,7 @@ def _serve_once(parent: Any, connection: Any, env_fn: Any, buffers: Any = None) 
 
 
 class OwnWorker(venv.SubprocEnvWorker):
-    """A worker whose constructor and process are another project's."""
+    """A worker with another project's constructor and process."""
 
     def __init__(self, env_fn: Any) -> None:
         self.parent_remote, self.child_remote = multiprocessing.Pipe()
@@ -192,7 +192,7 @@ def test_buffers_of_a_space_are_shared_with_a_process() -> None:
     assert callable(venv._worker) and callable(venv.deprecation)
 
 
-# RIPT: spaces, infos of resets, pictures.
+# RIPT: spaces, infos of resets, and pictures.
 
 
 @pytest.mark.parametrize("kind", [DummyVectorEnv, SubprocVectorEnv])
@@ -213,7 +213,7 @@ def test_spaces_and_pictures_of_several_environments(kind: Any) -> None:
 
 
 class Slow(Counting):
-    """An environment that takes its time, and says when."""
+    """A slow environment that records when it runs."""
 
     def set_init_state(self, state: float) -> Any:
         begun = time.monotonic()
@@ -250,7 +250,7 @@ def test_time_is_taken_and_videos_have_a_home() -> None:
         import libero.libero.utils.utils  # noqa: F401
 
 
-# SimpleVLA-RL: a process for each rollout, forked from one that has loaded everything.
+# SimpleVLA-RL: a process per rollout, forked from one that has loaded everything.
 
 
 def forked(work: Any) -> Any:
@@ -282,7 +282,7 @@ def test_a_forked_process_constructs_and_steps(bddl_file: str) -> None:
         return rollout(construct(), state)
 
     idle, stop = construct(), threading.Event()
-    # As PyTorch's: threads that are alive in the parent, and are not in the child.
+    # Like PyTorch's threads, these run in the parent and do not exist in the child.
     others = [threading.Thread(target=stop.wait) for _ in range(4)]
     for thread in others:
         thread.start()
@@ -331,7 +331,7 @@ def test_a_construction_that_fails_is_said_though_the_error_is_swallowed() -> No
     assert done.returncode == 0
 
 
-# Several packages of one name.
+# Several packages with the same name.
 
 
 def test_the_doctor_says_which_libero_is_imported(tmp_path: Path) -> None:

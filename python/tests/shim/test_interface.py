@@ -1,4 +1,4 @@
-"""What the shim does by itself: folders, tables, misuse, several environments."""
+"""The shim's own behaviour: folders, tables, misuse, several environments."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_a_configured_folder_counts_where_it_has_files(config_file: Path, tmp_pa
 
 
 def test_a_configuration_of_folders_inside_the_package_does_no_harm(config_file: Path) -> None:
-    # What torchrl writes before its first import of LIBERO.
+    # torchrl writes this before its first import of LIBERO.
     import libero.libero
 
     root = os.path.dirname(libero.libero.__file__)
@@ -265,7 +265,7 @@ def test_a_scene_outlives_its_environments(
     first, *later = (construct(str(own)) for _ in range(6))
     assert len(compiled) == 1
     print(f"constructed in {first:.1f} ms, then in {statistics.median(later):.1f} ms")
-    # Who changes the file means another scene.
+    # A changed file gives another scene.
     own.write_text(own.read_text() + "\n")
     construct(str(own))
     assert len(compiled) == 2
@@ -552,7 +552,7 @@ def test_after_an_error_answers_belong_to_their_own_calls(kind: Any, bddl_file: 
     moves = [[0.9, 0.9, 0, 0, 0, 0, -1]] * 2
     with pytest.raises(ValueError, match="7 numbers"):
         envs.step([[0.0], moves[1]])
-    # The other environment has taken its step. Its answer must not come with the next one.
+    # The other environment has stepped. Its answer must not be taken for that of the next call.
     before = seen(envs.step(moves)[0])
     after = seen(envs.step(moves)[0])
     states = envs.get_sim_state()

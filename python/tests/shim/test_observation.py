@@ -1,5 +1,5 @@
-"""Pictures of observations, which are drawn when they are read: whatever is read, copied or
-sent, and whenever, it has the bits of pictures that were drawn at once."""
+"""Pictures of observations, drawn when they are read. However and whenever they are
+read, copied or sent, they equal pictures that were drawn at once, bit for bit."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_however_it_is_read_it_holds_what_was_drawn_at_once(number: int, bddl_fi
 def test_steps_that_nobody_looks_at_draw_nothing(bddl_file: str) -> None:
     size = {"camera_heights": 23, "camera_widths": 31}
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
-    # The scene's first through these cameras is drawn, so that what cannot be drawn is known.
+    # The scene's first observation through these cameras is drawn at once, to find errors early.
     assert undrawn(env.reset()) == []
     assert undrawn(env.reset()) == list(PICTURES)
     other = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
@@ -167,14 +167,14 @@ def test_pictures_read_in_any_order_are_those_drawn_at_once(seed: int, bddl_file
             key = chance.choice(PICTURES)
             np.testing.assert_array_equal(late[key], early[key])
         if chance.random() < 0.2:
-            # An observation that is dropped unseen does no harm.
+            # Dropping an observation without reading it does no harm.
             kept.pop(chance.randrange(len(kept))) if kept else None
             gc.collect()
     chance.shuffle(kept)
     for late, early in kept:
         for key in late:
             np.testing.assert_array_equal(late[key], early[key])
-    # To look has moved nothing.
+    # Reading has moved nothing.
     np.testing.assert_array_equal(env.get_sim_state(), eager.get_sim_state())
     for it in (env, eager):
         it.close()
@@ -185,7 +185,7 @@ def test_two_observations_of_one_instant_share_their_pictures(bddl_file: str) ->
     env.step(actions(1)[0])
     one, other = (env.env._get_observations() for _ in range(2))
     assert one["agentview_image"] is other["agentview_image"]
-    # A change of one is no change of the next step's.
+    # A change of one observation does not affect the next step's.
     one["agentview_image"][:] = 0
     after, *_ = env.step(actions(1)[0])
     assert after["agentview_image"].any()
@@ -227,12 +227,12 @@ def test_it_is_drawn_after_its_environment_was_closed_or_while_that_computes(
     thread.start()
     np.testing.assert_array_equal(late["agentview_image"], expected["agentview_image"])
     while thread.is_alive():
-        # Anew, each time from what was frozen.
+        # Drawn again each time from the recorded poses.
         np.testing.assert_array_equal(
             look.frame("agentview", 32, 24), expected["agentview_image"]
         )
     thread.join()
-    # To look at something stops nobody.
+    # Drawing does not block the other thread.
     assert failed == []
     env.close()
     np.testing.assert_array_equal(

@@ -1,4 +1,4 @@
-"""The shim beside the original, run live: the same scenarios with both."""
+"""The shim against the original, run live: the same scenarios with both."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ SCENARIOS = [
     "details",
 ]
 NEAR = 1e-9
-# Rotations between hand and objects pass through single precision, and through another
-# implementation of LAPACK.
+# Rotations between hand and objects use single precision and another implementation of LAPACK.
 NEAR_IN_SINGLE_PRECISION = 1e-6
 
 
@@ -67,7 +66,7 @@ def assert_same_array(our: Any, their: Any, what: str) -> None:
         same = (our == their).mean()
         assert same >= 0.999, f"{what}: {same:.4%} of the pixels are the same"
     elif "depth" in what:
-        # Where one rounding decides which surface is seen, depths jump.
+        # Depths jump at pixels where one rounding decides which surface is visible.
         near = (np.abs(our - their) <= 1e-5).mean()
         assert near >= 0.999, f"{what}: {near:.4%} of the depths are the same"
     else:

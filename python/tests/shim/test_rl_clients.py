@@ -1,8 +1,8 @@
-"""Frameworks for reinforcement learning on the shim, their own files unmodified.
+"""Reinforcement-learning frameworks on the shim, with their own unmodified files.
 
-RLinf is installed where the other clients are (`ROLLOUT_CLIENTS`, test_clients.py). The others
-are on no package index: `ROLLOUT_FRAMEWORKS` names a folder with checkouts of them, by their
-repositories' names.
+RLinf is installed with the other clients (`ROLLOUT_CLIENTS`, test_clients.py).
+The other frameworks are in no package index: `ROLLOUT_FRAMEWORKS` names a
+folder with checkouts of them, named after their repositories.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def python() -> str:
 
 @pytest.fixture(scope="module")
 def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with nothing but the packages under test."""
+    """A folder with only the packages under test."""
     folder = tmp_path_factory.mktemp("packages")
     for package in (rollout_libero, libero):
         (folder / package.__name__).symlink_to(Path(str(package.__file__)).parent)
@@ -144,7 +144,7 @@ def test_simplevla_rl_rolls_out_in_a_forked_process(
     chance = np.random.default_rng(4)
     for step in steps:
         for action in chance.uniform(-1, 1, (8, 7)):
-            # As the framework's own functions have it: binary, and the other way round.
+            # The framework's own functions make the gripper binary and invert it.
             action[-1] = -np.sign(2 * action[-1] - 1)
             seen, *_ = env.step(action.tolist())
         assert_same(step["obs"], dict(seen), "step")
@@ -201,7 +201,7 @@ def test_several_environments_of_a_framework_are_those_of_the_shim(
 def test_ript_wraps_one_environment_and_several(python: str, shim: Path, tmp_path: Path) -> None:
     rollouts = rolled_out(python, shim, tmp_path, "ript_vla", checkout("ript-vla"))
     alone, several = rollouts["seen"][:4], rollouts["seen"][4:]
-    # `reset_ori` returns what was seen before its states; the second reset sets them.
+    # `reset_ori` returns the observation before its states are set; the second reset sets them.
     for count, (first, stepped, reset, again) in ((1, alone), (2, several)):
         assert first["agentview_rgb"].shape == (count, SIZE, SIZE, 3)
         assert reset["gripper_states"].shape == (count, 2)

@@ -1,4 +1,4 @@
-"""`TrainingEnvironment` beside the shim's environments: the same bits from the same starts."""
+"""`TrainingEnvironment` against the shim's environments: equal bits from equal starts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def task(suite: str, i: int) -> tuple[str, np.ndarray]:
 
 
 def begun(start: Start, settle_steps: int = 10, resets: int = 1) -> tuple[OffScreenRenderEnv, Any]:
-    """An environment of the shim that a script has begun like this."""
+    """Returns an environment of the shim, started as a script would start it."""
     env = OffScreenRenderEnv(bddl_file_name=start.task, camera_heights=SIZE, camera_widths=SIZE)
     for _ in range(resets):
         env.seed(start.seed)
@@ -57,7 +57,7 @@ def envs() -> Any:
 
 
 def test_rows_of_any_tasks_begin_and_step_as_scripts_have_them(envs: TrainingEnvironment) -> None:
-    # A drawer whose joint and place the seed draws, an object, and one of the ninety.
+    # A drawer whose joint and place depend on the seed, an object, and a task of libero_90.
     tasks = [task("libero_goal", 0), task("libero_object", 3), task("libero_90", 44)]
     starts = [Start(file, states[7 + i], seed=20 + i) for i, (file, states) in enumerate(tasks)]
     shim = [begun(start) for start in starts]
@@ -71,13 +71,13 @@ def test_rows_of_any_tasks_begin_and_step_as_scripts_have_them(envs: TrainingEnv
         for action in chunk[at]:
             seen, *_ = env.step(action)
         assert_same(stepped.observation, at, seen)
-    # Another task in the middle row alone, without a state, from an environment that is kept.
+    # Another task, in the middle row only, without a state, from an environment that is kept.
     other = Start(task("libero_goal", 6)[0], seed=5, loads=3)
     observation = envs.reset([other], rows=[1])
     assert_same(observation, 0, begun(other, resets=2)[1])
     assert observation["agentview"].shape == (1, SIZE, SIZE, 3)
     assert observation["agentview"].flags.c_contiguous and observation["agentview"].flags.writeable
-    # The others have not moved.
+    # The other rows have not moved.
     stepped = envs.step_chunk(chunk[[2, 0], :2], rows=[2, 0], render="all")
     for place, row in enumerate((2, 0)):
         for step, action in enumerate(chunk[row, :2]):

@@ -57,7 +57,7 @@ pub enum Action {
 pub struct Command {
     /// Line of the page where the command begins, from 1.
     pub line: usize,
-    /// Its text, several lines included.
+    /// Text of the command, including continued lines.
     pub text: String,
 }
 

@@ -1,4 +1,4 @@
-//! The manifests.
+//! Kubernetes manifests.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,14 +6,14 @@ use std::process::Command;
 
 use super::{GIVE_BACK_SECS, folder, runs, unknown_flags};
 
-/// Files that say what there is; the others are instructions to kustomize.
+/// Files with resources; all other files are instructions to kustomize.
 const BASE: [&str; 5] = ["namespace", "coordinator", "gateway", "workers", "network"];
 
-/// Folders that a cluster is given.
+/// Folders that can be applied to a cluster.
 const FOLDERS: [&str; 3] = ["base", "keda", "job"];
 
-/// An interpreter that has `kubernetes-validate`, unless there is none; then the test is
-/// said to be skipped.
+/// Returns an interpreter with `kubernetes-validate`; if there is none, prints that the test is
+/// skipped.
 fn python(test: &str) -> Option<PathBuf> {
     let python = std::env::var_os("ROLLOUT_DEPLOY_PYTHON").map(PathBuf::from);
     if python.is_none() {
@@ -33,7 +33,7 @@ fn secrets() -> PathBuf {
     folder("kubernetes").join("secrets.example.yaml")
 }
 
-/// Whether manifests are in order, and what is said about them.
+/// Returns true if the manifests are valid, and the output of the check.
 fn check(python: &Path, files: &[PathBuf]) -> (bool, String) {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/deploy/manifests.py");
     let output = Command::new(python)
@@ -46,7 +46,7 @@ fn check(python: &Path, files: &[PathBuf]) -> (bool, String) {
     (output.status.success(), text)
 }
 
-/// Checks manifests, and the command lines in them; returns the kinds without a schema.
+/// Asserts that manifests and their command lines are valid; returns the kinds without a schema.
 fn assert_in_order(python: &Path, files: &[PathBuf]) -> serde_json::Value {
     let (in_order, said) = check(python, files);
     assert!(in_order, "{said}");

@@ -10,7 +10,7 @@ use std::process::Command;
 use tests::documents::folder::checkout;
 use tests::programs::program;
 
-/// A folder of `deploy`.
+/// Returns the path of a folder of `deploy`.
 fn folder(name: &str) -> PathBuf {
     checkout().join("deploy").join(name)
 }
@@ -35,7 +35,7 @@ fn help(words: &[String]) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-/// Flags of a command line that its program does not have.
+/// Returns the flags of a command line that its program does not have.
 fn unknown_flags(words: &[String]) -> Vec<String> {
     let (name, arguments) = words.split_first().expect("a program");
     let help = help(words);

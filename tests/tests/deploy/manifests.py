@@ -1,8 +1,7 @@
-"""Holds Kubernetes manifests against the API's schemas, and against each other.
+"""Checks Kubernetes manifests against the API's schemas, and against each other.
 
-`manifests.py FILE…` prints what is wrong, a line each, and ends with status 1 if there is
-anything; else it prints each container's command line as JSON, and then the kinds that have
-no schema.
+`manifests.py FILE…` prints one line per fault and exits with status 1 if there are any. Otherwise
+it prints each container's command line as JSON, and then the kinds that have no schema.
 """
 
 import json
@@ -12,9 +11,9 @@ from pathlib import Path
 import kubernetes_validate
 import yaml
 
-# The oldest that is still served by large providers, and the newest.
+# The oldest version that large providers still serve, and the newest.
 VERSIONS = ("1.31", kubernetes_validate.latest_version())
-# Kinds of others than Kubernetes.
+# Prefixes of kinds that are not Kubernetes' own.
 FOREIGN = ("keda.sh/",)
 ACCESS = "/etc/rollout/"
 

@@ -1,4 +1,4 @@
-//! The units.
+//! systemd units.
 
 use std::fs;
 use std::path::Path;
@@ -18,7 +18,7 @@ fn unit(name: &str) -> String {
     fs::read_to_string(folder("systemd").join(name)).expect("a unit")
 }
 
-/// Returns the complaints of systemd about units of these texts.
+/// Returns systemd's complaints about units with these texts.
 fn complaints(units: &[(&str, String)]) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let paths = units.iter().map(|(name, text)| {
@@ -30,13 +30,13 @@ fn complaints(units: &[(&str, String)]) -> String {
     verify.args(["verify", "--man=no"]).args(paths);
     let output = verify.output().expect("systemd-analyze runs");
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    // Of this machine's own units it may say something, too.
+    // systemd may also complain about this machine's own units.
     said.lines()
         .filter(|line| line.contains("rollout-"))
         .collect()
 }
 
-/// The unit with its program where the tests have it.
+/// Returns the text of a unit, with the program that was built for the tests.
 fn here(name: &str, of: &str) -> String {
     let installed = format!("/usr/local/bin/{of}");
     let text = unit(name);
@@ -52,13 +52,13 @@ fn systemd_accepts_the_units() {
     }
     let units = UNITS.map(|(name, of)| (name, here(name, of)));
     assert_eq!(complaints(&units), "");
-    // It notices what it does not know.
+    // An unknown setting is reported.
     let (name, of) = UNITS[2];
     let wrong = here(name, of).replace("KillMode", "KilMode");
     assert!(complaints(&[(name, wrong)]).contains("KilMode"));
 }
 
-/// The values of a setting, in the order in which they stand.
+/// Returns the values of a setting, in the order of its lines.
 fn values<'a>(unit: &'a str, setting: &str) -> Vec<&'a str> {
     let lines = unit.lines();
     lines
@@ -75,7 +75,7 @@ fn units_give_programs_flags_and_variables_that_they_have() {
         assert!(Path::new(&words[0]).ends_with(of), "{name}: {words:?}");
         words[0] = of.to_owned();
         assert_eq!(unknown_flags(&words), [""; 0], "{name}");
-        // Lines of help may end anywhere.
+        // Line breaks in the help may be anywhere.
         let help = help(&words)
             .split_whitespace()
             .collect::<Vec<_>>()
@@ -84,7 +84,7 @@ fn units_give_programs_flags_and_variables_that_they_have() {
         assert!(!set.is_empty(), "{name}");
         for variable in set {
             let variable = variable.split('=').next().expect("a name");
-            // Not an option of ours: the folder below which programs keep what they fetch.
+            // Not an option of ours: the parent folder of the programs' caches.
             if variable == "XDG_CACHE_HOME" {
                 continue;
             }

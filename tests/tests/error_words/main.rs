@@ -1,7 +1,6 @@
-//! Every variant of every error, printed with its whole chain of causes: no raw
-//! phrase of a library is in it, and nothing is missing or doubled. A variant
-//! that is not listed here does not compile; an error that is not, is found in
-//! the sources.
+//! Prints every variant of every error with its whole chain of causes: no message has a raw phrase
+//! of a library, and nothing is missing or doubled. A listed error with a missing variant does not
+//! compile; an error that is not listed is found in the sources.
 
 mod gateway;
 mod simulation;
@@ -16,11 +15,10 @@ use std::path::{Path, PathBuf};
 
 use tests::phrases::raw_phrase;
 
-/// Errors that only their own crate can make; what carries them outside is
-/// listed.
+/// Errors that only their own crate can construct; the errors that wrap them are listed.
 const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "Missing"];
 
-/// Errors that are sentences of their own; the others read after "failed to …".
+/// Errors whose messages are complete sentences; the messages of all others follow "failed to …".
 const SENTENCES: [&str; 13] = [
     "TooLate",
     "Trouble",
@@ -37,7 +35,7 @@ const SENTENCES: [&str; 13] = [
     "QueryError",
 ];
 
-/// The messages of errors, and whose they are.
+/// Messages of errors, each with the name of its type.
 #[derive(Default)]
 pub(crate) struct Messages {
     enums: BTreeSet<String>,
@@ -61,8 +59,7 @@ impl Messages {
     }
 }
 
-/// Adds every variant of an enum: a list of patterns, which must be complete, and
-/// of a value for each.
+/// Adds every variant of an enum, given as a complete list of patterns, each with a value.
 #[macro_export]
 macro_rules! variants {
     ($messages:expr, $name:path, $($pattern:pat => $value:expr,)+) => {{
@@ -80,7 +77,7 @@ macro_rules! variants {
     }};
 }
 
-/// A failure of the system's, with its words.
+/// Returns an error of the operating system, with its description.
 pub(crate) fn io_error() -> io::Error {
     io::Error::from(io::ErrorKind::PermissionDenied)
 }
@@ -96,12 +93,12 @@ pub(crate) fn json_error() -> libero_ctrl::JsonError {
     error.into()
 }
 
-/// Some path.
+/// Returns an arbitrary path.
 pub(crate) fn path() -> PathBuf {
     PathBuf::from("/data/some/file")
 }
 
-/// Some text that a person wrote or another program said.
+/// Returns an arbitrary text, as from a person or another program.
 pub(crate) fn text() -> String {
     "pi05".to_owned()
 }
@@ -127,7 +124,7 @@ fn no_error_speaks_in_a_librarys_words() {
     assert!(raw.is_empty(), "{}", raw.join("\n"));
 }
 
-/// Names of the types in a file that derive an error.
+/// Collects the names of the types in a file that derive an error trait.
 fn errors_in(file: &Path, names: &mut BTreeSet<String>) {
     let text = std::fs::read_to_string(file).expect("a source");
     let mut is_error = false;

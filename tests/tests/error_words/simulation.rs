@@ -112,7 +112,7 @@ fn pictures(messages: &mut Messages) {
     );
 }
 
-/// A picture that no fog covers.
+/// Returns the error for a picture of a size that the fog corruption cannot cover.
 fn unsuited_picture() -> UnsuitedPicture {
     let mut picture = Picture {
         height: 300,

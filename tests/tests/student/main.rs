@@ -1,5 +1,5 @@
-//! The student under all six axes, through real processes: every outcome, step count
-//! and first frame is the same on every machine. What it does is in `golden.jsonl`.
+//! The student under all six axes, through real processes: every outcome, step count and first
+//! frame equals `golden.jsonl` on every machine.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -35,7 +35,7 @@ fn a_campaign_of_all_axes_ends_as_everywhere() {
     );
 }
 
-/// A line of JSON per rollout.
+/// Returns a line of JSON per rollout.
 fn results(data: &Path) -> String {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let rows: Vec<(String, bool, i64, String)> = runtime.block_on(async {

@@ -1,4 +1,4 @@
-//! gRPC servers that are none of ours, or older than ours.
+//! gRPC servers of other projects, and older servers of this one.
 
 use std::convert::Infallible;
 use std::future::{Ready, ready};
@@ -15,7 +15,7 @@ use tonic::server::NamedService;
 use tonic::transport::server::TcpIncoming;
 use tonic::transport::{Error, Server};
 
-/// Answers the call of one path with a failure of its own, and knows no other.
+/// Service that implements one path, whose calls fail, and no other path.
 #[derive(Clone)]
 struct Knows(&'static str);
 
@@ -44,7 +44,7 @@ impl NamedService for Knows {
 /// Servers that end when this is dropped.
 pub(crate) type Servers = JoinSet<Result<(), Error>>;
 
-/// A server that knows the call of one path.
+/// Starts a server that implements the call of one path.
 pub(crate) async fn knowing(path: &'static str, servers: &mut Servers) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("an address");

@@ -1,6 +1,6 @@
-//! Every client against every server that it does not expect: it says what it
-//! tried, what it found there and what to do, in words of ours, and tries again
-//! only where that can help. The real programs on real sockets.
+//! Every client with every server that it does not expect: its message says what it tried, what it
+//! found there and what to do, in this project's own words, and it retries only where that can
+//! help. Real programs on real sockets.
 
 mod grpc;
 mod servers;
@@ -33,8 +33,8 @@ fn case(at: impl ToString, scheme: &str, is_final: bool, expected: &[&'static st
     }
 }
 
-/// Cases that clients of any kind can meet. Hosts are names, since no
-/// certificate is for an address.
+/// Returns cases that clients of any kind can meet. Hosts are names, since no certificate is issued
+/// for an address.
 fn anywhere() -> Vec<Case> {
     let mail = speaking("220 mail.example ESMTP\r\n", "");
     let web = speaking("", "HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n");
@@ -74,7 +74,7 @@ fn anywhere() -> Vec<Case> {
     ]
 }
 
-/// Cases that they can meet over TLS, at a server of the right kind.
+/// Returns cases over TLS at servers of the right kind, with the processes of the servers.
 fn over_tls(serve: impl Fn([String; 4]) -> Process, mine: &Authority) -> (Vec<Process>, Vec<Case>) {
     let other = Authority::new();
     let processes = [
@@ -107,7 +107,7 @@ fn over_tls(serve: impl Fn([String; 4]) -> Process, mine: &Authority) -> (Vec<Pr
     (processes.into(), cases)
 }
 
-/// Runs a client, and checks what it says.
+/// Runs a client and checks its message.
 fn check(who: &str, case: &Case, mut command: Command) {
     let output = command.output().expect("the program runs");
     let said = [output.stdout, output.stderr].map(|it| String::from_utf8(it).expect("UTF-8"));
@@ -124,7 +124,7 @@ fn check(who: &str, case: &Case, mut command: Command) {
     }
 }
 
-/// A command of the coordinator's.
+/// Returns a command that lists campaigns.
 fn listing(case: &Case, ca: &Path) -> Command {
     let scheme = if case.is_encrypted { "https" } else { "http" };
     let mut command = Command::new(program("coordinator"));
@@ -134,8 +134,8 @@ fn listing(case: &Case, ca: &Path) -> Command {
     command
 }
 
-/// A worker whose slots simulate nothing. It tries for ever where that may help:
-/// then it is ended.
+/// Returns a worker with simulated slots, which is ended after 10 s, since it retries forever where
+/// that may help.
 fn working(case: &Case, ca: &Path) -> Command {
     let scheme = if case.is_encrypted { "grpcs" } else { "grpc" };
     let mut command = Command::new("timeout");
@@ -149,7 +149,7 @@ fn working(case: &Case, ca: &Path) -> Command {
     command
 }
 
-/// Whether this machine can run a worker. Says so if it cannot.
+/// Returns true if this machine can run a worker; otherwise prints that workers are skipped.
 fn has_sources() -> bool {
     let sources = scene::Sources::open(&scene::Sources::default_dir());
     if let Err(error) = &sources {
@@ -209,7 +209,7 @@ async fn who_looks_for_a_coordinator_says_what_was_found_and_what_to_do() {
             check("worker", &case, working(&case, &mine.file()));
         }
     }
-    // It knows the call that lists campaigns, and no other.
+    // The older server implements only the call that lists campaigns.
     let mut command = Command::new(program("coordinator"));
     command.args(["workers", "--connect", &format!("http://{}", old.at)]);
     check("coordinator workers", &old, command);

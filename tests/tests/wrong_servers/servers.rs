@@ -10,13 +10,13 @@ use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair,
 use tempfile::TempDir;
 use tests::programs::{Process, program};
 
-/// An address at which nothing listens.
+/// Returns an address at which nothing listens.
 pub(crate) fn nothing() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     listener.local_addr().expect("an address")
 }
 
-/// A server that says something before it reads, reads, and says something more.
+/// Starts a server that sends a text, reads, and then sends another text.
 pub(crate) fn speaking(first: &'static str, then: &'static str) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("an address");
@@ -36,7 +36,7 @@ fn speak(mut stream: TcpStream, first: &str, then: &str) {
     }
     let _ = stream.read(&mut [0; 4096]);
     let _ = stream.write_all(then.as_bytes());
-    // Until the client hangs up.
+    // Waits until the client disconnects.
     let _ = stream.read(&mut [0; 4096]);
 }
 
@@ -57,12 +57,12 @@ impl Authority {
         Self { folder, issuer }
     }
 
-    /// The file that clients name.
+    /// Returns the path of the authority's certificate, for clients.
     pub(crate) fn file(&self) -> PathBuf {
         self.folder.path().join("ca.pem")
     }
 
-    /// The arguments of a server whose certificate is for `host` until the end of
+    /// Returns the arguments of a server whose certificate is for `host` and valid until the end of
     /// a year.
     pub(crate) fn arguments(&self, host: &str, until_year: i32) -> [String; 4] {
         let mut params = CertificateParams::new([host.to_owned()]).expect("a name");
@@ -72,7 +72,7 @@ impl Authority {
         self.written(&certificate.pem(), &key.serialize_pem(), host, until_year)
     }
 
-    /// The arguments of a server that shows the authority's own certificate.
+    /// Returns the arguments of a server that presents the authority's own certificate.
     pub(crate) fn own_arguments(&self) -> [String; 4] {
         let key = self.issuer.key().serialize_pem();
         self.written(&self.issuer.pem(), &key, "authority", 0)
@@ -82,7 +82,7 @@ impl Authority {
         let write = |kind: &str, text: &str| {
             let file = self.folder.path().join(format!("{host}-{year}-{kind}.pem"));
             std::fs::write(&file, text).expect("written");
-            // Private keys are refused that others may read.
+            // A private key that others may read is refused.
             let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
             std::fs::set_permissions(&file, private).expect("set");
             file.display().to_string()
@@ -92,21 +92,21 @@ impl Authority {
     }
 }
 
-/// A coordinator.
+/// Starts a coordinator.
 pub(crate) fn coordinator(data: &Path, arguments: &[String]) -> Process {
     let mut command = Command::new(program("coordinator"));
     command.args(["serve", "--listen", "127.0.0.1:0", "--data"]);
     Process::serve(command.arg(data).args(arguments))
 }
 
-/// A gateway.
+/// Starts a gateway.
 pub(crate) fn gateway(arguments: &[String]) -> Process {
     let mut command = Command::new(program("policy-gateway"));
     command.args(["--listen", "127.0.0.1:0", "--route", "noop=builtin:noop"]);
     Process::serve(command.args(arguments))
 }
 
-/// `host:port` of a server's URL.
+/// Returns `host:port` of a server's URL.
 pub(crate) fn authority(process: &Process) -> String {
     process.url.trim_start_matches("http://").to_owned()
 }

@@ -11,11 +11,11 @@ use super::{MeasureError, cores, room};
 
 /// Least memory of a slot, bytes: the smallest scene, mapped from a file.
 const LEAST_SLOT_BYTES: u64 = 16 << 20;
-/// Most slots per core that any policy can keep busy: those of a policy that takes 99 % of the
+/// Most slots that one core can serve with any policy, reached if the policy takes 99 % of the
 /// time.
 const MAX_PER_CORE: usize = 100;
-/// Slots per core that a policy as slow as the simulation keeps busy. More only help with a slower
-/// policy.
+/// Slots that one core can serve if the policy takes as long as the simulation. More slots only
+/// help with a slower policy.
 const USUAL_PER_CORE: usize = 2;
 /// Memory for filming one rollout, bytes: a compiled scene of LIBERO's own assets, and frames.
 const FILM_BYTES: u64 = 1 << 30;

@@ -23,7 +23,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 pub(super) struct Slots {
     program: SlotProgram,
     running: Vec<Running>,
-    /// Renderer of the first slot, by its own name.
+    /// Name that the slots' renderer reports for itself.
     renderer: String,
     kills_before: OomKills,
     tell: Sender<(usize, Heard)>,
@@ -70,7 +70,7 @@ impl Slots {
         }
     }
 
-    /// Returns the renderer's own name; empty before the first slot is ready.
+    /// Returns the name that the renderer reports; empty before the first slot is ready.
     pub(super) fn renderer(&self) -> &str {
         &self.renderer
     }

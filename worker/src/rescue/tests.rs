@@ -63,7 +63,7 @@ fn what_is_lifted_before_the_first_look_leaves_the_nominal_rollout() {
         return;
     };
     let mut simulator = simulator(sources);
-    // All axes but the robot's, whose displacement of the arm would remain.
+    // All axes but the robot's are perturbed, because its displacement of the arm would remain.
     let perturbed = row("object/t0/camera+lighting+sensor+actuation+language/L2/c00");
     let nominal = row(&format!("object/t0/clean/i{:02}", perturbed.init_id));
     let nominal = look(&mut simulator, nominal, None);

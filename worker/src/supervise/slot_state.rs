@@ -120,7 +120,7 @@ pub(crate) enum Video {
 /// Delivery state of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ResultState {
-    /// It is being delivered.
+    /// The result is being delivered.
     Delivering,
     /// The coordinator accepted the result.
     Committed,

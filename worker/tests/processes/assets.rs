@@ -14,7 +14,7 @@ fn said(output: Output) -> (Option<i32>, String) {
     (output.status.code(), String::from_utf8(said).expect("text"))
 }
 
-/// A folder of sources without any assets, but for the built-in ones.
+/// Creates a folder of sources without any assets except the built-in ones.
 fn empty_sources(folder: &Path) {
     let sources = scene::Sources::default_dir();
     for part in ["libero", "robosuite"] {
@@ -22,7 +22,7 @@ fn empty_sources(folder: &Path) {
     }
 }
 
-/// A folder of shapes of one's own.
+/// Copies the built-in pack to a folder, as a user's own pack.
 fn copy_of_primitives(folder: &Path) -> PathBuf {
     let sources = scene::Sources::open(&scene::Sources::default_dir()).expect("ready");
     let primitives = scene::AssetPack::open("primitives", &sources).expect("built in");
@@ -103,7 +103,7 @@ fn packs_are_verified_against_liberos_files() {
     assert_eq!(code, Some(0), "{built_in}");
     assert!(built_in.contains("all files are as they should be"));
 
-    // Shapes of one's own in LIBERO's layout.
+    // A user's own pack in LIBERO's layout.
     let sources = scene::Sources::open(&scene::Sources::default_dir()).expect("ready");
     let folder = tempfile::tempdir().expect("a folder");
     let copy = copy_of_primitives(folder.path());
@@ -149,7 +149,7 @@ fn a_pack_without_files_is_libero_and_says_what_it_will_fetch() {
     }
     assert!(listed.lines().all(|line| line.len() <= 120), "{listed}");
 
-    // Without a network, a first use says what to do.
+    // Without a network, the first use of assets reports the remedy.
     let wheels = folder.path().join("wheels");
     let failed = Command::new(env!("CARGO_BIN_EXE_worker"))
         .args(["preview", "--suite", "libero_object", "--task", "1"])

@@ -1,4 +1,4 @@
-//! Ends of a worker.
+//! Shutdown of a worker.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use crate::scripted_coordinator::ScriptedCoordinator;
 use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{WorkerProcess, lease, ready, signal, wait_for_the_end_of};
 
-/// A worker in the middle of a rollout of some seconds.
+/// Starts a worker that is in the middle of a rollout of some seconds.
 async fn busy_worker() -> (WorkerProcess, ScriptedCoordinator, ScriptedPolicy) {
     busy_worker_with(&[]).await
 }
@@ -35,7 +35,7 @@ async fn a_drain_finishes_the_rollout_in_hand_and_begins_no_other() {
     }
     let (worker, coordinator, policy) = busy_worker().await;
     coordinator.lease(lease(2, "still", &policy.url()));
-    // A service manager often signals all processes of a service.
+    // A service manager often sends a signal to all processes of a service.
     for slot in worker.slots() {
         signal(slot, "TERM");
     }
@@ -44,7 +44,7 @@ async fn a_drain_finishes_the_rollout_in_hand_and_begins_no_other() {
     assert_eq!(result.expect("a result").steps, 80);
     let (status, said) = worker.wait();
     assert!(status.success(), "{said}");
-    // Lines of two campaigns on one worker are told apart.
+    // Log lines name their campaign, since one worker may serve several.
     assert!(said.contains(" test: object/t0/clean/i03"), "{said}");
     assert_eq!(
         (
@@ -98,8 +98,8 @@ async fn a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not() {
     assert_eq!(coordinator.signed_off().len(), 1, "it says good-bye");
 }
 
-/// A worker that was told to end leased once more and gave the job back, which
-/// pinned a new campaign to its assets.
+/// Regression: a worker that was shutting down leased once more and gave the job back, which pinned
+/// a new campaign to its assets.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_that_drains_takes_its_claim_back() {
     if !ready("a_worker_that_drains_takes_its_claim_back") {

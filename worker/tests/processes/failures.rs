@@ -1,4 +1,4 @@
-//! Rollouts that have no outcome, and whose fault that was.
+//! Rollouts without an outcome, and the party that is blamed.
 
 use std::time::Duration;
 
@@ -8,8 +8,8 @@ use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{WorkerProcess, attempt_id, lease, ready, signal, wait_for_the_end_of};
 
-/// Runs one rollout per policy; each must be released for `reason`, in words
-/// that contain what is expected.
+/// Runs one rollout per policy and asserts that each is released for `reason`, with the expected
+/// words.
 async fn check(
     coordinator: ScriptedCoordinator,
     endpoint: &str,
@@ -68,7 +68,7 @@ async fn a_policy_that_cannot_be_asked_is_nobodys_fault() {
         return;
     }
     let policy = ScriptedPolicy::start().await;
-    // Half of the progress timeout is the most that an answer may take.
+    // An answer may take at most half of the progress timeout.
     let coordinator = ScriptedCoordinator::with_progress_timeout(Duration::from_secs(8)).await;
     check(
         coordinator,

@@ -1,5 +1,5 @@
-//! Videos of rollouts that are over, from their actions. The coordinator's address
-//! comes from the environment here.
+//! Videos of finished rollouts, made from their actions. The address of the coordinator comes from
+//! the environment here.
 
 use std::process::Output;
 
@@ -10,12 +10,12 @@ use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, program, ready};
 
-/// Three numbers of 16 bits.
+/// Size of a point: three 16-bit numbers.
 const POINT_BYTES: usize = 6;
-/// Seven numbers of 32 bits.
+/// Size of an action: seven 32-bit numbers.
 const ACTION_BYTES: usize = 28;
 
-/// Runs a rollout whose actions are kept; what is to be filmed of it.
+/// Runs a rollout that stores its actions; returns the film to be made of it.
 async fn a_film(coordinator: &ScriptedCoordinator) -> Film {
     film_of(coordinator, lease(1, "still", "")).await
 }
@@ -47,7 +47,7 @@ async fn film_of(coordinator: &ScriptedCoordinator, mut kept: Lease) -> Film {
     }
 }
 
-/// Runs `worker film` to its end.
+/// Runs `worker film` until it exits.
 fn film_all(coordinator: &ScriptedCoordinator) -> Output {
     let mut film = program();
     film.env("COORDINATOR_URL", coordinator.url());
@@ -55,7 +55,7 @@ fn film_all(coordinator: &ScriptedCoordinator) -> Output {
     tokio::task::block_in_place(|| film.output().expect("runs"))
 }
 
-/// The `number`-th thing that a coordinator was told: a video, with its attempt.
+/// Returns the video that is the coordinator's `number`-th message, with its attempt.
 async fn video(coordinator: &ScriptedCoordinator, number: usize) -> (String, Vec<u8>) {
     let Told::Video { attempt, bytes } = coordinator.told(number).await else {
         panic!("{:?}", coordinator.everything_told());
@@ -132,7 +132,7 @@ async fn a_film_that_ends_otherwise_than_its_rollout_is_not_stored() {
     assert_eq!(coordinator.everything_told().len(), 2, "no video");
 }
 
-/// Films of one rollout, by the slot that simulated it and afterwards.
+/// Returns two films of one rollout: by the slot that simulated it, and made afterwards.
 async fn films_of(row: &ManifestRow) -> [Vec<u8>; 2] {
     let coordinator = ScriptedCoordinator::start().await;
     let mut filmed = lease(1, "still", "");

@@ -1,4 +1,4 @@
-//! Leases of a worker: how it claims work, and says that it has it.
+//! Leases of a worker: claiming and acknowledging them.
 
 use std::time::{Duration, Instant};
 
@@ -39,7 +39,7 @@ async fn a_lease_is_acknowledged_long_before_the_next_heartbeat_is_due() {
     let policy = ScriptedPolicy::start().await;
     let _worker = WorkerProcess::start(&coordinator.url());
     coordinator.claimed(1).await;
-    // The heartbeat that follows the registration is over by then.
+    // By then, the heartbeat after the registration has been sent.
     tokio::time::sleep(Duration::from_secs(1)).await;
     let leased_at = Instant::now();
     coordinator.lease(lease(1, "silent", &policy.url()));

@@ -1,4 +1,4 @@
-//! Number of slots that suits a machine, by `worker bench` and `--slots auto`.
+//! The number of slots that suits a machine, by `worker bench` and `--slots auto`.
 
 use std::thread::{available_parallelism, sleep};
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::worker_process::{WorkerProcess, ready, run, wait_for_the_end_of};
 
-/// A device that no driver lists.
+/// A graphics device that does not exist.
 const NO_RENDERER: [&str; 2] = ["--renderer", "gl:99"];
 
 #[test]
@@ -24,11 +24,11 @@ fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
         said.lines().all(|line| line.chars().count() <= 80),
         "{said}"
     );
-    // Slots, steps/s, frames/s, slowest–fastest, MiB of a slot, PSS, MiB more.
+    // Columns: slots, steps/s, frames/s, slowest–fastest, MiB of a slot, PSS, MiB more.
     let row = |slots: &str| -> Vec<f64> {
         let row = said.lines().map(|line| line.split_whitespace().collect());
         let mut row = row.filter(|row: &Vec<&str>| {
-            // The line of the processor may begin with the same number.
+            // The line about the processor may begin with the same number.
             row.len() == 7 && row[0] == slots && row[1].parse::<f64>().is_ok()
         });
         let row = row.next().expect("a row of seven columns");
@@ -44,7 +44,7 @@ fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
         };
         assert!(steps > 0.0 && frames > 0.0, "{row:?}");
         assert!(slowest <= fastest && fastest <= steps, "{row:?}");
-        // Rounded to a tenth in each.
+        // Each number is rounded to a tenth.
         assert!(steps <= count * fastest + 0.2, "{row:?}");
         assert!(0.0 < own && own <= pss && pss <= resident, "{row:?}");
     }
@@ -80,10 +80,10 @@ fn slots_wait_for_a_policy_that_takes_time_and_more_of_them_are_tried() {
     });
     let rows: Vec<(usize, f64)> = rows.collect();
     let alone = rows.first().expect("a row").1;
-    // At most twenty steps after every answer.
+    // At most twenty steps follow every answer.
     assert!(alone <= 67.0, "{said}");
-    // Alone it keeps no core busy: more slots than twice the cores are tried, or
-    // left out for want of memory.
+    // A single slot keeps no core busy, so more slots than twice the cores are tried, unless memory
+    // is too small.
     let cores = available_parallelism().expect("it says").get();
     let tried = said
         .lines()
@@ -117,7 +117,7 @@ fn slots_that_are_counting_end_with_their_parent() {
     let bench = "bench --assets primitives --slots 1 --secs 600";
     let mut bench = WorkerProcess::start_as(&bench.split(' ').collect::<Vec<_>>());
     bench.wait_for_line("slots");
-    // It is told to count at once after this line.
+    // The slots are told to start counting at once after this line.
     sleep(Duration::from_millis(300));
     let slots = bench.slots();
     assert_eq!(slots.len(), 1);
@@ -125,8 +125,8 @@ fn slots_that_are_counting_end_with_their_parent() {
     wait_for_the_end_of(slots[0]);
 }
 
-/// 100,000 slots were begun one after the other: 5,000 processes, eleven minutes deaf to
-/// SIGTERM.
+/// Regression: 100,000 slots were started one after the other: 5,000 processes, and no response to
+/// SIGTERM for eleven minutes.
 #[test]
 fn more_slots_than_the_machine_can_hold_are_refused_before_any_is_started() {
     if !ready("more_slots_than_the_machine_can_hold_are_refused_before_any_is_started") {
@@ -156,7 +156,7 @@ async fn a_worker_that_chooses_its_slots_registers_them_and_says_why() {
     worker.signal("TERM");
     let (status, said) = worker.wait();
     assert!(status.success(), "{said}");
-    // On a busy machine it is one.
+    // On a busy machine, it may be one slot.
     let plural = if slots == 1 { "" } else { "s" };
     for words in [
         format!("--slots auto: {slots}, the fewest that reach 95 %"),

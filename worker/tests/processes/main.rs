@@ -1,9 +1,8 @@
-//! A worker as it runs: the real program with real slots, simulating real
-//! tasks on the built-in assets, between a scripted coordinator and a policy
-//! server that can be told to misbehave.
+//! The real worker program with real slots, which simulate real tasks with the built-in assets,
+//! between a scripted coordinator and a policy server that misbehaves on demand.
 //!
-//! Needs what `cargo xtask setup` unpacks; where that is missing, each test
-//! says so and passes.
+//! The tests need the files that `cargo xtask setup` unpacks; without them, each test prints that
+//! it is skipped, and passes.
 
 mod assets;
 mod endings;

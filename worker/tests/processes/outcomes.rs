@@ -1,4 +1,4 @@
-//! Rollouts that have an outcome.
+//! Rollouts with an outcome.
 
 use libero_ctrl::ManifestRow;
 use proto::coordinator::release_request::Reason;
@@ -200,7 +200,7 @@ async fn an_outcome_is_kept_until_the_coordinator_is_back() {
     let worker = WorkerProcess::start(&coordinator.url());
     coordinator.progressed(1, 10).await;
     coordinator.go_down();
-    // Three answers at 200 ms: the rollout ends during the outage.
+    // Three answers take 200 ms each, so the rollout ends during the outage.
     tokio::time::sleep(std::time::Duration::from_secs(3)).await;
     assert_eq!(coordinator.everything_told().len(), 1);
     coordinator.come_back().await;
@@ -261,8 +261,8 @@ async fn one_rollout_from_the_command_line_leaves_its_result_and_pictures() {
     }
 }
 
-/// Recorded actions look at nothing, so without a video nothing is drawn; what
-/// cannot draw is asked for, and not missed.
+/// Recorded actions need no observations, so nothing is rendered without a video, and a missing
+/// renderer does not matter.
 #[test]
 fn a_replay_without_pictures_opens_no_renderer() {
     if !ready("a_replay_without_pictures_opens_no_renderer") {
@@ -298,7 +298,7 @@ fn a_replay_without_pictures_opens_no_renderer() {
     );
 }
 
-/// Not an outcome, and told so: the row is from another version.
+/// The row is from another version: the attempt is released with this reason and has no outcome.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_row_that_cannot_be_read_is_given_back_with_its_problem() {
     if !ready("a_row_that_cannot_be_read_is_given_back_with_its_problem") {

@@ -1,4 +1,4 @@
-//! Bad input: what is wrong, where, and what to do about it.
+//! Invalid input: messages name the fault, its place and the remedy.
 
 use std::process::Command;
 
@@ -25,7 +25,7 @@ fn a_worker_without_its_sources_says_how_to_get_them() {
     );
 }
 
-/// A variable in the environment must not look like half a command line.
+/// A variable in the environment must not count as a part of the command line.
 #[test]
 fn the_environment_names_the_sources_in_every_mode() {
     for mode in [
@@ -44,7 +44,7 @@ fn the_environment_names_the_sources_in_every_mode() {
     }
 }
 
-/// A slot inherits its worker's environment.
+/// Slots inherit `COORDINATOR_URL` from their worker but do not use it.
 #[test]
 fn the_coordinator_in_the_environment_is_looked_at_only_where_one_is_called() {
     for (mode, problem) in [

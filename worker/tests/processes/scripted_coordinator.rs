@@ -1,5 +1,5 @@
-//! A coordinator that leases what a test puts into it, and remembers what it is
-//! told. Not the real one: that one cannot be told to lose a lease.
+//! A coordinator that leases the jobs that a test gives it, and records every message. The real one
+//! cannot be made to lose a lease.
 
 use std::collections::{HashMap, VecDeque};
 use std::net::SocketAddr;
@@ -36,7 +36,7 @@ pub(crate) enum Told {
 }
 
 impl Told {
-    /// The commit that this is.
+    /// Returns the message as a commit.
     pub(crate) fn commit(self) -> CommitRequest {
         match self {
             Self::Committed(commit) => *commit,
@@ -44,7 +44,7 @@ impl Told {
         }
     }
 
-    /// The release that this is, for this reason.
+    /// Returns the message as a release for this reason.
     pub(crate) fn release(self, reason: release_request::Reason) -> ReleaseRequest {
         match self {
             Self::Released(release) if release.reason() == reason => *release,
@@ -62,9 +62,9 @@ struct State {
     heartbeats: Vec<HeartbeatRequest>,
     signed_off: Vec<String>,
     claims: Vec<ClaimRequest>,
-    /// Claims that were taken back before they had an answer.
+    /// Number of claims that were withdrawn before they were answered.
     claims_taken_back: u32,
-    /// Answers to claims that get lost on their way.
+    /// Number of answers to claims that are still to be lost.
     answers_to_lose: u32,
     /// Leases granted to claims whose answers were lost.
     leased: HashMap<String, Lease>,
@@ -74,7 +74,7 @@ struct State {
     commit_verdict: Option<commit_response::Verdict>,
 }
 
-/// The service, on every connection the same.
+/// The service, shared by all connections.
 #[derive(Clone, Debug)]
 struct Service {
     heartbeat: Duration,
@@ -87,7 +87,7 @@ struct Service {
 pub(crate) struct ScriptedCoordinator {
     service: Service,
     address: SocketAddr,
-    /// Of its own, so that its connections end with it.
+    /// A runtime of its own, so that its connections end with it.
     runtime: Option<Runtime>,
 }
 
@@ -98,17 +98,17 @@ impl Drop for ScriptedCoordinator {
 }
 
 impl ScriptedCoordinator {
-    /// One with a progress timeout that no test waits for.
+    /// Starts a coordinator with a progress timeout that no test reaches.
     pub(crate) async fn start() -> Self {
         Self::with_progress_timeout(Duration::from_secs(600)).await
     }
 
-    /// One with this progress timeout.
+    /// Starts a coordinator with this progress timeout.
     pub(crate) async fn with_progress_timeout(progress_timeout: Duration) -> Self {
         Self::with_times(Duration::from_millis(100), progress_timeout).await
     }
 
-    /// One with heartbeats this far apart, and a progress timeout.
+    /// Starts a coordinator with this heartbeat interval and progress timeout.
     pub(crate) async fn with_times(heartbeat: Duration, progress_timeout: Duration) -> Self {
         let service = Service {
             heartbeat,
@@ -130,38 +130,37 @@ impl ScriptedCoordinator {
         format!("http://{}", self.address)
     }
 
-    /// Leases this next.
+    /// Appends a lease to be granted.
     pub(crate) fn lease(&self, lease: Lease) {
         self.change(|state| state.leases.push_back(lease));
     }
 
-    /// Has this filmed next.
+    /// Appends a film to be made.
     pub(crate) fn film(&self, film: Film) {
         self.change(|state| state.films.push_back(film));
     }
 
-    /// Says from now on that the lease of this job's attempt is lost.
+    /// Reports the lease of this job's attempt as lost from now on.
     pub(crate) fn lose(&self, job: i64) {
         self.change(|state| state.lost_attempts.push(attempt_id(job)));
     }
 
-    /// Says with the next answer to a release that the worker must stop.
+    /// Tells the worker to stop leasing in the next answer to a release.
     pub(crate) fn stop_leasing(&self, reason: &str) {
         self.change(|state| reason.clone_into(&mut state.stop_leasing));
     }
 
-    /// Breaks the connection in place of answering the next claim that gets a
-    /// lease.
+    /// Breaks the connection instead of answering the next claim that gets a lease.
     pub(crate) fn lose_an_answer_to_a_claim(&self) {
         self.change(|state| state.answers_to_lose += 1);
     }
 
-    /// Cannot store videos from now on.
+    /// Fails to store videos from now on.
     pub(crate) fn refuse_artifacts(&self) {
         self.change(|state| state.refuses_artifacts = true);
     }
 
-    /// Waits until so many videos were refused.
+    /// Waits until this number of videos were refused.
     pub(crate) async fn refused_artifacts(&self, times: u32) {
         self.wait_for("videos", |state| {
             (state.refused_artifacts >= times).then_some(())
@@ -169,21 +168,21 @@ impl ScriptedCoordinator {
         .await;
     }
 
-    /// Answers commits so from now on.
+    /// Answers commits with this verdict from now on.
     pub(crate) fn answer_commits(&self, verdict: commit_response::Verdict) {
         self.change(|state| state.commit_verdict = Some(verdict));
     }
 
-    /// Goes away, with all connections, as if killed.
+    /// Closes the server with all connections, as if it were killed.
     pub(crate) fn go_down(&mut self) {
         if let Some(runtime) = self.runtime.take() {
             runtime.shutdown_background();
         }
     }
 
-    /// Comes back at the same address.
+    /// Listens at the same address again.
     pub(crate) async fn come_back(&mut self) {
-        // The port is free a moment after the runtime has gone.
+        // The port becomes free a moment after the runtime has ended.
         let listener = loop {
             match TcpListener::bind(self.address).await {
                 Ok(listener) => break listener,
@@ -193,7 +192,7 @@ impl ScriptedCoordinator {
         self.runtime = Some(serve(self.service.clone(), listener));
     }
 
-    /// Waits until a claim was taken back before it had an answer.
+    /// Waits until a claim was withdrawn before it was answered.
     pub(crate) async fn claim_taken_back(&self) {
         self.wait_for("a claim to be taken back", |state| {
             (state.claims_taken_back > 0).then_some(())
@@ -201,13 +200,13 @@ impl ScriptedCoordinator {
         .await;
     }
 
-    /// Waits for the `number`-th thing to be told, registration being number 0.
+    /// Waits for message `number`; the registration is message 0.
     pub(crate) async fn told(&self, number: usize) -> Told {
         self.wait_for("to be told more", |state| state.told.get(number).cloned())
             .await
     }
 
-    /// Waits until a heartbeat reports so many control steps of a job.
+    /// Waits until a heartbeat reports at least this number of control steps of a job.
     pub(crate) async fn progressed(&self, job: i64, control_steps: u32) {
         self.wait_for("progress", |state| {
             let far = |it: &&Progress| {
@@ -219,7 +218,7 @@ impl ScriptedCoordinator {
         .await;
     }
 
-    /// Waits until the last heartbeat says that so many videos are made or sent.
+    /// Waits until the last heartbeat reports that this number of videos are made or sent.
     pub(crate) async fn films(&self, videos: u32) {
         self.wait_for("a heartbeat about videos", |state| {
             let last = state.heartbeats.last()?;
@@ -228,13 +227,13 @@ impl ScriptedCoordinator {
         .await;
     }
 
-    /// The heartbeats so far.
+    /// Returns the heartbeats received so far.
     pub(crate) fn heartbeats(&self) -> Vec<HeartbeatRequest> {
         let state = self.service.state.lock();
         state.expect("unpoisoned").heartbeats.clone()
     }
 
-    /// Waits until it was asked for work so many times.
+    /// Waits until the worker has requested work this number of times.
     pub(crate) async fn claimed(&self, times: usize) {
         self.wait_for("claims", |state| {
             (state.claims.len() >= times).then_some(())
@@ -247,7 +246,7 @@ impl ScriptedCoordinator {
         self.service.state.lock().expect("unpoisoned").told.clone()
     }
 
-    /// The workers that said good-bye.
+    /// Returns the ids of the workers that signed off.
     pub(crate) fn signed_off(&self) -> Vec<String> {
         let state = self.service.state.lock();
         state.expect("unpoisoned").signed_off.clone()
@@ -310,7 +309,7 @@ impl Service {
         changed
     }
 
-    /// Of what nobody waits for.
+    /// Changes the state without waking the tests that wait for a change.
     fn change_quietly<T>(&self, change: impl FnOnce(&mut State) -> T) -> T {
         change(&mut self.state.lock().expect("unpoisoned"))
     }
@@ -320,7 +319,7 @@ impl Service {
     }
 }
 
-/// A claim that waits for its answer.
+/// A claim that waits for an answer.
 struct Waiting<'a> {
     service: &'a Service,
     is_answered: bool,

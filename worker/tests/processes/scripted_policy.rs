@@ -1,5 +1,5 @@
-//! A policy server that misbehaves on demand: the policy's name says how. It
-//! speaks the real protocol over a real socket.
+//! A policy server that misbehaves on demand, as the policy's name says. It speaks the real
+//! protocol over a real socket.
 
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
@@ -16,9 +16,9 @@ use tokio_stream::wrappers::TcpListenerStream;
 use tonic::transport::Server;
 use tonic::{Request, Response, Status};
 
-/// Side of the frames that `looking` wants, pixels.
+/// Side of the frames that the policy `looking` requests, pixels.
 pub(crate) const FRAME_SIDE: u32 = 64;
-/// Actions per answer, of which all are executed.
+/// Number of actions per answer; all of them are executed.
 pub(crate) const HORIZON: u32 = 8;
 
 /// Requests that the policies received.
@@ -32,7 +32,7 @@ pub(crate) struct Asked {
 pub(crate) struct ScriptedPolicy {
     address: SocketAddr,
     pub(crate) asked: Arc<Mutex<Asked>>,
-    /// Ends with this.
+    /// The server's task, which ends when this is dropped.
     _serving: JoinSet<()>,
 }
 
@@ -67,7 +67,7 @@ struct Service {
     asked: Arc<Mutex<Asked>>,
 }
 
-/// So many numbers, as actions of this width.
+/// Returns an answer of this number of values, as actions of this width.
 fn answer(numbers: usize, action_width: u32) -> InferResponse {
     InferResponse {
         actions: vec![0.0; numbers],

@@ -1,12 +1,12 @@
-//! Slots that are other programs: what such a process says, prints, and how it
-//! ends is up to the test.
+//! Slots that are other programs: the test determines their messages, their output and the way in
+//! which they exit.
 
 use std::path::Path;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::worker_process::{WorkerProcess, attempt_id, lease, ready};
 
-/// A program that stands in for a slot; the path.
+/// Writes a program that takes the place of a slot; returns its path.
 fn slot_program(folder: &Path, script: &str) -> String {
     let program = folder.join("slot-program");
     std::fs::write(&program, format!("#!/bin/sh\n{script}")).expect("written");
@@ -15,8 +15,8 @@ fn slot_program(folder: &Path, script: &str) -> String {
     program.to_str().expect("UTF-8").to_owned()
 }
 
-/// Shell functions of a slot: it says that it is ready, reads commands, and
-/// knows their attempts. Output to `&0` goes to the parent.
+/// Shell functions of a slot, which reports that it is ready, reads commands and extracts their
+/// attempts. Output to `&0` goes to the parent.
 const SHELL_SLOT: &str = r#"
 say() { printf '%s\n' "$1" >&0; }
 say '{"ready": {"renderer": "shell", "fingerprint": "ff"}}'
@@ -75,7 +75,7 @@ async fn what_a_library_prints_half_way_through_a_line_loses_nothing() {
     assert!(said.contains("[slot 0] WARNING: half a line"), "{said}");
 }
 
-/// As a crash of the video encoder: for good, in every rollout.
+/// Simulates a crash of the video encoder in every rollout.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_crash_while_filming_leaves_the_result_committed_and_charges_nobody() {
     if !ready("a_crash_while_filming_leaves_the_result_committed_and_charges_nobody") {

@@ -1,4 +1,4 @@
-//! Videos of rollouts, made and sent after their results.
+//! Videos of rollouts that are made and sent after the results.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use crate::scripted_coordinator::{ScriptedCoordinator, Told};
 use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{WorkerProcess, attempt_id, lease, ready, signal};
 
-/// A rollout of a few seconds with its video.
+/// Returns the lease of a rollout of a few seconds that is filmed.
 fn filmed(job: i64, policy: &str) -> Lease {
     let mut lease = lease(job, "still", policy);
     lease.manifest_row = lease
@@ -100,7 +100,7 @@ async fn a_coordinator_that_cannot_store_videos_gets_every_result() {
         let commit = coordinator.told(number).await.commit();
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
-    // Each of the two is tried again.
+    // Sending each of the two videos is tried again.
     coordinator.refused_artifacts(4).await;
     coordinator.claimed(3).await;
     worker.signal("TERM");
@@ -134,7 +134,7 @@ async fn a_video_of_a_refused_result_is_not_sent() {
     assert_eq!(coordinator.everything_told().len(), 3);
 }
 
-/// As a crash of the encoder looks to the parent, at the worst moment.
+/// To the parent process, this looks like a crash of the encoder at the worst moment.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slot_that_dies_before_its_result_is_committed_is_not_charged() {
     if !ready("a_slot_that_dies_before_its_result_is_committed_is_not_charged") {
@@ -151,7 +151,7 @@ async fn a_slot_that_dies_before_its_result_is_committed_is_not_charged() {
     let worker = WorkerProcess::start(&coordinator.url());
     coordinator.progressed(1, 10).await;
     coordinator.go_down();
-    // Its rollout ends, and its video, during the outage.
+    // The rollout and its video end during the outage.
     tokio::time::sleep(Duration::from_secs(3)).await;
     for slot in worker.slots() {
         signal(slot, "KILL");

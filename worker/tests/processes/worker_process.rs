@@ -1,4 +1,4 @@
-//! The real program, started and watched.
+//! Starts the real program and observes it.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use libero_ctrl::ManifestRow;
 use proto::coordinator::Lease;
 
-/// Longest wait for a process to do what it should.
+/// Longest wait for an expected reaction of a process.
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Control steps of a test's rollouts.
 pub(crate) const MAX_STEPS: u32 = 24;
@@ -24,12 +24,12 @@ pub(crate) fn ready(test: &str) -> bool {
     ready.is_ok()
 }
 
-/// The attempt that a job of the scripted coordinator gets.
+/// Returns the id of the attempt at a job of the scripted coordinator.
 pub(crate) fn attempt_id(job: i64) -> String {
     format!("{job:032x}")
 }
 
-/// A job of the scripted coordinator: a short nominal rollout.
+/// Returns a job of the scripted coordinator: a short nominal rollout.
 pub(crate) fn lease(job: i64, policy: &str, endpoint: &str) -> Lease {
     let id = "object/t0/clean/i03".parse().expect("an id");
     let mut row = ManifestRow::new(id, 3, 3, libero_ctrl::Perturbation::default());
@@ -63,12 +63,12 @@ impl WorkerProcess {
         Self::start_as(&[&connect, arguments].concat())
     }
 
-    /// The program with arguments of any kind.
+    /// Starts the program with any arguments.
     pub(crate) fn start_as(arguments: &[&str]) -> Self {
         Self::start_command(program().args(arguments))
     }
 
-    /// The program, prepared in any way.
+    /// Starts the program from a prepared command.
     pub(crate) fn start_command(program: &mut Command) -> Self {
         let child = program
             .stderr(Stdio::piped())
@@ -78,14 +78,14 @@ impl WorkerProcess {
         Self { child }
     }
 
-    /// Waits until it prints a line that begins so; what it prints then is lost.
+    /// Waits until the process prints a line that begins with `start`; later output is discarded.
     pub(crate) fn wait_for_line(&mut self, start: &str) {
         let out = self.child.stdout.take().expect("piped");
         let mut lines = BufReader::new(out).lines().map_while(Result::ok);
         assert!(lines.any(|line| line.starts_with(start)), "no {start}");
     }
 
-    /// The processes of its slots.
+    /// Returns the process ids of the slots.
     pub(crate) fn slots(&self) -> Vec<u32> {
         let pid = self.child.id();
         let children = fs::read_to_string(format!("/proc/{pid}/task/{pid}/children"));
@@ -100,7 +100,7 @@ impl WorkerProcess {
         signal(self.child.id(), name);
     }
 
-    /// Waits for its end; returns also what it said.
+    /// Waits until the process exits; also returns its output.
     pub(crate) fn wait(mut self) -> (ExitStatus, String) {
         let started = Instant::now();
         let status = loop {
@@ -124,7 +124,7 @@ impl WorkerProcess {
 
 impl Drop for WorkerProcess {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The process may have exited already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -138,24 +138,24 @@ pub(crate) fn signal(pid: u32, name: &str) {
     assert!(status.expect("kill runs").success(), "no process {pid}");
 }
 
-/// Waits until a process is gone.
+/// Waits until a process has exited.
 pub(crate) fn wait_for_the_end_of(pid: u32) {
     let started = Instant::now();
-    // A dead child that nobody waited for is a zombie, whose `exe` is empty.
+    // A process that exited and was not reaped is a zombie, whose `exe` is empty.
     while fs::read_link(format!("/proc/{pid}/exe")).is_ok() {
         assert!(started.elapsed() < PATIENCE, "process {pid} lives on");
         sleep(Duration::from_millis(20));
     }
 }
 
-/// The program, in an environment that names no coordinator.
+/// Returns a command of the program, with an environment that names no coordinator.
 pub(crate) fn program() -> Command {
     let mut program = Command::new(env!("CARGO_BIN_EXE_worker"));
     program.env_remove("COORDINATOR_URL");
     program
 }
 
-/// Runs the program to its end.
+/// Runs the program until it exits.
 pub(crate) fn run(arguments: &[&str]) -> Output {
     program().args(arguments).output().expect("runs")
 }

@@ -1,4 +1,4 @@
-//! The pure core with a table in memory in place of the store.
+//! Runs the events on the pure rules, with a table in memory in place of the store.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -108,7 +108,7 @@ impl World {
         &mut self.jobs[id.0 as usize]
     }
 
-    /// Does to one row what the claiming statement does.
+    /// Has the effect of the claiming statement on one row.
     fn claim(&mut self, worker: &str, number: usize) {
         let now = self.now;
         let allowance = self.policy.allowance(now);
@@ -246,7 +246,7 @@ impl World {
         }
     }
 
-    /// Does to a job's row what taking it out of quarantine does.
+    /// Has the effect of a retry on a job's row.
     fn retry(&mut self, number: usize) {
         let now = self.now;
         let job = &mut self.jobs[number];
@@ -259,7 +259,7 @@ impl World {
         }
     }
 
-    /// Does what a new coordinator does: every lease gets its full time again.
+    /// Has the effect of a restart: every lease gets its full duration again.
     fn restart(&mut self) {
         let until = self.now.plus(LEASE);
         for job in &mut self.jobs {
@@ -351,7 +351,7 @@ impl World {
         }
     }
 
-    /// Sound workers take over: everything must come to an end.
+    /// Lets workers without faults finish all jobs.
     fn finish(&mut self) {
         self.operate(Change::Resume);
         for round in 0..200 {

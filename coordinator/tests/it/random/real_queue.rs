@@ -1,4 +1,4 @@
-//! The same events on the queue with its SQLite store.
+//! Runs the same events on the queue with its SQLite store.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -23,14 +23,14 @@ use serde_json::json;
 use super::{Event, WORKERS, event};
 use crate::harness::{open_database, sha, small_spec, with};
 
-/// Claims and grants that workers know of, newest last.
+/// Claims and granted leases known to the workers, newest last.
 #[derive(Clone, Default)]
 struct Known {
     claims: Vec<(ClaimRequest, Option<AttemptId>)>,
     granted: Vec<(WorkerId, AttemptId)>,
 }
 
-/// An event as a worker learns of it.
+/// Effect of an event on what the workers know.
 enum News {
     Claimed(ClaimRequest, Option<AttemptId>),
     Accepted,
@@ -54,7 +54,7 @@ async fn on_the_real_queue(events: &[Event]) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let clock = Arc::new(ManualClock::at(UnixMillis(1_700_000_000_000)));
     let mut queue = start(folder.path(), &clock).await;
-    // Rollouts that realise no perturbation, so that reports need no row.
+    // These rollouts realise no perturbation, so that reports do not depend on the row.
     let words = json!({
         "tasks": ["libero_object/0", "libero_object/1"],
         "axes": ["language"],
@@ -108,7 +108,7 @@ async fn on_the_real_queue(events: &[Event]) {
 
 async fn start(folder: &Path, clock: &Arc<ManualClock>) -> Arc<Queue> {
     let store = Store::open(folder).await.expect("a store");
-    // No two starts may name attempts alike.
+    // No two starts may draw the same attempt ids.
     static STARTS: AtomicU64 = AtomicU64::new(0);
     let rng = ChaCha8Rng::seed_from_u64(STARTS.fetch_add(1, Ordering::Relaxed));
     let queue = Queue::start(store, clock.clone(), rng, Timing::default()).await;
@@ -119,7 +119,7 @@ fn campaign() -> CampaignName {
     CampaignName::parse("random").expect("a name")
 }
 
-/// Lets one event happen.
+/// Executes one event.
 async fn happen(
     queue: &Queue,
     clock: &ManualClock,
@@ -189,10 +189,10 @@ async fn happen(
 
 async fn finish(queue: &Queue, clock: &ManualClock) -> usize {
     let mut accepted = 0;
-    // A cancelled campaign stays as it is.
+    // A cancelled campaign cannot be resumed.
     let _ = queue.change_campaign(&campaign(), Change::Resume).await;
     for round in 0..60 {
-        // A fresh name: the random workers may have been known to stop.
+        // A new worker id, since the random workers may have been stopped.
         let worker = 100 + round;
         queue
             .register(&worker_info(worker))
@@ -216,8 +216,8 @@ async fn finish(queue: &Queue, clock: &ManualClock) -> usize {
     accepted
 }
 
-/// Every job ended, unless the campaign was cancelled, and every accepted
-/// result is there; the invariants say the rest.
+/// Asserts that every job has ended, unless the campaign was cancelled, and that every accepted
+/// result is stored. The invariants cover the rest.
 async fn check_books(folder: &Path, accepted: usize) {
     assert_eq!(check(folder).await.expect("a database"), []);
     let pool = open_database(folder).await;
@@ -245,7 +245,7 @@ fn claim_of(worker: usize, number: usize, warm: Option<usize>) -> ClaimRequest {
 }
 
 async fn claim(queue: &Queue, request: &ClaimRequest) -> Option<AttemptId> {
-    // A worker that was known to stop is refused; it then claims nothing.
+    // A stopped worker is refused and then claims nothing.
     let claimed = queue.claim(request, Duration::ZERO).await;
     claimed.ok()?.job.map(|job| job.attempt)
 }

@@ -106,7 +106,7 @@ fn complete(outcomes: &Outcomes) -> Known {
     known
 }
 
-/// Runs what is decided, of each batch only as much as `cut` allows, until nothing is.
+/// Runs the decided rollouts, at most `cut` of each batch, until nothing more is decided.
 fn search(outcomes: &Outcomes, strategy: Strategy, cut: usize) -> Known {
     let mut known = campaign(outcomes);
     for _ in 0..=outcomes.len() {

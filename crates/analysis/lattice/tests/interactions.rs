@@ -1,4 +1,4 @@
-//! Interactions add up exactly, and are what their definitions say.
+//! Interactions add up exactly and agree with their definitions.
 
 use lattice::{CompleteLattice, Estimate, Interactions};
 use libero_ctrl::{Axis, AxisSet, TaskRef};
@@ -62,15 +62,15 @@ proptest! {
         prop_assert!(all.shapley.values().chain(all.pairs.values()).all(|e| e.denominator == 60 * n));
         prop_assert_eq!((all.success.len(), all.moebius.len()), (1 << axes, (1 << axes) - 1));
         prop_assert_eq!((all.shapley.len(), all.pairs.len()), (axes, axes * (axes - 1) / 2));
-        // And every v(A) is the sum of m over its subsets.
+        // Every v(A) is the sum of m over the subsets of A.
         for (set, success) in &all.success {
             let below = all.moebius.iter().filter(|(below, _)| below.is_subset(*set));
             prop_assert_eq!(nominal.numerator + sum(below.map(|(_, m)| m)), success.numerator);
         }
     }
 
-    /// The definitions by marginal contributions, weighted by how many orders of the
-    /// axes have them.
+    /// Definitions by marginal contributions, each weighted by the number of orders of the axes in
+    /// which it occurs.
     #[test]
     fn shapley_values_and_pair_indices_are_averages_over_orders((axes, configurations) in any_configurations()) {
         let all = Interactions::of(&configurations, &FEW).expect("configurations");

@@ -1,4 +1,4 @@
-//! The minimal subsets of planted rules are found, at the cost that is promised.
+//! The minimal subsets of planted rules are found at the promised cost.
 
 mod planted;
 
@@ -105,8 +105,8 @@ fn a_noisy_policy_takes_replicates_and_the_same_subsets_are_found() {
             exact += usize::from(found.is_exact(&rule));
         }
     }
-    // The first rollout of eight subsets shows a transition as it is with probability
-    // 0.98⁸ = 85 %. One that is hidden is not pursued.
+    // The first rollouts of eight subsets all show the rule's outcomes with probability 0.98⁸ = 85
+    // %. A transition that they hide is not pursued.
     assert!(explained * 100 >= 80 * tried, "{explained} of {tried}");
     assert!(exact * 100 >= 98 * explained, "{exact} of {explained}");
 }

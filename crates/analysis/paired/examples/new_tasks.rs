@@ -12,7 +12,7 @@
 use libero_ctrl::{Level, Measure, Stop, Strata};
 use paired::{Bootstrap, CampaignLook, Cell, Options, Records, report};
 
-// Tests use the rest.
+// The tests use the remaining functions.
 #[allow(dead_code)]
 #[path = "../tests/simulated/mod.rs"]
 mod simulated;

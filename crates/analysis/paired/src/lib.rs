@@ -1,8 +1,8 @@
-//! Matched-outcome statistics: outcomes of the same configurations under each
-//! axis alone and under all axes at once, with the rate and direction of the
-//! changes by simultaneous perturbation and their confidence intervals; and the
-//! difference of two policies over the same rollouts. Intervals for a campaign
-//! that may end early are in the file `sequential`.
+//! Matched-outcome statistics: compares outcomes of the same configurations under each axis alone
+//! and under all axes at once. Computes the rate and direction of the outcome changes that
+//! simultaneous perturbation causes, and the difference of two policies over the same rollouts,
+//! with confidence intervals. Intervals for a campaign that may end early are in the file
+//! `sequential`.
 //!
 //! The crate does no I/O: a [`Report`] is a function of the set of records, whose
 //! order does not matter. The caller passes warnings about the origin of the

@@ -1,5 +1,5 @@
-//! Two policies against each other: cases that can be worked out by hand, and
-//! what always holds.
+//! Comparison of two policies: cases that can be worked out by hand, and properties that always
+//! hold.
 
 use libero_ctrl::{Axis, Condition, Level, RolloutId, TaskRef};
 use paired::{
@@ -40,7 +40,7 @@ fn difference(pairs: Vec<Pair>) -> Option<Difference> {
 
 #[test]
 fn ten_rollouts_of_ten_tasks_differ_as_worked_out_by_hand() {
-    // Only A solves three, only B one, both four, neither two.
+    // Only A solves three pairs, only B one, both solve four, and neither solves two.
     let it = difference(pairs(&[
         (S, F),
         (S, F),
@@ -324,7 +324,7 @@ proptest! {
         let bootstrap = Bootstrap { replicates: 60, seed: 1 };
         let alone = Difference::of_each(std::slice::from_ref(&pairs), &bootstrap);
         let among = Difference::of_each(&[other, pairs], &bootstrap);
-        // Corrections for other rows depend on them.
+        // Corrections for multiple rows depend on the other rows.
         let by_itself = |it: &Option<Difference>| {
             it.clone().map(|it| Difference {
                 holm_p: it.sign_flip_p,

@@ -1,4 +1,4 @@
-//! Assumptions about outcomes, against outcomes.
+//! Compares assumptions about outcomes with outcomes.
 
 use paired::{Assumed, Outcome, Record};
 use serde_json::Value;

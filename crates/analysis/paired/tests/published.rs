@@ -1,5 +1,5 @@
-//! Against what the authors of the protocol published. What needs more of it
-//! than the example data is skipped, by name, where it is not at hand.
+//! Comparison with the results that the authors of the protocol published. Tests that need more
+//! than the example data are skipped, by name, if it is missing.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -61,16 +61,16 @@ fn check_cell(cell: &Cell, published: &Value, what: &str) {
     );
 }
 
-/// Four hundred configurations with the counts of a published cell. Which of
-/// them fail together is made up; every measure follows from the counts.
+/// Returns 400 configurations with the counts of a published cell. The combinations of failures are
+/// made up; every measure depends on the counts alone.
 fn of_counts(published: &Value, level: Level) -> Vec<Record> {
     let count = |key: &str| (published[key].as_f64().expect(key) * 4.0).round() as usize;
     let emergent = published["b"].as_u64().expect("b") as usize;
     let compensated = published["c"].as_u64().expect("c") as usize;
     let conjunction = count("and");
     let others = 400 - conjunction;
-    // The first `conjunction` configurations succeed under every axis alone.
-    // Failures of the axes go round the others, so that each has at least one.
+    // The first `conjunction` configurations succeed under every axis alone. The axes' failures are
+    // spread over the others, so that each of them has at least one.
     let mut alone = vec![[true; 6]; 400];
     let mut next = 0;
     for (i, axis) in Axis::ALL.iter().enumerate() {

@@ -13,7 +13,7 @@ use paired::{
 use rollout_types::GoalProgress;
 use serde_json::{Value, json};
 
-// The coverage command uses the rest.
+// The example `coverage` uses the remaining functions.
 #[allow(dead_code)]
 mod simulated;
 

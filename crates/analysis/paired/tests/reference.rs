@@ -1,5 +1,5 @@
-//! Against an independent implementation: NumPy and SciPy, whose answers are in
-//! reference/expected.json. How they were made is said in reference/expected.py.
+//! Comparison with an independent implementation: the results of NumPy and SciPy in
+//! reference/expected.json, which reference/expected.py computes.
 
 use std::collections::BTreeMap;
 
@@ -40,12 +40,12 @@ fn configurations(data_set: &Value) -> Vec<Configuration> {
     tasks.flat_map(of_task).collect()
 }
 
-/// Point estimates exactly; intervals within the Monte-Carlo error of 4,000
+/// Compares point estimates exactly, and intervals within the Monte-Carlo error of 4,000
 /// resamplings.
 ///
-/// An end of the interval is the 2.5th percentile of a nearly normal sample of
-/// 4,000, whose standard error is √(0.025·0.975/4000) / φ(1.96) = 0.042
-/// deviations: five of them, and one step of the lattice on which a rate lies.
+/// An end of the interval is the 2.5th percentile of a nearly normal sample of 4,000, whose
+/// standard error is √(0.025·0.975/4000) / φ(1.96) = 0.042 deviations. The tolerance is five of
+/// these, and one step between two possible rates.
 fn check(measures: &Measures, expected: &Value, what: &str) {
     let m = measures;
     assert_eq!(Some(m.n), expected["n"].as_u64(), "{what}");

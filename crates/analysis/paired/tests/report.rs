@@ -1,4 +1,4 @@
-//! Properties of a report, and what it says of campaigns that are not whole.
+//! Properties of reports, including those of incomplete campaigns.
 
 use std::collections::BTreeMap;
 
@@ -76,7 +76,7 @@ proptest! {
         let renamed: Vec<Configuration> = configurations
             .iter()
             .map(|configuration| Configuration {
-                // Sixteen other tasks, in the opposite order.
+                // Sixteen other tasks, in reverse order.
                 task: task(37 - TaskRef::all().position(|t| t == configuration.task).expect("one")),
                 ..configuration.clone()
             })

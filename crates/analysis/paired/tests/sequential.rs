@@ -1,5 +1,5 @@
-//! Confidence sequences hold at all looks: over every order of small populations
-//! exactly, and over random orders of published outcomes.
+//! Confidence sequences hold at all looks: for every order of small populations, exactly, and for
+//! random orders of published outcomes.
 
 use std::collections::BTreeMap;
 
@@ -19,8 +19,7 @@ const ORDERS: u64 = 100;
 /// Number of orders with a look after each configuration, which take longer.
 const FEW_ORDERS: u64 = 10;
 
-/// Number of orders, over all levels, in which a way to make intervals ever
-/// misses.
+/// Returns the number of orders, over all levels, in which a kind of interval misses at any look.
 fn misses(orders: u64, design: Design, holds: impl Fn(&Population, &Order<Unit>) -> bool) -> usize {
     let populations = Level::PERTURBED.map(Population::published);
     let of_level = |population: &Population| {
@@ -147,7 +146,7 @@ const PERMUTATIONS: [[usize; 3]; 6] = [
     [2, 1, 0],
 ];
 
-/// Every three transitions, in ascending order.
+/// Returns all triples of transitions, in ascending order.
 fn threes() -> Vec<[Transition; 3]> {
     let all = || Transition::ALL.into_iter();
     let pairs = || all().flat_map(|a| all().map(move |b| (a, b)));
@@ -406,7 +405,7 @@ fn matched(camera: Outcome, robot: Outcome, simultaneous: Outcome) -> Matched {
     }
 }
 
-/// Every way to replace what is in quarantine by an outcome.
+/// Returns every way to replace quarantined rollouts by outcomes.
 fn fillings(outcomes: &[Outcome]) -> Vec<Vec<bool>> {
     let mut all = vec![Vec::new()];
     for outcome in outcomes {

@@ -8,7 +8,7 @@ use paired::{
 };
 use serde::Deserialize;
 
-// The coverage command uses the rest.
+// The example `coverage` uses the remaining functions.
 #[allow(dead_code)]
 mod simulated;
 
@@ -97,7 +97,7 @@ fn what_lies_beyond_the_look_changes_nothing_and_what_lies_before_it_is_needed()
     }
     assert_eq!(when_met(&records, &stop), Some(look.clone()));
 
-    // Of the configuration in which it was met, one rollout is open at one level.
+    // In the configuration at which the rule was met, one rollout is open at one level.
     let (task, config) = *look.used.last().expect("some");
     let is_last = |it: &&mut Record| it.id.task() == task && it.id.config() == Some(config);
     let open = records
@@ -115,7 +115,7 @@ fn what_lies_beyond_the_look_changes_nothing_and_what_lies_before_it_is_needed()
 #[test]
 fn a_rule_that_only_the_last_configuration_meets_ends_nothing_early() {
     let records = published();
-    // Only once all are seen, the interval is a point.
+    // The interval is a point only after all configurations.
     assert_eq!(
         when_met(&records, &stop("width(I) < 0.0001", Strata::Tasks)),
         None
@@ -257,7 +257,7 @@ fn a_rule_about_new_tasks_ends_nothing_without_an_effect_and_most_with_a_large_o
         }
         met
     };
-    // With an error rate of 5 %, more than 13 have a probability of 0.0005.
+    // With an error rate of 5 %, more than 13 wrong ends have a probability of 0.0005.
     assert!(ends(0.0) <= 13);
     assert!(ends(-0.25) >= 90);
 }

@@ -1,11 +1,11 @@
-//! A policy of coins, one with a planted interaction and one with planted directions are
-//! told apart by the sentences of their reports.
+//! The sentences of reports distinguish a policy of coin flips, one with a planted interaction and
+//! one with planted directions.
 
 use std::collections::BTreeSet;
 
 use paired::{Bootstrap, FindingKind, Options, report};
 
-// The coverage command uses the rest.
+// The example `coverage` uses the remaining functions.
 #[allow(dead_code)]
 mod simulated;
 
@@ -17,7 +17,7 @@ const CAMPAIGNS: u64 = 100;
 /// claim what was planted and nothing else.
 fn right(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
     let options = Options {
-        // The paper's intervals are in no sentence.
+        // No sentence uses the paper's intervals.
         bootstrap: Bootstrap {
             replicates: 2,
             ..Bootstrap::default()

@@ -1,5 +1,5 @@
-//! The interval of a half-success radius, against the radius that was planted: simulated
-//! campaigns of 40 tasks, whose thresholds are drawn from a population with a known median.
+//! Compares the interval of a half-success radius with the planted radius, in simulated campaigns
+//! of 40 tasks whose thresholds are drawn from a population with a known median.
 
 use libero_ctrl::{Axis, Condition, Level, RolloutId, TaskRef, Thresholds};
 use paired::{Bootstrap, Outcome, Record};
@@ -9,7 +9,7 @@ use thresholds::{Curve, Measurement};
 
 const CONFIGS: u16 = 10;
 const CAMPAIGNS: u64 = 60;
-/// Fewer resamplings than reports take: ends move by a few per cent of their width.
+/// Fewer resamplings than in reports: ends move by a few per cent of an interval's width.
 const BOOTSTRAP: Bootstrap = Bootstrap {
     replicates: 300,
     seed: 1,
@@ -30,13 +30,13 @@ fn uniform(rng: &mut ChaCha8Rng) -> f64 {
     (f64::from(rng.next_u32()) + 0.5) / (f64::from(u32::MAX) + 1.0)
 }
 
-/// A standard normal, nearly: twelve uniform numbers.
+/// Returns a nearly standard normal number, the sum of twelve uniform ones.
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     (0..12).map(|_| uniform(rng)).sum::<f64>() - 6.0
 }
 
 impl Population {
-    /// The curve of a campaign of 40 tasks drawn from it, all of it measured.
+    /// Returns the curve of a completely measured campaign of 40 tasks drawn from the population.
     fn curve(self, seed: u64) -> Curve {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let [over, within] = self.spread;
@@ -69,7 +69,7 @@ impl Population {
         let perturbed = |task, condition, level, config| {
             RolloutId::perturbed(task, condition, level, config).expect("perturbed")
         };
-        // The axes alone say which axes the campaign has.
+        // The axes alone determine which axes the campaign has.
         let alone = [Axis::Camera, Axis::Language].map(Condition::Single);
         let conditions = alone.into_iter().chain([self.condition]);
         let source = TaskRef::all().flat_map(|task| {
@@ -125,7 +125,7 @@ const OF_CAMERA: Population = Population {
     quarantined: 0.0,
 };
 
-/// At least 93 % of the campaigns.
+/// Largest number of intervals that may miss the median: at least 93 % must hold it.
 const MOST_MISSED: u64 = 4;
 
 #[test]
@@ -159,7 +159,7 @@ fn thresholds_whose_failure_is_not_known_are_censored_and_bias_nothing() {
 
 #[test]
 fn where_no_radius_between_is_run_the_interval_is_as_wide_as_the_bracket() {
-    // Between L1 and L2, wherever.
+    // Medians anywhere between L1 and L2.
     for median in [2.1, 3.0, 3.9] {
         let population = Population {
             condition: Condition::Single(Axis::Language),

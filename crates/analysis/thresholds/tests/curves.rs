@@ -1,4 +1,4 @@
-//! Curves of many rays: what was planted is found again, and a budget is kept.
+//! Curves of many rays: planted thresholds are found again, and budgets are kept.
 
 use std::collections::BTreeSet;
 
@@ -64,7 +64,7 @@ fn campaign(tasks: usize) -> Vec<Record> {
     records
 }
 
-/// Runs what is planned until nothing is.
+/// Runs the planned rollouts until none is left.
 fn measure(source: &[Record], thresholds: &Thresholds) -> Vec<Record> {
     let mut own: Vec<Record> = Vec::new();
     loop {
@@ -170,7 +170,7 @@ fn what_has_no_outcome_is_left_out_and_counted() {
     let source = campaign(10);
     let thresholds = thresholds(None, 0);
     let before = Measurement::of(&source, &[], &thresholds).curves(&Bootstrap::default());
-    // Only what fails nominally is known.
+    // Only nominal failures are known.
     assert!(before.iter().all(|it| (it.n, it.left_out) == (10, 90)));
     let mut own = measure(&source, &thresholds);
     let largest = own.iter_mut().find(|it| it.id.level().radius() == 16.0);
@@ -178,7 +178,7 @@ fn what_has_no_outcome_is_left_out_and_counted() {
     largest.outcome = Outcome::Quarantined;
     let after = Measurement::of(&source, &own, &thresholds).curves(&Bootstrap::default());
     let of = |curve: &Curve| (curve.n, curve.left_out);
-    // It fails below anyway, so that its bracket is known.
+    // The ray fails at a smaller radius anyway, so its bracket is known.
     assert!(after.iter().all(|curve| of(curve) == (100, 0)));
 }
 

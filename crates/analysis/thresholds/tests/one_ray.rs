@@ -28,7 +28,7 @@ fn search(tolerance: f64, max_radius: f64) -> Search {
     Search::of(&thresholds(tolerance, max_radius), camera, AxisSet::ALL)
 }
 
-/// Runs what is asked for, to the end.
+/// Runs the requested rollouts until none is left.
 fn run(search: &Search, outcome: impl Fn(Level) -> Outcome) -> Known {
     let mut known = Known::new(Outcome::Success);
     while let Decision::Run(levels) = next(&known, search) {
@@ -42,8 +42,8 @@ fn run(search: &Search, outcome: impl Fn(Level) -> Outcome) -> Known {
     known
 }
 
-/// An outcome that has nothing to do with the radius: of 16, some fail and some are in
-/// quarantine.
+/// Returns an outcome that is unrelated to the radius: of 16, `failing` fail and `quarantined` are
+/// in quarantine.
 fn any(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outcome {
     let mut bits = seed ^ (level.radius() * 1e6) as u64;
     for _ in 0..3 {
@@ -56,7 +56,7 @@ fn any(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outcome {
     }
 }
 
-/// The first failure, and all successes beyond it, of outcomes one by one.
+/// Returns the first failure and all successes beyond it, without the code under test.
 fn by_hand(known: &Known) -> (Option<Level>, Vec<Level>) {
     let fails = known.points().find(|(_, it)| *it == Outcome::Failure);
     let fails = fails.map(|(level, _)| level);
@@ -109,7 +109,7 @@ proptest! {
                 prop_assert_eq!(Some(fails_at), fails);
                 let there = known.at(succeeds_at);
                 prop_assert!(there == Some(Outcome::Success) || succeeds_at == Level::L0);
-                // No narrower, only where quarantine is in the middle.
+                // The bracket is wider than the tolerance only if its middle is quarantined.
                 let width = fails_at.radius() - succeeds_at.radius();
                 let middle = level(succeeds_at.radius() + width / 2.0);
                 prop_assert!(
@@ -132,7 +132,7 @@ proptest! {
         let search = search(0.25, 16.0);
         let outcome = |level| any(seed, level, failing, 2);
         let together = run(&search, outcome);
-        // One outcome at a time, in another order, decided anew after each.
+        // Settles one outcome at a time in another order, with a new decision after each.
         let mut settled: BTreeMap<Level, Outcome> = BTreeMap::new();
         let mut draw = order;
         loop {

@@ -93,8 +93,8 @@ impl FromIterator<Axis> for AxisSet {
 
 impl Ord for AxisSet {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        // Of two sets of the same size, the first is the one that has the lowest bit in which
-        // they differ, that is, the earliest axis that only one of them has.
+        // Sets are ordered by size, then by the lowest bit in which they differ, the earliest axis
+        // that only one of them has: that set comes first.
         let by_axes = || other.0.reverse_bits().cmp(&self.0.reverse_bits());
         self.len().cmp(&other.len()).then_with(by_axes)
     }

@@ -10,8 +10,7 @@ use libero_ctrl::{
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 
-/// The components of which only one sign counts: farther, higher, later,
-/// noisier.
+/// Components restricted to one sign: distance, height, lag and noise.
 const HALF_SPACES: [(Axis, usize); 4] = [
     (Axis::Camera, 2),
     (Axis::Robot, 2),
@@ -65,7 +64,7 @@ fn normalised(axis: Axis, row: &ManifestRow) -> Vec<f64> {
 }
 
 proptest! {
-    // A failing case prints its input; there is no folder to keep it in.
+    // A failing case prints its input, so it is not stored in a file.
     #![proptest_config(ProptestConfig {
         failure_persistence: None,
         ..ProptestConfig::default()

@@ -63,7 +63,7 @@ fn every_answer_has_a_delay_of_the_distribution_as_often_as_it_says() {
     let first: Vec<u16> = (0..9).map(|it| delays.of_query(task, 3, it)).collect();
     let other: Vec<u16> = (0..9).map(|it| delays.of_query(task, 4, it)).collect();
     assert_ne!(first, other, "each initial state has its own");
-    // Pins the stream: another one needs a new version of its key.
+    // Pins the stream: other draws need a new version of the stream's key.
     assert_eq!(first, [2, 9, 2, 2, 2, 2, 2, 2, 2]);
 }
 

@@ -1,5 +1,4 @@
-//! Both generators against vectors that NumPy itself wrote, for every seed of
-//! the reference file.
+//! Compares both generators with vectors that NumPy wrote, for every seed of the reference file.
 
 use std::path::PathBuf;
 

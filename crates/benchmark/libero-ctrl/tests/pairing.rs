@@ -1,4 +1,4 @@
-//! Tests of pairing: an axis is perturbed the same alone and among any others.
+//! Tests of pairing: an axis is perturbed identically alone and in combination with other axes.
 
 use libero_ctrl::streams::Randomness;
 use libero_ctrl::{
@@ -35,7 +35,7 @@ fn row(rows: &[ManifestRow], condition: Condition) -> &ManifestRow {
 }
 
 proptest! {
-    // A failing case prints its input; there is no folder to keep it in.
+    // A failing case prints its input, so it is not stored in a file.
     #![proptest_config(ProptestConfig {
         failure_persistence: None,
         ..ProptestConfig::default()

@@ -1,5 +1,5 @@
-//! The 1,200 paraphrases as a policy reads them: told by their text alone,
-//! with a table of what each task must name that knows nothing of the rules.
+//! The 1,200 paraphrases, checked by their text alone, against a table of what each task must name
+//! that is independent of the rules.
 
 use std::collections::BTreeSet;
 
@@ -9,14 +9,13 @@ use sha2::{Digest, Sha256};
 /// Longest sentence, characters.
 const MAX_CHARS: usize = 160;
 
-/// SHA-256 over `TASK VARIANT_ID TEXT\n` of all sentences, so that no edit of
-/// the data changes one unseen: results before and after it would be pooled
-/// under one design. After a deliberate change, print the sentences
-/// (`cargo test -p libero-ctrl --test paraphrases -- --ignored --nocapture`), read
-/// the changed ones, and write here what the failing test names.
+/// SHA-256 over `TASK VARIANT_ID TEXT\n` of all sentences, so that no edit of the data is
+/// overlooked: results before and after it would be pooled under one design. After a deliberate
+/// change, print the sentences (`cargo test -p libero-ctrl --test paraphrases -- --ignored
+/// --nocapture`), read the changed ones, and write the digest that the failing test prints here.
 const DIGEST: &str = "9f0453463c67776c6cf0d85e7408cf93ce29aa134419c8b8a8ef7b2577e2a23b";
 
-/// Words that a sentence must contain: of every row, one of the alternatives.
+/// Words that a sentence must contain: one alternative of every row.
 type Required = &'static [&'static [&'static str]];
 
 const BOWL: &[&str] = &["black bowl"];
@@ -182,7 +181,7 @@ fn every_task_level_and_configuration_has_a_named_sentence() {
     assert_eq!(paraphrase(first, Level::L1, 1).variant_id, "t0/L1/v01");
 }
 
-/// Across the levels too, which implies that no level repeats another.
+/// Covers all levels at once, so that no level repeats a sentence of another.
 #[test]
 fn the_thirty_sentences_of_a_task_are_distinct() {
     for task in TaskRef::all() {
@@ -211,7 +210,7 @@ fn every_sentence_names_the_objects_and_relations_of_its_task() {
         ..
     } in sentences()
     {
-        // Padded, so that a short word at an end is found as a word.
+        // Padding lets short words at the start or end match as whole words.
         let padded = format!(" {text} ");
         for alternatives in required(&task.to_string()) {
             let named = alternatives.iter().any(|words| padded.contains(words));

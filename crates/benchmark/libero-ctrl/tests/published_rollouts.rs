@@ -1,5 +1,5 @@
-//! The design against the published outcomes of a policy: the same rollouts
-//! from the same initial states. Skipped, by name, where they are not at hand.
+//! Compares the design with the published outcomes of a policy: the same rollouts from the same
+//! initial states. Skipped, by name, if they are missing.
 
 use std::collections::BTreeMap;
 use std::path::Path;

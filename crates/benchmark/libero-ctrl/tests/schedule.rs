@@ -1,4 +1,4 @@
-//! Executed actions of each control step, against a plain model that writes the whole timeline.
+//! Compares the executed action of each control step with a plain model of the whole timeline.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ fn task() -> TaskRef {
     TaskRef::all().next().expect("a task")
 }
 
-/// An action that tells its query and its place, with a gripper that changes.
+/// Returns an action that identifies its query and its place, with a gripper that changes.
 fn action(query: u32, place: usize) -> Action {
     let gripper = if (query as usize + place).is_multiple_of(3) {
         1.0
@@ -22,13 +22,13 @@ fn action(query: u32, place: usize) -> Action {
     [f64::from(query), place as f64, 0.5, 0.0, 0.0, 0.0, gripper]
 }
 
-/// Numbers of actions in the answers, of a policy that may answer fewer than it promised.
+/// Returns the number of actions in an answer, which may be less than promised.
 fn length(lengths: &[usize], query: u32) -> usize {
     lengths[query as usize % lengths.len()]
 }
 
 struct Ran {
-    /// Steps of the queries, with what was said to be under way.
+    /// Steps of the queries, each with the delay and the actions that the policy was told of.
     queries: Vec<(usize, u32, Vec<Action>)>,
     commands: Vec<Command>,
 }
@@ -67,8 +67,8 @@ fn waiting(execute: usize, lengths: &[usize]) -> Vec<Option<(u32, usize)>> {
     timeline
 }
 
-/// The timeline of a model with delays: nothing but holding, until an answer overwrites
-/// everything from the step on at which it takes effect.
+/// Returns the timeline under a model with delays: the arm holds still until an answer overwrites
+/// everything from the step at which it takes effect.
 fn timeline(
     overlaps: bool,
     delays: &dyn Fn(u32) -> usize,
@@ -100,8 +100,8 @@ fn timeline(
     (asked, line)
 }
 
-/// The commands of a timeline: where nothing is executed the arm rests, and the gripper does
-/// as last commanded.
+/// Returns the commands of a timeline: where no action is executed, the arm rests and the gripper
+/// keeps its last command.
 fn commands(line: &[Option<(u32, usize)>]) -> Vec<Action> {
     let mut gripper = -1.0;
     let command = line.iter().map(|source| {
@@ -132,7 +132,7 @@ fn check(text: &str, execute: usize, lengths: &[usize]) -> Result<(), TestCaseEr
     prop_assert_eq!(steps, asked);
     for (query, (step, delay, under_way)) in ran.queries.iter().enumerate() {
         prop_assert_eq!(*delay as usize, of_query(query as u32));
-        // The policy is told what then happens.
+        // The policy is told the actions that are then executed.
         let until = STEPS.min(step + *delay as usize);
         prop_assert_eq!(&under_way[..until - step], &given[*step..until]);
     }
@@ -175,7 +175,7 @@ proptest! {
     }
 }
 
-/// An example to read: answers of 8 actions of which 6 are executed, 3 steps late.
+/// A readable example: answers of 8 actions, of which 6 are executed, 3 steps late.
 #[test]
 fn an_answer_takes_over_three_steps_after_it_was_asked_for() {
     let ran = run("overlap:3", 6, &[8]);

@@ -1,6 +1,5 @@
-//! Tests of seeds that differ and seeds that agree: a replicate changes the
-//! policy's seed and nothing else, and the matched streams depend on neither
-//! replicate nor condition.
+//! Tests of seeds: a replicate changes only the policy's seed, and the matched streams depend on
+//! neither replicate nor condition.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +13,7 @@ fn rows() -> Vec<ManifestRow> {
     Design::v0_1().expand().expect("rows")
 }
 
-/// The same configuration under another condition.
+/// Returns the same configuration under another condition.
 fn sibling(id: RolloutId, condition: Condition) -> RolloutId {
     let config = id.config().expect("a perturbed rollout");
     RolloutId::perturbed(id.task(), condition, id.level(), config).expect("an id")
@@ -35,8 +34,8 @@ fn the_first_replicate_has_the_references_seed() {
     }
 }
 
-/// The protocol makes a policy's seed from the rollout's id, so conditions are
-/// paired in everything but the policy's own noise.
+/// The protocol derives the policy's seed from the rollout's id, so that conditions are paired in
+/// everything but the policy's own noise.
 #[test]
 fn conditions_of_a_configuration_differ_in_the_policys_seed_and_agree_in_the_matched_streams() {
     let rows = rows();

@@ -1,4 +1,4 @@
-//! Campaigns that may end early: what is recorded, and what is refused.
+//! Campaigns that may stop early: recorded fields, and refused specifications.
 
 use libero_ctrl::{Axis, CampaignSpec, Design, ManifestRow, SpecError};
 use serde_json::{Value, json};

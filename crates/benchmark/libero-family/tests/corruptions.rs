@@ -1,4 +1,4 @@
-//! Corruptions against LIBERO-Plus' own code: `recorded/corruptions.py` made the digests.
+//! Compares corruptions with LIBERO-Plus' own code, by digests of `recorded/corruptions.py`.
 
 use libero_ctrl::numpy::LegacyRng;
 use libero_family::corruption::{Corruption, Kind, Picture};
@@ -6,7 +6,7 @@ use sha2::{Digest, Sha256};
 
 const RECORDED: &str = include_str!("recorded/corruptions.txt");
 
-/// The picture that the recording script makes.
+/// Returns the same picture as the recording script.
 fn picture(side: usize) -> Vec<u8> {
     let mut noise = LegacyRng::seed(side as u32);
     let mut rgb = Vec::with_capacity(side * side * 3);

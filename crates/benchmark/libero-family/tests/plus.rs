@@ -1,5 +1,5 @@
-//! Inventory, names, cameras, postures and prompts against LIBERO-Plus' own code:
-//! `recorded/plus.py` made the digests.
+//! Compares inventory, names, cameras, postures and prompts with LIBERO-Plus' own code, by digests
+//! of `recorded/plus.py`.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,7 +12,7 @@ use sha2::{Digest, Sha256};
 
 const RECORDED: &str = include_str!("recorded/plus.txt");
 
-/// Holds lines against a recorded digest.
+/// Asserts that lines have the recorded digest.
 fn check(what: &str, lines: &[String]) {
     let recorded = RECORDED.lines().find(|line| line.starts_with(what));
     let fields: Vec<&str> = recorded.unwrap().split(' ').collect();
@@ -72,7 +72,7 @@ fn every_variant_has_a_bddl_file_of_the_released_ones() {
     });
     check("bddl", &lines);
     let stems: BTreeSet<String> = lines.into_iter().collect();
-    // 40 of LIBERO, and one for each variant of language, light, background and layout.
+    // LIBERO's 40, and one for each variant of language, light, background and layout.
     assert_eq!(stems.len(), 40 + 1537 + 1142 + 1076 + 1525);
 }
 

@@ -95,10 +95,9 @@ impl HandPose {
     }
 }
 
-/// Returns the orientation of a hand that points down and closes along the horizontal
-/// direction `angle`. Of the two symmetric orientations it is the one nearer to the robot's
-/// rest pose, which closes along the world's y: a quarter turn either way stays inside the
-/// last joint's range.
+/// Returns the orientation of a hand that points down and closes along the horizontal direction
+/// `angle`. Two symmetric orientations do so; this is the one nearer to the robot's rest pose,
+/// which closes along the world's y: a quarter turn either way stays inside the last joint's range.
 pub(crate) fn pointing_down(angle: f64) -> Quat {
     let rest = Quat {
         w: 0.0,

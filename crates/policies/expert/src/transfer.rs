@@ -264,7 +264,7 @@ impl Transfer {
         if self.ticks >= TRAVEL_STEPS {
             return Next::Missed;
         }
-        // Beside the object, the object itself is an obstacle.
+        // If the hand is beside the object, the object itself is an obstacle.
         let errand = match world.grip.z < object.top() && world.gap_to(object) > 0.0 {
             true => Errand::Empty(FINGERTIP_M),
             false => Errand::For(object),

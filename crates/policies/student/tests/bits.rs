@@ -31,9 +31,8 @@ fn digest(outputs: &[Output]) -> String {
     digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Digest of five answers. It changes with the network's definition and with nothing
-/// else: not with the processor, not with the instructions that this is compiled for, not
-/// with versions of libraries.
+/// Digest of five answers. It changes only with the network's definition, not with the processor,
+/// with the instructions that the code is compiled for, or with versions of libraries.
 const GOLDEN: &str = "b0814112ff3d36c7a1a3bbd1e909e5c638806e17facb6116dfaceec49371f682";
 
 #[test]
@@ -48,7 +47,7 @@ fn golden_answers_have_the_same_bits_on_every_machine() {
     ));
 }
 
-/// Stands in for machines without fused multiply-adds.
+/// Represents machines without fused multiply-adds.
 #[test]
 fn plain_products_give_the_same_bits() {
     let moment = Moment::random(1);
@@ -70,7 +69,7 @@ fn a_batch_changes_no_bit() {
         apart.extend(network.outputs(&[*query]).expect("an answer"));
     }
     assert_eq!(digest(&together), digest(&apart));
-    // More than the kernels' tiles of 16 rows, in another order.
+    // More queries than the kernels' tiles have rows (16), in another order.
     let many: Vec<_> = (0..37).map(|index| queries[index * 3 % 5]).collect();
     for (index, output) in network.outputs(&many).expect("answers").iter().enumerate() {
         let alone = &together[index * 3 % 5];

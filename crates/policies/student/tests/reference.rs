@@ -1,4 +1,4 @@
-//! PyTorch's answers, by weights that are shipped. Training exports both.
+//! Compares answers with PyTorch's, for weights that are shipped. Training exports both.
 
 use std::fs;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use safetensors::{Dtype, SafeTensors};
 use student::{Network, PICTURE_BYTES, PICTURE_SIDE, Query};
 
-/// Tolerance of numbers up to 1; of larger ones, a share.
+/// Tolerance of numbers up to 1, and relative tolerance of larger ones.
 const TOLERANCE: f32 = 1e-4;
 
 #[test]
@@ -57,7 +57,7 @@ fn check(folder: &Path, path: &Path) {
         .iter()
         .enumerate()
     {
-        // The exported arm is limited, as actions are.
+        // The exported arm components are clamped, as in actions.
         let arm = output.arm.as_flattened().iter();
         let arm = arm.map(|value| value.clamp(-1.0, 1.0));
         close(arm, &arms[index], &format!("query {index}, arm"));
@@ -80,7 +80,7 @@ fn data<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, count: usize) -> &
     tensor.data()
 }
 
-/// Turned so that row 0 is at the bottom, as on the wire.
+/// Returns pictures with row 0 at the bottom, as in the protocol.
 fn pictures(file: &SafeTensors<'_>, name: &str, count: usize) -> Vec<Vec<u8>> {
     let pictures = data(file, name, Dtype::U8, count).chunks(PICTURE_BYTES);
     let turn = |picture: &[u8]| {

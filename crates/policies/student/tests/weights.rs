@@ -1,4 +1,4 @@
-//! Acceptance of weights files, and refusal of others.
+//! Acceptance of valid weights files, and refusal of invalid ones.
 
 mod support;
 
@@ -10,7 +10,7 @@ fn refusal(weights: &Weights) -> WeightsError {
     Network::from_safetensors(&weights.bytes()).expect_err("a refusal")
 }
 
-/// The refusal of weights that `change` has spoilt.
+/// Returns the refusal of weights that `change` has made invalid.
 fn spoilt(change: impl FnOnce(&mut Weights)) -> WeightsError {
     let mut weights = Weights::random(3);
     change(&mut weights);

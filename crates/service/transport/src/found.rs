@@ -86,12 +86,12 @@ pub enum CertificateFault {
     },
     /// The certificate is not valid yet.
     NotYetValid,
-    /// It is for other host names.
+    /// The certificate is for other host names.
     OtherName {
         /// Host names in the certificate.
         names: Vec<String>,
     },
-    /// It is the certificate of an authority, not of a server.
+    /// The certificate is that of an authority, not of a server.
     Authority,
     /// Any other fault.
     Unusable(

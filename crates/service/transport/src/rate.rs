@@ -1,5 +1,5 @@
-//! Rate limit per connection: a token bucket that refills over time. Pure; the gate passes the
-//! time.
+//! Rate limit per connection: a token bucket that refills over time. This module reads no clock;
+//! the gate passes the time.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
@@ -11,7 +11,7 @@ use tokio::time::Instant;
 pub const MAX_REQUESTS_PER_SEC: f64 = 10_000.0;
 /// Burst of requests of one connection.
 pub const BURST_REQUESTS: f64 = 20_000.0;
-/// Most buckets in memory. Full ones are dropped first, which has no effect.
+/// Maximum number of buckets. Full ones are dropped first: a new bucket is full, too.
 const MAX_BUCKETS: usize = 8_192;
 
 /// The buckets of all connections.

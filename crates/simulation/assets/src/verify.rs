@@ -68,7 +68,7 @@ struct Stamp {
 }
 
 impl VerifiedFolder {
-    /// The folder of a pack that holds files of `table`.
+    /// Creates the folder of a pack with files of `table`; reads nothing.
     pub fn new(table: &'static Table, folder: &Path) -> Self {
         Self {
             table,
@@ -77,12 +77,12 @@ impl VerifiedFolder {
         }
     }
 
-    /// The table.
+    /// Returns the table.
     pub fn table(&self) -> &'static Table {
         self.table
     }
 
-    /// The folder.
+    /// Returns the folder's path.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
@@ -128,7 +128,7 @@ impl VerifiedFolder {
         (differences, present)
     }
 
-    /// No thread panics while it holds the lock.
+    /// Ignores poisoning: no thread panics while it holds the lock.
     fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<&'static str, Stamp>> {
         self.verified.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -150,7 +150,7 @@ fn unreadable(error: io::Error) -> Difference {
     }
 }
 
-/// SHA-256 of a file, hex.
+/// Returns the SHA-256 of a file, hex.
 fn sha256_of(path: &Path) -> io::Result<String> {
     let mut file = File::open(path)?;
     let mut hash = Sha256::new();
@@ -163,7 +163,7 @@ fn sha256_of(path: &Path) -> io::Result<String> {
     }
 }
 
-/// Lower-case hexadecimal.
+/// Formats bytes as lower-case hexadecimal.
 pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -17,7 +17,7 @@ const LONGEST_REST: u16 = 256;
 /// Frames at rest after which a further geom justifies redrawing the whole cached picture.
 const WORTH_ADDING: u16 = 8;
 
-/// How the drawing of a frame starts.
+/// Initial state of a frame's drawing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Start {
     /// Draw everything: no geom is known to be at rest.

@@ -199,7 +199,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
             false => attenuated(light, to_light, over_distance),
         };
         let (is_lit, lit) = (facing.gt(zero), facing.max(zero));
-        // Without shininess, Mesa's program reads the same register in its place.
+        // Without shininess, Mesa's program uses the register of the dot product `facing`.
         let (near, exponent) = if has_highlights && products[2] != [0.0; 3] {
             let half = unit8(minus8(to_light, towards_pos));
             (

@@ -177,8 +177,8 @@ impl Matrix {
         std::array::from_fn(|row| m[row] * x + m[row + 4] * y + m[row + 8] * z)
     }
 
-    /// Returns the inverse of the upper left 3 × 3 part, row by row; `None` if it is singular. Mesa
-    /// transposes matrices that it considers rotations.
+    /// Returns the inverse of the upper left 3 × 3 part, row by row; `None` if it is singular. A
+    /// matrix that Mesa considers a rotation is transposed instead.
     pub(crate) fn inverse_of_linear_part(&self) -> Option<[f32; 9]> {
         let m = &self.0;
         let (c1, c2, c3): (Vec3, Vec3, Vec3) =

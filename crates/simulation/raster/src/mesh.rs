@@ -437,7 +437,7 @@ fn cone(pieces: &[Piece]) -> (Vec3, f32) {
         }
     }
     let length = dot(sum, sum).sqrt();
-    // Half a right angle per axis more than this would hide nothing.
+    // No cone is useful if the normals cancel or a triangle has none.
     if length.is_nan() || length <= 1e-3 || pieces.iter().any(|piece| piece.facing == [0.0; 3]) {
         return EVERYWHERE;
     }

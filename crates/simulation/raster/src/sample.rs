@@ -161,8 +161,8 @@ fn fetch_two(texels: Texels<'_>, row: I, [x0, x1]: [I; 2], is_beside: bool) -> [
     }
 }
 
-/// The texels around eight places of a flat texture, and the weights of the second ones in both
-/// directions, in the type `W` of the arithmetic.
+/// The four texels around each of eight places of a flat texture, and the weight of the second
+/// texel along each axis. `W` is the type of the weights.
 struct Around<W> {
     texels: [I; 4],
     shares: [W; 2],
@@ -453,8 +453,8 @@ struct EdgePlace<'a> {
     shares: [f32; 2],
 }
 
-/// Blends with the texels of the neighbouring face beyond an edge; at a corner, the three that
-/// meet.
+/// Blends with the texels of the neighbouring face beyond an edge; at a corner, blends the three
+/// texels that meet there.
 #[inline(never)]
 fn over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
     let side = at.level.width as i32;

@@ -34,9 +34,9 @@ pub(crate) fn is_large(x: [I; 2], y: [I; 2]) -> Mask {
     wide | high
 }
 
-/// Returns the mask of the edges whose own samples count as covered, from the differences of their
-/// ends along y and x: true for left and lower edges. This is the top-left rule in a frame buffer
-/// object, whose first row is the lowest.
+/// Returns the mask of the edges that own the samples exactly on them, from the differences of
+/// their ends along y and x: true for left and lower edges. This is the top-left rule in a frame
+/// buffer object, whose first row is the lowest.
 #[inline(always)]
 pub(crate) fn has_samples(dx: I, dy: I) -> Mask {
     let zero = I::splat(0);

@@ -43,7 +43,7 @@ pub(crate) struct Vertices {
 }
 
 /// Most vertices of a cluster: as many as a byte can index, so that indices need no bounds check.
-/// Includes room for eight at a time.
+/// Includes padding, since vertices are computed eight at a time.
 const MOST: usize = 256;
 const _: () = assert!(
     3 * CLUSTER + LANES <= MOST,

@@ -14,8 +14,8 @@ pub(crate) const BLOCK: i32 = 16;
 /// for each lane, row by row.
 pub(crate) const PART: [i32; 2] = [8, 4];
 
-/// Writes to a block after which its depth bounds are recomputed. A small triangle counts as one
-/// write.
+/// Number of writes to a block after which its depth bounds are recomputed. A small triangle counts
+/// as one write.
 const WORTH_FINDING: u8 = 16;
 
 /// Marks a sample without a triangle.
@@ -220,8 +220,8 @@ impl Ranks<'_> {
         (instance.rank, mesh.order[triangle as usize])
     }
 
-    /// Returns those of the samples with equal depth whose current triangle is drawn after this one
-    /// and therefore stays.
+    /// Returns the tied samples that this triangle loses: those whose current triangle comes later
+    /// in the drawing order.
     #[inline(never)]
     pub(crate) fn lost_ties(&self, ties: u32, ids: &[u32], record: &Record) -> u32 {
         let ours = self.of(record);

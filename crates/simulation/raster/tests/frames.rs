@@ -1,5 +1,5 @@
-//! Frames: the same bits on every machine, whatever was drawn before, and
-//! something for everything that can be asked.
+//! Frames have the same bits on every machine, independent of earlier frames, and every possible
+//! request gives a frame.
 
 mod opengl;
 mod scenes;
@@ -18,9 +18,8 @@ fn digest(frame: &[u8]) -> String {
         .collect()
 }
 
-/// First eight bytes of the SHA-256 of the room's frames, by size. They change with
-/// `raster::NAME`, and with nothing else: not with the processor, not with the
-/// instructions that it is compiled for.
+/// First eight bytes of the SHA-256 of the room's frames, by size. They change only with
+/// `raster::NAME`, not with the processor or with the instructions that the code is compiled for.
 const GOLDEN: [(usize, usize, &str); 5] = [
     (256, 256, "4ba14bd951c34ccc"),
     (128, 96, "5c3164d02b0f20e6"),
@@ -224,8 +223,8 @@ fn a_scene_that_cannot_be_drawn_is_refused_with_the_reason() {
     assert_eq!(draw(&empty, 8), Ok(8 * 8 * 3));
 }
 
-/// Draws scenes one after the other on one canvas, each often enough to rest,
-/// and compares with canvases that are new.
+/// Draws scenes one after the other on one canvas, each often enough to be cached, and compares the
+/// frames with those of new canvases.
 fn assert_the_same_anew(scenes: &[Scene], size: [usize; 2]) {
     let model = model();
     let mut canvas = Canvas::new();
@@ -243,7 +242,7 @@ fn assert_the_same_anew(scenes: &[Scene], size: [usize; 2]) {
     }
 }
 
-/// They compare as equal, and one over them is not.
+/// Zeros of both signs compare as equal, but their reciprocals do not.
 #[test]
 fn zeros_of_both_signs_are_told_apart() {
     let with_attenuation = |zero: f32| {
@@ -259,8 +258,8 @@ fn zeros_of_both_signs_are_told_apart() {
     assert_the_same_anew(&[with_attenuation(0.0), with_attenuation(-0.0)], [32, 32]);
 }
 
-/// More layers than are blended at once, so that a frame is done in parts. The
-/// digest is that of all at once.
+/// More layers than are blended at once, so that the frame is drawn in parts. The digest is that of
+/// all layers drawn at once.
 #[test]
 fn glass_that_is_blended_in_parts_is_the_same() {
     let mut builder = MeshBuilder::default();
@@ -293,7 +292,7 @@ fn glass_that_is_blended_in_parts_is_the_same() {
     assert_eq!(digest(frame), "b3803dc6681de13b");
 }
 
-/// One over their distance is no number, and neither is their place.
+/// The reciprocal of the corners' distance overflows, so their position becomes NaN.
 #[test]
 fn corners_a_hair_from_the_eye_give_a_frame() {
     let mut builder = MeshBuilder::default();
@@ -317,7 +316,7 @@ fn corners_a_hair_from_the_eye_give_a_frame() {
     assert_eq!(frame.map(<[u8]>::len), Ok(256 * 256 * 3));
 }
 
-/// Directions so short that one over them is not finite: they meet no face of a cube.
+/// Directions whose reciprocal length is not finite: they hit no face of a cube.
 #[test]
 fn a_cube_in_directions_too_short_to_be_told_gives_a_frame() {
     let mut scene = room();

@@ -285,7 +285,7 @@ fn find_regions(
 ) -> Result<Vec<RegionSite>, SceneError> {
     let mut sites: Vec<RegionSite> = Vec::new();
     for region in &problem.regions {
-        // Of two regions with one name, the last one is used, at the position of the first.
+        // If two regions have one name, the last one is used, at the position of the first.
         let region = problem.region(&region.name).expect("its own name");
         if sites.iter().any(|site| site.name == region.name) {
             continue;

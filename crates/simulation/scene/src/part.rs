@@ -74,7 +74,7 @@ impl Part {
         let mut names = HashSet::new();
         let assets = self.root.child("asset").into_iter();
         for asset in assets.flat_map(|section| &section.children) {
-            // Of assets with one name, only the first is merged into a scene.
+            // Only the first of several assets with one name is merged into a scene.
             if !names.insert((&asset.tag, asset.name())) {
                 continue;
             }

@@ -139,8 +139,8 @@ impl Conditions {
         })
     }
 
-    /// Begins a LIBERO-family variant. Of the row, only its initial state and its waits are used;
-    /// its perturbation is ignored.
+    /// Begins a LIBERO-family variant. Only the row's initial state and waits are used; its
+    /// perturbation is ignored.
     ///
     /// # Errors
     /// If there is no such initial state, or the scene cannot be reset.

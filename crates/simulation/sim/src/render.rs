@@ -130,7 +130,7 @@ impl LazyDrawer {
 /// A renderer's state for drawing one scene.
 pub(crate) enum Canvas {
     Software(Box<SoftwareCanvas>),
-    /// On any thread but the one that made it, it suits no renderer.
+    /// State of OpenGL, which suits no renderer on another thread than its own.
     Gl(ThreadBound<GlCanvas>),
 }
 

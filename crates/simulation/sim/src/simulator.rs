@@ -89,8 +89,8 @@ impl Simulator {
         self.begin_either(files, row, realisation, None)
     }
 
-    /// Prepares a rollout of a LIBERO-family variant up to the state in which its waits begin. Of
-    /// the row, only the initial state and the waits are used.
+    /// Prepares a rollout of a LIBERO-family variant up to the state in which its waits begin. Only
+    /// the row's initial state and waits are used.
     pub fn begin_variant(
         &mut self,
         files: TaskFiles,

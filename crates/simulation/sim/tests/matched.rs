@@ -1,6 +1,6 @@
-//! Basis of pairing: in `matched` mode an axis alone and the same axis in any combination
-//! are realised bit for bit alike, in any configuration, at any radius. Runs without
-//! MuJoCo: camera, lights and arm are made up.
+//! Basis of pairing: in `matched` mode, an axis is realised with the same bits alone and in any
+//! combination, for any configuration and radius. Runs without MuJoCo: camera, lights and arm are
+//! made up.
 
 use std::collections::BTreeMap;
 
@@ -21,8 +21,8 @@ const PICTURE_PX: usize = 24;
 const PICTURED_STEPS: [u32; 3] = [0, 1, 40];
 const ACTIONS: usize = 30;
 
-/// Realised perturbation of a row: the part that a result keeps, and per axis every
-/// number that the rollout would see of it, as bits.
+/// Realised perturbation of a row: the part stored in the result and, per axis, the bits of every
+/// number that affects the rollout.
 #[derive(Debug)]
 struct Realised {
     kept: rollout_types::Realised,
@@ -71,7 +71,7 @@ fn realise(row: &ManifestRow, mode: Realisation) -> Realised {
 }
 
 impl Realised {
-    /// Adds an axis: what a result keeps of it, and what came out step by step.
+    /// Adds an axis: the values that a result keeps, and the values of each step.
     fn add(&mut self, axis: Axis, parameters: &[f64], fixed: &[f64], steps: &[f64]) {
         self.kept.add(axis, parameters.to_vec(), fixed.to_vec());
         let values = fixed.iter().chain(steps);
@@ -107,7 +107,7 @@ fn actions(stage: &mut ActuationStage) -> Vec<f64> {
 }
 
 fn nominal_camera() -> CameraPose {
-    // Half a turn about the axis between z and x: it looks along −x.
+    // Half a turn about the axis between z and x, so that the camera looks along −x.
     let half = std::f64::consts::FRAC_1_SQRT_2;
     CameraPose {
         position: [0.9, 0.1, 1.4],
@@ -138,7 +138,7 @@ fn nominal_arm() -> JointVector {
     JointVector::from([0.1, 0.4, -0.2, 0.9, 0.3, -0.6, 0.2])
 }
 
-/// A chain of links about alternating axes.
+/// Returns the state of a chain of links about alternating axes.
 fn arm(joints: &JointVector) -> ArmState {
     let mut position = Vector3::zeros();
     let mut rotation = Matrix3::identity();
@@ -176,7 +176,7 @@ fn any_level() -> impl Strategy<Value = Level> {
 }
 
 prop_compose! {
-    /// One configuration, and axes to combine in it.
+    /// Generates one configuration and axes to combine in it.
     fn any_unit()(
         axes in subsequence(Axis::METRIC.to_vec(), 2..=5),
         task in select(TaskRef::all().collect::<Vec<_>>()),
@@ -184,7 +184,7 @@ prop_compose! {
         config in prop_oneof![0..10_u16, 0..MAX_CONFIGS],
         seed in any::<u64>(),
     ) -> Design {
-        // A pair of three axes or more.
+        // With three axes or more, also tests the pair of the first two.
         let pair = axes[..2].iter().copied().collect();
         let subsets = if axes.len() > 2 { vec![pair] } else { Vec::new() };
         Design {
@@ -200,7 +200,7 @@ prop_compose! {
     }
 }
 
-/// Calls `compare` with every axis, alone or in a pair, and in the combination.
+/// Calls `compare` with every axis alone or in a pair, and with the combination.
 fn each_axis(
     design: &Design,
     mode: Realisation,
@@ -218,7 +218,7 @@ fn each_axis(
 }
 
 proptest! {
-    // A failing case prints its input; there is no folder to keep it in.
+    // A failing case prints its input, so it is not stored in a file.
     #![proptest_config(ProptestConfig {
         failure_persistence: None,
         ..ProptestConfig::default()
@@ -236,8 +236,8 @@ proptest! {
         prop_assert_eq!(compared, design.axes.len() + 2 * design.subsets.len());
     }
 
-    /// Reason for the `matched` mode: the streams of the reference differ between the
-    /// conditions, wherever something is drawn.
+    /// This difference is the reason for the `matched` mode: in `reference` mode, each condition
+    /// draws its random elements anew.
     #[test]
     fn in_reference_mode_what_is_drawn_is_drawn_anew(
         task in select(TaskRef::all().collect::<Vec<_>>()),

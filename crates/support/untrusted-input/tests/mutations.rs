@@ -1,7 +1,6 @@
-//! Every reader and handler under inputs that are nearly right: the seeds, and
-//! seeded mutations of them. A fuzzer finds more (`fuzz/README.md`); this runs
-//! wherever the tests do. `ROLLOUT_HOSTILE_SEEDS=1000-1099` takes other seeds, as
-//! many as wanted.
+//! Runs every reader and handler on nearly valid inputs: the seeds, and seeded mutations of them. A
+//! fuzzer finds more (`fuzz/README.md`), but these tests run everywhere.
+//! `ROLLOUT_HOSTILE_SEEDS=1000-1099` selects other seeds, any number of them.
 
 use std::ops::RangeInclusive;
 use std::panic;
@@ -68,12 +67,12 @@ fn no_message_breaks_the_gateway() {
     survives(untrusted_input::named("rpc_policy"), INPUTS);
 }
 
-/// Gives a target mutated inputs. One that it does not survive is kept as a file,
-/// for the fuzz target of this name.
+/// Gives a target mutated inputs. An input that makes it fail is stored as a file, for the fuzz
+/// target of this name.
 fn survives(target: Target, inputs: usize) {
     static PANICS: AtomicUsize = AtomicUsize::new(0);
     static COUNTING: Once = Once::new();
-    // A task's panic ends the task alone; here it counts.
+    // A panic in a task normally ends only that task; here it is counted as a failure.
     COUNTING.call_once(|| {
         let tell = panic::take_hook();
         panic::set_hook(Box::new(move |panic| {

@@ -1,9 +1,9 @@
 """The policies of the LIBERO-CTRL paper, each in its own module.
 
-A module loads its policy's upstream package only when it is told to serve, and
-holds nothing but what is particular to that policy: what it sees, what its
-prompt says, how long its chunks are and where its noise comes from. Arithmetic
-on frames and actions is in `rollout_policies.processing`.
+A module imports its policy's upstream package only when the policy is served,
+and holds only the details of that policy: its inputs, its
+prompt, the length of its chunks and the source of its noise. Arithmetic on
+frames and actions is in `rollout_policies.processing`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..policy import Policy
 from .fetch import naming_downloads
 from .upstream import UnusableOption
 
-#: Module of each policy in the catalogue.
+#: The module of each policy in the catalogue.
 MODULES = {
     "pi05": "pi05",
     "openvla-oft": "openvla_oft",
@@ -29,12 +29,11 @@ MODULES = {
     "minerva": "minerva",
 }
 
-#: Those that draw their noise outside the network, so that it can be given row
-#: by row to a batch.
+#: Policies that draw their noise outside the network, so that a batch can be given it row by row.
 BATCHING = ("pi05", "smolvla")
-#: Those whose checkpoints name their image slots.
+#: Policies whose checkpoints name their image slots.
 WITH_SLOTS = ("pi05", "smolvla", "vla-jepa", "minerva")
-#: Those that the study ran otherwise than their authors do.
+#: Policies that the LIBERO-CTRL study evaluated differently from their authors.
 WITH_STUDY = ("univla",)
 EVALUATIONS = ("upstream", "study")
 
@@ -43,23 +42,23 @@ log = logging.getLogger("rollout_policies")
 
 @dataclass(frozen=True)
 class Options:
-    """What the command line may say about serving a policy."""
+    """Command-line options for serving a policy."""
 
-    #: A hub's name or a local path; the catalogue's own if None.
+    #: Name on the hub or local path; None selects the catalogue's checkpoint.
     checkpoint: str | None = None
     #: The hub's branch, tag or commit; its main branch if None.
     revision: str | None = None
-    #: For policies with other weights for every suite.
+    #: Suite, for policies that have separate weights for every suite.
     suite: str | None = None
-    #: As torch names it.
+    #: Device name as in torch.
     device: str = "cuda"
-    #: Queries answered in one forward pass, where the policy can.
+    #: Queries answered in one forward pass, for policies that support batches.
     max_batch: int = 1
-    #: Actions of a chunk that are executed; what the checkpoint says if None.
+    #: Actions of a chunk that are executed; None takes the checkpoint's number.
     execute: int | None = None
-    #: Image slots by camera ("scene", "wrist"), where names do not tell.
+    #: Image slots by camera ("scene", "wrist"), if the slot names do not determine them.
     image_keys: Mapping[str, str] | None = None
-    #: Whose evaluation is followed: the policy's authors' or LIBERO-CTRL's.
+    #: Evaluation protocol to follow: that of the policy's authors or LIBERO-CTRL's.
     evaluation: str = "upstream"
 
 
@@ -77,7 +76,7 @@ def load(name: str, options: Options) -> Policy:
 
 
 def _require_options(listed: Entry, options: Options) -> None:
-    """Refuses what no checkpoint of a policy could do."""
+    """Refuses options that no checkpoint of the policy supports."""
     if options.suite is not None and options.suite not in SUITES:
         raise UnusableOption(f"--suite must be one of {', '.join(SUITES)}, and is {options.suite}")
     if options.max_batch > 1 and listed.name not in BATCHING:
@@ -97,8 +96,8 @@ def _require_options(listed: Entry, options: Options) -> None:
 
 
 def executed(listed: Entry, options: Options, *, chunk: int, own: int) -> int:
-    """How many actions of a chunk are executed: what the command line says, else
-    LIBERO-CTRL's number for its own checkpoints, else the checkpoint's `own`.
+    """Returns how many actions of a chunk are executed: the command line's number, else
+    LIBERO-CTRL's for its own checkpoints, else the checkpoint's `own`.
 
     Raises UnusableOption for a number that does not fit the chunk.
     """

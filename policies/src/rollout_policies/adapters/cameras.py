@@ -1,8 +1,8 @@
 """Assignment of the simulator's cameras to the image slots of a checkpoint.
 
 Slots are named after the data set that the checkpoint was trained on. A wrong guess
-shows the policy the wrist camera where it expects the scene, and it fails every task;
-so slots are assigned by known names, or by the command line, or not at all.
+shows the policy the wrist camera in place of the scene, and every task fails;
+so slots are assigned by known names or by the command line, never guessed.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from .upstream import UnusableCheckpoint, UnusableOption
 
 SCENE, WRIST = "agentview", "robot0_eye_in_hand"
-#: What the command line calls the two cameras.
+#: The two cameras by their names on the command line.
 ROLES = {"scene": SCENE, "wrist": WRIST}
 #: Names seen in published checkpoints, data sets and evaluations of LIBERO.
 NAMES = {
@@ -30,7 +30,7 @@ NAMES = {
         " wrist_camera wrist_image wrist_rgb wrist_view".split()
     ),
 }
-#: Declared slots that no LIBERO data set fills. They get no image, not even zeros: the
+#: Declared slots that no LIBERO data set fills. They get no image, not even zeros, because the
 #: checkpoint was trained without one.
 NEVER_FILLED = frozenset(["camera3", "image3", "right_wrist_0_rgb"])
 
@@ -42,12 +42,12 @@ def camera_of_slot(
 ) -> dict[str, str]:
     """Returns the simulator's camera of each slot that gets one.
 
-    `given` maps camera roles ("scene", "wrist") to slots, as the command line has them. `renamed`
-    maps image names of the data set to slots, as the checkpoint has recorded them; these names
-    say more than slot names such as `camera1`.
+    `given` maps camera roles ("scene", "wrist") to slots, as on the command line. `renamed` maps
+    image names of the data set to slots, as recorded in the checkpoint; the data set's names are
+    more telling than slot names such as `camera1`.
 
     Raises UnusableOption if `given` names an unknown role or slot, or one slot twice;
-    UnusableCheckpoint, with the flag to write, if the names do not determine the cameras.
+    UnusableCheckpoint, which tells which flag to add, if the names do not determine the cameras.
     """
     if given:
         return _as_given(slots, given)
@@ -67,7 +67,7 @@ def camera_of_slot(
 
 
 def short(slot: str) -> str:
-    """A slot's name without what all have in common: `image` for
+    """Returns a slot's name without the common prefix: `image` for
     `observation.images.image`."""
     return slot.rpartition(".")[2]
 
@@ -89,12 +89,12 @@ def _as_given(slots: Sequence[str], given: Mapping[str, str]) -> dict[str, str]:
 
 
 def _names_of(slot: str, renamed: Mapping[str, str]) -> list[str]:
-    """What the images in a slot were called when the checkpoint was trained."""
+    """Names of the slot's images in the training data."""
     return [source for source, target in renamed.items() if target == slot] or [slot]
 
 
 def _camera(name: str) -> str | None:
-    """The camera that a name stands for, None for none, or "unknown"."""
+    """Returns the camera that a name stands for, None if it stands for none, or "unknown"."""
     known = short(name).lower().replace("-", "_")
     if known in NEVER_FILLED or known.startswith("empty"):
         return None

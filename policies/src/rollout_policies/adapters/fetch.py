@@ -1,4 +1,4 @@
-"""Checkpoints and what they load besides, from folders and from the hub."""
+"""Checkpoints and the files that they need, from folders and from the hub."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from ..catalogue import Entry, NoCheckpoint
 from .upstream import UnusableCheckpoint, UnusableOption, require
 
-#: `owner/repository`, and a folder of it behind another slash.
+#: `owner/repository`, optionally followed by a slash and a folder of the repository.
 HUB_NAME = re.compile(r"(?P<repository>[\w-][\w.-]*/[\w-][\w.-]*)(?:/(?P<folder>[\w./-]+))?")
 COMMIT = re.compile(r"[0-9a-f]{40}")
 
@@ -21,21 +21,21 @@ class Fetched:
     """A checkpoint on this machine."""
 
     folder: Path
-    #: The hub's commit; empty for a folder that is not the hub's.
+    #: Commit on the hub; empty for a local folder.
     revision: str = ""
 
     @property
     def settings(self) -> dict[str, str]:
-        """The revision, if there is one."""
+        """The revision as a setting, if there is one."""
         return {"revision": self.revision} if self.revision else {}
 
 
 def fetch(entry: Entry, name: str, revision: str | None = None) -> Fetched:
-    """The folder of a checkpoint: a folder of this machine, or one that the hub is
-    asked for, `owner/repository` or `owner/repository/folder`.
+    """Returns the folder of a checkpoint: a local folder, or a download from
+    the hub (`owner/repository` or `owner/repository/folder`).
 
-    Raises NoCheckpoint if the name is neither, UnusableOption for the revision of
-    a folder, UnusableCheckpoint if the hub does not give it.
+    Raises NoCheckpoint if the name is neither, UnusableOption if a revision is
+    given for a folder, UnusableCheckpoint if the hub does not provide it.
     """
     local = Path(name).expanduser()
     if local.is_dir():
@@ -84,8 +84,8 @@ def _inside(snapshot: Path, folder: str | None, name: str) -> Path:
 
 @contextlib.contextmanager
 def naming_downloads(needed: Mapping[str, str]) -> Iterator[None]:
-    """Turns what a package raises for a file that it cannot get into
-    UnusableCheckpoint, which lists what it loads besides the checkpoint."""
+    """Converts a package's error about a file that it cannot download into
+    UnusableCheckpoint, whose message lists the downloads besides the checkpoint."""
     try:
         yield
     except OSError as error:
@@ -93,8 +93,8 @@ def naming_downloads(needed: Mapping[str, str]) -> Iterator[None]:
 
 
 def downloads(needed: Mapping[str, str]) -> str:
-    """A sentence about what is loaded besides the checkpoint, and how to do it
-    without a network."""
+    """Returns a sentence that lists the downloads besides the checkpoint and
+    explains how to serve without a network."""
     cached = (
         "Without a network, download it all beforehand (`hf download NAME`) and set"
         " HF_HUB_OFFLINE=1"
@@ -106,6 +106,6 @@ def downloads(needed: Mapping[str, str]) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """What an error says, up to its first line's end."""
+    """Returns the first line of an error's text."""
     lines: Iterable[str] = (line.strip() for line in str(error).splitlines())
     return next((line.rstrip(".") for line in lines if line), type(error).__name__)

@@ -1,5 +1,5 @@
 """Policies that turn noise into a chunk of actions, one chunk per query, and
-keep nothing in between."""
+keep no state between queries."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .lerobot import LerobotModel
 
 
 class FlowPolicy(Policy):
-    """One chunk per query; of its actions, `execute` are executed."""
+    """One chunk per query, of which the first `execute` actions are executed."""
 
     def __init__(
         self, entry: Entry, model: LerobotModel, *, execute: int, max_batch: int = 1
@@ -40,7 +40,7 @@ class FlowPolicy(Policy):
 
     @classmethod
     def load(cls, entry: Entry, options: Options, *, kind: str, **replaced: Any) -> FlowPolicy:
-        """Loads a checkpoint of this kind of lerobot's; see `LerobotModel.load`."""
+        """Loads a checkpoint of a lerobot policy type; see `LerobotModel.load`."""
         model = LerobotModel.load(entry, options, kind=kind, **replaced)
         model.chunk_in_real_time()
         config = model.config
@@ -48,7 +48,7 @@ class FlowPolicy(Policy):
         return cls(entry, model, execute=execute, max_batch=options.max_batch)
 
     def reset(self, episode: Episode) -> None:
-        """Nothing is kept: the instruction goes with every query."""
+        """Does nothing: the instruction is sent with every query."""
 
     def infer(self, observation: Observation) -> np.ndarray:
         return self.infer_batch([observation])[0]
@@ -68,8 +68,8 @@ class FlowPolicy(Policy):
         return [answers[at] for at in range(len(observations))]
 
     def noise(self, observations: Sequence[Observation]) -> np.ndarray:
-        """Where the flow starts, [batch, n, width]: each row from its own
-        query's generator, whatever its neighbours are."""
+        """Initial noise of the flow, [batch, n, width]. Each row comes from its own
+        query's generator and does not depend on the other queries of the batch."""
         config = self.model.config
         shape = (config.chunk_size, config.max_action_dim)
         return np.stack([one.rng.standard_normal(shape, dtype=np.float32) for one in observations])

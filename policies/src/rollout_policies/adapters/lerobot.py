@@ -1,10 +1,10 @@
-"""What the policies that lerobot runs have in common.
+"""Code shared by the policies that lerobot runs.
 
-`LerobotModel` is the only code here that touches lerobot and torch. lerobot's
-own processors normalise, tokenise, resize and un-normalise, with the statistics
-that lie beside the checkpoint: doing that again here would be doing it twice.
-What lerobot passes over in silence is refused here: weights that do not fit, and
-statistics that are not there.
+Only `LerobotModel` uses lerobot and torch. lerobot's own processors normalise,
+tokenise, resize and un-normalise, with the statistics stored beside the
+checkpoint; nothing of that is repeated here.
+This module refuses two faults that lerobot ignores silently: weights that do
+not fit, and missing statistics.
 """
 
 from __future__ import annotations
@@ -32,16 +32,15 @@ from .weights import COMPUTED, Exceptions, require_loaded, stored_in
 
 STATE, ACTION = "observation.state", "action"
 WEIGHTS, CONFIG, BEFORE = "model.safetensors", "config.json", "policy_preprocessor.json"
-#: What is in the state, in its order.
+#: Contents of the state vector, in order.
 STATE_CONTENT = "eef_pos, eef_axis_angle, gripper_pos"
-#: Those that do without an image that does not come; others stop at the first
-#: query.
+#: Policies that run without a missing image; others fail at the first query.
 LEAVE_SLOTS_EMPTY = ("smolvla", "pi05")
 _LANGUAGE_MODEL = "model.paligemma_with_expert.paligemma"
-#: By lerobot's kind of policy.
+#: Permitted differences of the weights, by lerobot's policy type.
 EXCEPTIONS = {
-    # The file of the released checkpoint has one of the two, and lerobot copies it.
-    # Neither head of the language models is asked.
+    # The released checkpoint's file holds one of the tied tensors, and lerobot copies it. The heads
+    # of both language models are never used.
     "pi05": Exceptions(
         tied={
             f"{_LANGUAGE_MODEL}.model.language_model.embed_tokens.weight": (
@@ -54,7 +53,7 @@ EXCEPTIONS = {
         ),
     ),
     "smolvla": Exceptions(unused=("model.vlm_with_expert.vlm.lm_head.weight",)),
-    # The world model is there to train with.
+    # The world model is used in training only.
     "vla_jepa": Exceptions(
         tied={
             "model.qwen.model.model.language_model.embed_tokens.weight": (
@@ -69,11 +68,11 @@ EXCEPTIONS = {
 def batch_of(
     observations: Sequence[Observation], slots: Mapping[str, str], with_state: bool = True
 ) -> dict[str, Any]:
-    """Observations as lerobot takes them before its processors.
+    """Returns observations in the form that lerobot's processors take.
 
-    Frames float32 [batch, 3, height, width] in 0..1, turned by 180 degrees; the
-    state float32 [batch, 8], whatever width the checkpoint declares; the
-    instructions, verbatim.
+    Frames are float32 [batch, 3, height, width] in 0..1, turned by 180 degrees;
+    the state is float32 [batch, 8] whatever width the checkpoint declares; the
+    instructions are verbatim.
     """
     batch: dict[str, Any] = {
         slot: np.stack([unit_planes(one.rotated(camera)) for one in observations])
@@ -87,27 +86,27 @@ def batch_of(
 
 @dataclass
 class LerobotModel:
-    """A policy of lerobot between its processors."""
+    """A lerobot policy together with its processors, before and after the network."""
 
     network: Any
     before: Any
     after: Any
-    #: Camera by image slot.
+    #: The camera of each image slot.
     slots: dict[str, str]
     with_state: bool
     checkpoint: str
     checkpoint_digest: str
-    #: What was resolved, for the policy's description.
+    #: Resolved settings, for the policy's description.
     settings: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def load(
         cls, entry: Entry, options: Options, *, kind: str | None = None, **replaced: Any
     ) -> LerobotModel:
-        """Loads a checkpoint from a folder or a hub, which must be of this kind
-        of lerobot's; `replaced` is put in the place of what its configuration says.
+        """Loads a checkpoint of lerobot's policy type `kind` from a folder or a
+        hub; `replaced` overrides values of its configuration.
 
-        Raises UnusableCheckpoint for one that would not run as it was trained.
+        Raises UnusableCheckpoint if it would not run as it was trained.
         """
         name = options.checkpoint or entry.checkpoint_for(options.suite)
         configs = require("lerobot.configs.policies", entry)
@@ -137,7 +136,7 @@ class LerobotModel:
                 pretrained_path=str(folder),
                 preprocessor_overrides={
                     "device_processor": {"device": options.device},
-                    # Frames go straight into the slots that the checkpoint declares.
+                    # Frames are put into the checkpoint's own slots: nothing is renamed.
                     "rename_observations_processor": {"rename_map": {}},
                 },
             )
@@ -167,12 +166,12 @@ class LerobotModel:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """The cameras that are looked at, the scene's first."""
+        """The cameras that the policy uses, the scene's first."""
         return tuple(Camera(name) for name in ROLES.values() if name in self.slots.values())
 
     @property
     def fields(self) -> tuple[Any, ...]:
-        """The readings that the state is made of."""
+        """The readings that make up the state."""
         return STATE_FIELDS if self.with_state else ()
 
     @property
@@ -182,7 +181,7 @@ class LerobotModel:
 
     @property
     def parameters(self) -> int:
-        """How many numbers were learnt."""
+        """Number of trained parameters."""
         return sum(parameter.numel() for parameter in self.network.parameters())
 
     @property
@@ -214,7 +213,7 @@ class LerobotModel:
     ) -> np.ndarray:
         """Chunks of actions [batch, n, 7], in the world's units.
 
-        `noise` is where the flow starts, [batch, n, width]; without it the
+        `noise` is the flow's initial noise, [batch, n, width]; without it the
         network draws from torch's generator. `under_way` is executed meanwhile;
         the first chunk goes on from it, and there is no other.
         """
@@ -238,14 +237,14 @@ class LerobotModel:
         return flat.float().cpu().numpy().reshape(tuple(chunks.shape[:2]) + (-1,))
 
     def seed(self, seed: int) -> None:
-        """Sets torch's generators."""
+        """Seeds torch's generators."""
         import torch
 
         torch.manual_seed(seed)
 
     def fresh_memory(self) -> dict[str, Any]:
-        """What the network keeps between the queries of an episode, new: all of
-        its attributes but the weights and the configuration."""
+        """Returns a new copy of the network's state between the queries of an
+        episode: all attributes except the weights and the configuration."""
         import torch
 
         self.network.reset()
@@ -254,10 +253,10 @@ class LerobotModel:
         return copy.deepcopy({key: kept[key] for key in kept if key not in others})
 
     def act(self, observation: Observation, memory: dict[str, Any]) -> np.ndarray:
-        """The next action [7] of an episode, whose memory is advanced.
+        """Returns the next action [7] of an episode and advances its memory.
 
-        lerobot keeps an episode's queues inside the policy, as if there were
-        one episode at a time; here they are put in for the call.
+        lerobot keeps an episode's queues inside the policy, as if there were one
+        episode at a time; here each call installs the queues of its episode.
         """
         import torch
 
@@ -286,7 +285,7 @@ class LerobotModel:
 
 
 def _require_files(folder: Path, name: str) -> None:
-    """Refuses what is no checkpoint of a policy, by what its folder lacks."""
+    """Refuses a folder that lacks the files of a policy's checkpoint."""
     lacking = [file for file in (CONFIG, WEIGHTS, BEFORE) if not (folder / file).is_file()]
     if not lacking:
         return
@@ -306,7 +305,7 @@ def _require_files(folder: Path, name: str) -> None:
 def _slots(
     config: Any, steps: Sequence[Mapping[str, Any]], given: Mapping[str, str] | None
 ) -> dict[str, str]:
-    """Camera by image slot, none empty where the policy cannot do without."""
+    """Returns the camera of each image slot. Slots may be empty only if the policy permits it."""
     renamed = {
         source: slot
         for step in steps
@@ -324,8 +323,8 @@ def _slots(
 
 
 def _downloads(entry: Entry, config: Any, steps: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """What loading a checkpoint asks the hub for, by name: its own choice, which
-    may differ from the released one's."""
+    """Returns the downloads from the hub that loading a checkpoint requires, by
+    name. They may differ from those of the released checkpoint."""
     named = {getattr(config, name, None) for name in ("vlm_model_name", "qwen_model_name")}
     named |= {step.get("config", {}).get("tokenizer_name") for step in steps}
     names = sorted(name for name in named if name and not Path(name).is_dir())
@@ -337,8 +336,8 @@ def _require_weights(network: Any, weights: Path, name: str) -> None:
     own = network.state_dict()
 
     def rename(stored: str) -> str:
-        # openpi's names, which lerobot's loader of pi05 knows, have no prefix and
-        # two layers that are called otherwise.
+        # lerobot's pi05 loader also accepts openpi's names, which have no prefix and differ for two
+        # layers.
         other = stored.replace("action_time_mlp_", "time_mlp_")
         return next(
             (one for one in (stored, f"model.{stored}", f"model.{other}") if one in own), stored
@@ -351,9 +350,9 @@ def _require_weights(network: Any, weights: Path, name: str) -> None:
 def _statistics(
     config: Any, before: Any, after: Any, slots: Mapping[str, str], with_state: bool
 ) -> list[str]:
-    """What is normalised by which statistics, in short.
+    """Returns a short text for each normalised feature and its statistics.
 
-    Where statistics are missing, lerobot passes numbers on as they are.
+    Where statistics are missing, lerobot leaves numbers unchanged.
     """
     if any(getattr(step, "enabled", False) for step in before.steps if _is(step, "Relative")):
         raise UnusableCheckpoint(
@@ -376,13 +375,13 @@ def _statistics(
 def _of(
     key: str, kind: str, config: Any, pipeline: Any, step_name: str, width: int | None = None
 ) -> str:
-    """One feature's statistics, as `require_statistics` gives them."""
+    """The summary by `require_statistics` of one feature's statistics."""
     what = {"ACTION": "actions", "STATE": "the state"}.get(kind, f"images of {short(key)}")
     declared = {_name(of): _name(mode) for of, mode in config.normalization_mapping.items()}
     mode = declared.get(kind, "IDENTITY")
     statistics: dict[str, Any] = {}
     for step in pipeline.steps:
-        # Of observations, a step touches those that it names; of actions, all.
+        # A step applies to all actions, but only to the observations that it names.
         if _is(step, step_name) and (kind == "ACTION" or key in step.features):
             mode = {_name(of): _name(way) for of, way in step.norm_map.items()}.get(kind, mode)
             for name, tensor in step.state_dict().items():
@@ -397,5 +396,5 @@ def _is(step: Any, name: str) -> bool:
 
 
 def _name(value: Any) -> str:
-    """An enumeration's value, which configurations also write as plain text."""
+    """Returns an enumeration's value. Configurations may also hold it as plain text."""
     return str(getattr(value, "value", value))

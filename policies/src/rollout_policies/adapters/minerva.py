@@ -1,12 +1,12 @@
-"""MINERVA, whose repository is a lerobot of its own.
+"""MINERVA, whose repository is its own version of lerobot.
 
 It reads no language: the instruction is looked up in a table of LIBERO's 40
-tasks, and any other wording is an error. It is therefore described as knowing
-canonical instructions only. The language axis is the identity for it, and
-nothing that it does there says anything about language.
+tasks, and any other wording is an error. Its description therefore declares
+canonical instructions only. The language axis does not change its input, so its
+results on that axis say nothing about language.
 
-It sees two observations at a time and is asked at every step; the overlapping
-chunks are averaged inside, with weights exp(-0.01 i).
+It takes two observations at a time and is queried at every step; it averages
+the overlapping chunks itself, with weights exp(-0.01 i).
 """
 
 from __future__ import annotations
@@ -20,14 +20,13 @@ from ..policy import Policy
 from . import Options, executed
 from .lerobot import LerobotModel
 
-#: The authors' protocol: asked at every step, and how fast old chunks lose their
-#: say.
+#: The authors' protocol: a query at every step, and the decay of older chunks' weights.
 EXECUTE = 1
 ENSEMBLE = 0.01
 
 
 class Minerva(Policy):
-    """One action per query, out of the chunks of this and earlier ones."""
+    """One action per query, averaged from the current and earlier chunks."""
 
     def __init__(self, entry: Entry, model: LerobotModel) -> None:
         self.model = model

@@ -1,4 +1,4 @@
-"""OpenVLA-OFT: two frames and the state in, eight actions out, no chance.
+"""OpenVLA-OFT: two frames and the state in, eight actions out, deterministic.
 
 Every suite has its own weights, so a server serves one suite and refuses
 episodes of another.
@@ -29,33 +29,33 @@ from .upstream import UnusableCheckpoint, digest, precision, require, require_su
 from .weights import load_stored
 
 SCENE, WRIST = Camera("agentview"), Camera("robot0_eye_in_hand")
-#: Side of the frames that the network takes, pixels.
+#: Side of the network's input frames, pixels.
 SIDE = 224
-#: Share of a frame's area that is left: it was trained on random crops.
+#: Share of a frame's area that is kept: training used random crops.
 CROP_AREA = 0.9
 #: Actions in a chunk.
 CHUNK = 8
-#: Parts in files of their own: what makes them, and what they say of a checkpoint
-#: that has others.
+#: The parts that have files of their own, and (`NOT_SERVED`) the parts found in
+#: unsupported checkpoints, with the method that each stands for.
 HEAD, PROJECTOR = "action_head", "proprio_projector"
 NOT_SERVED = {"noisy_action_projector": "diffusion", "vision_backbone": "FiLM"}
 
 
 def frame(turned: np.ndarray) -> np.ndarray:
-    """A frame [256, 256, 3], turned by 180 degrees, as the network takes it:
-    through a JPEG, Lanczos to 224, and the middle of that."""
+    """Converts a frame [256, 256, 3], turned by 180 degrees, to the network's
+    input: JPEG round trip, Lanczos to 224, centre crop."""
     return centre_crop(resize(jpeg.round_trip(turned), SIDE, SIDE, LANCZOS3), CROP_AREA, SIDE)
 
 
 def proprio(state: np.ndarray, statistics: Mapping[str, Any]) -> np.ndarray:
-    """The state [8] between the first and the last percentile, as -1..1."""
+    """Scales the state [8] from its first and last percentile to -1..1."""
     mask = statistics.get("mask", [True] * len(state))
     return within_bounds(state, statistics["q01"], statistics["q99"], mask)
 
 
 @dataclass
 class OftModel:
-    """The network and what upstream keeps beside it."""
+    """The network and the parts that upstream stores beside it."""
 
     network: Any
     processor: Any
@@ -66,20 +66,20 @@ class OftModel:
 
     @property
     def proprio_statistics(self) -> Mapping[str, Any]:
-        """Percentiles of the state in the training data."""
+        """The percentiles of the state in the training data."""
         return self.network.norm_stats[self.statistics_key]["proprio"]
 
     @property
     def parameters(self) -> int:
-        """How many numbers were learnt."""
+        """Number of trained parameters."""
         parts = (self.network, self.action_head, self.proprio_projector)
         return sum(number.numel() for part in parts for number in part.parameters())
 
     def chunk(
         self, scene: np.ndarray, wrist: np.ndarray, text: str, state: np.ndarray
     ) -> np.ndarray:
-        """Eight actions in the world's units, but for the gripper: 0 closed,
-        1 open."""
+        """Returns eight actions in the world's units, except the gripper: 0
+        closed, 1 open."""
         import torch
         from PIL import Image
 
@@ -105,7 +105,7 @@ class OftModel:
 
 
 class OpenVlaOft(Policy):
-    """A chunk per query."""
+    """Answers one chunk per query."""
 
     def __init__(
         self,
@@ -187,7 +187,7 @@ def load(entry: Entry, options: Options) -> Policy:
     torch = require("torch", entry)
     for part, module in ((HEAD, model.action_head), (PROJECTOR, model.proprio_projector)):
         stored = torch.load(parts[part], map_location="cpu", weights_only=True)
-        # Of a part that was trained on several cards, names have a prefix.
+        # A part that was trained on several GPUs has prefixed names.
         stored = {name.removeprefix("module."): tensor for name, tensor in stored.items()}
         load_stored(module.to(torch.bfloat16), stored, checkpoint, part)
         module.to(options.device).eval()
@@ -207,7 +207,7 @@ def load(entry: Entry, options: Options) -> Policy:
 
 
 def _parts(folder: Path, checkpoint: str) -> dict[str, Path]:
-    """The files of the parts that are trained beside the network, by part."""
+    """The files of the parts that are trained separately from the network, by part."""
     found = {
         part: sorted(folder.glob(f"*{part}*checkpoint*")) for part in (HEAD, PROJECTOR, *NOT_SERVED)
     }

@@ -1,11 +1,11 @@
 """π0.5, as lerobot runs it.
 
-Frames are resized with padding to 224 x 224 by the model, and the state is
-written into the prompt. openpi's own server needs no adapter: a gateway
-speaks its protocol.
+The model resizes frames with padding to 224 x 224, and the state is written
+into the prompt. openpi's own server needs no adapter: the gateway speaks its
+protocol.
 
-`lerobot/pi05_libero_base` is not fine-tuned and has no statistics of LIBERO: it
-is refused. `lerobot/pi05-libero` is the one to serve.
+`lerobot/pi05_libero_base` is not fine-tuned and has no statistics of LIBERO, so
+it is refused. Serve `lerobot/pi05-libero`.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """PredVLA: a recurrent network that corrects itself while it acts.
 
-At every step it infers, by ten iterations of Adam over its last forty steps,
-which free variables explain what it saw and felt. All of that belongs to one
-episode; here every episode has its own, made from its own instruction, so that
-no instruction can outlive its episode.
+At every step it runs ten iterations of Adam over its last forty steps, to infer
+the free variables that explain its observations. All of this state belongs to
+one episode; here each episode has its own, created from its own instruction, so
+that no instruction is used after its episode.
 
-Frames are not turned. They are drawn at 256 like every policy's, since blur and
-noise are defined in those pixels, and reduced to the 128 it was trained on.
+Frames are not turned. They are rendered at 256 as for every policy, because blur and
+noise are defined in those pixels, and reduced to the 128 of the training.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from .upstream import UnusableCheckpoint, UnusableOption, digest, precision, req
 from .weights import load_stored
 
 SCENE, WRIST = Camera("agentview"), Camera("robot0_eye_in_hand")
-#: Side of the frames that it was trained on, pixels.
+#: Side of the frames in training, pixels.
 SIDE = 128
-#: The published protocol of the correction.
+#: The correction's settings, as published.
 CORRECTION = {
     "window": 40,
     "n_itr": 10,
@@ -44,24 +44,24 @@ CORRECTION = {
     "er_lambda_q": 1.0,
     "a_init": "prior",
 }
-#: How many compiled variants of a step torch may keep, as upstream sets it.
+#: Number of compiled variants of a step that torch may keep, as upstream sets it.
 COMPILED_VARIANTS = 32
 
 
 def frame(raw: np.ndarray) -> np.ndarray:
-    """A frame as the simulator renders it, reduced to 128 x 128."""
+    """Reduces a frame, as the simulator renders it, to 128 x 128."""
     return resize(raw, SIDE, SIDE, BILINEAR)
 
 
 def looks(step: int, stride: int) -> bool:
-    """Whether frames are looked at in this step: in the first, and then every
+    """Returns True if this step uses frames: the first does, then every
     `stride`-th."""
     return step % stride == 0
 
 
 @dataclass
 class Memory:
-    """One episode's correction, and how far it is."""
+    """One episode's correction and its progress."""
 
     correction: Any
     step: int = 0
@@ -69,7 +69,7 @@ class Memory:
 
 @dataclass
 class PredvlaModel:
-    """The network, its frozen front end, and how corrections are made."""
+    """The network, its frozen front end, and the settings of corrections."""
 
     network: Any
     front: Any
@@ -80,11 +80,11 @@ class PredvlaModel:
 
     @property
     def parameters(self) -> int:
-        """How many numbers were learnt; the frozen front end is not counted."""
+        """Number of trained parameters, without the frozen front end."""
         return sum(number.numel() for number in self.network.parameters())
 
     def begin(self, instruction: str) -> Any:
-        """A correction that starts with this instruction and with nothing else."""
+        """Returns a new correction that knows only this instruction."""
         import torch
 
         language = torch.stack([self.front.lang(instruction).to(self.device)])
@@ -98,7 +98,7 @@ class PredvlaModel:
     def step(
         self, correction: Any, joints: np.ndarray, frames: tuple[np.ndarray, np.ndarray] | None
     ) -> np.ndarray:
-        """One step: seven joints and two fingers [9], both frames if it looks."""
+        """One step: seven joints and two fingers [9], and both frames if the step uses them."""
         import torch
 
         felt = self.front.q(
@@ -114,7 +114,7 @@ class PredvlaModel:
 
 
 class PredVla(Policy):
-    """One action per step."""
+    """Answers one action per step."""
 
     def __init__(
         self,
@@ -160,8 +160,8 @@ class PredVla(Policy):
 
 
 def _saved(torch: Any, file: Path) -> dict[str, Any]:
-    """What a checkpoint file holds: tensors, numbers and text. Anything else is refused, because
-    to unpickle it runs whatever its author wrote."""
+    """Returns the contents of a checkpoint file: tensors, numbers and text. Anything
+    else is refused, because unpickling it could run code of its author."""
     try:
         saved: dict[str, Any] = torch.load(file, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
@@ -203,12 +203,12 @@ def load(entry: Entry, options: Options) -> Policy:
             f" none: unpack {entry.title}'s feature caches there"
         )
     front = require("predvla.frontend", entry).Frontend(str(cache), device=options.device)
-    # Four hundred steps of a small network per action: compiled, it is several
-    # times faster; upstream does so on this kind of device only.
+    # An action takes four hundred steps of a small network. Compiled, it is several times faster;
+    # upstream compiles only on this kind of device.
     compiled = options.device.startswith("cuda")
     if compiled:
-        # With and without gradients, with and without states; beyond the usual
-        # limit, torch would go back to the slow way without a word.
+        # Variants with and without gradients and states exceed the usual limit, beyond which torch
+        # would silently return to the slow path.
         torch._dynamo.config.cache_size_limit = COMPILED_VARIANTS
     model = PredvlaModel(
         network,
@@ -232,7 +232,7 @@ def load(entry: Entry, options: Options) -> Policy:
 
 
 def _file(entry: Entry, name: str, home: Path) -> Path:
-    """A checkpoint's file, here or in the authors' repository."""
+    """Returns a checkpoint's file, local or from the authors' repository."""
     for file in (Path(name).expanduser(), home / name):
         if file.is_file():
             return file
@@ -243,7 +243,7 @@ def _file(entry: Entry, name: str, home: Path) -> Path:
 
 
 def _require_trained_for(suite: str, config: Mapping[str, Any], checkpoint: str) -> None:
-    """Refuses weights of another suite: they say which they were trained for."""
+    """Refuses weights that were trained for another suite, which their configuration names."""
     trained = config["data"].get("suite", suite)
     if suite not in trained.split("+"):
         raise UnusableCheckpoint(
@@ -252,8 +252,8 @@ def _require_trained_for(suite: str, config: Mapping[str, Any], checkpoint: str)
 
 
 def _cache(named: str, home: Path) -> str:
-    """Where the front end's statistics lie. Checkpoints name them relative to a
-    folder of the authors' that lay beside `home`'s data."""
+    """Returns the path of the front end's statistics. Checkpoints name it
+    relative to a folder of the authors' that lay beside `home`'s data."""
     path = Path(named)
     if path.is_absolute():
         return str(path)

@@ -1,9 +1,9 @@
-"""What OpenVLA's descendants have in common: a folder of transformers', which
-their own clone of `prismatic` reads.
+"""Code shared by OpenVLA's descendants: a transformers folder that is read by
+each policy's own clone of `prismatic`.
 
-Upstream's helpers place everything on the first card, ask the hub about every
-path and write into the checkpoint's folder; so the parts are put together here,
-from upstream's classes.
+Upstream's helpers place everything on the first GPU, query the hub for every
+path and write into the checkpoint's folder. This module therefore assembles the
+parts from upstream's classes.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ STATISTICS = "dataset_statistics.json"
 
 
 def prompt(instruction: str) -> str:
-    """What the language model completes."""
+    """Returns the prompt that the language model completes."""
     return f"In: What action should the robot take to {instruction.lower()}?\nOut:"
 
 
 def statistics_of(suite: str, all_statistics: Mapping[str, Any]) -> str:
-    """The key of a suite's statistics: OpenVLA's data sets are called
-    `libero_goal_no_noops` where steps without motion were dropped.
+    """Returns the key of a suite's statistics. OpenVLA's data sets are named
+    `libero_goal_no_noops` if steps without motion were removed.
 
     Raises UnusableCheckpoint if there are none.
     """
@@ -43,10 +43,10 @@ def statistics_of(suite: str, all_statistics: Mapping[str, Any]) -> str:
 
 
 def statistics_in(folder: Path, suite: str) -> tuple[dict[str, Any], str, str]:
-    """All statistics beside a checkpoint, the key of a suite's, and how its
-    actions are un-normalised, in short.
+    """Returns all statistics beside a checkpoint, a suite's key in them, and a
+    short text on how its actions are un-normalised.
 
-    Raises UnusableCheckpoint if a suite's actions have none.
+    Raises UnusableCheckpoint if the suite's actions have no statistics.
     """
     file = folder / STATISTICS
     if not file.is_file():
@@ -54,7 +54,7 @@ def statistics_in(folder: Path, suite: str) -> tuple[dict[str, Any], str, str]:
             f"checkpoint {folder} has no {STATISTICS}, without which its actions mean nothing:"
             " it was not fine-tuned on LIBERO, or the file was left behind"
         )
-    # What the configuration holds are the pre-training's.
+    # The statistics in the configuration are those of the pre-training.
     everything = json.loads(file.read_text("utf-8"))
     key = statistics_of(suite, everything)
     actions = everything[key].get("action", {})
@@ -65,14 +65,14 @@ def statistics_in(folder: Path, suite: str) -> tuple[dict[str, Any], str, str]:
 def load_network(
     entry: Entry, folder: Path, checkpoint: str, device: str, *, causal: bool
 ) -> tuple[Any, Any]:
-    """The network in bfloat16, and the processor of its inputs.
+    """Returns the network in bfloat16 and the processor of its inputs.
 
-    `causal` is how its language model was trained: whether a token sees the later
-    ones, too. Raises UnusableCheckpoint if weights are missing, UpstreamMissing if
-    the installed transformers is another one than the policy's.
+    `causal` says that its language model was trained with causal attention: a
+    token does not see later ones. Raises UnusableCheckpoint if weights are
+    missing, UpstreamMissing if the installed transformers is not the policy's.
     """
-    # timm must come before TensorFlow, which upstream imports: the other way
-    # round, importing it has been seen to crash the process.
+    # timm must be imported before TensorFlow, which upstream imports: the reverse order has been
+    # seen to crash the process.
     require("timm", entry)
     torch = require("torch", entry)
     transformers = require("transformers", entry)
@@ -99,8 +99,8 @@ def load_network(
 
 
 def _sees_ahead(network: Any, torch: Any, transformers: Any) -> bool:
-    """Whether a token's output depends on later tokens, in a small language model
-    of the network's kind."""
+    """Returns True if a token's output depends on later tokens, in a small
+    language model of the network's kind."""
     config = copy.deepcopy(network.config.text_config)
     small = {"hidden_size": 8, "intermediate_size": 8, "num_hidden_layers": 1, "vocab_size": 8}
     for name, value in {**small, "num_attention_heads": 1, "num_key_value_heads": 1}.items():

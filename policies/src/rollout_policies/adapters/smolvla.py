@@ -1,8 +1,8 @@
 """SmolVLA, as lerobot runs it.
 
-Frames are resized with padding to 512 x 512 by the model itself. A chunk has 50
-actions; of the released checkpoint's, LIBERO-CTRL executes one: with 50 or 10 it
-loses twenty points.
+The model resizes frames with padding to 512 x 512. A chunk has 50 actions. With
+the released checkpoint, LIBERO-CTRL executes one of them: executing 50 or 10
+costs twenty points.
 """
 
 from __future__ import annotations

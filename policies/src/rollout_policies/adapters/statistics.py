@@ -1,7 +1,7 @@
-"""Statistics between a network's numbers and the world's.
+"""Statistics that convert between a network's numbers and the world's units.
 
-A checkpoint without them loads and moves: its actions stay where training had
-normalised them to, and every task fails.
+A checkpoint without them loads and moves, but its actions stay normalised as in
+training, and every task fails.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from .upstream import UnusableCheckpoint
 
-#: What each way to normalise needs. Names as lerobot calls them.
+#: Statistics that each normalisation mode needs, with lerobot's names.
 NEEDED = {
     "MEAN_STD": ("mean", "std"),
     "MIN_MAX": ("min", "max"),
@@ -22,16 +22,16 @@ NEEDED = {
     "QUANTILE10": ("q10", "q90"),
 }
 ACTION_WIDTH, STATE_WIDTH = 7, 8
-#: Characters of a digest that are shown.
+#: How many characters of a digest are shown.
 DIGITS = 12
 
 
 def require_statistics(
     what: str, mode: str, statistics: Mapping[str, Any], width: int | None = None
 ) -> str:
-    """Checks that there are statistics of `what` for this way to normalise, finite
-    and not all of one value, [width] if that is given. Returns them in short: the
-    way and a digest.
+    """Checks that the statistics of `what` for this normalisation mode exist,
+    are finite, are not all equal, and have shape [width] if that is given.
+    Returns a short text: the mode and a digest.
 
     Raises UnusableCheckpoint.
     """
@@ -64,7 +64,7 @@ def require_statistics(
 
 
 def digest(statistics: Mapping[str, Any]) -> str:
-    """The first digits of SHA-256 over numbers by name."""
+    """Returns the first digits of SHA-256 over the named numbers."""
     total = hashlib.sha256()
     for name in sorted(statistics):
         total.update(name.encode())

@@ -1,13 +1,13 @@
 """UniVLA: the language model samples latent actions, and a small decoder turns
 them into twelve real ones.
 
-It is asked at every step, sees the scene's camera only, is told which latent
-actions it took last, and averages what its last twelve chunks say about now.
+It is queried at every step, sees only the scene's camera, is told its last latent
+actions, and averages the predictions of its last twelve chunks for the current step.
 Every suite has its own weights.
 
-The study of LIBERO-CTRL evaluated it otherwise than its authors do: frames were
-reduced plainly and cropped to whole pixels, and every episode drew from the same
-seed. Both ways are here; its authors' is the default.
+The LIBERO-CTRL study evaluated it differently from its authors: frames were
+reduced without antialiasing and cropped to whole pixels, and every episode used
+the same seed. Both protocols are available; the authors' is the default.
 """
 
 from __future__ import annotations
@@ -32,64 +32,64 @@ from .prismatic import load_network, prompt, statistics_in
 from .upstream import UnusableCheckpoint, digest, precision, require, require_suite, seed_of
 from .weights import load_stored
 
-#: Actions in a chunk, and how fast old chunks lose their say.
+#: Actions in a chunk, and the decay of older chunks' weights.
 CHUNK = 12
 DECAY = 0.1
-#: How latent actions are drawn.
+#: Sampling parameters of latent actions.
 TEMPERATURE = 0.75
 TOP_P = 0.9
-#: First token of the 32 latent actions, and how many of them make one step.
+#: First token of the 32 latent actions, and the number of them in one step.
 FIRST_TOKEN = 32001
 LATENT_ACTIONS = 32
 LATENT_STEPS = 4
-#: Widths of the language model and of the decoder; its heads.
+#: Widths of the language model and of the decoder, and the number of heads.
 WIDTH, DECODER_WIDTH, HEADS = 4096, 512, 8
-#: With which every episode of the study begins to draw.
+#: Seed of every episode in the study.
 STUDY_SEED = 7
 DECODER = "action_decoder.pt"
 
 
 def study_frame(turned: np.ndarray) -> np.ndarray:
-    """A frame [256, 256, 3], turned by 180 degrees, as the study gave it to the
-    network: bilinear to 224 without antialias, the middle in whole pixels, and
-    that enlarged again."""
+    """Converts a frame [256, 256, 3], turned by 180 degrees, to the study's
+    input: bilinear to 224 without antialiasing, the centre in whole pixels,
+    enlarged again."""
     small = resize_plainly(turned, SIDE, SIDE)
     side = round(SIDE * CROP_AREA**0.5)
     start = (SIDE - side) // 2
     return resize_plainly(small[start : start + side, start : start + side], SIDE, SIDE)
 
 
-#: How a frame becomes what the network takes, by whose evaluation is followed.
+#: Conversion of a frame to the network's input, by evaluation protocol.
 FRAMES: dict[str, Callable[[np.ndarray], np.ndarray]] = {"upstream": frame, "study": study_frame}
 
 
 def prompt_after(instruction: str, history: str) -> str:
-    """The prompt, with the last latent actions if there were any."""
+    """Returns the prompt, with the last latent actions if there are any."""
     if not history:
         return prompt(instruction)
     return prompt(instruction).replace("?\nOut:", f"? History action {history}\nOut:")
 
 
 def history_of(tokens: Iterable[int]) -> str:
-    """Latent actions by name. Sampling may draw a token that is none (the end
-    of the sentence, say); that one is left out."""
+    """Names of latent actions. Sampling may draw a token of another kind (such
+    as the end of the sentence), which is left out."""
     steps = (int(token) - FIRST_TOKEN for token in tokens)
     return "".join(f"<ACT_{step}>" for step in steps if 0 <= step < LATENT_ACTIONS)
 
 
 @dataclass
 class Memory:
-    """What an episode carries from query to query."""
+    """State of an episode between queries."""
 
     history: str = ""
     ensemble: Ensemble = field(default_factory=lambda: Ensemble(DECAY))
-    #: Where the generator stands, if it is not started anew at every query.
+    #: State of the generator, unless it is reseeded at every query.
     generator: Any = None
 
 
 @dataclass
 class UnivlaModel:
-    """Language model and decoder."""
+    """The language model and the decoder."""
 
     network: Any
     processor: Any
@@ -98,15 +98,15 @@ class UnivlaModel:
 
     @property
     def parameters(self) -> int:
-        """How many numbers were learnt."""
+        """Number of trained parameters."""
         parts = (self.network, self.decoder)
         return sum(number.numel() for part in parts for number in part.parameters())
 
     def chunk(
         self, pixels: np.ndarray, text: str, generator: Any
     ) -> tuple[np.ndarray, list[int], Any]:
-        """Twelve actions in -1..1, the latent actions' tokens, and where the
-        generator stands then. It starts from a seed, or from where it stood."""
+        """Returns twelve actions in -1..1, the latent actions' tokens, and the
+        generator's state afterwards. `generator` is a seed or such a state."""
         import torch
         from PIL import Image
 
@@ -142,7 +142,7 @@ class UnivlaModel:
 
 
 class UniVla(Policy):
-    """One action per query, out of the chunks of this and earlier ones."""
+    """One action per query, averaged from the current and earlier chunks."""
 
     def __init__(
         self,
@@ -169,7 +169,7 @@ class UniVla(Policy):
             parameters=model.parameters,
             cameras=(SCENE,),
             stateful=True,
-            # In the study, every episode draws the same.
+            # In the study, every episode draws the same numbers.
             stochastic=not self.as_study,
             settings={
                 **(settings or {}),
@@ -214,7 +214,7 @@ def load(entry: Entry, options: Options) -> Policy:
         )
     everything, key, brief = statistics_in(folder, options.suite)
     statistics = everything[key]["action"]
-    # The gripper was not normalised.
+    # The gripper is not normalised.
     statistics.setdefault("mask", [True] * 6 + [False])
     network, processor = load_network(entry, folder, checkpoint, options.device, causal=True)
     torch = require("torch", entry)
@@ -239,8 +239,8 @@ def load(entry: Entry, options: Options) -> Policy:
 
 
 def _decoder(entry: Entry) -> Any:
-    """The decoder's network: two attention pools and a layer. The file of
-    weights names its parts, so these are called as there."""
+    """Returns the decoder's network: two attention pools and a layer. Its parts
+    have the names that the file of weights uses."""
     from torch import nn
 
     pool = require("prismatic.models.policy.transformer_utils", entry).MAPBlock

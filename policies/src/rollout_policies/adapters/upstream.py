@@ -1,4 +1,4 @@
-"""What every adapter does with packages and files that are not ours."""
+"""Handling of third-party packages and files, shared by all adapters."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import Any
 from ..catalogue import Entry
 from ..episode import Episode
 
-#: Bytes read at a time.
+#: Bytes per read.
 PIECE = 1 << 20
 
 
 class UpstreamMissing(ImportError):
-    """The package that a policy is made of cannot be imported."""
+    """The upstream package of a policy cannot be imported."""
 
 
 class UnusableCheckpoint(ValueError):
@@ -29,13 +29,13 @@ class UnusableOption(ValueError):
 
 
 class WrongSuite(ValueError):
-    """An episode of one suite reached the weights of another."""
+    """An episode belongs to another suite than the weights."""
 
 
 def require(module: str, entry: Entry) -> ModuleType:
     """Imports a module of the policy's upstream package.
 
-    Raises UpstreamMissing, which says what to install.
+    Raises UpstreamMissing, whose message says what to install.
     """
     try:
         return importlib.import_module(module)
@@ -47,9 +47,9 @@ def require(module: str, entry: Entry) -> ModuleType:
 
 
 def require_suite(entry: Entry, served: str | None, episode: Episode) -> None:
-    """Refuses an episode that these weights were not trained for.
+    """Refuses an episode of a suite for which the weights were not trained.
 
-    Such a policy moves, fails every task and looks merely bad.
+    Such a policy moves and fails every task, so it would only seem to be poor.
     """
     if entry.per_suite and episode.suite != served:
         raise WrongSuite(
@@ -59,8 +59,8 @@ def require_suite(entry: Entry, served: str | None, episode: Episode) -> None:
 
 
 def digest(files: Iterable[Path]) -> str:
-    """SHA-256 over files, by name and content, hex: two servers of one policy
-    have the same weights only if this agrees."""
+    """Returns SHA-256 over files, by name and content, in hex. Two servers of
+    one policy have the same weights only if their digests are equal."""
     total = hashlib.sha256()
     for path in sorted(files, key=lambda path: path.name):
         total.update(path.name.encode())
@@ -73,13 +73,13 @@ def digest(files: Iterable[Path]) -> str:
 
 
 def precision(device: str, *networks: Any) -> dict[str, str]:
-    """What decides a network's low-order digits: the kinds of its numbers and of
-    the device."""
+    """Returns the settings that determine a network's low-order digits: the
+    data types of its parameters and the device type."""
     kinds = {str(one.dtype).removeprefix("torch.") for net in networks for one in net.parameters()}
     return {"precision": ", ".join(sorted(kinds)), "device": device.partition(":")[0]}
 
 
 def seed_of(observation) -> int:
-    """A seed for a library's own generator, from the rollout's seed and the
-    query alone."""
+    """Returns a seed for a library's own generator, from the rollout's seed and
+    the query index alone."""
     return int(observation.rng.integers(2**63))

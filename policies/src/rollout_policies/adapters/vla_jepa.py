@@ -1,9 +1,9 @@
 """VLA-JEPA, as lerobot runs it.
 
-Frames are reduced to 224 x 224 by area, by the model; its processor maps
-minimum and maximum back and makes the gripper two-valued. Its flow takes no
-noise from outside, so torch's generator is seeded before every query, and
-queries are answered one by one: in a batch, neighbours would share the draw.
+The model reduces frames to 224 x 224 by area; its processor maps minimum and
+maximum back and makes the gripper binary. Its flow cannot be given noise, so
+torch's generator is seeded before every query, and queries are answered singly:
+in a batch, they would share one draw.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .upstream import seed_of
 
 
 class VlaJepa(FlowPolicy):
-    """Noise from a seeded generator."""
+    """A flow policy that draws its noise from torch's generator, seeded for each query."""
 
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
         return [self._infer_alone(observation) for observation in observations]
@@ -33,5 +33,5 @@ class VlaJepa(FlowPolicy):
 
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
-    # The world model is there to train with.
+    # The world model is used in training only.
     return VlaJepa.load(entry, options, kind="vla_jepa", enable_world_model=False)

@@ -1,9 +1,9 @@
-"""Whether a network holds the numbers that its files of weights hold.
+"""Comparison of a loaded network with its files of weights.
 
-Loaders of weights are lenient: some skip what does not fit, some print a warning
-and go on. What they leave out stays random, and such a policy moves, fails every
-task and looks merely bad. So every tensor is compared after loading, both ways:
-by name, shape and content.
+Loaders of weights are lenient: some skip tensors that do not fit, some print a
+warning and go on. Skipped tensors stay random, and such a policy moves, fails
+every task and merely seems poor. So every tensor is compared after loading, in
+both directions: by name, shape and content.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from typing import Any
 
 from .upstream import UnusableCheckpoint
 
-#: Numbers that are read from a file at a time, or one row if that is longer.
+#: Numbers read from a file at a time; at least one row.
 PIECE = 1 << 24
-#: Names shown of every kind of difference.
+#: Names shown for each kind of difference.
 SHOWN = 3
-#: Tensors that networks compute when they are made, and that older versions of
-#: transformers wrote into files all the same.
+#: Tensors that networks compute at construction, and that older versions of transformers
+#: nevertheless stored.
 COMPUTED = ("*.rotary_emb.inv_freq", "*.position_ids")
 
 
 @dataclass(frozen=True)
 class Exceptions:
-    """Differences that are right for a policy, by name.
+    """Differences that are permitted for a policy, by name.
 
-    Patterns are those of a shell: `*` stands for anything.
+    Patterns have shell syntax: `*` matches anything.
     """
 
-    #: Two names of one tensor, of which a file may hold one only.
+    #: Pairs of names of one tensor; a file may hold only one name of a pair.
     tied: Mapping[str, str] = field(default_factory=dict)
-    #: Of the network, but never used to act: a file may lack them.
+    #: Tensors of the network that actions do not use: a file may lack them.
     unused: tuple[str, ...] = ()
-    #: Of the file, and not of the network: computed there, or for training only.
+    #: Tensors of the file that the network lacks: computed, or for training only.
     skipped: tuple[str, ...] = COMPUTED
 
     def partner(self, name: str) -> str | None:
@@ -48,7 +48,7 @@ class Exceptions:
 
 @dataclass
 class Differences:
-    """Names of tensors, by what is wrong with them."""
+    """Names of tensors, grouped by fault."""
 
     missing: list[str] = field(default_factory=list)
     unknown: list[str] = field(default_factory=list)
@@ -75,10 +75,10 @@ def compare(
     same: Callable[[Any, Any], bool],
     exceptions: Exceptions = Exceptions(),
 ) -> Differences:
-    """What differs between a network's tensors and the stored ones, by name.
+    """Returns the differences between a network's tensors and the stored ones, by name.
 
-    Both sides have a `shape`; `same` says whether two of one shape have the same
-    content, and is asked about every pair.
+    Tensors on both sides have a `shape`; `same` compares the contents of each
+    pair of equal shape.
     """
     found = Differences()
 
@@ -116,10 +116,10 @@ def require_loaded(
     exceptions: Exceptions = Exceptions(),
     part: str = "the network",
 ) -> None:
-    """Compares a torch module with what was stored of it: torch's tensors, or
-    those of `stored_in`.
+    """Compares a torch module with its stored tensors: torch's own, or those of
+    `stored_in`.
 
-    Raises UnusableCheckpoint, which names what differs.
+    Raises UnusableCheckpoint, which names the differences.
     """
     found = compare(network.state_dict(), stored, _same, exceptions)
     if differences := str(found):
@@ -133,11 +133,11 @@ def require_loaded(
 def load_stored(
     network: Any, tensors: Mapping[str, Any], checkpoint: str, part: str = "the network"
 ) -> None:
-    """Puts torch's tensors into a torch module, all of them and nothing else.
+    """Copies torch's tensors into a torch module and requires an exact match.
 
-    Raises UnusableCheckpoint, which names what does not fit.
+    Raises UnusableCheckpoint, which names the tensors that do not fit.
     """
-    # It copies what fits before it complains; the comparison says it better.
+    # load_state_dict copies what fits before it raises; require_loaded has a better message.
     with contextlib.suppress(RuntimeError):
         network.load_state_dict(tensors)
     require_loaded(network, tensors, checkpoint, part=part)
@@ -149,7 +149,7 @@ def stored_in(
 ) -> Iterator[dict[str, Any]]:
     """The tensors of safetensors files by name, read only when they are compared.
 
-    `rename` gives the network's name for a file's.
+    `rename` converts a name in the file to the network's.
     """
     from safetensors import safe_open
 
@@ -178,7 +178,7 @@ class _InFile:
 
 
 def _same(mine: Any, theirs: Any) -> bool:
-    """Whether a tensor of a network is the stored one, in the network's type."""
+    """Returns True if the tensors are equal in the data type of the network's."""
     import torch
 
     if not mine.shape:

@@ -1,8 +1,8 @@
-"""Whether a policy keeps the policy protocol: what `check` and `python -m
-rollout_policies check URL` ask, point by point, as `policy-gateway check` does.
+"""Conformance check of a policy: the points that `check` and `python -m
+rollout_policies check URL` examine, as `policy-gateway check` does.
 
-It judges the protocol, not the policy: the observations are made up, and no
-answer to them is a good or a bad one.
+It judges the protocol, not the policy: the observations are made up, so no
+answer to them is good or bad.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["CannotCheck", "DoesNotConform", "Finding", "Target", "check", "check
 
 
 class DoesNotConform(AssertionError):
-    """A policy does not keep the protocol; the text has the points."""
+    """A policy does not keep the protocol; the message lists the points."""
 
     def __init__(self, findings: list[Finding]) -> None:
         failed = [str(finding) for finding in findings if finding.verdict.failed]
@@ -30,9 +30,9 @@ class DoesNotConform(AssertionError):
 def check(policy: Policy, *, suite: str = "libero_object") -> list[Finding]:
     """Checks a policy in this process, for its unit tests.
 
-    It is served on the loopback address and asked in this thread, for episodes
-    of a task of `suite`. Returns what was found. Raises DoesNotConform, and
-    CannotCheck if the policy answers no query.
+    The policy is served on the loopback address and queried in this thread, for
+    episodes of a task of `suite`. Returns the findings. Raises DoesNotConform,
+    and CannotCheck if the policy answers no query.
     """
     server = Server(policy, description_of(policy), "127.0.0.1:0")
     outcome: list[list[Finding] | BaseException] = []
@@ -60,8 +60,8 @@ def check(policy: Policy, *, suite: str = "libero_object") -> list[Finding]:
 def check_server(
     target: Target, report: Callable[[Finding], None] = lambda _: None
 ) -> list[Finding]:
-    """Checks the server at an address, telling `report` each finding as it is
-    known. Raises CannotCheck."""
+    """Checks the server at an address, and passes each finding to `report` at
+    once. Raises CannotCheck."""
     findings = []
     with Probe(target) as probe:
         for finding in examine(probe):

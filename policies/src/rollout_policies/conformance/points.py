@@ -1,4 +1,4 @@
-"""The points of the protocol, and in which order they are checked."""
+"""The points of the protocol, and the order in which they are checked."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from . import verdict
 from .probe import QUERIES, CannotCheck, Played, Probe
 from .verdict import Verdict
 
-#: Seed of the episode that others are compared with, and one that may differ.
+#: Seed of the reference episode, and another seed.
 SEED, OTHER_SEED = 1, 2
-#: Episodes at once while throughput is measured.
+#: Concurrent episodes while throughput is measured.
 CONCURRENCY = 8
 
 
 class Point(enum.Enum):
-    """One point of the protocol, as a sentence that should be true; in the order
-    in which they are checked."""
+    """One point of the protocol, as a sentence that should be true. The members
+    are in the order of the checks."""
 
     DESCRIPTION = "the description can be true"
     VERSION = "another protocol version is refused"
@@ -39,7 +39,7 @@ class Point(enum.Enum):
     SPEED = "it answers at speed"
 
 
-#: Points that compare episodes of one seed.
+#: Points that compare episodes of the same seed.
 SEEDED = frozenset(
     {
         Point.SAME_SEED,
@@ -54,7 +54,7 @@ SEEDED = frozenset(
 
 @dataclass(frozen=True)
 class Finding:
-    """How a server does on one point."""
+    """Result of a server on one point."""
 
     point: Point
     verdict: Verdict
@@ -65,9 +65,9 @@ class Finding:
 
 
 def examine(probe: Probe) -> Iterator[Finding]:
-    """Checks point by point, by comparison with an episode of SEED.
+    """Checks point by point, by comparison with a reference episode of SEED.
 
-    Raises CannotCheck if there is none.
+    Raises CannotCheck if the reference episode cannot be played.
     """
     try:
         reference = probe.episode("reference", SEED)

@@ -1,5 +1,5 @@
-"""The questions: a client that plays episodes of made-up observations and brings
-home what was answered. Judges nothing but yes-or-no questions."""
+"""The requests of the check: a client that plays episodes of made-up
+observations and returns the answers. It judges only yes-or-no questions."""
 
 from __future__ import annotations
 
@@ -25,57 +25,57 @@ from ..proto import policy_pb2_grpc as pb_grpc
 from . import verdict
 from .verdict import Verdict
 
-#: Queries of one probing episode.
+#: Queries in one episode.
 QUERIES = 5
-#: Most queries in one batch, and how long an answer may take, s: as in the gateway.
+#: Most queries in one batch, and the time limit of an answer, s: as in the gateway.
 MAX_BATCH_QUERIES = 64
 ANSWER_WITHIN_SECS = 50.0
-#: Of all made-up observations: what differs between episodes is their seed.
+#: Seed of all made-up observations; episodes differ only in their own seed.
 SCENE_SEED = 0
 
 
 class CannotCheck(Exception):
-    """There is nothing to check: no server, no description or no answer."""
+    """The check is impossible: no server, no description or no answer."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """What to check."""
+    """The server and policy to check."""
 
-    #: grpc://HOST:PORT or http://HOST:PORT; https:// or grpcs:// over TLS.
+    #: grpc://HOST:PORT or http://HOST:PORT, or with TLS https:// or grpcs://.
     url: str
-    #: Which policy there; empty: the only one.
+    #: Name of the policy there; empty for the only one.
     policy: str = ""
-    #: The suite whose task is made up.
+    #: Suite of the made-up task.
     suite: str = "libero_object"
-    #: The server's certificate authority, PEM; the system's own if None.
+    #: Authority that signed the server's certificate, PEM; None uses the system's authorities.
     ca: str | Path | None = None
     tokens: Tokens | None = None
 
 
 @dataclass
 class Played:
-    """What one episode brought."""
+    """Answers of one episode."""
 
-    #: By query index.
+    #: Answers by query index.
     answers: list[pb.InferResponse] = field(default_factory=list)
-    #: Of each query, in the order asked, s.
+    #: Latency of each query, in the order asked, s.
     latencies: list[float] = field(default_factory=list)
 
 
 class Probe(contextlib.AbstractContextManager):
-    """A client of the server under check. Every method raises grpc.RpcError
-    with what the server answered instead."""
+    """A client of the server under check. If the server answers with an error,
+    every method raises it as grpc.RpcError."""
 
     def __init__(self, target: Target) -> None:
-        """Connects and asks what the policy is. Raises CannotCheck."""
+        """Connects and requests the policy's description. Raises CannotCheck."""
         self._target = target
         self._channel, self._metadata = _connected(target)
         self._stub = pb_grpc.PolicyStub(self._channel)
-        # Tells this check's sessions from those of an earlier one.
+        # Distinguishes this check's sessions from those of an earlier one.
         self._run = uuid.uuid4().hex[:8]
         try:
-            #: What the policy says of itself.
+            #: The policy's own description.
             self.described: pb.DescribeResponse = self._describe(PROTOCOL_VERSION)
         except grpc.RpcError as error:
             self._channel.close()
@@ -97,7 +97,7 @@ class Probe(contextlib.AbstractContextManager):
         self._channel.close()
 
     def other_version(self) -> Verdict:
-        """Whether a caller of a newer version is refused."""
+        """Checks that a caller of a newer version is refused."""
         newer = PROTOCOL_VERSION + 1
         try:
             self._describe(newer)
@@ -108,7 +108,7 @@ class Probe(contextlib.AbstractContextManager):
         return verdict.failed(f"it describes itself to a caller of version {newer}")
 
     def health(self) -> Verdict:
-        """Whether the health service answers for policies."""
+        """Checks that the health service answers for policies."""
         name = b"rollout.policy.v1.Policy"
         check = self._channel.unary_unary("/grpc.health.v1.Health/Check")
         answer = check(bytes([health.SERVICE_TAG, len(name)]) + name, **self._options())
@@ -117,7 +117,7 @@ class Probe(contextlib.AbstractContextManager):
         return verdict.failed("it does not say SERVING")
 
     def episode(self, name: str, seed: int, order: Iterable[int] = range(QUERIES)) -> Played:
-        """Plays one episode, its queries in this order."""
+        """Plays one episode with its queries in this order."""
         self._reset(name, seed)
         answers, played = {}, Played()
         for query_index in order:
@@ -129,7 +129,7 @@ class Probe(contextlib.AbstractContextManager):
         return played
 
     def retries(self, seed: int) -> tuple[list[pb.InferResponse], list[pb.InferResponse]]:
-        """Plays one episode, asking everything twice: first and second answers."""
+        """Plays one episode with every query sent twice. Returns the first and second answers."""
         self._reset("retried", seed)
         pairs = [
             (self._infer("retried", query_index), self._infer("retried", query_index))
@@ -139,7 +139,7 @@ class Probe(contextlib.AbstractContextManager):
         return [first for first, _ in pairs], [second for _, second in pairs]
 
     def interleaved(self, seed: int, other: int) -> list[pb.InferResponse]:
-        """Plays two episodes in turns: the first one's answers."""
+        """Plays two episodes in turns and returns the first one's answers."""
         self._reset("mine", seed)
         self._reset("other's", other)
         answers = []
@@ -151,16 +151,16 @@ class Probe(contextlib.AbstractContextManager):
         return answers
 
     def restarted(self, seed: int, other: int) -> list[pb.InferResponse]:
-        """Plays half an episode of another seed, then a whole one under the same
-        session."""
+        """Plays half an episode of another seed, then a whole one under the
+        same session name."""
         self._reset("restarted", other)
         for query_index in range(QUERIES // 2):
             self._infer("restarted", query_index)
         return self.episode("restarted", seed).answers
 
     def batched(self, seed: int) -> list[pb.InferResponse]:
-        """Plays as many episodes side by side in batches as the policy takes, of
-        which the first has `seed`: that one's answers."""
+        """Plays as many episodes concurrently as the policy takes in a batch,
+        the first with `seed`. Returns the answers of the first."""
         size = min(self.described.max_batch, MAX_BATCH_QUERIES)
         names = [f"in a batch {at}" for at in range(size)]
         for at, name in enumerate(names):
@@ -182,7 +182,7 @@ class Probe(contextlib.AbstractContextManager):
         return answers
 
     def unopened(self) -> Verdict:
-        """Whether a session without a Reset is refused."""
+        """Checks that a session without a Reset is refused."""
         try:
             self._infer("never opened", 0)
         except grpc.RpcError:
@@ -190,8 +190,8 @@ class Probe(contextlib.AbstractContextManager):
         return verdict.failed("it answers without instruction and seed")
 
     def ended(self, seed: int) -> Verdict:
-        """Whether the end of an episode is noted, twice over, and the server is
-        well afterwards."""
+        """Checks that the end of an episode is accepted, even twice, and that
+        the server works afterwards."""
         self._reset("ended", seed)
         self._infer("ended", 0)
         for _ in range(2):
@@ -208,7 +208,7 @@ class Probe(contextlib.AbstractContextManager):
         return verdict.passed()
 
     def side_by_side(self, concurrency: int) -> tuple[float, list[float]]:
-        """Plays so many episodes at once: the time they took, and each query's, s."""
+        """Plays this many episodes concurrently. Returns the total time and each query's, s."""
         began = time.perf_counter()
         with ThreadPoolExecutor(concurrency) as pool:
             played = pool.map(lambda at: self.episode(f"side by side {at}", at), range(concurrency))
@@ -252,7 +252,7 @@ class Probe(contextlib.AbstractContextManager):
 
     def _scene(self, query_index: int) -> pb.Observation:
         known = {reading.value for reading in State}
-        # What cannot be made up is missed by nobody but the server, which says so.
+        # Inputs that cannot be made up are left out; a server that needs them reports it.
         wanted = Description(
             name="made up",
             cameras=tuple(
@@ -272,7 +272,7 @@ class Probe(contextlib.AbstractContextManager):
 
 
 def to_message(observation: Observation) -> pb.Observation:
-    """An observation on the wire."""
+    """Converts an observation to its message."""
     return pb.Observation(
         images=[
             pb.Image(
@@ -288,7 +288,7 @@ def to_message(observation: Observation) -> pb.Observation:
 
 
 def _connected(target: Target) -> tuple[grpc.Channel, tuple[tuple[str, str], ...]]:
-    """A channel, and what goes with every call. Raises CannotCheck."""
+    """Returns a channel and the metadata of every call. Raises CannotCheck."""
     url = urlsplit(target.url)
     encrypted = url.scheme in ("https", "grpcs")
     if not (encrypted or url.scheme in ("http", "grpc")) or not url.netloc or url.path.strip("/"):

@@ -1,4 +1,4 @@
-"""The verdicts: pure functions of what a server answered."""
+"""The verdicts: pure functions of a server's answers."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from ..actions import ACTION_WIDTH, UnusableActions, read_actions
 from ..description import Description
 from ..proto import policy_pb2 as pb
 
-#: How far beyond 1 a number may lie and still be an action that a worker clips;
-#: more is a policy that answers in other units.
+#: Largest magnitude of a number that is still taken for an action that a worker clips. A policy
+#: that exceeds it answers in other units.
 LARGEST_PLAUSIBLE = 2.0
-#: How far a batch may move an action. Kernels for other batch sizes add in
-#: another order, which moves low-order bits.
+#: Largest difference that batching may cause in an action. Kernels for other batch sizes add in
+#: another order, which changes low-order bits.
 BATCH_TOLERANCE = 1e-3
 
 
 class Word(enum.Enum):
-    """How a server does on one point."""
+    """Result of a server on one point."""
 
     PASS = "pass"
     FAIL = "FAIL"
@@ -33,14 +33,14 @@ class Word(enum.Enum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """How a server does on one point, and what to know of it."""
+    """Result of a server on one point, with an explanation."""
 
     word: Word
     text: str = ""
 
     @property
     def failed(self) -> bool:
-        """Whether the protocol is not kept."""
+        """True if the protocol is not kept."""
         return self.word is Word.FAIL
 
 
@@ -57,17 +57,17 @@ def skipped(reason: str) -> Verdict:
 
 
 def refused(error: grpc.RpcError) -> Verdict:
-    """Fails because there was no answer to judge."""
+    """Fails because the server gave no answer to judge."""
     return failed(f"the server refused: {words_of(error)}")
 
 
 def words_of(error: grpc.RpcError) -> str:
-    """A failed call, for people."""
+    """Describes a failed call for people."""
     return f"{error.details()} ({error.code().name})"
 
 
 def description(described: pb.DescribeResponse) -> Verdict:
-    """A description, and whether it can be true."""
+    """Checks that a description is consistent."""
     try:
         Description.from_message(described)
     except ValueError as error:
@@ -79,7 +79,7 @@ def description(described: pb.DescribeResponse) -> Verdict:
 
 
 def shapes(answers: Sequence[pb.InferResponse], horizon: int) -> Verdict:
-    """Every answer of an episode, its query index being its place."""
+    """Checks every answer of an episode, listed by query index."""
     for at, answer in enumerate(answers):
         numbers = len(answer.actions)
         if answer.action_width != ACTION_WIDTH:
@@ -100,7 +100,7 @@ def shapes(answers: Sequence[pb.InferResponse], horizon: int) -> Verdict:
 
 
 def numbers_range(answers: Sequence[pb.InferResponse]) -> Verdict:
-    """Whether the numbers are actions."""
+    """Checks that the numbers are plausible actions."""
     largest = max((abs(number) for answer in answers for number in answer.actions), default=0.0)
     if largest <= 1.0:
         return passed()
@@ -110,7 +110,7 @@ def numbers_range(answers: Sequence[pb.InferResponse]) -> Verdict:
 
 
 def same(expected: Sequence[pb.InferResponse], found: Sequence[pb.InferResponse]) -> Verdict:
-    """Whether two episodes were answered alike, bit for bit."""
+    """Checks that two episodes got the same answers, bit for bit."""
     at = first_difference(expected, found)
     return passed() if at is None else failed(f"at query {at} the actions differ")
 
@@ -118,7 +118,7 @@ def same(expected: Sequence[pb.InferResponse], found: Sequence[pb.InferResponse]
 def seeds(
     stochastic: bool, one: Sequence[pb.InferResponse], other: Sequence[pb.InferResponse]
 ) -> Verdict:
-    """Whether other seeds do what the policy declares of them."""
+    """Checks that another seed has the effect that the policy declares."""
     at = first_difference(one, other)
     if stochastic and at is None:
         return failed("it declares itself stochastic, but seeds 1 and 2 give the same")
@@ -128,7 +128,7 @@ def seeds(
 
 
 def batch(alone: Sequence[pb.InferResponse], batched: Sequence[pb.InferResponse]) -> Verdict:
-    """Whether answers in a batch are those given alone."""
+    """Checks that answers in a batch equal those given singly."""
     if first_difference(alone, batched) is None:
         return passed("bit for bit")
     lengths = [[len(answer.actions) for answer in answers] for answers in (alone, batched)]
@@ -136,7 +136,7 @@ def batch(alone: Sequence[pb.InferResponse], batched: Sequence[pb.InferResponse]
         return failed("in a batch there are other numbers of actions")
     differences = [abs(a - b) for a, b in zip(_numbers(alone), _numbers(batched))]
     largest = max(differences)
-    # A NaN is not at most anything.
+    # `max` may miss a NaN, because comparisons with it are false.
     if largest <= BATCH_TOLERANCE and not any(map(math.isnan, differences)):
         return passed(f"but they move actions by up to {largest:.1e}: batches cost reproducibility")
     return failed(f"in a batch the actions differ by up to {largest:.4g}")
@@ -145,8 +145,8 @@ def batch(alone: Sequence[pb.InferResponse], batched: Sequence[pb.InferResponse]
 def speed(
     alone: Sequence[float], concurrency: int, wall_secs: float, together: Sequence[float]
 ) -> Verdict:
-    """Latencies, s, of queries one by one, and of `concurrency` episodes at once
-    that took `wall_secs` in all."""
+    """Reports the latencies, s, of single queries and of `concurrency`
+    concurrent episodes that took `wall_secs` in total."""
     return passed(
         f"one by one {_percentiles(alone)}; {concurrency} episodes at once"
         f" {_percentiles(together)}, {len(together) / wall_secs:.0f} queries/s"
@@ -156,7 +156,7 @@ def speed(
 def first_difference(
     one: Sequence[pb.InferResponse], other: Sequence[pb.InferResponse]
 ) -> int | None:
-    """The first query at which two episodes differ."""
+    """Returns the first query at which two episodes differ."""
     bits = [
         [np.array(answer.actions, dtype=np.float32).tobytes() for answer in answers]
         for answers in (one, other)

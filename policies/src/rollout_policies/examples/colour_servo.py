@@ -1,9 +1,9 @@
-"""A policy that looks: it moves the gripper towards the most colourful thing
-that the wrist camera sees, and closes on it.
+"""A policy that uses vision: it moves the gripper towards the most colourful
+object that the wrist camera sees, and closes on it.
 
-It answers from pixels and the hand's orientation alone, needs no weights, and
-shows how a policy is written. It is no good: it reads no instruction, plans
-nothing and solves next to no task.
+It uses only pixels and the hand's orientation, needs no weights, and shows how
+a policy is written. It performs poorly: it reads no instruction, plans nothing
+and solves almost no task.
 
     python -m rollout_policies.examples.colour_servo --listen 127.0.0.1:5000
 """
@@ -25,21 +25,21 @@ from rollout_policies import (
 
 WRIST = "robot0_eye_in_hand"
 SIDE = 128
-#: Saturation (0..1) below which a pixel is background, and how far below the
-#: frame's most saturated place a pixel may lie to belong to its blob.
+#: Saturation (0..1) below which a pixel is background, and the largest difference from the frame's
+#: highest saturation of a pixel in the blob.
 LEAST_SATURATION = 0.25
 BLOB_SHARE = 0.7
-#: Side of the box that smooths the saturation, pixels.
+#: Side of the box over which the saturation is averaged, in pixels.
 BOX = 9
-#: Where in the frame the colour is wanted, in half-frames right of and above
-#: the middle: as low as the hand, which hides the fingertips, lets it be seen.
+#: Target position of the colour in the frame, in half-frames right of and above the middle: as low
+#: as possible without the hand, which hides the fingertips, covering it.
 AIM = np.array([0.0, -0.5])
-#: Commands per half-frame of offset, and the steady descent.
+#: Commands per half-frame of offset, and the constant descent.
 GAIN = 0.8
 DESCENT = 0.25
-#: Offset within which the hand descends, half-frames.
+#: The hand descends if the offset is smaller than this, in half-frames.
 CENTRED = 0.35
-#: Share of the frame's width that a blob spans when the fingers are beside it.
+#: Share of the frame's width that a blob spans when it is between the fingers.
 GRASPABLE_WIDTH = 0.18
 
 
@@ -55,7 +55,7 @@ class ColourServo(Policy):
     )
 
     def reset(self, episode: Episode) -> None:
-        """Nothing is kept: every answer comes from its observation."""
+        """Does nothing: every answer depends only on its observation."""
 
     def infer(self, observation: Observation) -> np.ndarray:
         blob = find_blob(observation.upright(WRIST))
@@ -63,8 +63,8 @@ class ColourServo(Policy):
             return np.array([0, 0, 0.2, 0, 0, 0, -1])  # rise, to see more
         centre, width = blob
         offset = centre - AIM
-        # In the hand's frame x is up in the picture, y is right in it, and z
-        # is where the fingers point.
+        # In the hand's frame, x is up in the picture, y is right, and z is the direction of the
+        # fingers.
         right, up = np.clip(GAIN * offset, -1, 1)
         ahead = DESCENT if np.abs(offset).max() < CENTRED else 0.0
         hand_to_world = observation.state[State.EEF_ROTATION].reshape(3, 3)
@@ -77,7 +77,7 @@ def find_blob(frame: np.ndarray) -> tuple[np.ndarray, float] | None:
     """Finds the most saturated region of an upright RGB frame.
 
     Returns its centre in half-frames right of and above the middle, and the
-    share of the frame's width that it spans; None if everything is grey.
+    share of the frame's width that it spans; None if the whole frame is grey.
     """
     saturation = smooth(np.ptp(frame, axis=2) / 255.0)
     peak = saturation.max()

@@ -1,6 +1,6 @@
-"""What policies do to observations and actions around their networks.
+"""Processing of observations and actions around the policies' networks.
 
 Pure functions of NumPy arrays, one module each for frames (`images`, `jpeg`),
-readings (`robot`) and actions (`actions`). Nothing here loads a model or knows
-a policy's name; each function says whose definition it follows.
+readings (`robot`) and actions (`actions`). Nothing here loads a model or
+depends on a policy; each function names the definition that it follows.
 """

@@ -1,4 +1,4 @@
-"""Numbers between a network's range and the world's, and chunks that overlap."""
+"""Conversion between a network's range and the world's, and averaging of overlapping chunks."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 def within_bounds(
     values: np.ndarray, low: Sequence[float], high: Sequence[float], mask: Sequence[bool]
 ) -> np.ndarray:
-    """From the world to -1..1, `low` to -1 and `high` to 1, clipped; what
-    `mask` leaves out is only clipped. OpenVLA-OFT's `normalize_proprio`."""
+    """Scales world values to -1..1, `low` to -1 and `high` to 1, and clips; values
+    outside `mask` are only clipped. OpenVLA-OFT's `normalize_proprio`."""
     least, most = np.asarray(low), np.asarray(high)
     scaled = 2 * (values - least) / (most - least + 1e-8) - 1
     return np.clip(np.where(mask, scaled, values), -1.0, 1.0)
@@ -22,28 +22,28 @@ def within_bounds(
 def from_bounds(
     values: np.ndarray, low: Sequence[float], high: Sequence[float], mask: Sequence[bool]
 ) -> np.ndarray:
-    """From -1..1 back to the world where `mask` says so: UniVLA's decoder, with
-    the first and the last percentile as bounds."""
+    """Scales -1..1 back to world values where `mask` is set: UniVLA's decoder,
+    with the first and the last percentile as bounds."""
     least, most = np.asarray(low), np.asarray(high)
     return np.where(mask, 0.5 * (values + 1) * (most - least) + least, values)
 
 
 @dataclass
 class Ensemble:
-    """Mean of what the last chunks say about now.
+    """Weighted mean of the last chunks' actions for the current step.
 
     The newest chunk weighs 1 and one that is `age` queries older
     exp(-decay * age). UniVLA's `ActionDecoder`, with a decay of 0.1.
     """
 
     decay: float
-    #: Chunks [n, 7] of one query after the other, the newest first.
+    #: Chunks [n, 7] of successive queries, the newest first.
     chunks: deque[np.ndarray] = field(default_factory=deque)
 
     def add(self, chunk: np.ndarray) -> np.ndarray:
-        """Takes the chunk of this query and returns the action of now [7]."""
+        """Adds the chunk of this query and returns the current action [7]."""
         self.chunks.appendleft(np.asarray(chunk, dtype=np.float64))
-        # A chunk of n actions says nothing about the n-th query after it.
+        # A chunk of n actions ends before the n-th query after it.
         while len(self.chunks) > len(self.chunks[-1]):
             self.chunks.pop()
         weights = np.exp(-self.decay * np.arange(len(self.chunks)))

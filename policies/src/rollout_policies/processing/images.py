@@ -1,9 +1,9 @@
-"""Frames: resizing and cropping as the frameworks do that policies were
+"""Resizing and cropping of frames, as in the frameworks that policies were
 trained with.
 
-A bilinear or Lanczos filter differs from framework to framework in where it
-samples, whether it widens when it shrinks, and how it rounds; a network sees
-the difference. Frames are uint8 [height, width, 3] throughout.
+Bilinear and Lanczos filters differ between frameworks in their sample
+positions, in widening when they shrink, and in rounding; a network sees the
+difference. Frames are uint8 [height, width, 3] throughout.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-#: A filter: weight at a distance, in samples, and the distance where it ends.
+#: A filter: its weight as a function of distance, in samples, and its radius.
 Kernel = tuple[Callable[[np.ndarray], np.ndarray], float]
 
 
@@ -30,7 +30,7 @@ BILINEAR: Kernel = (_triangle, 1.0)
 
 
 def resize(frame: np.ndarray, height: int, width: int, kernel: Kernel) -> np.ndarray:
-    """Resizes with a filter that widens when it shrinks the frame (antialias).
+    """Resizes with a filter that is widened if it shrinks the frame (antialias).
 
     `tf.image.resize(method="lanczos3", antialias=True)` and
     `torch.nn.functional.interpolate(mode="bilinear", antialias=True)`, each
@@ -44,8 +44,8 @@ def resize(frame: np.ndarray, height: int, width: int, kernel: Kernel) -> np.nda
 
 
 def resize_plainly(frame: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Resizes by linear interpolation between the two nearest samples, which
-    leaves samples out when it shrinks the frame.
+    """Resizes by linear interpolation between the two nearest samples, without
+    antialiasing.
 
     `torch.nn.functional.interpolate(mode="bilinear", align_corners=False)`,
     followed by rounding to the nearest.
@@ -53,7 +53,7 @@ def resize_plainly(frame: np.ndarray, height: int, width: int) -> np.ndarray:
     values = frame.astype(np.float32)
     for axis, target in ((0, height), (1, width)):
         size = values.shape[axis]
-        # Pixels are squares; beyond the centres of the outer ones is nothing.
+        # Pixels are squares; positions beyond the outermost centres are clipped to them.
         centres = (np.arange(target, dtype=np.float32) + np.float32(0.5)) * np.float32(
             size / target
         )
@@ -65,7 +65,7 @@ def _filter_matrix(size: int, target: int, kernel: Kernel) -> np.ndarray:
     """Weight of every sample [size] in every result [target]; rows sum to 1."""
     weight_at, radius = kernel
     step = size / target
-    # Pixels are squares: the centre of the first is at one half.
+    # Pixels are squares: the first one's centre is at one half.
     centres = (np.arange(target) + 0.5) * step
     samples = np.arange(size) + 0.5
     distance = (samples[None, :] - centres[:, None]) / max(step, 1.0)
@@ -74,8 +74,8 @@ def _filter_matrix(size: int, target: int, kernel: Kernel) -> np.ndarray:
 
 
 def centre_crop(frame: np.ndarray, area: float, side: int) -> np.ndarray:
-    """Cuts out the middle, `area` of the frame's area, and enlarges it to
-    `side` x `side`.
+    """Crops the middle, `area` of the frame's area, and enlarges it to `side` x
+    `side`.
 
     OpenVLA's evaluation: `tf.image.crop_and_resize`, bilinear with the outer
     samples on the outer edges of the crop, between two `convert_image_dtype`,
@@ -91,7 +91,7 @@ def centre_crop(frame: np.ndarray, area: float, side: int) -> np.ndarray:
 def _sample_linearly(
     values: np.ndarray, axis: int, start: float, end: float, count: int
 ) -> np.ndarray:
-    """`count` values between two places, given as shares of the whole."""
+    """Returns `count` values between two positions, given as fractions of the whole."""
     last = values.shape[axis] - 1
     return _interpolated(
         values, axis, np.linspace(start * last, end * last, count, dtype=np.float32)
@@ -99,7 +99,7 @@ def _sample_linearly(
 
 
 def _interpolated(values: np.ndarray, axis: int, places: np.ndarray) -> np.ndarray:
-    """Values at places between samples, along one axis."""
+    """Interpolates values at positions between samples, along one axis."""
     below = np.floor(places).astype(int)
     above = np.ceil(places).astype(int)
     shape = [1] * values.ndim
@@ -110,5 +110,5 @@ def _interpolated(values: np.ndarray, axis: int, places: np.ndarray) -> np.ndarr
 
 
 def unit_planes(frame: np.ndarray) -> np.ndarray:
-    """float32 [3, height, width] in 0..1: what lerobot's policies take."""
+    """Returns float32 [3, height, width] in 0..1, as lerobot's policies take it."""
     return np.ascontiguousarray(frame.transpose(2, 0, 1)).astype(np.float32) / np.float32(255)

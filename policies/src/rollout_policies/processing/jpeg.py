@@ -1,20 +1,20 @@
-"""What a JPEG file loses, without making the file.
+"""The loss of a JPEG round trip, without creating the file.
 
-Entropy coding loses nothing, so the round trip is the conversion of colours,
-the halving of chroma, the cosine transform and the rounding of its
-coefficients, and all of that backwards. Policies trained on RLDS recordings,
-which are JPEGs, are evaluated on frames that went through it.
+Entropy coding is lossless, so the round trip consists of colour conversion,
+chroma subsampling, the cosine transform and the rounding of its coefficients,
+and their inverses. Policies trained on RLDS recordings, which are JPEGs, are
+evaluated on frames after such a round trip.
 
 TensorFlow decodes with libjpeg's fast inverse transform, whose eight fractional
-bits change two values in three by a level or more. A network trained on such
-frames has seen that, so it is reproduced here.
+bits change two values in three by a level or more. Networks trained on such
+frames have seen that, so it is reproduced here.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-#: Pixels per side of what is coded as one: two by two blocks of luma.
+#: Pixels per side of a coding unit: two by two blocks of luma.
 UNIT = 16
 BLOCK = 8
 
@@ -39,7 +39,7 @@ CHROMA_STEPS[:4, :4] = [[17, 18, 24, 47], [18, 21, 26, 66], [24, 26, 56, 99], [4
 #: and the two chromas; then red, green and blue beside luma from the chromas.
 COLOUR_BITS = 16
 TO_LUMA_CHROMA = np.array([[19595, 38470, 7471], [-11059, -21709, 32768], [32768, -27439, -5329]])
-#: Halves go up in luma, down in chroma.
+#: Rounding bias of colours: halves round up in luma, down in chroma.
 CHROMA_BIAS = np.array([0, -1, -1])
 TO_RGB = np.array([[0, 91881], [-22554, -46802], [116130, 0]])
 MIDDLE = 128
@@ -62,9 +62,9 @@ SLOW_HALF = np.array(
     ]
 )
 MIRROR = np.where(np.arange(BLOCK) % 2, -1, 1)[:, None]
-#: Whole numbers far below 2^53: as floats they multiply faster, and exactly.
+#: Integers far below 2^53, so that floats multiply them exactly, and faster.
 SLOW = np.hstack([SLOW_HALF, MIRROR * SLOW_HALF[:, ::-1]]).astype(np.float64)
-#: Fractional bits that are kept between rows and columns.
+#: Fractional bits kept between the row and column passes.
 SLOW_SUM_BITS = 2
 
 #: Arai, Agui and Nakajima's factors of the coefficients, in one dimension, and
@@ -80,12 +80,12 @@ ROOT_2, TWICE_COS, DIFFERENCE, SUM = 362, 473, 277, 669
 
 
 def round_trip(frame: np.ndarray, quality: int = 95) -> np.ndarray:
-    """A frame, uint8 [height, width, 3], as it comes back from a JPEG file.
+    """Returns a frame, uint8 [height, width, 3], after a JPEG round trip.
 
-    As `tf.io.decode_image(tf.image.encode_jpeg(frame))`: quality 95, chroma at
-    half the resolution, the slow forward and the fast inverse transform.
+    Equals `tf.io.decode_image(tf.image.encode_jpeg(frame))`: quality 95, chroma
+    at half the resolution, the slow forward and the fast inverse transform.
 
-    Raises ValueError for sides that are no multiples of 16.
+    Raises ValueError if a side is not a multiple of 16.
     """
     height, width, _ = frame.shape
     if height % UNIT or width % UNIT:
@@ -101,24 +101,24 @@ def round_trip(frame: np.ndarray, quality: int = 95) -> np.ndarray:
 
 
 def _steps(table: np.ndarray, quality: int) -> np.ndarray:
-    """The table for a quality of 1..100, by the rule that libjpeg made usual."""
+    """Returns the table for a quality of 1..100, by libjpeg's rule."""
     percent = 5000 // quality if quality < 50 else 200 - 2 * quality
     return np.clip((table * percent + 50) // 100, 1, 255)
 
 
 def _halved(plane: np.ndarray) -> np.ndarray:
-    """Means of two by two pixels, those of .5 rounded down and up in turns."""
+    """Means of two by two pixels; .5 is rounded down and up alternately."""
     height, width = plane.shape
     sums = plane.reshape(height // 2, 2, width // 2, 2).sum(axis=(1, 3))
     return (sums + 1 + np.arange(width // 2) % 2) // 4
 
 
 def _coded(plane: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """A plane around 0 after its coefficients were rounded to whole steps."""
+    """Returns a plane, centred on 0, with its coefficients rounded to whole steps."""
     height, width = plane.shape
     blocks = plane.reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK).swapaxes(1, 2)
     eighths = _slow_forward(blocks)
-    # Halves go away from zero.
+    # Halves round away from zero.
     levels = np.sign(eighths) * ((np.abs(eighths) + 4 * steps) // (8 * steps))
     values = _fast_inverse(levels, steps)
     return np.clip(values.swapaxes(1, 2).reshape(height, width), -MIDDLE, MIDDLE - 1)
@@ -131,14 +131,14 @@ def _slow_forward(blocks: np.ndarray) -> np.ndarray:
 
 
 def _shifted(values: np.ndarray, bits: int) -> np.ndarray:
-    """Without so many fractional bits, halves rounded up."""
+    """Removes this many fractional bits, with halves rounded up."""
     return values.astype(np.int64) + (1 << (bits - 1)) >> bits
 
 
 def _fast_inverse(levels: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Pixels of blocks [.., 8, 8] from the levels of their coefficients."""
+    """Returns the pixels of blocks [.., 8, 8] from their coefficients' levels."""
     factors = np.round(2**14 * np.outer(FAST_FACTORS, FAST_FACTORS)).astype(np.int64)
-    # Steps times factors, with two fractional bits.
+    # The products of steps and factors, with two fractional bits.
     scaled_steps = (steps * factors + 2**11) >> (14 - FAST_SUM_BITS)
     columns = _fast_inverse_once((levels * scaled_steps).swapaxes(0, -2)).swapaxes(0, -2)
     rows = _fast_inverse_once(columns.swapaxes(0, -1)).swapaxes(0, -1)
@@ -170,8 +170,8 @@ def _fast_inverse_once(c: np.ndarray) -> np.ndarray:
 
 
 def _enlarged(plane: np.ndarray) -> np.ndarray:
-    """Twice the size: every value three parts its own and one its neighbour's,
-    down and across, as libjpeg's triangle filter does."""
+    """Doubles the size: each value is three quarters its own sample and one quarter the
+    neighbour's, down and across, as in libjpeg's triangle filter."""
     sums = _doubled(_doubled(plane, axis=0), axis=1)
     return (sums + np.where(np.arange(sums.shape[1]) % 2, 7, 8)) // 16
 

@@ -1,4 +1,4 @@
-"""Readings of the robot as policies take them, and the gripper's conventions."""
+"""The robot's readings in the form that policies take, and the gripper conventions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from ..description import State
 from ..episode import Observation
 
-#: What `state_vector` needs.
+#: Readings that `state_vector` needs.
 STATE_FIELDS = (State.EEF_POS, State.EEF_QUAT_XYZW, State.GRIPPER_POS)
 
 
@@ -15,7 +15,7 @@ def axis_angle(quaternion: np.ndarray) -> np.ndarray:
     """Axis times angle, rad (3), of a quaternion x y z w.
 
     robosuite's `quat2axisangle`: the sign of the quaternion is kept, so angles
-    reach up to two pi. Making w positive first describes the same rotation by
+    reach up to two pi. Making w positive first would give the same rotation by
     other numbers, which the policies have never seen.
     """
     w = np.clip(quaternion[3], -1.0, 1.0)
@@ -26,7 +26,7 @@ def axis_angle(quaternion: np.ndarray) -> np.ndarray:
 
 
 def state_vector(observation: Observation) -> np.ndarray:
-    """The eight numbers of LIBERO policies, float64: position of the fingertips'
+    """The eight numbers of the state of LIBERO policies, float64: position of the fingertip
     site (m), orientation as axis times angle (rad), the two finger joints (m)."""
     return np.concatenate(
         [
@@ -38,11 +38,11 @@ def state_vector(observation: Observation) -> np.ndarray:
 
 
 def gripper_from_rlds(actions: np.ndarray) -> np.ndarray:
-    """Actions [.., 7] whose gripper was learnt as 0 closed, 1 open, with
-    LIBERO's: -1 open, 1 closed.
+    """Converts actions [.., 7] from a gripper of 0 closed, 1 open to LIBERO's:
+    -1 open, 1 closed.
 
     OpenVLA's `normalize_gripper_action(binarize=True)`, then
-    `invert_gripper_action`; just one half gives 0.
+    `invert_gripper_action`; exactly one half gives 0.
     """
     turned = np.array(actions, dtype=np.float64)
     turned[..., -1] = -np.sign(2 * turned[..., -1] - 1)

@@ -18,7 +18,7 @@ const TRIED: usize = 4;
 /// Queries per episode in the memory check.
 const EPISODE_QUERIES: usize = 2;
 
-/// Diagnosed server, with its observations.
+/// The diagnosed server, the situations it is queried in, and its latencies.
 pub(super) struct Patient<'a> {
     server: &'a Server,
     situations: &'a [Situation],
@@ -71,8 +71,8 @@ impl<'a> Patient<'a> {
         self.situations.len()
     }
 
-    /// Queries each situation in its own episode, some of them twice, and all of them in one
-    /// episode; always with the same instruction.
+    /// Queries each situation in an episode of its own, some of them twice, then all of them in one
+    /// shared episode; always with the same instruction.
     pub(super) async fn answer_all(&mut self) -> Result<Answered, RefereeError> {
         let mut answered = Answered::default();
         let mut first: Vec<Vec<Action>> = vec![];

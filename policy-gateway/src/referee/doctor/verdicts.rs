@@ -15,8 +15,8 @@ use crate::{
 const SAME: f64 = 1e-6;
 /// Memory per episode below which growth is ignored, bytes; logs and allocators cause that much.
 const KEPT_BYTES: u64 = 200 << 10;
-/// Factor by which each third of the episodes must be slower than the one before, and total
-/// slowdown, that indicate growing memory.
+/// Slowdown that indicates growing memory: each third of the episodes takes longer than the one
+/// before by this factor, and the last takes longer than the first by `SLOWER_IN_ALL`.
 const SLOWER: f64 = 1.25;
 const SLOWER_IN_ALL: Duration = Duration::from_millis(50);
 

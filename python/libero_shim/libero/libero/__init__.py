@@ -1,4 +1,4 @@
-"""Folders of LIBERO's files. Importing this asks nothing, fetches nothing and writes nothing."""
+"""Folders of LIBERO's files. Importing this module prompts for, fetches and writes nothing."""
 
 from libero.libero.paths import (
     config_file,

@@ -1,4 +1,4 @@
-"""Where task files, initial states, demonstrations and assets lie."""
+"""Folders of task files, initial states, demonstrations and assets."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ libero_config_path = os.environ.get("LIBERO_CONFIG_PATH", os.path.expanduser("~/
 config_file = os.path.join(libero_config_path, "config.yaml")
 
 _KEYS = ("benchmark_root", "bddl_files", "init_states", "datasets", "assets")
-#: The folder of `libero.libero`: the original's files lie in it. Programs compare it with
-#: `benchmark_root` to find out whether the configuration is another installation's.
+#: The folder of `libero.libero`, which holds the original's files. Programs compare it with
+#: `benchmark_root` to detect the configuration of another installation.
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 
 
 def get_libero_path(query_key: str) -> str:
-    """The folder of `benchmark_root`, `bddl_files`, `init_states`, `datasets` or `assets`.
+    """Returns the folder of `benchmark_root`, `bddl_files`, `init_states`, `datasets` or `assets`.
 
-    The configuration file decides where the folder that it names has files in it; a
-    file that another installation has left behind thus does no harm. Otherwise it is the
-    default, whose files are fetched at first use.
+    The configuration file's folder is used if it contains files, so a file left
+    by another installation does no harm. Otherwise the default is used, whose
+    files are fetched at first use.
 
-    Raises KeyError for another key, FileNotFoundError where files cannot be had.
+    Raises KeyError for another key, FileNotFoundError if the files are unavailable.
     """
     configured = _configured()
     if query_key not in _KEYS and query_key not in configured:
@@ -46,19 +46,19 @@ def get_libero_path(query_key: str) -> str:
 
 
 def get_default_path_dict(custom_location: str | None = None) -> dict[str, str]:
-    """The folders below `custom_location`, or those of the files that were fetched."""
+    """Returns the folders below `custom_location`, or those of the fetched files."""
     if custom_location is None or _is_own(custom_location):
         return {**_folders(_default_root()), "benchmark_root": _PACKAGE}
     return _folders(custom_location)
 
 
 def set_libero_default_path(custom_location: str | None = None) -> None:
-    """Writes the configuration file: LIBERO's files lie below this folder.
+    """Writes the configuration file, with LIBERO's files below this folder.
 
-    Without a folder, or with that of this package, removes the file, so that the defaults
-    count again.
+    Without a folder, or with that of this package, removes the file, so that
+    the defaults apply again.
 
-    Raises FileNotFoundError if the folder has no `bddl_files`, as it would not count.
+    Raises FileNotFoundError if the folder has no `bddl_files`, because it would be ignored.
     """
     if custom_location is None or _is_own(custom_location):
         Path(config_file).unlink(missing_ok=True)
@@ -75,9 +75,9 @@ def set_libero_default_path(custom_location: str | None = None) -> None:
 
 
 def get_assets_path() -> str:
-    """The asset pack: `$ROLLOUT_ASSETS`, or the configuration file's, or what was fetched.
+    """Returns the asset pack: `$ROLLOUT_ASSETS`, the configuration file's, or the fetched one.
 
-    Raises FileNotFoundError, with the remedy, where there is none.
+    Raises FileNotFoundError, with the remedy, if there is none.
     """
     if os.environ.get("ROLLOUT_ASSETS"):
         return files.assets(None)
@@ -116,7 +116,7 @@ def _configured() -> dict[str, str]:
 
 
 def _counts(key: str, folder: str) -> bool:
-    """A root counts by what is needed from it: a package's own folder is not empty."""
+    """A root is judged by its `bddl_files`, because a package's own folder is never empty."""
     if key == "benchmark_root":
         return _has_files(os.path.join(folder, "bddl_files"))
     return _has_files(folder)

@@ -1,5 +1,5 @@
-//! Configurations whose outcomes follow a planted rule, so that what a search
-//! finds can be held against the truth.
+//! Configurations whose outcomes follow a planted rule, so that the findings of a search can be
+//! compared with the truth.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 pub(crate) enum Kind {
     /// A pair fails.
     Pair,
-    /// A triple fails, none of its pairs does.
+    /// A triple fails, and none of its pairs does.
     Triple,
     /// Two pairs without a common axis fail.
     DisjointPairs,
@@ -31,7 +31,7 @@ pub(crate) enum Kind {
     /// A triple fails unless a fourth axis is present; another pair or triple
     /// always does.
     MaskedTriple,
-    /// Beyond the axes alone and all together, every outcome is a coin flip.
+    /// Every outcome is a coin flip, except under single axes and under all axes together.
     CoinFlips,
 }
 
@@ -143,7 +143,7 @@ impl Rule {
         self.0[&set]
     }
 
-    /// The minimal subsets from each start, by looking at all 64 outcomes.
+    /// Returns the minimal subsets from each start, computed from all 64 outcomes.
     pub(crate) fn truth(&self) -> Vec<(AxisSet, Vec<AxisSet>)> {
         let all = self.succeeds(AxisSet::ALL);
         let singles = Axis::ALL.map(AxisSet::of);
@@ -173,7 +173,7 @@ impl Rule {
 pub(crate) struct Found {
     /// Subsets that were run beyond those of a campaign.
     pub(crate) subsets: usize,
-    /// Rollouts that were asked for.
+    /// Number of rollouts that were requested.
     pub(crate) rollouts: u32,
     /// Batches.
     pub(crate) batches: usize,
@@ -196,7 +196,7 @@ impl Found {
     }
 }
 
-/// Runs a search to its end; `outcome` gets the subset and how many rollouts it
+/// Runs a search to its end. `outcome` is called with the subset and the number of rollouts that it
 /// has had.
 pub(crate) fn search(
     strategy: Strategy,
@@ -241,8 +241,7 @@ pub(crate) fn search_rule(rule: &Rule, strategy: Strategy) -> Found {
     })
 }
 
-/// A search over a rule of which each rollout does the opposite with probability
-/// `noise`.
+/// Runs a search over a rule that each rollout contradicts with probability `noise`.
 pub(crate) fn search_noisy(
     rule: &Rule,
     strategy: Strategy,

@@ -12,7 +12,7 @@ pub(crate) const ALPHA: f64 = 0.05;
 /// A configuration's task and number.
 pub(crate) type Unit = (TaskRef, u16);
 
-/// The configurations of one level, each with what simultaneity does to it.
+/// The configurations of one level, each with its transition under simultaneous perturbation.
 pub(crate) struct Population {
     pub(crate) units: Vec<(Unit, Transition)>,
 }
@@ -36,7 +36,7 @@ struct Row {
 }
 
 impl Population {
-    /// OpenVLA-OFT's at a level.
+    /// Returns OpenVLA-OFT's published outcomes at a level.
     pub(crate) fn published(level: Level) -> Self {
         let rows = OUTCOMES.lines().map(|line| {
             let row: Row = serde_json::from_str(line).expect("a row");
@@ -72,7 +72,7 @@ impl Population {
         self.units[place.expect("a configuration")].1
     }
 
-    /// The measures' values of each configuration.
+    /// Iterates over the values of a measure, one per configuration.
     pub(crate) fn values(&self, measure: Measure) -> impl Iterator<Item = i64> {
         self.units.iter().map(move |(_, it)| value(measure, *it))
     }
@@ -82,9 +82,8 @@ impl Population {
         self.values(measure).sum()
     }
 
-    /// Looks after every configuration of an order. Returns whether all intervals
-    /// held at all looks, and after how many configurations each rule was first
-    /// met.
+    /// Looks at the intervals after every configuration of an order. Returns true if all intervals
+    /// held at all looks, and the number of configurations after which each rule was first met.
     pub(crate) fn replay(
         &self,
         order: &Order<Unit>,

@@ -7,7 +7,7 @@ use paired::{Cell, Estimate, Outcome, Record};
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Configurations of every task, and directions.
+/// Number of configurations of every task, and of directions.
 pub(crate) const CONFIGURATIONS: u16 = 10;
 const AXES: usize = Axis::ALL.len();
 /// Conditions at a level: each axis alone, and simultaneous.
@@ -17,7 +17,7 @@ const CONDITIONS: usize = AXES + 1;
 pub(crate) struct Chance(ChaCha12Rng);
 
 impl Chance {
-    /// The same numbers for the same seed.
+    /// Creates a generator; equal seeds give equal numbers.
     pub(crate) fn new(seed: u64) -> Self {
         Self(ChaCha12Rng::seed_from_u64(seed))
     }
@@ -64,8 +64,8 @@ pub(crate) fn conditions() -> impl Iterator<Item = Condition> {
 #[derive(Clone, Copy)]
 struct Probabilities {
     nominal: f64,
-    /// Of the placebo's seven rollouts: six alone succeed and the simultaneous one fails, and
-    /// the reverse.
+    /// Probabilities for the placebo's seven rollouts: that six succeed alone and the simultaneous
+    /// one fails, and the reverse.
     floor: [f64; 2],
     /// Each axis alone at L2, then simultaneous.
     perturbed: [f64; CONDITIONS],
@@ -191,13 +191,12 @@ impl Population {
         figures(&sums)
     }
 
-    /// The true values over all tasks of the first suites, exactly: under some directions, or
+    /// Returns the exact true values over all tasks of the first suites, under some directions or
     /// under all of them.
     ///
-    /// Given what a task has in all conditions, its conditions are independent, so that only
-    /// integrals over one normal number are needed. A truth that is averaged over drawn tasks
-    /// instead has an error of its own, which two thousand tasks still leave at a seventh of
-    /// the standard error of forty.
+    /// Given the effects that a task has in all conditions, its conditions are independent, so that
+    /// only integrals over one normal number are needed. An average over drawn tasks would have an
+    /// error of its own: with two thousand tasks, still a seventh of the standard error of forty.
     pub(crate) fn truth_of_all_tasks(
         &self,
         suites: usize,
@@ -281,7 +280,7 @@ impl Population {
     }
 }
 
-/// All figures, of what was added up.
+/// Returns all figures, computed from summed terms.
 fn figures(sums: &Sums) -> BTreeMap<&'static str, f64> {
     let [n, nominal, conjunction, e, c, floor_e, floor_c, ..] = sums.map(|sum| sum / sums[0]);
     let rate = |sum: &f64| sum / sums[0];
@@ -315,7 +314,7 @@ fn figures(sums: &Sums) -> BTreeMap<&'static str, f64> {
     .into()
 }
 
-/// Task number `at` of a campaign over the first so many suites.
+/// Returns task number `at` of a campaign over the first `suites` suites.
 pub(crate) fn task(at: usize, suites: usize) -> TaskRef {
     let suite = Suite::ALL[at % suites];
     let of_suite = TaskRef::all().filter(|task| task.suite() == suite);
@@ -365,13 +364,13 @@ pub(crate) fn estimates(cell: &Cell) -> BTreeMap<&'static str, Estimate> {
     estimates
 }
 
-/// A policy whose rollouts fail by chance, and what is planted in it.
+/// A policy whose rollouts fail by chance, and its planted effect.
 #[derive(Clone, Copy)]
 pub(crate) enum Planted {
-    /// Nothing: every rollout is a coin, whatever is done.
+    /// No effect: every rollout is a coin flip under every condition.
     Coins,
-    /// One axis makes three configurations of ten fail, alone and simultaneously. Of the
-    /// others, one in seven fails simultaneously only: 10 points of all configurations.
+    /// One axis makes three of ten configurations fail, alone and simultaneously. One in seven of
+    /// the others fails only simultaneously: 10 points of all configurations.
     Interaction,
     /// The camera makes three directions of ten fail in half of the tasks, alone and
     /// simultaneously.
@@ -379,7 +378,7 @@ pub(crate) enum Planted {
 }
 
 impl Planted {
-    /// Success probability of a rollout that nothing makes fail.
+    /// Success probability of a rollout without a planted failure.
     const fn luck(self) -> f64 {
         match self {
             Self::Coins => 0.95,
@@ -425,9 +424,9 @@ impl Planted {
 /// Net effects of simultaneity in tasks that are drawn from a population.
 #[derive(Clone, Copy)]
 pub(crate) struct NetEffect {
-    /// Its mean over all tasks.
+    /// Mean effect over all tasks.
     pub(crate) mean: f64,
-    /// Of tasks with an effect of their own, the share; the rest has none.
+    /// Share of tasks with an effect of their own; the others have none.
     pub(crate) share: f64,
     /// Half of the tasks with an effect of their own have this much more, half this much less.
     pub(crate) spread: f64,
@@ -448,7 +447,7 @@ impl NetEffect {
                 let change = match coin {
                     _ if coin < 0.05 => 1,
                     _ if coin < 0.1 => -1,
-                    // Of the other nine tenths.
+                    // The coin is in the other nine tenths.
                     _ if (coin - 0.1) < effect.abs() => effect.signum() as i32,
                     _ => 0,
                 };

@@ -1,5 +1,4 @@
-//! Two policies against each other: what is paired, what is refused and in
-//! which words, and every form of what comes of it.
+//! Comparison of two policies: the pairing, refusals with their messages, and every output format.
 
 use std::path::Path;
 
@@ -61,7 +60,7 @@ fn compare(a: Subject, b: Subject) -> Result<Comparison, Unpairable> {
 #[test]
 fn json_has_every_condition_at_every_level_with_its_counts() {
     let (a, b) = (campaign("first"), other("second"));
-    // Counted here by another way: both files have one order.
+    // Counted here in a different way: both files have the same order.
     let is_cell =
         |id: &RolloutId| id.level().to_string() == "L2" && id.condition() == Condition::Combination;
     let both = a.records.iter().zip(&b.records);

@@ -90,7 +90,7 @@ fn explaining() -> Subject {
     }
 }
 
-/// All texts of a figure, with what is said of its parts.
+/// Returns all texts of a figure, including the descriptions of its parts.
 fn texts(figure: &figures::Figure) -> String {
     let file = figure.standalone();
     let svg = roxmltree::Document::parse(&file);
@@ -195,7 +195,7 @@ fn the_report_of_an_explaining_campaign_is_what_it_found() {
         "{text}"
     );
     assert!(text.contains("transitions explained"), "{text}");
-    // Beside a policy that was measured, both are there.
+    // With a measured policy beside it, the page shows both.
     let both = page(&crate::subjects::document(vec![example(), explaining()]));
     assert!(both.contains("Which axes it takes") && both.contains("Paired outcomes"));
 }

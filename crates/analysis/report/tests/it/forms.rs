@@ -1,5 +1,4 @@
-//! The forms of a report: that each says what it should, and that a page needs
-//! nothing but itself.
+//! Output formats of a report: each has its required content, and a page needs no other files.
 
 use paired::Outcome;
 use report::{Subject, figures, page};

@@ -11,8 +11,8 @@ use serde_json::Value;
 
 use crate::subjects::{document, example};
 
-/// The example's outcomes, of which nothing is known nominally, as if every nominal
-/// rollout had succeeded.
+/// Returns the example's outcomes, which include no nominal ones, as if every nominal rollout had
+/// succeeded.
 fn nominal() -> Subject {
     let mut subject = example();
     let states = subject.records.iter().map(|it| (it.id.task(), it.init_id));

@@ -1,4 +1,4 @@
-//! Result files: what is read of them, and that a bad one is refused whole.
+//! Result files: how they are read, and that a file with a bad line is refused as a whole.
 
 use std::fs;
 use std::path::Path;
@@ -23,7 +23,7 @@ fn file(rows: &[&str]) -> tempfile::TempDir {
     folder
 }
 
-/// The bad lines of a file, as they are told.
+/// Returns the error messages about the bad lines of a file.
 fn refused(rows: &[&str]) -> String {
     let folder = file(rows);
     let error = import(folder.path()).expect_err("bad lines");

@@ -1,4 +1,4 @@
-//! Reports as their readers and programs meet them.
+//! Tests of reports in all of their output formats.
 
 mod comparisons;
 mod explanations;

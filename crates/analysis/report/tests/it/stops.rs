@@ -26,7 +26,7 @@ fn json(document: &Document) -> Value {
     serde_json::from_str(&document.json().expect("JSON")).expect("JSON")
 }
 
-/// The text, however its lines are broken.
+/// Returns the text with single spaces in place of its line breaks.
 fn words(document: &Document) -> String {
     let text = document.text();
     text.split_whitespace().collect::<Vec<_>>().join(" ")
@@ -59,7 +59,7 @@ fn figures_of_a_stopped_campaign_are_of_what_its_intervals_rest_on() {
     let page = report::page(&stopped);
     assert!(page.contains("Stopped early after") && page.contains("not valid"));
 
-    // The outcomes beyond that look are in no figure, whatever they are.
+    // Outcomes after that look affect no figure.
     let analysis = &stopped.analyses[0];
     let mut others = early("width(I) < 0.2", true);
     for record in &mut others.records {

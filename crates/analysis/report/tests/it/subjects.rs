@@ -37,8 +37,7 @@ pub(crate) fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
     }
 }
 
-/// A campaign with everything wrong that can be: outcomes of the example, some
-/// of them taken away.
+/// Returns a campaign with every kind of fault: outcomes of the example, some of them removed.
 pub(crate) fn broken() -> Subject {
     let mut subject = example();
     for (index, record) in subject.records.iter_mut().enumerate() {
@@ -93,7 +92,7 @@ pub(crate) fn broken() -> Subject {
     }
 }
 
-/// Three replicates, the later ones with other outcomes here and there.
+/// Returns three replicates; the later ones have some different outcomes.
 pub(crate) fn replicated() -> Subject {
     let mut subject = example();
     for replicate in 1..3 {

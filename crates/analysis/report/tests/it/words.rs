@@ -1,5 +1,4 @@
-//! Tests of a report's words: intervals that it withholds, its legend, and one
-//! name for one thing.
+//! Tests of a report's words: intervals that it withholds, its legend, and one name for each thing.
 
 use paired::Outcome;
 use report::{Subject, figures, page};

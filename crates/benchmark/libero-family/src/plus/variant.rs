@@ -347,7 +347,7 @@ pub enum UnknownVariant {
     Suffix {
         /// The name.
         name: String,
-        /// Its end.
+        /// Its invalid suffix.
         suffix: String,
     },
 }

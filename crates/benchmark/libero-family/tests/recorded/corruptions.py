@@ -20,7 +20,7 @@ FUNCTIONS = ("motion_blur", "gaussian_blur", "zoom_blur", "fog", "glass_blur")
 
 
 def released(path: str) -> dict:
-    """The corruptions without the simulator that the file imports."""
+    """Loads the corruptions, without the imports of the simulator in their file."""
     tree = ast.parse(open(path).read())
 
     def wanted(node: ast.stmt) -> bool:
@@ -36,7 +36,7 @@ def released(path: str) -> dict:
 
 
 def picture(side: int) -> np.ndarray:
-    """Flat squares above; a slope and noise below. `corruptions.rs` makes the same."""
+    """Returns a picture: flat squares above, a slope with noise below, as in `corruptions.rs`."""
     noise = np.random.RandomState(side).randint(0, 256, size=(side, side, 3))
     rows, columns = np.mgrid[0:side, 0:side]
     block = (rows // 8) * (side // 16) + columns // 16

@@ -22,7 +22,7 @@ SUITES = ("libero_spatial", "libero_object", "libero_goal", "libero_10")
 
 
 def functions(path: pathlib.Path, wanted: set, names: dict) -> dict:
-    """Functions and methods of a module, without what it imports."""
+    """Loads functions and methods of a module without executing its imports."""
     found = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.FunctionDef) and n.name in wanted]
     seen: dict = {}
     for node in found:
@@ -32,7 +32,7 @@ def functions(path: pathlib.Path, wanted: set, names: dict) -> dict:
 
 
 class Recorder:
-    """Stands for the problem, and for its arena."""
+    """Replaces the problem and its arena; records the cameras that the code sets."""
 
     def __init__(self, view):
         self.horizon_view, self.vertical_view, scale, self.end_point_rot, self.end_point_vertical = view
@@ -60,7 +60,7 @@ def main() -> None:
     )
 
     class Loaded:
-        """Stands for torch, and for what it loads."""
+        """Replaces torch and the object that it loads; records the path."""
 
         def load(self, path, **_):
             self.path = path.replace("init_states", "init_files", 1)
@@ -109,7 +109,7 @@ def main() -> None:
         recorder = Recorder(view.split("_"))
         arenas[parent]["_setup_camera"](recorder, recorder)
         pos, quat = recorder.cameras["agentview"]
-        # Zero has two signs and one place.
+        # Adding 0.0 turns -0.0 into 0.0, which is the same position.
         numbers = " ".join(f"{number + 0.0:.4f}" for number in (*pos, *quat))
         lines["camera"].append(f"{parent} {view} {numbers}")
     robots = "\n".join(path.read_text() for path in sorted((root / "envs/robots").glob("*.py")))

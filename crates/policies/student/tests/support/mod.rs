@@ -1,7 +1,6 @@
-//! Weights and queries that nobody trained or saw: random, from a seed, with the
-//! same bits everywhere.
+//! Random weights and queries from a seed, with the same bits on every machine.
 
-// Each test uses its own part of this.
+// Each test program uses only a part of this module.
 #![allow(dead_code, missing_docs, unreachable_pub)]
 
 use std::collections::{BTreeMap, HashMap};
@@ -27,7 +26,7 @@ impl Random {
     }
 }
 
-/// A tensor of a file in the making.
+/// A tensor of a weights file that is being built.
 #[derive(Clone)]
 pub struct Tensor {
     pub dtype: Dtype,
@@ -35,7 +34,7 @@ pub struct Tensor {
     pub bytes: Vec<u8>,
 }
 
-/// A weights file in the making.
+/// A weights file that is being built.
 #[derive(Clone)]
 pub struct Weights {
     pub metadata: HashMap<String, String>,
@@ -123,7 +122,7 @@ impl Weights {
     }
 
     pub fn bytes(&self) -> Vec<u8> {
-        // Into whichever map the library takes.
+        // Collects into the library's own map type.
         let metadata = self.metadata.clone().into_iter().collect();
         let tensors = self.tensors.iter().map(|(name, tensor)| {
             let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes);
@@ -136,7 +135,7 @@ impl Weights {
     }
 }
 
-/// A query that owns what it points to.
+/// A query that owns its data.
 pub struct Moment {
     pub agentview: Vec<u8>,
     pub wrist: Vec<u8>,
@@ -145,7 +144,7 @@ pub struct Moment {
 }
 
 impl Moment {
-    /// Patches of colour with noise on them, a pose, and one of a few instructions.
+    /// Generates patches of colour with noise, a pose, and one of a few instructions.
     pub fn random(seed: u64) -> Self {
         let mut random = Random(seed);
         let mut picture = || {

@@ -35,8 +35,8 @@ impl Queue {
     /// Stores a campaign and its jobs. Creating the same specification again adds nothing.
     ///
     /// # Errors
-    /// If another specification has the name, the campaign derives from one that does not exist,
-    /// measures another policy or cannot be derived from, or the database fails.
+    /// If another specification has this name; if the source campaign does not exist, measures
+    /// another policy or cannot be derived from; or if the database fails.
     pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
         let _alone = self.campaigns.lock().await;
         let shared = &*self.shared;

@@ -248,7 +248,7 @@ impl Job {
         rng: &mut impl Rng,
     ) -> AfterFailure {
         let machines = MIN_MACHINES_TO_QUARANTINE.min(suspicion.able_machines);
-        // Whether the job is quarantined, and the exponent of its back-off.
+        // True if the job is quarantined, and the exponent of its back-off.
         let (is_over, wait) = match reason {
             FailureReason::Skipped => return AfterFailure::Quarantine,
             FailureReason::PolicyLost => {

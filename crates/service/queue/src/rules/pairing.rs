@@ -36,7 +36,7 @@ pub(crate) struct Sibling {
 }
 
 impl Sibling {
-    /// Returns true if comparing with `other` too can find nothing more.
+    /// Returns true if comparing a result with `other` too cannot find a further difference.
     pub(crate) fn stands_for(&self, other: &Sibling) -> bool {
         self.rollout == other.rollout
             && self.digests.first_frame.is_empty() == other.digests.first_frame.is_empty()

@@ -8,9 +8,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 /// Step of an operation that a writing transaction carries out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Step {
-    /// Leases get their full time again when the coordinator starts.
+    /// Leases are restarted with their full duration when the coordinator starts.
     Start,
-    /// A worker announces itself, or says good-bye.
+    /// A worker registers or signs off.
     Register,
     /// Jobs are leased.
     Claim,
@@ -20,7 +20,7 @@ pub enum Step {
     Commit,
     /// An attempt ends without an outcome.
     Release,
-    /// Expired leases are taken away.
+    /// Expired leases are ended.
     Sweep,
     /// A file is recorded beside a rollout.
     Artifact,

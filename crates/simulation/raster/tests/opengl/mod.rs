@@ -7,8 +7,8 @@ use raster::{Camera, Canvas, Geom, Scene, Shape, TextureUse};
 
 use crate::scenes::{geom, largest, model};
 
-/// Draws geoms before nothing, from above, without lights and perspective; red of every
-/// pixel, row by row from the lowest. A pixel is one unit wide, and the origin is the
+/// Draws geoms on an empty background from above, orthographically and without lights. Returns red
+/// of every pixel, row by row from the lowest. A pixel is one unit wide; the origin is the
 /// picture's lower left corner.
 fn red(side: usize, mut geoms: Vec<Geom>) -> Vec<Vec<u8>> {
     let middle = side as f32 / 2.0;
@@ -44,7 +44,7 @@ fn red(side: usize, mut geoms: Vec<Geom>) -> Vec<Vec<u8>> {
     red.chunks_exact(side).map(<[u8]>::to_vec).collect()
 }
 
-/// A white box with its middle at x, y.
+/// Returns a white box centred at x, y.
 fn white_box(x: f32, y: f32, half: f32) -> Geom {
     geom(Shape::Box, [x, y, 0.0], [half, half, 0.5], [1.0; 4])
 }
@@ -53,12 +53,12 @@ fn part(picture: &[Vec<u8>], x: Range<usize>, y: Range<usize>) -> Vec<Vec<u8>> {
     y.map(|y| picture[y][x.clone()].to_vec()).collect()
 }
 
-/// Mesa draws into a frame buffer object by the top-left rule with the first row as the
-/// top, and MuJoCo's first row is the lowest.
+/// Mesa draws into a frame buffer object by the top-left rule with its first row as the top row;
+/// MuJoCo's first row is the lowest.
 #[test]
 fn samples_on_left_and_lower_edges_are_inside_and_others_not() {
-    // From 0.375 to 2.875 along both axes; from 4.875 to 7.375 along x and from 4.625 to
-    // 7.125 along y. Every edge lies on a column or row of samples.
+    // The first box extends from 0.375 to 2.875 along both axes, the second from 4.875 to 7.375
+    // along x and from 4.625 to 7.125 along y. Every edge lies on samples.
     let small = red(
         48,
         vec![white_box(1.625, 1.625, 1.25), white_box(6.125, 5.875, 1.25)],
@@ -76,7 +76,7 @@ fn samples_on_left_and_lower_edges_are_inside_and_others_not() {
             [0, 0, 0, 0, 0, 0, 0, 0],
         ]
     );
-    // From 0.375 to 42.875: large triangles are filled block by block.
+    // Extends from 0.375 to 42.875: large triangles are filled block by block.
     let large = red(48, vec![white_box(21.625, 21.625, 21.25)]);
     let mut line = vec![255; 48];
     (line[0], line[42]) = (191, 191);
@@ -87,8 +87,8 @@ fn samples_on_left_and_lower_edges_are_inside_and_others_not() {
     assert_eq!(part(&large, 42..44, 42..44), [[128, 0], [0, 0]]);
 }
 
-/// A flat texture has one level of detail per square of four pixels, a cube one per
-/// pixel: faces are chosen per pixel.
+/// A flat texture has one level of detail per square of four pixels. A cube has one per pixel,
+/// because its faces are chosen per pixel.
 #[test]
 fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
     const CUBE: usize = 3;

@@ -1,4 +1,4 @@
-//! A room with one of everything, for tests.
+//! A test room with one object of every kind.
 
 use std::sync::LazyLock;
 
@@ -7,7 +7,7 @@ use raster::{
     TextureKind, TextureUse, mesh_triangle, plane, plane_grid,
 };
 
-/// No rotation.
+/// Identity rotation.
 pub(crate) const UPRIGHT: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
 
 /// A model with a bumpy mesh, a plane, and textures of each kind.
@@ -48,7 +48,7 @@ const TEXTURES: [(TextureKind, usize, usize); 5] = [
     (TextureKind::Cube, 8, 48),
 ];
 
-/// The bytes of the model's textures.
+/// Returns the bytes of the largest level of each of the model's textures.
 pub(crate) fn largest() -> Vec<&'static [u8]> {
     static BYTES: LazyLock<Vec<u8>> = LazyLock::new(|| {
         let byte = |byte: usize| (byte * 37 + byte / 7 * 11) as u8;
@@ -58,7 +58,7 @@ pub(crate) fn largest() -> Vec<&'static [u8]> {
     sizes.map(|size| &BYTES[..size]).collect()
 }
 
-/// A geom of a colour, lit and without texture.
+/// Returns a lit geom of a colour, without texture.
 pub(crate) fn geom(shape: Shape, pos: [f32; 3], size: [f32; 3], rgba: [f32; 4]) -> Geom {
     Geom {
         shape,
@@ -86,7 +86,7 @@ fn with_texture(mut geom: Geom, texture: usize, by_corner: bool) -> Geom {
     geom
 }
 
-/// The room, its mirror and its glass.
+/// Returns the room, with a mirror and translucent geoms.
 pub(crate) fn room() -> Scene {
     let white = [1.0, 1.0, 1.0, 1.0];
     let mut mirror = geom(
@@ -192,7 +192,7 @@ pub(crate) fn room() -> Scene {
     }
 }
 
-/// A corner for malformed meshes.
+/// Returns a corner at a position, for special meshes.
 pub(crate) fn corner(pos: [f32; 3]) -> Corner {
     Corner {
         pos,

@@ -1,6 +1,5 @@
-//! The perturbations against values that NumPy, SciPy, Pillow and MuJoCo gave
-//! for all thirty presets of every axis. Skipped, by name, where the reference
-//! data is not at hand.
+//! Compares the perturbations with values that NumPy, SciPy, Pillow and MuJoCo gave for all thirty
+//! presets of every axis. Skipped, by name, if the reference data is missing.
 
 mod actuation;
 mod reference;

@@ -1,4 +1,4 @@
-//! Reading the reference data.
+//! Reads the reference data.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -12,7 +12,7 @@ use zip::ZipArchive;
 /// Float arrays by name, row by row.
 pub(crate) type Arrays = BTreeMap<String, Vec<f64>>;
 
-/// A folder of the reference data; prints what is skipped where there is none.
+/// Returns a folder of the reference data; if there is none, prints that the test is skipped.
 pub(crate) fn folder(name: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../../shared/oracle")
@@ -24,7 +24,7 @@ pub(crate) fn folder(name: &str) -> Option<PathBuf> {
     None
 }
 
-/// The thirty presets of an axis.
+/// Returns the thirty presets of an axis.
 pub(crate) fn presets(axis: Axis) -> impl Iterator<Item = (Level, u16, Perturbation)> {
     let levels = Level::PERTURBED.into_iter();
     levels.flat_map(move |level| {
@@ -40,7 +40,7 @@ fn open(path: &Path) -> ZipArchive<File> {
     ZipArchive::new(File::open(path).expect("a file")).expect("an archive")
 }
 
-/// The float arrays of an archive; text and integers are left out.
+/// Reads the float arrays of an archive; leaves out text and integers.
 pub(crate) fn arrays(path: &Path) -> Arrays {
     let mut archive = open(path);
     let names: Vec<String> = archive
@@ -66,7 +66,7 @@ pub(crate) fn arrays(path: &Path) -> Arrays {
     arrays
 }
 
-/// An integer array of an archive.
+/// Reads an integer array of an archive.
 pub(crate) fn integers(path: &Path, name: &str) -> Vec<i64> {
     let mut archive = open(path);
     let file = archive.by_name(&format!("{name}.npy")).expect("listed");
@@ -78,7 +78,7 @@ pub(crate) fn integers(path: &Path, name: &str) -> Vec<i64> {
     file.into_vec::<i64>().expect("integers")
 }
 
-/// The tasks of the reference and their model arrays: `goal_t0`, ...
+/// Returns the tasks of the reference and the paths of their model arrays: `goal_t0`, ...
 pub(crate) fn models(folder: &Path) -> Vec<(String, PathBuf)> {
     let entries = std::fs::read_dir(folder).expect("a folder");
     let mut models: Vec<(String, PathBuf)> = entries
@@ -93,13 +93,13 @@ pub(crate) fn models(folder: &Path) -> Vec<(String, PathBuf)> {
     models
 }
 
-/// The `index`th group of `N` values.
+/// Returns the `index`-th group of `N` values.
 pub(crate) fn group<const N: usize>(values: &[f64], index: usize) -> [f64; N] {
     let group = &values[N * index..N * (index + 1)];
     group.try_into().expect("as many as asked for")
 }
 
-/// Panics where a value is off by more than `tolerance`.
+/// Panics if a value differs from the expected one by more than `tolerance`.
 pub(crate) fn check_close(values: &[f64], expected: &[f64], tolerance: f64, what: &str) {
     assert_eq!(values.len(), expected.len(), "{what}");
     for (value, expected) in values.iter().zip(expected) {

@@ -1,5 +1,5 @@
-//! Inverse kinematics, over the arm of the reference's compiled model: its
-//! bodies, joints and site as arrays, without MuJoCo.
+//! Inverse kinematics of the arm in the reference's compiled model. Reads bodies, joints and site
+//! from arrays, without MuJoCo.
 
 use std::path::Path;
 
@@ -89,8 +89,8 @@ fn quaternion(model: &Arrays, array: &str, index: usize) -> UnitQuaternion<f64> 
     UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
 }
 
-/// The reference keeps two initial states per task: those configurations that
-/// start from one of them are compared.
+/// The reference holds two initial states per task. Only configurations that start from one of them
+/// are compared.
 #[test]
 fn arm_postures_equal_the_reference() {
     let (Some(perturb), Some(tasks)) = (folder("perturb"), folder("tasks")) else {
@@ -109,7 +109,7 @@ fn arm_postures_equal_the_reference() {
             if init_id > 1 {
                 continue;
             }
-            // A state is the time, then positions, then velocities.
+            // A state consists of time, positions and velocities.
             let start = &states["state"][init_id * state_len + 1..];
             let nominal = JointVector::from_column_slice(&start[..JOINTS]);
             let shift = perturbation.robot.expect("set");

@@ -64,9 +64,9 @@ fn lights_of_all_presets_equal_the_reference() {
     }
 }
 
-/// Two parameters of the thirty presets lie on a decimal tie, where Python's
-/// `round` (the protocol's, and the published manifest's) and NumPy's (with
-/// which these arrays were made) differ in the sixth decimal.
+/// Two parameters of the thirty presets lie on a decimal tie. Python's `round`, which the protocol
+/// and the published manifest use, and NumPy's, which made these arrays, differ there in the sixth
+/// decimal.
 fn as_the_reference_rounds(shift: LightingShift, level: Level, config: u16) -> LightingShift {
     let (by_python, by_numpy) = match (level, config) {
         (Level::L2, 1) => (-0.617393, -0.617392),
@@ -80,7 +80,7 @@ fn as_the_reference_rounds(shift: LightingShift, level: Level, config: u16) -> L
     }
 }
 
-/// The `index`th set of lights, from arrays that `column` names.
+/// Returns the `index`-th set of lights, from arrays whose names `column` gives.
 fn lighting(model: &Arrays, column: impl Fn(&str) -> String, index: usize) -> Lighting {
     let count = model["light_pos0"].len() / 3;
     let of_light = |array: &str, light: usize| {

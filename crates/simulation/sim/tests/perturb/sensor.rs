@@ -73,7 +73,7 @@ fn blur_and_compression_of_all_presets_equal_the_reference() {
     }
 }
 
-/// Two cameras, two steps; asked for in an order that is not the reference's.
+/// Two cameras and two steps, requested in another order than the reference's.
 #[test]
 fn noise_of_both_cameras_and_steps_equals_the_reference_in_any_order() {
     let Some(folder) = folder("perturb") else {
@@ -87,7 +87,7 @@ fn noise_of_both_cameras_and_steps_equals_the_reference_in_any_order() {
         (FrameSource::Agentview, &agentview, "agentview", 1),
         (FrameSource::Wrist, &wrist, "wrist", 0),
     ];
-    // The reference keeps noisy pictures of every third preset.
+    // The reference holds noisy pictures of every third preset.
     let kept = presets(Axis::Sensor).filter(|&(_, config, _)| config % 3 == 0);
     for (level, config, perturbation) in kept {
         let mut stage = stage(&perturbation.sensor.expect("set"), level, config);

@@ -1,5 +1,5 @@
-//! Every call of NumPy's global generator that a reset of the original makes, for
-//! all evaluation tasks. Skipped, by name, where the reference data is not here.
+//! Replays every call of NumPy's global generator that a reset of the original makes, for all
+//! evaluation tasks. Skipped, by name, if the reference data is missing.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -15,18 +15,18 @@ use sim::mujoco::ObjectKind;
 use crate::LOADED_TWICE;
 use crate::files::{compile, packs, shared, sources};
 
-/// With which the recorded reset was seeded.
+/// Seed of the recorded reset.
 const SEED: u32 = 0;
 
 #[derive(Deserialize)]
 struct Recorded {
     /// Position and orientation of each placed fixture.
     body_pos_seed0: BTreeMap<String, ([f64; 3], [f64; 4])>,
-    /// Function, arguments as Python prints them, two more that are not used here.
+    /// Function, arguments as printed by Python, and two values that are not used here.
     rng_calls_seed0: Vec<(String, String, serde_json::Value, serde_json::Value)>,
 }
 
-/// Makes a recorded call.
+/// Repeats a recorded call.
 fn replay(rng: &mut LegacyRng, function: &str, arguments: &str) {
     let first = || -> u32 {
         let digits = arguments.trim_start_matches('(').split(',').next();

@@ -7,7 +7,7 @@ use libero_ctrl::presets::ENV_SEED;
 use scene::{AssetPack, Problem, Sources, TaskFiles, compose};
 use sim::{Environment, SimError};
 
-/// A scene of no suite, which [`recorded`](crate::recorded) resets as well.
+/// Returns a scene outside all suites, which [`recorded`](crate::recorded) also resets.
 pub(crate) fn crowded() -> String {
     include_str!("crowded.bddl").to_owned()
 }
@@ -16,7 +16,7 @@ pub(crate) fn sources() -> Sources {
     Sources::open(&Sources::default_dir()).expect("the sources; run `cargo xtask setup`")
 }
 
-/// The built-in pack, then LIBERO's own where it can be fetched.
+/// Returns the built-in pack, followed by LIBERO's own if it can be fetched.
 pub(crate) fn packs() -> Vec<AssetPack> {
     let open = |name: &str| AssetPack::open(name, &sources()).expect("a pack");
     let libero = open("libero");
@@ -31,7 +31,7 @@ pub(crate) fn packs() -> Vec<AssetPack> {
     std::iter::once(open("primitives")).chain(libero).collect()
 }
 
-/// A folder beside this checkout, or none, after saying so.
+/// Returns a folder beside this checkout; if there is none, prints this and returns `None`.
 pub(crate) fn shared(name: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../../shared")
@@ -43,7 +43,7 @@ pub(crate) fn shared(name: &str) -> Option<PathBuf> {
     None
 }
 
-/// A BDDL file of the sources.
+/// Reads a BDDL file of the sources.
 pub(crate) fn bddl(file: &str) -> String {
     let path = Sources::default_dir().join("libero/bddl_files").join(file);
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))

@@ -1,5 +1,5 @@
-//! Resets without an initial state, against what the original LIBERO placed and
-//! drew.
+//! Compares resets without an initial state with the placements and random draws of the original
+//! LIBERO.
 
 mod draws;
 mod files;
@@ -32,7 +32,7 @@ fn a_state_loaded_after_a_reset_finds_the_fixtures_where_campaigns_have_them() {
     assert_eq!(poses(&environment), campaign);
 }
 
-/// MuJoCo's warnings are kept per thread, whatever environment they are of.
+/// MuJoCo keeps its warnings per thread, not per environment.
 #[test]
 fn an_environment_that_diverges_ends_no_other_of_its_thread() {
     let pack = &packs()[0];
@@ -93,7 +93,7 @@ fn what_is_observed_after_a_reset_is_the_reset() {
     assert_eq!(environment.data().time_secs(), 0.0);
 }
 
-/// A scene whose second bowl never finds room.
+/// The second bowl of this scene never finds room.
 #[test]
 fn a_scene_without_room_is_refused_with_the_object_named() {
     let text = crowded().replace("(0.0 -0.301 0.06 -0.3)", "(0.0 -0.301 0.001 -0.3)");

@@ -1,4 +1,4 @@
-//! States after resets as `record.py` recorded them.
+//! States after resets, as recorded by `record.py`.
 
 use std::collections::BTreeMap;
 
@@ -11,8 +11,8 @@ use sim::{Environment, Reset};
 use crate::files::{bddl, compile, crowded, packs};
 use crate::fixtures;
 
-/// Tolerance of positions right after a reset, m or rad: sines and products of matrices
-/// differ in their last digit.
+/// Tolerance of positions right after a reset, m or rad: sines and matrix products differ in the
+/// last digit.
 const PLACED_WITHIN: f64 = 1e-15;
 /// Tolerance of the robot's positions after some steps, m or rad.
 const MOVED_WITHIN: f64 = 1e-12;
@@ -39,7 +39,7 @@ struct AfterReset {
     generator: Generator,
     fixtures: BTreeMap<String, [f64; 7]>,
     qpos: Vec<f64>,
-    /// After some steps; not recorded where objects touch one another.
+    /// Positions after some steps; absent if objects touch one another.
     robot_qpos: Option<[f64; 9]>,
 }
 
@@ -129,7 +129,7 @@ fn resets_place_everything_where_the_original_does_and_leave_the_same_generator(
     for pack in packs() {
         let mut compiled: Option<(&str, Environment)> = None;
         for scenario in &recorded.scenarios {
-            // Two in a row may share a scene: the first reset of either is hard.
+            // Two consecutive scenarios may share a scene, because their first reset is hard.
             let known = compiled.take().filter(|(file, _)| *file == scenario.file);
             let mut environment = known.map_or_else(
                 || {

@@ -38,13 +38,13 @@ class Task(NamedTuple):
 
 
 def grab_language_from_filename(x: str) -> str:
-    """The instruction that a task's file name spells, without the scene before it."""
+    """Returns the instruction spelled by a task's file name, without the scene before it."""
     name = os.path.splitext(x)[0]
     return re.sub(r"^[A-Z].*?SCENE\d+_", "", name).replace("_", " ")
 
 
 libero_suites = list(libero_task_map)
-#: Suite → name of the task → task, in the benchmark's own order.
+#: Tasks by suite and name, in the benchmark's own order.
 task_maps: dict[str, dict[str, Task]] = {
     suite: {
         name: Task(
@@ -62,7 +62,7 @@ task_maps: dict[str, dict[str, Task]] = {
 
 
 class Benchmark:
-    """A suite. `task_order_index` chooses one of 21 orders of a suite of ten tasks."""
+    """A suite. `task_order_index` selects one of 21 orders of a suite of ten tasks."""
 
     name: str
     tasks: list[Task]
@@ -96,12 +96,12 @@ class Benchmark:
         return [task.bddl_file for task in self.tasks]
 
     def get_task_bddl_file_path(self, i: int) -> str:
-        """Where a task's BDDL file lies."""
+        """Returns the path of a task's BDDL file."""
         task = self.tasks[i]
         return os.path.join(get_libero_path("bddl_files"), task.problem_folder, task.bddl_file)
 
     def get_task_demonstration(self, i: int) -> str:
-        """Where a task's demonstrations lie, relative to the folder `datasets`."""
+        """Returns the path of a task's demonstrations, relative to the folder `datasets`."""
         if not 0 <= i < self.n_tasks:
             raise IndexError(f"{self.name} has no task {i}: its tasks are 0 to {self.n_tasks - 1}")
         return f"{self.tasks[i].problem_folder}/{self.tasks[i].name}_demo.hdf5"
@@ -111,7 +111,7 @@ class Benchmark:
         return self.tasks[i]
 
     def get_task_emb(self, i: int) -> Any:
-        """What `set_task_embs` was given for a task."""
+        """Returns the embedding that `set_task_embs` was given for a task."""
         return self.task_embs[i]
 
     def get_task_init_states(self, i: int) -> Any:
@@ -127,7 +127,7 @@ class Benchmark:
         )
 
     def set_task_embs(self, task_embs: Any) -> None:
-        """Keeps embeddings of the instructions, one a task."""
+        """Stores embeddings of the instructions, one per task."""
         self.task_embs = task_embs
 
 
@@ -136,20 +136,20 @@ _Suite = TypeVar("_Suite", bound=type[Benchmark])
 
 
 def register_benchmark(target_class: _Suite) -> _Suite:
-    """Makes a suite known by its class's name, in lower case."""
+    """Registers a suite under its class's name, in lower case."""
     BENCHMARK_MAPPING[target_class.__name__.lower()] = target_class
     return target_class
 
 
 def get_benchmark_dict(help: bool = False) -> dict[str, type[Benchmark]]:
-    """All suites by name; with `help`, prints the names."""
+    """Returns all suites by name; with `help`, prints the names."""
     if help:
         print_benchmark()
     return BENCHMARK_MAPPING
 
 
 def get_benchmark(benchmark_name: str) -> type[Benchmark]:
-    """A suite by its name, in capitals or not."""
+    """Returns a suite by its name, in any case."""
     try:
         return BENCHMARK_MAPPING[benchmark_name.lower()]
     except KeyError:
@@ -188,8 +188,8 @@ LIBERO_10 = _suite("libero_10")
 
 @register_benchmark
 class LIBERO_100(Benchmark):
-    """LIBERO's name for libero_90 and libero_10 together. It has no files of its own, and
-    cannot be constructed in the original either."""
+    """libero_90 and libero_10 together. It has no files of its own, and cannot
+    be constructed in the original either."""
 
     def __init__(self, task_order_index: int = 0) -> None:
         raise KeyError(

@@ -1,9 +1,9 @@
-"""Reading a task's initial states without PyTorch.
+"""Reads a task's initial states without PyTorch.
 
-The files are what `torch.save` makes of a NumPy array: a zip archive with a pickle.
-A pickle can call whatever it may name, and NumPy's own classes take shapes and types on
-trust: an array of objects over bytes of the file reads those as pointers. So nothing but
-notes of what a file asks for is made here; the array is built from them and checked.
+The files are written by `torch.save` from a NumPy array: a zip archive with a pickle. A
+pickle can call any function that it names, and NumPy's own classes do not check shapes
+and types: an array of objects over bytes of the file reads those as pointers. So the
+pickle is only recorded here, and the array is built and checked from that record.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-# LIBERO's largest has some 50 kB.
+# LIBERO's largest file has some 50 kB.
 _MOST_BYTES = 64 << 20
 # An array takes some sixty operations. `worker` reads as many.
 _MOST_OPERATIONS = 256
@@ -27,11 +27,11 @@ _MOST_NOTES = 256
 
 
 class _Tensors(Exception):
-    """The file holds tensors, not an array."""
+    """The file holds tensors instead of an array."""
 
 
 class _Dtype:
-    """A type of numbers that a pickle asks for."""
+    """A data type that a pickle requests."""
 
     def __init__(self, *asked: Any) -> None:
         self.name = asked[0] if asked else None
@@ -42,7 +42,7 @@ class _Dtype:
 
 
 class _Array:
-    """An array that a pickle asks for."""
+    """An array that a pickle requests."""
 
     def __init__(self, *_asked: Any) -> None:
         self.state: Any = None
@@ -51,7 +51,7 @@ class _Array:
         self.state = state
 
     def build(self) -> Any:
-        """The array. Raises ValueError if it is no float64 array [states, numbers] or [numbers]."""
+        """Returns the array. Raises ValueError unless float64 [states, numbers] or [numbers]."""
         _, shape, dtype, is_fortran, content = self.state
         if not isinstance(dtype, _Dtype) or (dtype.name, dtype.order) != ("f8", "<"):
             raise ValueError("its numbers are not float64")
@@ -59,7 +59,7 @@ class _Array:
             content = content.text.encode("latin1")
         if not isinstance(content, bytes) or not isinstance(shape, tuple):
             raise ValueError("it is no table of numbers")
-        # LIBERO-plus has files with one state, without the dimension of states.
+        # LIBERO-plus has files with a single state as a vector.
         if len(shape) not in (1, 2):
             raise ValueError(f"it has {len(shape)} dimensions")
         order = "F" if is_fortran else "C"
@@ -67,7 +67,7 @@ class _Array:
 
 
 class _Subclass:
-    """The class that an array names, and nothing else."""
+    """Replaces the class that an array's pickle names."""
 
 
 class _Encoded:
@@ -128,14 +128,14 @@ def _pickle_in(path: str | os.PathLike[str]) -> bytes:
 
 
 def load_init_states(path: str | os.PathLike[str]) -> Any:
-    """The states of a `.pruned_init` or `.init` file: a float64 array [states, numbers],
-    or the numbers of one state.
+    """Returns the states of a `.pruned_init` or `.init` file: a float64 array
+    [states, numbers], or the numbers of one state.
 
-    A file with tensors in it, which LIBERO's own do not have, is read by PyTorch and
+    A file with tensors, which LIBERO's own do not have, is read by PyTorch and
     gives tensors.
 
-    Raises FileNotFoundError; ValueError if it is no such file; ImportError if it needs
-    PyTorch and there is none.
+    Raises FileNotFoundError; ValueError if it is not such a file; ImportError
+    if it needs PyTorch, which is missing.
     """
     try:
         content = _pickle_in(path)
@@ -148,7 +148,7 @@ def load_init_states(path: str | os.PathLike[str]) -> Any:
         return _load_tensors(path)
     except FileNotFoundError:
         raise
-    # Pickles and archives with errors in them raise nearly anything.
+    # Corrupt pickles and archives raise nearly any exception.
     except (
         zipfile.BadZipFile,
         zlib.error,

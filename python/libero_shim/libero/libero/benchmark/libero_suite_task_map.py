@@ -1,4 +1,4 @@
-"""The benchmark's tables: the tasks of each suite in its own order, and the orders of ten."""
+"""The benchmark's tables: tasks of each suite in the original order, and 21 orders of ten tasks."""
 
 from rollout_libero import tasks
 
@@ -7,7 +7,7 @@ def _files(suite: str) -> list[str]:
     return [task.file for task in tasks(suite)]
 
 
-#: LIBERO-CTRL does not use these, so `rollout_libero` does not know them.
+#: LIBERO-CTRL does not use these tasks, so `rollout_libero` does not know them.
 _LIBERO_90 = [
     "KITCHEN_SCENE10_close_the_top_drawer_of_the_cabinet",
     "KITCHEN_SCENE10_close_the_top_drawer_of_the_cabinet_and_put_the_black_bowl_on_top_of_it",
@@ -109,7 +109,7 @@ libero_task_map: dict[str, list[str]] = {
     "libero_10": _files("libero_10"),
 }
 
-#: Orders of a suite of ten tasks, by `task_order_index`; the first is the suite's own.
+#: Orders of a suite of ten tasks, by `task_order_index`; the first is the suite's own order.
 task_orders: list[list[int]] = [
     [0, 1, 2, 3, 4, 5, 6, 7, 8, 9],
     [4, 6, 8, 7, 3, 1, 2, 0, 9, 5],

@@ -1,4 +1,4 @@
-"""Constructions that fail."""
+"""Reports of failed constructions."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ _said: set[str] = set()
 
 @contextmanager
 def said_when_it_fails() -> Iterator[None]:
-    """Says once on standard error why a construction failed, and raises all the same: some
-    programs catch every error and construct again, for ever and without a word."""
+    """Prints once on standard error why a construction failed, and raises the error:
+    some programs catch every error and silently construct again, without end."""
     try:
         yield
     except Exception as error:

@@ -1,7 +1,7 @@
 """An observation whose pictures are drawn when they are first read.
 
-To draw takes most of a step's time, and most programs look at few of the observations that
-steps return: of those while objects settle at none, of a chunk of actions at the last.
+Drawing takes most of a step's time, and most programs use few of the returned
+observations: none while objects settle, and only the last of a chunk of actions.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _MISSING = object()
 
 
 class Undrawn:
-    """Placeholder of a picture that is not drawn yet; poses are those of its observation."""
+    """Placeholder of a picture that is not drawn yet, with the poses of its observation."""
 
     __slots__ = ("_array", "_draw")
 
@@ -25,7 +25,7 @@ class Undrawn:
         self._array: NDArray[Any] | None = None
 
     def array(self) -> NDArray[Any]:
-        """Returns the picture, always the same array."""
+        """Returns the picture, which is always the same array."""
         draw = self._draw
         if draw is not None and self._array is None:
             self._array = draw()
@@ -46,11 +46,11 @@ class _Items(ItemsView[str, Any]):
 
 
 class Observation(OrderedDict[str, Any]):
-    """An observation. However it is read or copied, it holds the arrays that an observation
-    drawn at once holds. What is pickled or copied deeply is a plain `OrderedDict` of them."""
+    """An observation. Read or copied in any way, it holds the same arrays as an observation that is
+    drawn at once. A pickle or deep copy is a plain `OrderedDict` of them."""
 
     def draw(self) -> None:
-        """Draws all pictures that are not drawn yet."""
+        """Renders all pictures that are not rendered yet."""
         for key in self:
             self[key]
 
@@ -58,11 +58,11 @@ class Observation(OrderedDict[str, Any]):
         value = super().__getitem__(key)
         if type(value) is Undrawn:
             value = value.array()
-            # Past OrderedDict, which keeps the order of keys anyway.
+            # Bypasses OrderedDict, which keeps the order of existing keys anyway.
             dict.__setitem__(self, key, value)
         return value
 
-    # Without an `__iter__` of its own, CPython copies a dictionary past `__getitem__`.
+    # Without an `__iter__` of its own, CPython copies a dictionary without calling `__getitem__`.
     def __iter__(self) -> Iterator[str]:
         return super().__iter__()
 
@@ -94,7 +94,7 @@ class Observation(OrderedDict[str, Any]):
     def copy(self) -> Observation:
         other = Observation()
         for key in self:
-            # Both share the placeholder, so that the picture is drawn once.
+            # Both share the placeholder, so the picture is drawn once.
             other[key] = super().__getitem__(key)
         return other
 

@@ -1,4 +1,4 @@
-"""What a scene consists of, as robosuite's task model shows it: instances and their ids."""
+"""The parts of a scene, as robosuite's task model shows them: instances and their ids."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rollout_libero._native import Scene
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """An object or fixture: its names in the model, collision geoms included."""
+    """An object or fixture, with its names in the model, including collision geoms."""
 
     name: str
     category_name: str
@@ -27,7 +27,7 @@ class ObjectModel:
 
     @property
     def naming_prefix(self) -> str:
-        """What the names of its parts begin with."""
+        """The prefix of its parts' names."""
         return f"{self.name}_"
 
     def __getattr__(self, name: str) -> Any:
@@ -37,7 +37,7 @@ class ObjectModel:
 
 
 class TaskModel:
-    """Which geoms and sites belong to which instance and class, in robosuite's order:
+    """The geoms and sites of each instance and class, in robosuite's order:
     objects, fixtures, arm, mount, gripper."""
 
     def __init__(self, scene: Scene, model: MjModel, arm: str, mount: str) -> None:
@@ -78,8 +78,8 @@ class TaskModel:
                 classes.update(dict.fromkeys(ids[kind], of_class))
 
     def numbers(self, kind: str) -> dict[str, NDArray[np.int32]]:
-        """Numbers of geoms and sites, by id: from 1 on that of their `instance` or `class`,
-        whichever the kind is; 0 for the room's."""
+        """Numbers of geoms and sites, by id: from 1 on for an instance or class,
+        depending on whether `kind` is `instance` or `class`; 0 for the room."""
         groups = self.instances_to_ids if kind == "instance" else self.classes_to_ids
         numbers = {what: np.zeros(count, dtype=np.int32) for what, count in self._counts.items()}
         for i, ids in enumerate(groups.values()):
@@ -94,7 +94,7 @@ class TaskModel:
 
 
 class _Trees:
-    """Which body, and so which part of the scene, geoms and sites hang on."""
+    """The body that each geom and site is attached to, and thus its part of the scene."""
 
     def __init__(self, model: MjModel) -> None:
         bodies = model.body_names
@@ -103,11 +103,11 @@ class _Trees:
             "site": [bodies[i] or "" for i in model.site_bodyid],
         }
         self.geoms = model.geom_names
-        # Group 0 is what collides, group 1 what is drawn.
+        # Group 0 collides, group 1 is drawn.
         self.groups = model.geom_group
 
     def of_prefix(self, prefix: str) -> dict[str, list[int]]:
-        """Ids of the geoms and sites of the bodies whose names begin so."""
+        """Returns ids of the geoms and sites of the bodies with this name prefix."""
         return {kind: list(self._ids(kind, prefix)) for kind in self.owners}
 
     def object(self, name: str, category: str, root: str, joints: list[str]) -> ObjectModel:

@@ -1,4 +1,4 @@
-"""What is observed, with robosuite's keys in robosuite's order."""
+"""Observations, with robosuite's keys in robosuite's order."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from libero.libero.envs._simulation import Held
 from rollout_libero._native import Look, Scene
 
 _ROBOT = "robot0"
-#: MuJoCo's numbers of types.
+#: MuJoCo's object type numbers.
 _GEOM, _SITE = 5, 6
 _PROPRIOCEPTION = (
     "joint_pos",
@@ -33,13 +33,13 @@ _PROPRIOCEPTION = (
 
 __all__ = ["Observation", "Observer"]
 
-#: Scenes, and through which cameras they have been drawn in this process.
+#: For each scene, the sets of cameras through which this process has drawn it.
 _drawn: WeakKeyDictionary[Scene, set[tuple[Camera, ...]]] = WeakKeyDictionary()
 
 
 class Observer:
-    """Reads what the simulation observed last, once for each observation, and draws what is
-    read of it."""
+    """Reads the simulation's last observation once, and draws only those of its pictures that are
+    accessed."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class Observer:
             for name, _ in self._objects
             for what in ("pos", "quat", f"to_{_ROBOT}_eef_pos", f"to_{_ROBOT}_eef_quat")
         ]
-        #: Key → the joint vector that its values are part of, if any.
+        #: Key → modality; values of one modality, except images, are also joined to a vector.
         self.modalities: dict[str, str] = {
             **dict.fromkeys(proprioception, f"{_ROBOT}_proprio"),
             **dict.fromkeys(self._pictures, "image"),
@@ -74,11 +74,11 @@ class Observer:
 
     @property
     def names(self) -> list[str]:
-        """Keys that are observed."""
+        """Returns the keys of observations."""
         return [name for name in self.modalities if name not in self._left_out]
 
     def show(self, name: str, shown: bool) -> None:
-        """Puts a key into observations, or leaves it out. What is left out is not drawn.
+        """Includes a key in observations or leaves it out. Pictures left out are not drawn.
 
         Raises KeyError.
         """
@@ -89,15 +89,15 @@ class Observer:
         (self._left_out.discard if shown else self._left_out.add)(name)
 
     def expire(self) -> None:
-        """Says that the simulation has observed anew."""
+        """Discards cached values after the simulation has made a new observation."""
         self._undrawn = {}
         self._look = None
         self._read = {}
 
     def observe(self) -> Observation:
-        """Readings, frames, and the vectors that join readings of one kind. The first
-        observation of a scene through these cameras is drawn at once, so that what cannot be
-        drawn is known early."""
+        """Readings, frames, and the vectors that join readings of one modality. The first
+        observation of a scene through these cameras is drawn at once, so that drawing errors
+        appear early."""
         if not self._read:
             self._read = self._readings()
         observation = Observation()
@@ -136,7 +136,7 @@ class Observer:
         return read
 
     def _picture(self, name: str) -> Undrawn:
-        """A picture of this instant, whenever it is drawn: of one for all observations of it."""
+        """A picture of this instant, even if drawn later; observations of the instant share it."""
         if self._look is None:
             self._look = self._held.get().look()
         if name not in self._undrawn:
@@ -183,6 +183,6 @@ def _segmentation(
 
 
 def _geoms(segments: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Ids of geoms, [h, w, 1], -1 where none is."""
+    """Ids of geoms, [h, w, 1]; -1 where there is none."""
     ids = np.where(segments[..., 0] == _GEOM, segments[..., 1], np.int32(-1))
     return ids[..., np.newaxis]

@@ -1,4 +1,4 @@
-"""The robot and its controller, as robosuite shows them."""
+"""The robot and its controller, in robosuite's interface."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _GRIP_SITE = "gripper0_grip_site"
 class Controller:
     """LIBERO's operational-space controller of the end-effector's pose.
 
-    `use_delta`: whether an action's first six numbers are relative, in units of 0.05 m and
-    0.5 rad, or a position, m, and a rotation vector, rad, in the world frame. Each reset
+    With `use_delta`, an action's first six numbers are relative, in units of 0.05 m and 0.5 rad;
+    otherwise they are a position, m, and a rotation vector, rad, in the world frame. Each reset
     makes a new controller, relative if the environment was constructed so.
     """
 
@@ -77,17 +77,17 @@ class Controller:
 
     @property
     def output_min(self) -> F64:
-        """What the least values mean [6], m and rad."""
+        """Displacements for the least values [6], m and rad."""
         return _six(OSC_POSE["output_min"])
 
     @property
     def output_max(self) -> F64:
-        """What the largest values mean [6], m and rad."""
+        """Displacements for the largest values [6], m and rad."""
         return _six(OSC_POSE["output_max"])
 
     @property
     def initial_joint(self) -> F64:
-        """The posture [7], rad, that redundancy is resolved towards."""
+        """The posture [7], rad, towards which redundancy is resolved."""
         return np.array(_HOME)
 
     @property

@@ -16,7 +16,7 @@ F64 = NDArray[np.float64]
 def relative_poses(
     positions: F64, quaternions: F64, base_position: F64, base_quaternion: F64
 ) -> tuple[F64, F32]:
-    """Poses [n, 3] and [n, 4], m, as seen from a base [3] and [4].
+    """Returns poses [n, 3] and [n, 4], m, relative to a base [3] and [4].
 
     Returns positions [n, 3] and unit quaternions [n, 4] with w ≥ 0.
     """
@@ -33,7 +33,7 @@ def relative_poses(
 def _matrices(quaternions: F64) -> F32:
     """Rotation matrices [n, 3, 3] of quaternions [n, 4]."""
     q = quaternions[:, [3, 0, 1, 2]].astype(np.float32)
-    # The factor is computed in double precision, the product rounded once.
+    # The factor is computed in double precision; the product is rounded once.
     norms = np.einsum("ni,ni->n", q, q).astype(np.float64)
     q = (q * np.sqrt(2.0 / norms)[:, np.newaxis]).astype(np.float32)
     w, x, y, z = range(4)
@@ -51,7 +51,7 @@ def quaternions_of(rotations: F64) -> F32:
     eigenvalue of Bar-Itzhack's matrices."""
     m = rotations.astype(np.float32)
     k = np.zeros((len(m), 4, 4), dtype=np.float32)
-    # The lower triangles are enough: x, y, z, w.
+    # The lower triangles, in the order x, y, z, w, are sufficient.
     for i, (j, n) in enumerate(((1, 2), (0, 2), (0, 1))):
         k[:, i, i] = m[:, i, i] - m[:, j, j] - m[:, n, n]
     k[:, 1, 0] = m[:, 0, 1] + m[:, 1, 0]

@@ -1,4 +1,4 @@
-"""What an environment is constructed with: checked, with a remedy for what cannot be had."""
+"""Arguments of an environment's constructor: checks, with a remedy for each unsupported value."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OSC_POSE: dict[str, Any] = {
 }
 _SEGMENTATIONS = ("instance", "class", "element")
 
-#: Arguments of the original that have one value here.
+#: Arguments of the original that have a single value here.
 _ONE_VALUE: dict[str, tuple[tuple[Any, ...], str]] = {
     "gripper_types": (("default",), "the Panda has its own gripper"),
     "initialization_noise": ((None,), "the arm starts at home, as in LIBERO's evaluations"),
@@ -41,13 +41,13 @@ _ONE_VALUE: dict[str, tuple[tuple[Any, ...], str]] = {
     "scene_xml": ((None,), "the room is the one that the BDDL file's problem has"),
     "scene_properties": ((None,), "the room is the one that the BDDL file's problem has"),
 }
-#: Arguments of the original that change nothing in it either, or not here.
+#: Arguments that have no effect here, and some none in the original either.
 _IGNORED = ("reward_shaping", "render_camera", "render_gpu_device_id")
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera whose frames are observed. Sizes in pixels."""
+    """A camera whose frames are observed. Sizes are in pixels."""
 
     name: str
     height: int
@@ -58,7 +58,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Settings:
-    """What an environment is constructed with, checked."""
+    """Checked arguments of an environment's constructor."""
 
     cameras: tuple[Camera, ...]
     horizon: int
@@ -88,8 +88,8 @@ class Settings:
         reward_scale: float | None = 1.0,
         **others: Any,
     ) -> Settings:
-        """Raises NotImplementedError for what only the original has, TypeError for an
-        argument that it has not either, ValueError for a value that makes no sense."""
+        """Raises NotImplementedError for features that only the original has, TypeError
+        for an argument that it lacks too, ValueError for an invalid value."""
         if list(_listed(robots, 1)) != ["Panda"]:
             raise _unsupported("robots", robots, 'LIBERO\'s robot is robots=["Panda"]')
         if control_freq != 20:
@@ -131,7 +131,7 @@ class Settings:
 
 
 def controller_config(controller: str) -> dict[str, Any]:
-    """The constants of a controller by name."""
+    """Returns the constants of a controller by name."""
     if controller != "OSC_POSE":
         raise _unsupported(
             "controller", controller, 'LIBERO\'s policies act through controller="OSC_POSE"'
@@ -140,7 +140,7 @@ def controller_config(controller: str) -> dict[str, Any]:
 
 
 def existing_file(path: str | os.PathLike[str]) -> str:
-    """A BDDL file's path, if there is one."""
+    """Returns a BDDL file's path, if the file exists."""
     name = os.fspath(path)
     if not os.path.isfile(name):
         raise FileNotFoundError(
@@ -192,13 +192,13 @@ def _cameras(
 
 
 def _segmentations(given: Any, count: int) -> list[tuple[str, ...]]:
-    """A list that is not nested holds the kinds that every camera has, as in robosuite."""
+    """A flat list holds the kinds that every camera has, as in robosuite."""
     listed = _listed(given, count)
     if any(isinstance(kinds, (list, tuple)) for kinds in listed):
         each = [() if kinds is None else tuple(_listed(kinds, 1)) for kinds in listed]
     else:
         every = tuple(dict.fromkeys(kind for kind in listed if kind is not None))
-        # A camera without a kind of its own has none, whatever the others have.
+        # A camera whose own entry is None has no segmentation, whatever the others have.
         each = [every if i >= len(listed) or listed[i] is not None else () for i in range(count)]
     for kinds in each:
         for kind in kinds:

@@ -1,4 +1,4 @@
-"""The simulation as robosuite's `env.sim` shows it: state, names, arrays, pictures."""
+"""The simulation in the form of robosuite's `env.sim`: state, names, arrays, pictures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from libero.libero.envs._simulation import Held
 F64 = NDArray[np.float64]
 
 _KINDS = ("body", "joint", "geom", "site", "camera", "light", "actuator", "sensor")
-#: MuJoCo's counts, by an array that has as many rows.
+#: MuJoCo's counts, each with an array that has this number of rows.
 _COUNTS = {
     "nq": "qpos0",
     "nv": "dof_bodyid",
@@ -31,7 +31,7 @@ _COORDINATES = {0: (7, 6), 1: (4, 3), 2: (1, 1), 3: (1, 1)}
 
 
 class ReadOnlyArray(np.ndarray):
-    """A copy of an array of the simulation. Writing to it would change nothing, and raises."""
+    """A copy of an array of the simulation. Writing raises: it would not reach the simulation."""
 
     _remedy = ""
 
@@ -55,7 +55,7 @@ def _read_only(array: NDArray[Any], remedy: str) -> ReadOnlyArray:
 
 
 class MjSimState:
-    """Time, s, and all joint positions and velocities."""
+    """Time, s, and positions and velocities of all joints."""
 
     def __init__(self, time: float, qpos: F64, qvel: F64) -> None:
         self.time = time
@@ -68,7 +68,7 @@ class MjSimState:
 
 
 class _Constants:
-    """Numbers of the model that are not arrays."""
+    """Scalar values of the model."""
 
     def __init__(self, what: str, values: dict[str, Any]) -> None:
         self._what = what
@@ -94,7 +94,7 @@ class MjModel:
             kind: {name: i for i, name in enumerate(names) if name is not None}
             for kind, names in self._names.items()
         }
-        # Asked for at every reset, and the same as long as the model lives.
+        # Read once: every reset needs them, and they never change while the model exists.
         columns = (simulation.model_array(it) for it in ("jnt_qposadr", "jnt_dofadr", "jnt_type"))
         self._joints = list(zip(*(column.tolist() for column in columns)))
 
@@ -105,11 +105,11 @@ class MjModel:
         self._held.get().set_model_array(name, np.asarray(values))
 
     def get_joint_qpos_addr(self, name: str) -> Any:
-        """Where a joint's positions are: an index, or first and last + 1."""
+        """The index of a joint's position, or (first, last + 1) if it has several."""
         return self._address(name, 0)
 
     def get_joint_qvel_addr(self, name: str) -> Any:
-        """Where a joint's velocities are: an index, or first and last + 1."""
+        """The index of a joint's velocity, or (first, last + 1) if it has several."""
         return self._address(name, 1)
 
     def __getattr__(self, name: str) -> Any:
@@ -170,8 +170,8 @@ class MjModel:
 
 
 class MjData:
-    """The state's arrays, by MuJoCo's names, in the world frame, m and rad. They are copies
-    and show the present instant, which observations are a few milliseconds behind."""
+    """The state's arrays, by MuJoCo's names, in the world frame, m and rad. They are copies of the
+    present values; observations are a few milliseconds older."""
 
     def __init__(self, held: Held, model: MjModel) -> None:
         self._held = held
@@ -274,11 +274,11 @@ class MjSim:
         return MjSimState(float(state[0]), state[1 : 1 + nq], state[1 + nq :])
 
     def set_state(self, value: MjSimState) -> None:
-        """Writes a state. Call `forward` before reading what follows from it."""
+        """Writes a state. Call `forward` before reading values derived from it."""
         self.set_state_from_flattened(value.flatten())
 
     def set_state_from_flattened(self, value: Any) -> None:
-        """Writes a state [1 + nq + nv]. Call `forward` before reading what follows from it.
+        """Writes a state [1 + nq + nv]. Call `forward` before reading values derived from it.
 
         Raises ValueError for a state of another scene.
         """
@@ -293,7 +293,7 @@ class MjSim:
         simulation.set_state(state)
 
     def forward(self) -> None:
-        """Computes what follows from the state: poses, contacts."""
+        """Computes what is derived from the state, such as poses and contacts."""
         self._held.get().forward()
 
     def render(
@@ -308,14 +308,14 @@ class MjSim:
         segmentation: bool = False,
     ) -> Any:
         """A picture of the present state, row 0 at the bottom: [height, width, 3] bytes; with
-        `depth` the depth buffer [height, width] too, float32 in 0…1; with `segmentation`
-        instead [height, width, 2] int32, MuJoCo's object type and id, -1 where nothing is."""
+        `depth`, also the depth buffer [height, width], float32 in 0…1; with `segmentation`, instead
+        [height, width, 2] int32: MuJoCo's object type and id, -1 for the background."""
         if mode != "offscreen":
             raise ValueError("there is no window: leave mode at 'offscreen'")
         self.model.camera_name2id(camera_name)
         simulation = self._held.get()
-        # Simulations draw what they observed last. To observe the present moves the instant
-        # at which later steps observe, so that is taken back.
+        # A simulation draws its last observation. Observing now would also shift the instants of
+        # later observations, so the earlier state is restored.
         before = simulation.snapshot()
         simulation.observe_now()
         try:

@@ -14,15 +14,15 @@ from rollout_libero.scenes import scene
 
 __all__ = ["ClosedError", "Held"]
 
-#: Resets take turns at NumPy's global generator.
+#: Lock on NumPy's global generator during a reset.
 _drawing = threading.Lock()
 
 
 class Held:
-    """A simulation of a BDDL file's scene until it is closed. Environments of a scene share
-    what is compiled.
+    """A simulation of a BDDL file's scene, held until it is closed.
+    Environments of a scene share its compiled form.
 
-    Raises FileNotFoundError where assets are missing; the message has the remedy.
+    Raises FileNotFoundError if assets are missing; the message has the remedy.
     """
 
     def __init__(self, bddl_file: str) -> None:
@@ -51,15 +51,15 @@ class Held:
             self._simulation = None
 
     def start_over(self, model_loads: int, *, hard: bool) -> int:
-        """Places everything anew, drawing from NumPy's global generator as the original does.
+        """Resets all placements, drawing from NumPy's global generator as the original does.
 
-        `model_loads`: how often the original had loaded its model by then. Returns how
-        often it has by now: more, where it placed things again for want of room.
+        `model_loads` counts how often the original had loaded its model before. Returns the count
+        afterwards, which is higher if it repeated placements for lack of room.
         """
         simulation = self.get()
         with _drawing:
             state = np.random.get_state()
-            if isinstance(state, dict):  # of another generator than MT19937
+            if isinstance(state, dict):  # the state of a generator other than MT19937
                 raise RuntimeError(  # noqa: TRY004
                     f"NumPy's global generator is {state['bit_generator']}: LIBERO draws from "
                     "MT19937; set it back with "

@@ -1,4 +1,4 @@
-"""The task's simulation: what LIBERO's wrappers hold as `env.env`."""
+"""A task's simulation, which LIBERO's wrappers hold as `env.env`."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from libero.libero.envs._unused import unused_cameras
 
 F64 = NDArray[np.float64]
 
-#: Problems by name: the classes that simulate them.
+#: Classes that simulate the problems, by the problem's name.
 TASK_MAPPING: dict[str, type[BDDLBaseDomain]] = {}
 
 
 class BDDLBaseDomain:
     """A task of a BDDL file, in robosuite's interface."""
 
-    #: Whether the arm stands on a mount, or on the ground.
+    #: True if the arm stands on a mount, False if it stands on the ground.
     mounted: ClassVar[bool]
 
     action_dim = 7
@@ -43,13 +43,13 @@ class BDDLBaseDomain:
         robots: Any = ("Panda",),
         **arguments: Any,
     ) -> None:
-        """Takes robosuite's arguments; `Settings.check` says which have one value only.
+        """Takes robosuite's arguments; see `Settings.check` for those that permit a single value.
 
-        Draws placements from NumPy's global generator, as the original does. Observations
-        begin with `reset`.
+        Draws placements from NumPy's global generator, as the original does.
+        The first observation is that of `reset`.
 
-        Raises FileNotFoundError for a missing file or missing assets, and what
-        `Settings.check` raises.
+        Raises FileNotFoundError for a missing file or missing assets, and the
+        exceptions of `Settings.check`.
         """
         self.bddl_file_name = existing_file(bddl_file_name)
         settings = Settings.check(robots=robots, **arguments)
@@ -91,7 +91,7 @@ class BDDLBaseDomain:
         self.obj_of_interest: list[str] = self.parsed_problem["obj_of_interest"]
         unused = unused_cameras(self.sim.model.camera_names)
         self._observer = Observer(self._held, settings.cameras, self.model, unused)
-        #: Control steps since the reset, and whether the horizon has been reached.
+        #: Control steps since the reset; True once the horizon has been reached.
         self.timestep = 0
         self.done = False
         self._model_loads = 1
@@ -102,11 +102,11 @@ class BDDLBaseDomain:
         np.random.seed(seed)
 
     def reset(self) -> Observation:
-        """Places everything anew and returns the observation.
+        """Resets all placements and returns the observation.
 
-        With `hard_reset` the original loads its model again, which makes its list of
-        samplers for doors and knobs longer. What is drawn follows from that, so it does
-        here, although nothing needs to be loaded.
+        With `hard_reset` the original loads its model again, which lengthens
+        its list of samplers for doors and knobs and so changes later draws. The
+        same happens here, although no model needs to be loaded.
         """
         if self.hard_reset:
             self._model_loads += 1
@@ -116,10 +116,10 @@ class BDDLBaseDomain:
     def step(self, action: Any) -> tuple[Observation, float, bool, dict[str, Any]]:
         """One control step of 50 ms with 7 numbers: pose, and gripper (−1 opens, 1 closes).
 
-        Returns the observation, the reward, whether the goal holds, and an empty
-        dictionary.
+        Returns the observation, the reward, True if the goal holds, and an
+        empty dictionary.
 
-        Raises ValueError for another action, or if the episode is over.
+        Raises ValueError for an invalid action, or if the episode is over.
         """
         simulation = self._held.get()
         if self.done:
@@ -140,7 +140,7 @@ class BDDLBaseDomain:
         return self._scaled(self._check_success())
 
     def close(self) -> None:
-        """Lets go of the simulation."""
+        """Frees the simulation."""
         self._held.close()
 
     @property
@@ -155,27 +155,27 @@ class BDDLBaseDomain:
 
     @property
     def observation_names(self) -> set[str]:
-        """All keys that can be observed."""
+        """Returns all available keys of observations."""
         return set(self._observer.modalities)
 
     @property
     def observation_modalities(self) -> set[str]:
-        """The kinds of what can be observed."""
+        """The kinds of observable keys."""
         return set(self._observer.modalities.values())
 
     @property
     def active_observables(self) -> set[str]:
-        """The keys that are observed."""
+        """Returns the keys that observations contain."""
         return set(self._observer.names)
 
     enabled_observables = active_observables
 
     def observation_spec(self) -> Observation:
-        """An observation."""
+        """Returns the current observation."""
         return self._get_observations()
 
     def modify_observable(self, observable_name: str, attribute: str, modifier: Any) -> None:
-        """Leaves a key out of observations, or puts it back: `attribute` is `active` or
+        """Leaves a key out of observations or includes it again: `attribute` is `active` or
         `enabled`, `modifier` true or false. Frames that are left out are not drawn."""
         if attribute not in ("active", "enabled"):
             raise NotImplementedError(
@@ -185,22 +185,22 @@ class BDDLBaseDomain:
         self._observer.show(observable_name, bool(modifier))
 
     def get_object(self, object_name: str) -> ObjectModel | None:
-        """An object or fixture by name; None if there is none."""
+        """Returns an object or fixture by name; None if there is none."""
         return self.fixtures_dict.get(object_name) or self.objects_dict.get(object_name)
 
     def is_fixture(self, object_name: str) -> bool:
-        """Whether something of this name is a fixture."""
+        """Returns True if a fixture has this name."""
         return object_name in self.fixtures_dict
 
     def get_robot_state_vector(self, obs: Observation) -> F64:
-        """Fingers [2], end-effector's position [3] and quaternion x y z w [4] in one."""
+        """Concatenates fingers [2], end-effector position [3] and quaternion x y z w [4]."""
         return np.concatenate(
             [obs["robot0_gripper_qpos"], obs["robot0_eef_pos"], obs["robot0_eef_quat"]]
         )
 
     def check_contact(self, geoms_1: Any, geoms_2: Any = None) -> bool:
-        """Whether geoms touch: names, lists of names, or objects. Without a second group,
-        whether the first touches anything."""
+        """Returns True if geoms touch: names, lists of names, or objects.
+        Without a second group, any contact of the first group counts."""
         first = _geoms(geoms_1)
         second = None if geoms_2 is None else _geoms(geoms_2)
         names = self.sim.model.geom_names
@@ -263,7 +263,7 @@ class BDDLBaseDomain:
 
 
 def register_problem(target_class: type[BDDLBaseDomain]) -> type[BDDLBaseDomain]:
-    """Makes a problem known by its class's name, in lower case."""
+    """Registers a problem under its class's name, in lower case."""
     TASK_MAPPING[target_class.__name__.lower()] = target_class
     return target_class
 

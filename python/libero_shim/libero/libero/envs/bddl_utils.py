@@ -1,4 +1,4 @@
-"""Reading BDDL files: what a task consists of, where things start, what its goal is."""
+"""Reads BDDL files: the objects of a task, their initial places and the goal."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _Expression = Union[str, "list[_Expression]"]
 
 
 class ProblemInfo(TypedDict):
-    """What a file says about itself."""
+    """Problem, domain and instruction of a file."""
 
     problem_name: str
     domain_name: str
@@ -21,7 +21,7 @@ class ProblemInfo(TypedDict):
 
 
 def scan_tokens(filename: str | os.PathLike[str] | None = None, string: str | None = None) -> Any:
-    """The one expression of a BDDL file or text as nested lists of words in lower case.
+    """Parses a BDDL file or text into nested lists of words in lower case.
 
     Raises ValueError if its parentheses do not match.
     """
@@ -51,7 +51,7 @@ def scan_tokens(filename: str | os.PathLike[str] | None = None, string: str | No
 
 
 def get_problem_info(problem_filename: str | os.PathLike[str]) -> ProblemInfo:
-    """The name of a file's problem, its domain, and its instruction, all in lower case."""
+    """Returns the problem, domain and instruction of a file, all in lower case."""
     sections = _sections(problem_filename)
     return {
         "problem_name": sections.get("problem", ["unknown"])[-1],
@@ -63,7 +63,7 @@ def get_problem_info(problem_filename: str | os.PathLike[str]) -> ProblemInfo:
 def robosuite_parse_problem(
     problem_filename: str | os.PathLike[str],
 ) -> dict[str, Any]:
-    """Everything that a file says, with the original's keys.
+    """Returns the whole contents of a file, with the original's keys.
 
     `fixtures` and `objects` map a category to its instances; `regions` a region's name,
     target included, to its target, ranges (x and y from, x and y to, m), rotation (rad)
@@ -99,7 +99,7 @@ def _sections(filename: str | os.PathLike[str]) -> dict[str, list[Any]]:
 
 
 def _by_category(words: list[str], unnamed: str) -> dict[str, list[str]]:
-    """`a b - bowl c - plate` as bowl: a b, plate: c."""
+    """Converts `a b - bowl c - plate` to bowl: a b, plate: c."""
     categories: dict[str, list[str]] = {}
     instances: list[str] = []
     words_left = iter(words)

@@ -57,11 +57,11 @@ class ControlEnv:
         renderer_config: Any = None,
         **kwargs: Any,
     ) -> None:
-        """Reads the task's BDDL file and compiles its scene, once for all environments that
-        have it. Sizes of frames are in pixels, `horizon` is in steps.
+        """Reads the task's BDDL file and compiles its scene, once for all environments
+        that share it. Sizes of frames are in pixels, `horizon` is in steps.
 
-        Raises FileNotFoundError for a missing file or missing assets, NotImplementedError
-        for what only the original has.
+        Raises FileNotFoundError for a missing file or missing assets,
+        NotImplementedError for features that only the original has.
         """
         with said_when_it_fails():
             self._construct(
@@ -120,7 +120,7 @@ class ControlEnv:
 
     @property
     def obj_of_interest(self) -> list[str]:
-        """Names of the objects that the task is about."""
+        """Names of the objects of interest for the task."""
         return self.env.obj_of_interest
 
     @property
@@ -146,7 +146,7 @@ class ControlEnv:
         self.env.seed(seed)
 
     def check_success(self) -> bool:
-        """Whether the goal holds."""
+        """Returns True if the goal holds."""
         return self.env._check_success()
 
     def get_sim_state(self) -> NDArray[np.float64]:
@@ -154,15 +154,15 @@ class ControlEnv:
         return self.sim.get_state().flatten()
 
     def set_state(self, mujoco_state: Any) -> None:
-        """Writes a state, and computes nothing."""
+        """Writes a state without computing derived values."""
         self.sim.set_state_from_flattened(mujoco_state)
 
     def set_init_state(self, init_state: Any) -> Observation:
-        """Writes a state and observes it."""
+        """Sets the state and returns its observation."""
         return self.regenerate_obs_from_state(init_state)
 
     def regenerate_obs_from_state(self, mujoco_state: Any) -> Observation:
-        """Writes a state and observes it."""
+        """Sets the state and returns its observation."""
         self.set_state(mujoco_state)
         self.sim.forward()
         self.check_success()
@@ -175,7 +175,7 @@ class ControlEnv:
         self.env.reset_from_xml_string(xml_string)
 
     def close(self) -> None:
-        """Lets go of the simulation. Closing again does nothing."""
+        """Frees the simulation. Closing again does nothing."""
         if self._env is not None:
             self._env.close()
             self._env = None
@@ -202,7 +202,7 @@ class OffScreenRenderEnv(ControlEnv):
 
 
 class SegmentationRenderEnv(OffScreenRenderEnv):
-    """A task whose cameras also say what each pixel shows. Numbers in a segmentation by
+    """A task whose cameras also label each pixel. Numbers in a segmentation by
     `instance` are those of `instance_to_id`; 0 is the room."""
 
     def __init__(
@@ -243,8 +243,8 @@ class SegmentationRenderEnv(OffScreenRenderEnv):
     def get_segmentation_instances(
         self, segmentation_image: NDArray[np.int32]
     ) -> dict[str, NDArray[np.int32]]:
-        """A segmentation by instance, taken apart: each instance's pixels, 0 elsewhere. Arm,
-        mount and gripper are `robot`."""
+        """Splits a segmentation by instance: each instance's pixels, 0
+        elsewhere. Arm, mount and gripper are `robot`."""
         if self.segmentation_robot_id is None:
             raise RuntimeError("instances are numbered by reset: call it first")
         robot = self.segmentation_robot_id + 1
@@ -257,10 +257,10 @@ class SegmentationRenderEnv(OffScreenRenderEnv):
     def get_segmentation_of_interest(
         self, segmentation_image: NDArray[np.int32]
     ) -> NDArray[np.int32]:
-        """1 where an object of interest is, -1 where the room is, 0 elsewhere."""
+        """Returns 1 at objects of interest, -1 at the room, 0 elsewhere."""
         interest = np.zeros_like(segmentation_image)
         for instance in self.obj_of_interest:
-            # What is of interest may be a part of something: a drawer has no number.
+            # An object of interest may be a part, such as a drawer, which has no number.
             if instance in self.instance_to_id:
                 interest[segmentation_image == self.instance_to_id[instance]] = 1
         interest[segmentation_image == 0] = -1

@@ -1,7 +1,7 @@
 """Several environments behind one interface: one after another, or each in a process.
 
-Each environment of `SubprocVectorEnv` has NumPy's global generator to itself, as LIBERO's
-users expect. `rollout_libero.VectorEnvironment` needs less memory and time.
+Each environment of `SubprocVectorEnv` has its own NumPy global generator, as LIBERO's users expect.
+`rollout_libero.VectorEnvironment` needs less memory and time.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ __all__ = [
     "SubprocVectorEnv",
 ]
 
-#: Attributes that several environments have as lists of each one's.
+#: Attributes that are lists over the environments.
 GYM_RESERVED_KEYS = ["metadata", "reward_range", "spec", "action_space", "observation_space"]
 
 _Ids = int | Sequence[int] | NDArray[np.integer] | None
 
 
 def deprecation(msg: str) -> None:
-    """Warns of what will go."""
+    """Warns of a deprecated feature."""
     warnings.warn(msg, DeprecationWarning, stacklevel=2)
 
 
 class ShArray:
-    """An array in memory that processes share."""
+    """An array in memory shared by processes."""
 
     def __init__(self, dtype: Any, shape: Sequence[int]) -> None:
         self.dtype = np.dtype(dtype)
@@ -52,7 +52,7 @@ class ShArray:
         self.arr = RawArray(ctypes.c_ubyte, size)
 
     def save(self, ndarray: NDArray[Any]) -> None:
-        """Copies an array into it, which has its shape."""
+        """Copies an array of the same shape into it."""
         if np.shape(ndarray) != self.shape:
             raise ValueError(
                 f"the shared array holds {self.shape}, not {np.shape(ndarray)}: give it what "
@@ -61,12 +61,12 @@ class ShArray:
         np.copyto(self.get(), ndarray, casting="unsafe")
 
     def get(self) -> NDArray[Any]:
-        """The array, which the next `save` overwrites."""
+        """Returns the array, which the next `save` overwrites."""
         return np.frombuffer(self.arr, dtype=self.dtype).reshape(self.shape)
 
 
 def _setup_buf(space: Any) -> Any:
-    """Shared arrays for what a space describes: gym's or gymnasium's."""
+    """Returns shared arrays for a space of gym or gymnasium."""
     parts = getattr(space, "spaces", None)
     if isinstance(parts, Mapping):
         return {name: _setup_buf(part) for name, part in parts.items()}
@@ -76,7 +76,7 @@ def _setup_buf(space: Any) -> Any:
 
 
 class CloudpickleWrapper:
-    """What is sent to a process: lambdas and closures included."""
+    """Wrapper of an object sent to a process, including lambdas and closures."""
 
     def __init__(self, data: Any) -> None:
         self.data = data
@@ -89,8 +89,8 @@ class CloudpickleWrapper:
 
 
 class EnvWorker(ABC):
-    """One environment of several. `send` and `recv` are the two halves of a reset (no
-    action) or a step."""
+    """One of several environments. `send` starts a step or, without an action, a reset; `recv`
+    returns its result."""
 
     def __init__(self, env_fn: Callable[[], Any]) -> None:
         self._env_fn = env_fn
@@ -102,19 +102,19 @@ class EnvWorker(ABC):
 
     @abstractmethod
     def send(self, action: Any, **kwargs: Any) -> None:
-        """Begins a step, or without an action a reset."""
+        """Begins a step, or a reset if there is no action."""
 
     @abstractmethod
     def recv(self) -> Any:
-        """What the step or reset returned."""
+        """Returns the result of the step or reset."""
 
     def begin(self, method: str, *arguments: Any) -> None:
-        """Begins to call a method; `recv` returns the result."""
+        """Starts a method call; `recv` returns its result."""
         raise NotImplementedError(f"{type(self).__name__} calls no method beside others")
 
     @abstractmethod
     def get_env_attr(self, key: str) -> Any:
-        """An attribute of the environment; None if it has none of this name."""
+        """Returns an attribute of the environment; None if it does not exist."""
 
     @abstractmethod
     def set_env_attr(self, key: str, value: Any) -> None:
@@ -125,7 +125,7 @@ class EnvWorker(ABC):
         """Closes the environment."""
 
     def close(self) -> None:
-        """Closes the environment, once."""
+        """Closes the environment, unless it is closed."""
         if not self.is_closed:
             self.is_closed = True
             self.close_env()
@@ -136,7 +136,7 @@ class EnvWorker(ABC):
         return self.recv()
 
     def step(self, action: Any) -> Any:
-        """One control step."""
+        """Executes one control step."""
         self.send(action)
         return self.recv()
 
@@ -145,16 +145,16 @@ class EnvWorker(ABC):
         return self.call("seed", seed)
 
     def render(self, **kwargs: Any) -> Any:
-        """The environment's picture; None if it makes none."""
+        """Returns the environment's picture; None if it makes none."""
         return self.call("render", kwargs)
 
     @staticmethod
     def wait(conns: Any, wait_num: int, timeout: float | None = None) -> list[Any]:
-        """All of these workers: a step waits for each."""
+        """Returns all of these workers: a step waits for each."""
         return list(conns)
 
     def check_success(self) -> bool:
-        """Whether the goal holds."""
+        """Returns True if the goal holds."""
         return bool(self.call("check_success"))
 
     def get_segmentation_of_interest(self, segmentation_image: Any) -> Any:
@@ -208,7 +208,7 @@ def _picture(env: Any, kwargs: dict[str, Any]) -> Any:
 
 
 class _Failure:
-    """An exception on its way out of a process."""
+    """An exception sent from a process to its parent."""
 
     def __init__(self, error: Exception) -> None:
         self.error = error
@@ -250,14 +250,14 @@ def _serve(parent: Any, connection: Any, env_fn: CloudpickleWrapper, obs_bufs: N
             return
 
 
-#: As other projects import it.
+#: The name that other projects import.
 _worker = _serve
 
 
 class SubprocEnvWorker(EnvWorker):
-    """An environment in a process of its own, started as `multiprocessing` is set to."""
+    """An environment in a separate process, created by `multiprocessing`'s start method."""
 
-    # A subclass may start its process by itself, and serve in it as it likes.
+    # A subclass may start its process and serve in it by itself.
     _is_starting = False
     _is_awaited = False
 
@@ -321,19 +321,19 @@ class SubprocEnvWorker(EnvWorker):
         self.process.terminate()
 
     def _send(self, command: str, data: Any) -> None:
-        # Environments are made side by side: none is waited for before it is needed.
+        # Environments are created concurrently: each is only awaited when it is needed.
         if self._is_starting:
             self._is_starting = False
             self.recv()
         if self._is_awaited:
-            # Ctrl-C came between a command and its answer.
+            # Ctrl-C interrupted between a command and its answer.
             self.parent_remote.recv()
         self.parent_remote.send([command, data])
         self._is_awaited = True
 
 
 class BaseVectorEnv:
-    """Several environments. `id` chooses some of them: a number, a list, or None for all."""
+    """Several environments. `id` selects some of them: a number, a list, or None for all."""
 
     def __init__(
         self,
@@ -370,8 +370,8 @@ class BaseVectorEnv:
         )
 
     def reset(self, id: _Ids = None, **kwargs: Any) -> Any:
-        """Resets environments; returns their observations in an array [n] of objects, and a
-        list of their infos if they return infos, as gymnasium's do."""
+        """Resets environments. Returns their observations in an array [n] of objects, and a list of
+        their infos if they return infos, as gymnasium's environments do."""
         chosen = self._choose(id)
         results = self._exchange(chosen, lambda worker, _: worker.send(None, **kwargs))
         if results and all(map(_has_info, results)):
@@ -380,8 +380,8 @@ class BaseVectorEnv:
         return _stack(results)
 
     def step(self, action: Any, id: _Ids = None) -> tuple[Any, ...]:
-        """One control step each, with actions [n, 7]: observations, rewards, dones and
-        infos, [n] each; an info's `env_id` says whose it is."""
+        """Executes one control step each, with actions [n, 7]: observations, rewards,
+        dones and infos, [n] each; an info's `env_id` identifies its environment."""
         chosen = self._choose(id)
         if len(action) != len(chosen):
             raise ValueError(
@@ -394,19 +394,19 @@ class BaseVectorEnv:
         return (_stack(observations), *map(np.stack, others))
 
     def render(self, **kwargs: Any) -> list[Any]:
-        """Each environment's picture; None where it makes none."""
+        """Returns each environment's picture; None if it makes none."""
         self._assert_is_not_closed()
         return [worker.render(**kwargs) for worker in self.workers]
 
     def seed(self, seed: int | Sequence[int | None] | None = None) -> list[Any]:
-        """Seeds all environments: a list, or the first one's seed of consecutive ones."""
+        """Seeds all environments from a list, or with consecutive seeds from a first one."""
         self._assert_is_not_closed()
         if seed is None or isinstance(seed, (int, np.integer)):
             seed = [None if seed is None else seed + i for i in range(self.env_num)]
         return [worker.seed(one) for worker, one in zip(self.workers, seed)]
 
     def check_success(self) -> list[bool]:
-        """Whether each environment's goal holds."""
+        """Returns for each environment True if its goal holds."""
         self._assert_is_not_closed()
         return [worker.check_success() for worker in self.workers]
 
@@ -437,11 +437,11 @@ class BaseVectorEnv:
         ]
 
     def get_env_attr(self, key: str, id: _Ids = None) -> list[Any]:
-        """An attribute of environments."""
+        """Returns an attribute of each chosen environment."""
         return [self.workers[i].get_env_attr(key) for i in self._choose(id)]
 
     def set_env_attr(self, key: str, value: Any, id: _Ids = None) -> None:
-        """Sets an attribute of environments."""
+        """Sets an attribute of each chosen environment."""
         for i in self._choose(id):
             self.workers[i].set_env_attr(key, value)
 
@@ -453,9 +453,9 @@ class BaseVectorEnv:
         self.is_closed = True
 
     def _exchange(self, chosen: Any, send: Callable[[Any, int], None]) -> list[Any]:
-        """Sends to the chosen workers, with each one's place among them, and returns their
-        answers. Every answer is received before the first error is raised: one that stayed
-        in its pipe would be taken for the answer to the next call."""
+        """Sends to each chosen worker, given its position among them, and returns their
+        answers. All answers are received before the first error is raised: an answer
+        left in its pipe would be taken for that of the next call."""
         errors: dict[int, Exception] = {}
         answers = []
         for at, i in enumerate(chosen):
@@ -496,21 +496,21 @@ class BaseVectorEnv:
 
 
 class DummyVectorEnv(BaseVectorEnv):
-    """Environments in this process, one after another."""
+    """Environments in this process, stepped one after another."""
 
     def __init__(self, env_fns: Sequence[Callable[[], Any]], **kwargs: Any) -> None:
         super().__init__(env_fns, DummyEnvWorker, **kwargs)
 
 
 class SubprocVectorEnv(BaseVectorEnv):
-    """Environments in a process each."""
+    """Environments in separate processes."""
 
     def __init__(self, env_fns: Sequence[Callable[[], Any]], **kwargs: Any) -> None:
         super().__init__(env_fns, SubprocEnvWorker, **kwargs)
 
 
 def _sets_states_beside_others(worker: Any) -> bool:
-    """True unless a subclass sets states in a way of its own, or calls nothing beside others."""
+    """True unless a subclass sets states in its own way or makes no concurrent calls."""
     kind = type(worker)
     return (
         getattr(kind, "set_init_state", None) is EnvWorker.set_init_state
@@ -519,7 +519,7 @@ def _sets_states_beside_others(worker: Any) -> bool:
 
 
 def _has_info(result: Any) -> bool:
-    """True for an observation and an info. Observations are no pairs."""
+    """True for an observation with an info. Observations themselves are not pairs."""
     return isinstance(result, (tuple, list)) and len(result) == 2 and isinstance(result[1], dict)
 
 

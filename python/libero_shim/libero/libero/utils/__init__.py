@@ -1,1 +1,1 @@
-"""Of LIBERO's utilities those that programs which run its environments import."""
+"""The subset of LIBERO's utilities that programs with its environments import."""

@@ -1,4 +1,4 @@
-"""How long something takes."""
+"""Timing of code blocks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Timer:
-    """Measures the time, s, of what is done `with` it: `value`."""
+    """A context manager that measures the duration of its block, s, in `value`."""
 
     value: float
 
@@ -20,5 +20,5 @@ class Timer:
         self.value = time.perf_counter() - self._start
 
     def get_elapsed_time(self) -> float:
-        """The time that was measured, s."""
+        """The measured time, s."""
         return self.value
