@@ -8,6 +8,7 @@ use proto::policy::{
 };
 use serde_json::{Value, json};
 use tokio::net::TcpListener;
+use tokio::task::JoinSet;
 use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
 use tonic::{Request, Response, Status};
@@ -144,7 +145,8 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let endpoint = format!("http://{}", listener.local_addr().expect("an address"));
     let policy = Server::builder().add_service(PolicyServer::new(Described));
-    let serving = tokio::spawn(policy.serve_with_incoming(TcpIncoming::from(listener)));
+    let mut serving = JoinSet::new();
+    serving.spawn(policy.serve_with_incoming(TcpIncoming::from(listener)));
     let folder = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(folder.path());
     let create = |name: &str, model: &str, more: &[&str]| {
@@ -179,8 +181,7 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
         let told = text(&created.stdout);
         assert!(!told.contains("does not say"), "{told}");
     }
-    serving.abort();
-    let _ = serving.await;
+    serving.shutdown().await;
     let created = create("unknown", "overlap:10", &[]);
     assert!(created.status.success(), "{}", text(&created.stderr));
     let told = text(&created.stdout)

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::axis_set::AxisSet;
 use crate::condition::{Condition, Realisation};
-use crate::design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
+use crate::design::{Design, DesignError, Nominal, select_tasks};
+use crate::design_version::DesignVersion;
 use crate::directions::Directions;
 use crate::execution::Execution;
 use crate::explanation::Explanation;

@@ -16,6 +16,7 @@ mod axis_set;
 mod campaign;
 mod condition;
 mod design;
+mod design_version;
 mod directions;
 mod execution;
 mod expansion;
@@ -44,7 +45,8 @@ pub use axis::Axis;
 pub use axis_set::AxisSet;
 pub use campaign::{CampaignSpec, MAX_REPLICATES, PolicyRoute, Record, Rollouts, SpecError};
 pub use condition::{Condition, Realisation};
-pub use design::{Design, DesignError, DesignVersion, Nominal, select_tasks};
+pub use design::{Design, DesignError, Nominal, select_tasks};
+pub use design_version::DesignVersion;
 pub use directions::{Directions, MAX_CONFIGS};
 pub use execution::{
     CONTROL_HZ, Delays, Execution, ExecutionError, LatencyFileError, MAX_DELAY, TooLate,

@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::axis::Axis;
-use crate::design::DesignVersion;
 use crate::latency::delay_at;
 use crate::perturbation::Perturbation;
 use crate::rollout_id::RolloutId;

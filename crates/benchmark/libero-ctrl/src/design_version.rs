@@ -1,0 +1,133 @@
+//! Identifiers of designs: of a campaign's, a manifest's, or one that follows from outcomes.
+
+use serde::Serialize;
+
+use crate::condition::Condition;
+use crate::design::Design;
+use crate::execution::Execution;
+use crate::explanation::Explanation;
+use crate::manifest;
+use crate::names::{UnknownName, serde_as_text};
+use crate::row::ManifestRow;
+use crate::thresholds::Thresholds;
+
+const V0_1: &str = "v0.1";
+const CUSTOM: &str = "custom-";
+const MANIFEST: &str = "manifest-";
+const EXPLAINS: &str = "explains-";
+const THRESHOLDS: &str = "thresholds-";
+
+/// Identifier of the design that results belong to: `v0.1` for exactly LIBERO-CTRL v0.1,
+/// otherwise `custom-` and a checksum of the design, `manifest-` and a checksum of the
+/// imported rows, or `explains-` or `thresholds-` and a checksum of that specification.
+/// Results of different designs are never pooled.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct DesignVersion(String);
+
+impl DesignVersion {
+    /// Returns the version of LIBERO-CTRL v0.1.
+    pub(crate) fn v0_1() -> Self {
+        Self(V0_1.to_owned())
+    }
+
+    /// Returns the version of another design, from a text that identifies it.
+    pub(crate) fn custom(text: &str) -> Self {
+        Self(format!("{CUSTOM}{:08x}", crc32fast::hash(text.as_bytes())))
+    }
+
+    /// Returns the version of imported rows, independent of their order. Rows identical to
+    /// those of v0.1 have the version v0.1; the reference's own manifest does not, because
+    /// its paraphrases differ.
+    pub fn of_manifest(rows: &[ManifestRow]) -> Self {
+        let version = Self::of_rows(rows);
+        let mut others = rows.iter();
+        match others.find(|row| row.id.condition() != Condition::Latency) {
+            Some(row) => version.under(&row.execution),
+            None => version,
+        }
+    }
+
+    /// Returns the version of imported rows regardless of their execution model.
+    pub(crate) fn of_rows(rows: &[ManifestRow]) -> Self {
+        let text = |rows: &[ManifestRow]| {
+            let rows = rows.iter().cloned().map(|row| row.under(&Execution::Wait));
+            let mut rows: Vec<ManifestRow> = rows.collect();
+            rows.sort_by_key(|row| row.id);
+            manifest::to_text(&rows)
+        };
+        let ours = text(rows);
+        let whole = Design::v0_1().expand().expect("v0.1 is a design");
+        if rows.len() == whole.len() && ours == text(&whole) {
+            return Self::v0_1();
+        }
+        Self(format!(
+            "{MANIFEST}{:08x}",
+            crc32fast::hash(ours.as_bytes())
+        ))
+    }
+
+    /// Returns the version of a campaign that explains another.
+    pub fn of_explanation(explanation: &Explanation) -> Self {
+        Self::of_derived(EXPLAINS, explanation)
+    }
+
+    /// Returns the version of a campaign that measures another campaign's thresholds.
+    pub fn of_thresholds(thresholds: &Thresholds) -> Self {
+        Self::of_derived(THRESHOLDS, thresholds)
+    }
+
+    /// Returns the version of the same rollouts under an execution model, which differs for every
+    /// model except `wait`.
+    pub(crate) fn under(self, execution: &Execution) -> Self {
+        if execution.is_wait() {
+            return self;
+        }
+        let prefixes = [MANIFEST, EXPLAINS, THRESHOLDS];
+        let prefix = prefixes.into_iter().find(|it| self.0.starts_with(it));
+        let text = format!("{} {execution}", self.0);
+        Self(format!(
+            "{}{:08x}",
+            prefix.unwrap_or(CUSTOM),
+            crc32fast::hash(text.as_bytes())
+        ))
+    }
+
+    fn of_derived(prefix: &str, from: &impl Serialize) -> Self {
+        let text = serde_json::to_string(from).expect("names and numbers serialise");
+        Self(format!("{prefix}{:08x}", crc32fast::hash(text.as_bytes())))
+    }
+
+    /// The text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl std::fmt::Display for DesignVersion {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::str::FromStr for DesignVersion {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        let prefixes = [CUSTOM, MANIFEST, EXPLAINS, THRESHOLDS];
+        match text == V0_1 || prefixes.iter().any(|prefix| text.starts_with(prefix)) {
+            true => Ok(Self(text.to_owned())),
+            false => {
+                let valid = [
+                    V0_1,
+                    "custom-CHECKSUM",
+                    "manifest-CHECKSUM",
+                    "explains-CHECKSUM",
+                    "thresholds-CHECKSUM",
+                ];
+                Err(UnknownName::new("design", text, &valid))
+            }
+        }
+    }
+}
+
+serde_as_text!(DesignVersion);
