@@ -265,6 +265,8 @@ fn every_file_that_reads_another_clock_is_named_here() {
         .expect("a root");
     let mut files = Vec::new();
     sources(root, &mut files);
+    // Tests set times of files, and decide nothing by them.
+    files.retain(|path| !path.ends_with("tests.rs"));
     assert!(files.len() > 300, "{} files", files.len());
     let reads = |path: &PathBuf| {
         let text = std::fs::read_to_string(path).expect("a source");

@@ -5,6 +5,9 @@ use std::str::FromStr;
 
 use crate::names::{UnknownName, serde_as_text};
 
+/// Name of the axis beside the six of the protocol, of [`crate::AnyAxis`].
+pub(crate) const LATENCY: &str = "latency";
+
 /// One kind of perturbation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Axis {

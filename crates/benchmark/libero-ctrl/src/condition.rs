@@ -4,9 +4,8 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::axis::Axis;
+use crate::axis::{Axis, LATENCY};
 use crate::axis_set::AxisSet;
-use crate::latency::LATENCY;
 use crate::names::{UnknownName, serde_as_text};
 
 /// Perturbed axes of a rollout.

@@ -2,13 +2,9 @@
 
 use serde::Serialize;
 
-use crate::condition::Condition;
-use crate::design::Design;
 use crate::execution::Execution;
 use crate::explanation::Explanation;
-use crate::manifest;
 use crate::names::{UnknownName, serde_as_text};
-use crate::row::ManifestRow;
 use crate::thresholds::Thresholds;
 
 const V0_1: &str = "v0.1";
@@ -35,34 +31,11 @@ impl DesignVersion {
         Self(format!("{CUSTOM}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
-    /// Returns the version of imported rows, independent of their order. Rows identical to
-    /// those of v0.1 have the version v0.1; the reference's own manifest does not, because
-    /// its paraphrases differ.
-    pub fn of_manifest(rows: &[ManifestRow]) -> Self {
-        let version = Self::of_rows(rows);
-        let mut others = rows.iter();
-        match others.find(|row| row.id.condition() != Condition::Latency) {
-            Some(row) => version.under(&row.execution),
-            None => version,
-        }
-    }
-
-    /// Returns the version of imported rows regardless of their execution model.
-    pub(crate) fn of_rows(rows: &[ManifestRow]) -> Self {
-        let text = |rows: &[ManifestRow]| {
-            let rows = rows.iter().cloned().map(|row| row.under(&Execution::Wait));
-            let mut rows: Vec<ManifestRow> = rows.collect();
-            rows.sort_by_key(|row| row.id);
-            manifest::to_text(&rows)
-        };
-        let ours = text(rows);
-        let whole = Design::v0_1().expand().expect("v0.1 is a design");
-        if rows.len() == whole.len() && ours == text(&whole) {
-            return Self::v0_1();
-        }
+    /// Returns the version of imported rows, from a text that identifies them.
+    pub(crate) fn manifest(text: &str) -> Self {
         Self(format!(
             "{MANIFEST}{:08x}",
-            crc32fast::hash(ours.as_bytes())
+            crc32fast::hash(text.as_bytes())
         ))
     }
 

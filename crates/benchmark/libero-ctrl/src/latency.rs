@@ -5,13 +5,10 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::axis::Axis;
+use crate::axis::{Axis, LATENCY};
 use crate::execution::{Delays, Execution};
 use crate::level::Level;
 use crate::names::{UnknownName, serde_as_text};
-
-/// Name of the axis.
-pub(crate) const LATENCY: &str = "latency";
 
 /// Control steps of delay per unit of radius: L1, L2 and L3 are 1, 2 and 4 steps.
 pub const STEPS_PER_RADIUS: f64 = 0.5;

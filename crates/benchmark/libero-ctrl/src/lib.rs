@@ -23,6 +23,7 @@ mod expansion;
 mod explanation;
 mod latency;
 mod level;
+mod manifest_version;
 mod measurable;
 mod names;
 mod paraphrase;

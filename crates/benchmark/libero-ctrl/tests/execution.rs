@@ -28,10 +28,10 @@ fn other_texts_are_refused_with_what_is_wrong_and_what_is_right() {
     let long: Vec<String> = (0..33).map(|it| format!("{it}*1")).collect();
     let long = format!("hold:{}", long.join("+"));
     for (text, problem) in [
-        ("", "names no delay"),
-        ("hold", "names no delay"),
+        ("", "none is named"),
+        ("hold", "`hold` names no delay"),
         ("dawdle:3", "no model `dawdle`"),
-        ("hold:", "`` is no number"),
+        ("hold:", "a number is missing"),
         ("hold:+3", "`+3` is no number"),
         ("hold:201", "a delay of 201"),
         ("hold:99999999999", "no number"),
