@@ -8,11 +8,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for file in [policy, coordinator] {
         println!("cargo:rerun-if-changed={file}");
     }
-    // Frames are most of what travels: as `Bytes` they are taken out of a message,
-    // and put into another one's query, without a copy.
+    // Most bytes of messages are frames: as `Bytes`, they move from one message to another without
+    // a copy.
     tonic_prost_build::configure()
         .bytes(".rollout.policy.v1.Image.rgb")
-        // A server need not have every call: what it lacks is UNIMPLEMENTED.
+        // A server need not implement every call: missing ones return UNIMPLEMENTED.
         .generate_default_stubs(true)
         .compile_fds(protox::compile([policy], ["."])?)?;
     tonic_prost_build::configure()

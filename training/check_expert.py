@@ -1,4 +1,4 @@
-"""How often the expert ends a task although something else drives for stretches of it.
+"""Counts how often the expert ends a task although something else drives for stretches of it.
 
     python -m training.check_expert --driver stranger --states 10
 

@@ -1,4 +1,4 @@
-"""Collects what the scripted expert would do, seen by the cameras.
+"""Collects camera frames with the actions that the scripted expert would take.
 
     python -m training.collect --into data/plain --seconds 300
     python -m training.collect --into data/driven --seconds 300 --driver student \\

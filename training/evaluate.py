@@ -1,4 +1,4 @@
-"""How often a student succeeds in scenes placed anew: a quick look while it is developed.
+"""Counts how often a student succeeds in newly placed scenes: a quick look while developing it.
 
     python -m training.evaluate --weights runs/second/student.safetensors --episodes 5
 

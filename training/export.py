@@ -1,4 +1,4 @@
-"""Writes a run's weights as the product ships them, and answers to check them by.
+"""Writes a run's weights as the product ships them, and answers to check them against.
 
     python -m training.export --run runs/second --name student --into student.safetensors \\
         --reference queries.safetensors

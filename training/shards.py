@@ -41,7 +41,7 @@ chunk, along any axis (0.025 m). Beyond it, the expert's later labels no longer 
 
 STALL_FRAMES = 12
 STALL_M = 0.008
-"""The robot has stalled if hand and fingers stay within this range for so many frames."""
+"""The robot has stalled if hand and fingers stay within this range for that many frames."""
 
 
 class Source(IntEnum):

@@ -1,4 +1,4 @@
-"""Trains a student on what was collected.
+"""Trains a student on the collected data.
 
     python -m training.train --data data/plain --run runs/first --seconds 300
     python -m training.train --data data/plain data/driven --run runs/second --seconds 300 \\

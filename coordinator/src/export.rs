@@ -16,8 +16,8 @@ use crate::reading::ReadError;
 const PAGE_ROWS: u32 = 1_000;
 
 /// Exported row: the reference's columns in its order, then optional columns: the replicate unless
-/// it is the first, the radius of a placebo, the execution model unless it is `wait`, and the goal's
-/// progress if the worker reported it.
+/// it is the first, the radius of a placebo, the execution model unless it is `wait`, and the
+/// goal's progress if the worker reported it.
 #[derive(Serialize)]
 struct ExportRow<'a> {
     rollout_id: RolloutId,

@@ -45,8 +45,8 @@ const OF_FEW_JOBS: [&str; 4] = ["job_leased", "job_held", "job_backed_off", "job
 /// Indices that frequent statements must walk.
 const WALKED: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_seen"];
 
-/// Evidence that a loop of the table in docs/ARCHITECTURE.md walks no campaign, or the reason why it
-/// may.
+/// Evidence that a loop of the table in docs/ARCHITECTURE.md walks no campaign, or the reason why
+/// it may.
 enum Walks {
     /// Part of a statement that must be caught.
     Caught(&'static str),

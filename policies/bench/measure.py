@@ -1,5 +1,5 @@
-"""What a GPU policy answers per second: the network alone, behind the Python
-server, and behind the gateway too.
+"""Measures the answers per second of a GPU policy: of the network alone, behind the
+Python server, and behind the gateway too.
 
 Writes one JSON object. Slots are those of `bench_gateway slots`: each sends its
 next query at once after an answer, over a connection of its own.

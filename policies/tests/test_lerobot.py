@@ -138,7 +138,7 @@ def test_a_chunk_goes_on_from_what_is_executed_meanwhile(policy, checkpoint):
     seen = observation(1)
     policy.reset(seen.episode)
     free = policy.infer(seen)
-    # The rest of an earlier chunk, of another episode: whatever is in it, it is executed.
+    # Actions of another episode stand for the rest of an earlier chunk: any actions would do.
     executed = policy.infer(observation(2))[2:].astype(np.float32)
     delay = 4
     told = policy.infer(replace(seen, under_way=UnderWay(executed, delay)))
@@ -151,7 +151,7 @@ def test_a_chunk_goes_on_from_what_is_executed_meanwhile(policy, checkpoint):
     until, later = slice(0, delay), slice(delay, 8)
     assert apart(told, until) < apart(free, until) / 2
     assert np.array_equal(policy.infer(seen), free), "a query that is told nothing is as ever"
-    # Beyond what is left of the last chunk nothing is asked of the new one.
+    # Nothing guides the new chunk beyond the end of the last one.
     short = policy.infer(replace(seen, under_way=UnderWay(executed[:delay], delay)))
     assert apart(told, later) < apart(short, later)
 

@@ -208,7 +208,7 @@ impl Health {
         }
     }
 
-    /// Records an answer. Returns true if the server has recovered from an outage by it.
+    /// Records an answer. Returns true if it shows that the server has recovered from an outage.
     pub fn answered(&mut self, answered: Answered) -> bool {
         match (&*self, answered) {
             (Self::Up(_), Answered::Something) => false,
@@ -445,7 +445,7 @@ mod tests {
         let mut waits = Vec::new();
         for _ in 0..8 {
             health.failed(unreachable(), now);
-            // A query in flight when the connection broke.
+            // Fails a query that was in flight when the connection broke.
             health.failed(unreachable(), now);
             let (_, wait) = health.admit(Call::Describe, now).expect_err("a wait");
             waits.push(wait.as_millis());

@@ -38,8 +38,8 @@ pub mod told;
 pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 
 /// Serves `rollout.policy.v1` and `grpc.health.v1` on `listener` until `shutdown` resolves, then
-/// lets queries in flight finish for at most [`SHUTDOWN_GRACE`]. Back-ends are first called for a
-/// query, so the gateway starts and runs regardless of their state.
+/// lets queries in flight finish for at most [`SHUTDOWN_GRACE`]. No back-end is called before the
+/// first request, so the gateway starts and runs regardless of their state.
 ///
 /// # Errors
 /// If the TLS settings are invalid or the listener fails.

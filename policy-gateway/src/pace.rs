@@ -54,8 +54,8 @@ impl Pace {
         self.under_way = self.under_way.saturating_sub(1);
     }
 
-    /// Returns the time at which a call sent at `sent` will have met `limit` of silence, unless
-    /// the server answers before.
+    /// Returns the time at which the server will have been silent for `limit` since a call was sent
+    /// at `sent`, unless it answers before.
     pub fn silent_at(&self, sent: Instant, limit: Duration) -> Instant {
         Some(sent).max(self.last_answer).unwrap_or(sent) + limit
     }

@@ -61,7 +61,7 @@ impl Writer {
         let digest = Sha256::digest(&reset.session);
         let name: String = digest[..8].iter().map(|it| format!("{it:02x}")).collect();
         let partial = folder.join(format!("{name}.partial"));
-        // What a killed gateway left, or a link: it is replaced, never written through.
+        // Removes the file of a killed gateway, or a link, which must not be written through.
         let _ = std::fs::remove_file(&partial);
         let file = File::create_new(partial)?;
         let mut writer = Self {

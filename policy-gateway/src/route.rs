@@ -49,8 +49,8 @@ pub struct Route {
 
 /// Open session.
 struct Session {
-    /// Pool in which the session was opened. A reload that replaces the pool leaves it to its
-    /// sessions.
+    /// Pool in which the session was opened. If a reload replaces the pool, open sessions keep the
+    /// old one.
     pool: Arc<Pool>,
     /// Reset of the session; `None` for a session adopted after a restart of the gateway.
     reset: Option<ResetRequest>,

@@ -21,8 +21,8 @@ use crate::{
     route::{Route, RouteError},
 };
 
-/// Most routes kept for their open sessions after they were removed from the configuration; beyond
-/// that, the one first in order is dropped.
+/// Most routes kept for their open sessions after they were removed from the configuration. Beyond
+/// that, the routes that were configured first are dropped.
 pub const MAX_RETIRED_ROUTES: usize = 64;
 
 /// Policies of a gateway, by route. Clones share their state.

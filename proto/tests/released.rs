@@ -28,8 +28,8 @@ fn today() -> DescriptorPool {
     compiled(folder(), "rollout/policy/v1/policy.proto")
 }
 
-/// All that must stay of a protocol, one line each: what numbers, names and
-/// types are on the wire, and which calls there are.
+/// Returns what must not change in a protocol, a line each: the numbers, names and types on the
+/// wire, and the calls.
 fn promises(pool: &DescriptorPool) -> Vec<String> {
     let mut promises = Vec::new();
     for message in pool.all_messages() {

@@ -166,12 +166,18 @@ class Starts:
         )
 
     def _execution_of(self, row: Mapping[str, Any] | None) -> str:
-        if self._execution is not None:
-            return self._execution
-        return "wait" if row is None else row.get("execution", "wait")
+        own = "wait" if row is None else row.get("execution", "wait")
+        if self._execution in (None, own):
+            return own
+        if row is not None and row["axis"] == "latency":
+            raise ValueError(
+                f"run {row['rollout_id']} under execution model {self._execution!r}: its axis is "
+                f"the policy's delay, {own!r}; leave out `execution`"
+            )
+        return self._execution
 
     def _check_execution(self, execution: str) -> None:
-        """Refuses what a schedule of rollouts that begin here cannot do."""
+        """Refuses an execution model that a schedule of this class's rollouts cannot have."""
         native.Schedule(execution, self._task.name, 0)
         if execution != "wait" and self._absolute:
             raise ValueError(

@@ -28,7 +28,7 @@ class Slow(Policy):
 
 serve(Slow())
 ";
-/// Control steps of 50 ms in which no answer of that server comes.
+/// Fewest control steps of 50 ms that an answer of that server takes.
 const AT_LEAST: u16 = 3;
 /// Answers that are measured: 20 rounds of 8 episodes of 5 queries.
 const ANSWERS: u64 = 800;

@@ -226,7 +226,7 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
     if let Some(folder) = &pictures {
         std::fs::create_dir_all(folder).unwrap();
     }
-    // Colours move nothing, so they matter to pictures only.
+    // Colours do not change the layout, so they matter only to screenshots.
     let themes = if pictures.is_some() {
         &[false, true][..]
     } else {

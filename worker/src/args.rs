@@ -63,7 +63,7 @@ impl Arguments {
     /// Parses a command line, including the program's name, and the environment, for a program of
     /// this version.
     ///
-    /// Errors
+    /// # Errors
     /// If the command line is invalid, or asks for help. The coordinator's address is checked only
     /// for commands that call a coordinator; for the others, and for slots, `COORDINATOR_URL` may
     /// hold anything.

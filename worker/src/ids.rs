@@ -59,8 +59,8 @@ pub fn host_name() -> String {
 ///
 /// Derived from the kernel's boot id, which all containers of a machine share and no other machine
 /// has. `/etc/machine-id` is unsuitable: containers have their image's or none, and cluster nodes
-/// that boot from one image often share it. So is the host name, which is new in every container.
-/// A rebooted machine counts as a new one: the reboot may have repaired it.
+/// that boot from one image often share it. The host name is unsuitable too: each container has a
+/// new one. A rebooted machine counts as a new one: the reboot may have repaired it.
 pub fn machine() -> String {
     let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
     match boot.trim() {

@@ -9,8 +9,8 @@ use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use anyhow::Context;
-use libero_ctrl::{ManifestRow, Realisation, TaskRef};
+use anyhow::{Context, bail};
+use libero_ctrl::{Condition, ManifestRow, Realisation, TaskRef};
 use libero_family::protocol::Benchmark;
 use scene::pack::LIBERO;
 use scene::{AssetPack, Sources, TaskFiles};
@@ -235,6 +235,15 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         (None, Some(id)) => libero_ctrl::row_of(id)?,
         (None, None) => unreachable!("clap asks for --id or --bddl"),
     };
+    if row.id.condition() == Condition::Latency && !arguments.execution.is_wait() {
+        bail!(
+            "run {} under execution model {}: its axis is the policy's delay, {}; leave out \
+             --execution",
+            row.id,
+            arguments.execution,
+            row.execution
+        );
+    }
     let mut actor: Box<dyn Actor> = match (&arguments.actions, &arguments.endpoint) {
         (Some(file), _) => {
             let recorded = RecordedActions::read(file)?;

@@ -1,4 +1,4 @@
-//! Rollouts with a late policy: the same bits, however long its answers take by the clock.
+//! Rollouts with a late policy have the same bits, however long its answers take in real time.
 
 use std::ops::ControlFlow;
 use std::thread::sleep;
@@ -200,7 +200,7 @@ fn a_rollout_of_the_latency_axis_is_a_nominal_one_of_a_late_policy() {
     };
     let late = short("spatial/t0/latency/L3/c00");
     let nominal = short(&format!("spatial/t0/clean/i{:02}", late.init_id));
-    // A campaign's own model is not the axis's.
+    // A row of the latency axis keeps its own model, whatever the campaign's.
     let ran = run_row(&mut simulator, late.under(&Execution::Wait), false);
     let as_it = run_row(
         &mut simulator,

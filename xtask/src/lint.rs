@@ -1,4 +1,4 @@
-//! Lints and types of the Python sources: `ruff.toml` and `mypy.ini` say what holds.
+//! Lints and types of the Python sources. The rules are in `ruff.toml` and `mypy.ini`.
 
 use std::path::Path;
 use std::process::Command;

@@ -1,5 +1,5 @@
 //! The project's commands: `cargo xtask setup|demo|check|test|dist|parity` and others. Each
-//! performs its own prerequisites, and none twice.
+//! performs its own prerequisites, each of them once.
 
 #![forbid(unsafe_code)]
 

@@ -7,7 +7,7 @@ use anyhow::Context;
 use clap::Args;
 use coordinator::client::{Client, ClientError, RETRY_FOR};
 use terminal::number;
-use transport::{Access, ClientArguments, Role};
+use transport::{Access, AccessError, ClientArguments, Role};
 
 /// The coordinator's address, and access to it.
 #[derive(Args, Debug)]
@@ -65,10 +65,10 @@ impl Connection {
         self.patient_client(Duration::from_secs(self.retry_secs))
     }
 
-    /// Returns the access to a campaign's policy, with the same files as to the coordinator.
-    pub(super) fn policy_access(&self) -> Result<Access, CommandError> {
-        let access = self.access.access(&[Role::Operator, Role::Worker]);
-        access.map_err(failure)
+    /// Returns the access to a campaign's policy, from the files of the access to the coordinator. An
+    /// operator's token is not shown to policies.
+    pub(super) fn policy_access(&self) -> Result<Access, AccessError> {
+        self.access.access(&[Role::Worker])
     }
 
     /// Returns the access flags that were given, with their files, to pass to a child process.

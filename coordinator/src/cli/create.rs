@@ -312,8 +312,8 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     tell_size(&campaign)
 }
 
-/// Says under which execution model rollouts run, unless the world waits, and why its policy was not
-/// asked for the length of its answers.
+/// Prints the execution model of the rollouts unless it is `wait`, and the reason if the policy
+/// could not be asked for the length of its answers.
 fn tell_execution(spec: &CampaignSpec, unasked: Option<&str>) -> Result<(), CommandError> {
     if let Some(unasked) = unasked {
         print_line(&wrapped("", 2, unasked))?;

@@ -90,7 +90,7 @@ impl WholeFile {
     pub(super) fn create(path: &Path) -> anyhow::Result<WholeFile> {
         let mut partial = path.to_owned();
         partial.as_mut_os_string().push(".partial");
-        // What a killed command left, or a link: it is replaced, never written through.
+        // Removes the file of a killed command, or a link, which must not be written through.
         let _ = std::fs::remove_file(&partial);
         let file = File::create_new(&partial)
             .with_context(|| format!("write {}: may this user write there?", partial.display()))?;

@@ -1,5 +1,5 @@
 //! Length of a policy's answers, as its endpoint describes it. A campaign whose execution model
-//! drops every action of them is refused when it is created, if the policy is served by then.
+//! drops every action of an answer is refused at its creation, if the policy is served by then.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -16,9 +16,9 @@ use super::command::{CommandError, Connection, usage};
 /// Longest wait for a description: a policy may be served later than its campaign is created.
 const DEADLINE: Duration = Duration::from_secs(3);
 
-/// Refuses a campaign under `overlap`, or with the latency axis, whose delays are as long as its
+/// Refuses a campaign under `overlap`, or with the latency axis, if its delays are as long as its
 /// policy's answers in one of the suites. Returns a sentence if the policy cannot be asked; the
-/// first rollout then finds out.
+/// first rollout then fails if the delays are too long.
 pub(super) async fn check(
     spec: &CampaignSpec,
     suites: impl IntoIterator<Item = &str>,
@@ -28,7 +28,10 @@ pub(super) async fn check(
     let Some(longest) = models.last() else {
         return Ok(None);
     };
-    let access = connection.policy_access()?;
+    let access = match connection.policy_access() {
+        Ok(access) => access,
+        Err(error) => return Ok(Some(unknown(spec, longest, &transport::chain(&error)))),
+    };
     let policy = &spec.policy;
     for suite in suites {
         let horizon = match tokio::time::timeout(DEADLINE, horizon(spec, suite, &access)).await {
@@ -51,8 +54,8 @@ pub(super) async fn check(
     Ok(None)
 }
 
-/// Returns the models under which rollouts of a campaign drop actions: its own, if it does, and
-/// those of the latency axis, the longest delay last.
+/// Returns the models under which rollouts of a campaign drop actions: its own, if that is
+/// `overlap`, and those of the latency axis, the longest delay last.
 fn overlaps(spec: &CampaignSpec) -> Vec<Execution> {
     let levels: BTreeSet<Level> = match &spec.rollouts {
         Rollouts::Design(design) if design.latency => design.levels.iter().copied().collect(),

@@ -50,7 +50,7 @@ pub(super) struct ExpandArguments {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Split {
-    // Released files are named so.
+    // The released files use this name.
     #[value(alias = "clean")]
     Nominal,
     Eval,

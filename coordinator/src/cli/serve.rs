@@ -140,8 +140,8 @@ fn config(arguments: &ServeArguments, security: Security) -> anyhow::Result<Conf
             progress_timeout: Duration::from_secs(arguments.progress_timeout_secs.into()),
             ceiling_per_step: Duration::from_secs(arguments.step_ceiling_secs.into()),
             worker_alive: lease,
-            // Sweeps are frequent enough that a coordinator never concludes that it was suspended
-            // for half a lease.
+            // Two sweeps half a lease apart mean that the coordinator was suspended, so sweeps are
+            // far more frequent than that.
             sweep: heartbeat.min(Timing::default().sweep),
         },
         clock: Arc::new(SystemClock::start()),

@@ -370,7 +370,7 @@ mod tests {
             text.lines().all(|line| line.chars().count() <= 100),
             "{text}"
         );
-        // Beside the log's first lines, it fits a terminal.
+        // The message fits a terminal together with the log's first lines.
         assert!(text.lines().count() <= 24, "{text}");
         let usual = ready(&arguments, "127.0.0.1:7411", "127.0.0.1:7412");
         assert!(!usual.contains("--connect"), "{usual}");

@@ -54,7 +54,7 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
             "Policy " strong { (status.campaign.policy) } " at " code { (status.campaign.endpoint) }
             @if left(status) > 0 { " · " (workers(status.live_workers)) }
         }
-        // Live region for screen readers, which changes at every tenth only.
+        // Live region for screen readers; it changes only at every tenth of the progress.
         p.unseen role="status" { (status.campaign.name) ": " (percent / 10 * 10) " % done" }
         (notes(status))
     }

@@ -56,15 +56,18 @@ function partners(olds, news) {
   while (end > start && newEnd > start && mine[end - 1] === theirs[newEnd - 1]) {
     partner[--newEnd] = olds[--end];
   }
-  const lengths = Array.from({ length: end + 1 }, () => new Uint16Array(newEnd + 1));
-  for (let i = end - 1; i >= start; i--) {
-    for (let j = newEnd - 1; j >= start; j--) {
-      lengths[i][j] = mine[i] === theirs[j] ? lengths[i + 1][j + 1] + 1
+  if (start === end || start === newEnd) return partner;
+  const [rows, columns] = [end - start, newEnd - start];
+  const isSame = (i, j) => mine[start + i] === theirs[start + j];
+  const lengths = Array.from({ length: rows + 1 }, () => new Uint16Array(columns + 1));
+  for (let i = rows - 1; i >= 0; i--) {
+    for (let j = columns - 1; j >= 0; j--) {
+      lengths[i][j] = isSame(i, j) ? lengths[i + 1][j + 1] + 1
         : Math.max(lengths[i + 1][j], lengths[i][j + 1]);
     }
   }
-  for (let i = start, j = start; i < end && j < newEnd;) {
-    if (mine[i] === theirs[j]) partner[j++] = olds[i++];
+  for (let i = 0, j = 0; i < rows && j < columns;) {
+    if (isSame(i, j)) partner[start + j++] = olds[start + i++];
     else if (lengths[i + 1][j] >= lengths[i][j + 1]) i += 1;
     else j += 1;
   }

@@ -108,7 +108,7 @@ async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
     assert_eq!(rest.len(), 9, "warmth is a preference, not a limit");
 }
 
-/// Both in a campaign that is leased task by task and in one that is leased in drawn order.
+/// Checks a campaign that is leased task by task and one that is leased in drawn order.
 #[tokio::test]
 async fn jobs_of_tasks_that_a_worker_cannot_show_are_left_to_others() {
     let bench = Bench::start().await;

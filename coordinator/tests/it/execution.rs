@@ -167,14 +167,14 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
             assert!(told.contains(part), "{told}");
         }
     }
-    // Of the latency axis, too: r20 is ten steps late.
+    // The latency axis is checked too: r20 is ten steps late.
     let axis = ["--axes", "camera,latency", "--levels", "r20"];
     let named = ["campaign", "create", "--name", "axis", "--policy", "expert"];
     let rest = ["--endpoint", &endpoint, "--tasks", "libero_object/0"];
     let refused = serve.command(&[&named[..], &rest, &axis].concat());
     let told = text(&refused.stderr);
     assert!(told.contains("`overlap:10` drops at least 10"), "{told}");
-    // Some of the answers are executed; all of them are where the arm holds still.
+    // One model executes some of the answers; the other all, since the arm holds still meanwhile.
     for (name, model) in [("some", "overlap:9*1+12*9"), ("all", "hold:10")] {
         let created = create(name, model, &[]);
         assert!(created.status.success(), "{}", text(&created.stderr));

@@ -200,7 +200,7 @@ async fn counts(folder: &Path) -> (i64, i64) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_large_import_comes_in_pieces_and_leaves_nothing_if_it_is_cut_off() {
     let mut here = Bench::with(&large()).await;
-    // Results lie in the second piece, too.
+    // Some results are in the second piece.
     here.run(520, "").await;
     let filmed = here.worker.claim_one().await;
     assert_eq!(here.worker.commit(&filmed, true).await, Verdict::Accepted);
@@ -213,7 +213,7 @@ async fn a_large_import_comes_in_pieces_and_leaves_nothing_if_it_is_cut_off() {
     let path = file.display().to_string();
 
     let there = tempfile::tempdir().expect("a folder");
-    // Its third transaction brought the second piece.
+    // The third transaction writes the second piece.
     let mut dying = Serve::of(serve(there.path(), "After:ImportCampaign:3"));
     let output = dying.command(&["campaign", "import", &path, "--retry-secs", "0"]);
     assert!(!output.status.success(), "it was cut off");

@@ -96,7 +96,7 @@ async fn a_late_policy_is_a_condition_of_its_own() {
         );
     }
 
-    // Success with a late policy, and no paired figure that knows of it.
+    // The report has the successes under a late policy, but no paired figure with them.
     let report = json_of(&serve, &["report", "late"]);
     let cells = report["reports"][0]["cells"].as_array().expect("cells");
     for (cell, successes) in cells.iter().zip([4, 0]) {

@@ -478,7 +478,7 @@ async fn an_archive_that_swells_is_refused_before_it_is_unpacked() {
     };
     let before = here.serve.peak_memory_bytes();
 
-    // A name of that many characters, before the table of contents and before a member.
+    // A long name of that many characters, before the table of contents and before a member.
     for place in [0, 1] {
         let out = GzEncoder::new(File::create(&bad).expect("a file"), Compression::fast());
         let mut tar = tar::Builder::new(out);

@@ -463,7 +463,7 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
         "{said}{}",
         text(&again.stderr)
     );
-    // What it prints of itself is what it read.
+    // A printed specification that is read prints the same again.
     let again = serve.command(&["campaign", "create", "--spec", spec, "--print-spec"]);
     assert_eq!(text(&again.stdout), text(&printed.stdout));
 }

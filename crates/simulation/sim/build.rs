@@ -1,4 +1,4 @@
-//! Lets the tests find libmujoco where it was linked with it.
+//! Lets the tests load libmujoco from the folder that they were linked against.
 
 fn main() {
     println!("cargo:rerun-if-env-changed=MUJOCO_DYNAMIC_LINK_DIR");

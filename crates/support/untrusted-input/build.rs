@@ -1,9 +1,9 @@
-//! Lets this package's programs find libmujoco where they were linked with it.
+//! Lets this package's programs load libmujoco from the folder that they were linked against.
 
 fn main() {
     println!("cargo:rerun-if-env-changed=MUJOCO_DYNAMIC_LINK_DIR");
     let folder = std::env::var_os("MUJOCO_DYNAMIC_LINK_DIR").map(std::path::PathBuf::from);
-    // The target of the link: the programs outlive this checkout.
+    // Resolves links, since the programs outlive this checkout.
     if let Some(folder) = folder.and_then(|folder| folder.canonicalize().ok()) {
         println!("cargo:rustc-link-arg=-Wl,-rpath,{}", folder.display());
     }

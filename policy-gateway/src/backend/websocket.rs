@@ -127,7 +127,7 @@ impl Server {
             Err(_) => return Err(self.unreachable(Found::NoAnswer)),
         };
         let checked = match self.place.uri().parse() {
-            Ok(uri) => self.access.check_connection(&uri, &stream),
+            Ok(uri) => self.access.check_connection(&uri, &stream).await,
             Err(_) => Err(Found::UnknownHost),
         };
         checked.map_err(|found| self.unreachable(found))?;

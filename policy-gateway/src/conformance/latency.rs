@@ -98,7 +98,7 @@ impl Latency {
 
     /// Returns the distribution of delays for a campaign.
     ///
-    /// Errors
+    /// # Errors
     /// If a delay is longer than a campaign accepts, or there are too many distinct delays.
     pub fn delays(&self) -> Result<Delays, LatencyFileError> {
         Delays::measured(self.delay_steps.clone())

@@ -56,8 +56,8 @@ impl Pool {
         }
     }
 
-    /// Reserves a place for a session's Reset if the replicas can answer it in time beside the
-    /// `open` ones. The caller must prevent concurrent calls.
+    /// Reserves a place for a session's Reset if the replicas can answer that session in time, in
+    /// addition to the `open` ones. The caller must prevent concurrent calls.
     pub fn open_one_more(self: &Arc<Self>, open: usize) -> Option<Opening> {
         let sessions = open + self.opening.load(Ordering::Relaxed);
         if self.capacity().is_some_and(|most| sessions >= most) {

@@ -67,8 +67,8 @@ impl Drop for UnderWay<'_> {
     }
 }
 
-/// A call under way that its caller may drop. Dropped without an end, it makes way for
-/// whoever tries the server next, who would otherwise wait out its patience.
+/// Guard of a call in flight. If the caller drops it before its end and it was the probe, the next
+/// call may probe the server at once instead of waiting for this one.
 struct Trying<'a> {
     replica: &'a Replica,
     call: Call<'a>,
@@ -276,7 +276,7 @@ impl Replica {
         }
     }
 
-    /// Attributes an error in answer to a query: to the query, or to the server if that is out.
+    /// Attributes the error of a query to the query, or to the server if the server is out.
     fn judge(&self, error: BackendError, task: &str) -> BackendError {
         let was_up = matches!(*self.health(), Health::Up(_));
         let cause = self

@@ -80,7 +80,7 @@ impl Schedule {
         Ok(())
     }
 
-    /// Returns the action of the next control step, [7], and goes on by one.
+    /// Returns the action of the next control step, [7], and advances by one step.
     fn advance<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         if self.inner.due().is_some() {
             return Err(PyValueError::new_err(
@@ -91,7 +91,7 @@ impl Schedule {
         shaped(py, command.action.to_vec(), &[ACTION_WIDTH])
     }
 
-    /// Returns the actions of all control steps until the next query is due, [n, 7], and goes on
+    /// Returns the actions of all control steps until the next query is due, [n, 7], and advances
     /// by as many.
     fn until_due<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let mut actions = Vec::new();

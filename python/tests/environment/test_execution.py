@@ -14,8 +14,8 @@ from .conftest import TASK
 
 HORIZON, EXECUTE = 10, 6
 POLICIES = Path(__file__).parents[3] / "policies" / "src"
-#: Answers with what follows from the hand's position to the last bit, so that one step that
-#: differs makes all later ones differ.
+#: Answers with actions that depend on every bit of the hand's position: one step that differs
+#: makes all later ones differ.
 ANSWER = f"""
 import numpy as np
 

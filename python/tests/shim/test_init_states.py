@@ -1,4 +1,4 @@
-"""Files of initial states that are not what they should be."""
+"""Tests that malformed files of initial states are rejected."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_a_file_of_initial_states_cannot_run_code(tmp_path: Path) -> None:
 
 
 class Asks:
-    """Pickles as a call of NumPy's, with a state for what it makes."""
+    """Pickles as a call of a NumPy function, with a state for its result."""
 
     def __init__(self, *asked: Any) -> None:
         self.asked = asked
@@ -72,7 +72,7 @@ def test_a_file_of_initial_states_unpacks_no_more_than_memory_has_room_for(tmp_p
         read_states(tmp_path, bytes((64 << 20) + 1))
 
 
-#: Reads a file with 256 MiB more than it takes to begin, and tells the error's class and words.
+#: Reads a file with 256 MiB more than it has at its start, and prints the error's class and text.
 READS_WITH_LITTLE_MEMORY = """
 import resource, sys
 from libero.libero.benchmark.init_states import load_init_states

@@ -19,7 +19,7 @@ pub struct Config {
     pub coordinator: String,
     /// Credentials for the coordinator.
     pub access: Access,
-    /// Identity under which it registers with the coordinator.
+    /// Identity under which the worker registers with the coordinator.
     pub identity: Identity,
     /// Number of slots, each with one rollout at a time.
     pub slots: usize,

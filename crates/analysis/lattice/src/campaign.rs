@@ -16,9 +16,9 @@ use crate::plan::Sample;
 /// rollout. `explained` are the records of that campaign, `own` those of the campaign that
 /// explains it. A rollout that is recorded twice counts as unknown.
 ///
-/// Without repeats, the rollout of replicate 0 alone decides. With repeats, for policies
-/// that sample, all replicates of the explained campaign select, and only those of the
-/// campaign that explains it decide.
+/// Without repeats, the rollout of replicate 0 alone decides. With repeats, for policies that
+/// sample, all replicates of the explained campaign select configurations, and only those of
+/// the campaign that explains it decide.
 ///
 /// # Errors
 /// If the campaign perturbs only one axis.

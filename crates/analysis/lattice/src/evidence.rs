@@ -130,10 +130,10 @@ impl Role {
 /// # Error probability
 /// A lattice has `error` for all its claims together:
 ///
-/// - *The transition* is claimed if each axis alone and all axes together turn out as the
-///   outcomes that selected the configuration said. Every one of these hypotheses must be
-///   rejected, in the direction that was said beforehand, so that each is tested at the
-///   full level (an intersection–union test). The selecting outcomes are in no tally.
+/// - *The transition* is claimed if each axis alone and all axes together have the outcomes
+///   for which the configuration was selected. Every one of these hypotheses must be
+///   rejected, in the direction fixed beforehand, so that each is tested at the full level
+///   (an intersection–union test). No tally includes the selecting outcomes.
 /// - *Further subsets* are tested only after the transition is claimed, on either side, each
 ///   at `error` divided by their number (Bonferroni). Since they are tested only where all
 ///   hypotheses of the transition are rejected, both families have the full level (serial

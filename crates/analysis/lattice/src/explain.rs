@@ -147,7 +147,7 @@ pub fn selected(known: &Known) -> Result<Transition, Unexplained> {
 }
 
 /// Checks that each axis alone and all axes together turn out as the selecting outcomes say.
-/// Without repeats they do, since all rollouts select.
+/// Without repeats, decided outcomes always do, since the same rollouts select and decide.
 pub(crate) fn confirm(known: &Known) -> Result<(), Unexplained> {
     let mut awaits = false;
     for set in known.singles().chain([known.full()]) {

@@ -175,7 +175,7 @@ impl Known {
     }
 
     /// Returns the success under a subset according to the outcomes that selected the
-    /// configuration; `None` if they do not say.
+    /// configuration; `None` if they are missing or tied.
     pub(crate) fn selected(&self, set: AxisSet) -> Option<bool> {
         match self.evidence {
             Evidence::Once => self.verdict(set).success(),

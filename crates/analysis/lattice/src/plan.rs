@@ -105,8 +105,8 @@ fn within(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
 }
 
 impl Known {
-    /// Returns the number of requested rollouts beyond those of the explained campaign, whose
-    /// outcomes are evidence only if they are not repeated.
+    /// Returns the number of requested rollouts beyond those of the explained campaign. Tallies
+    /// include the latter only without repeats.
     fn rollouts_beyond(&self) -> u32 {
         let sets = self.tallies().filter(|(set, _)| !set.is_empty());
         let beyond = sets.map(|(set, tally)| match self.evidence() {

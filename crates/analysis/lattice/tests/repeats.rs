@@ -53,7 +53,7 @@ fn search(coins: Coins, strategy: Strategy, rng: &mut ChaCha12Rng) -> Known {
     known
 }
 
-/// Returns the claims about a lattice and the false ones: of a fair coin, every claim is.
+/// Returns the number of claims about a lattice, and of false ones: all, for a fair coin.
 fn claims(coins: Coins, known: &Known) -> [usize; 2] {
     if explain(known).is_err() {
         return [0, 0];
@@ -120,7 +120,7 @@ fn at_most_five_percent_of_lattices_of_coins_lead_to_a_false_claim() {
     }
 }
 
-/// The bound is not held by claiming nothing.
+/// The bound on false claims must not be met by claiming nothing.
 #[test]
 fn a_transition_that_is_there_is_claimed_with_its_pair() {
     let coins: Coins = |set| {

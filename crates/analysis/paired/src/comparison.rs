@@ -65,8 +65,8 @@ impl<'a> From<&'a [Record]> for Compared<'a> {
 pub struct Comparison {
     /// Cells by replicate, level (nominal first) and condition.
     pub cells: Vec<ComparedCell>,
-    /// Assignment of directions that the intervals rest on: of its own to each task if both
-    /// campaigns have that, and otherwise shared, which makes no interval narrower.
+    /// Assignment of directions that the intervals assume: `Own` if both campaigns have it,
+    /// otherwise `Shared`, which makes no interval narrower.
     pub directions: Directions,
     /// Rollouts that only A has.
     pub only_in_a: u64,
@@ -94,7 +94,7 @@ pub struct ComparedCell {
     pub quarantined: u64,
     /// Difference over all other rollouts; absent if there are none.
     pub difference: Option<Difference>,
-    /// Differences in partial progress; absent if nothing is known of both policies.
+    /// Differences in partial progress; absent if no rollout's progress is known for both.
     pub progress: Option<ProgressDifference>,
     /// Worst and best case; absent if no rollout is quarantined.
     pub bounds: Option<DifferenceBounds>,

@@ -43,7 +43,7 @@ pub enum GateVerdict {
     Passed,
     /// All nominal rollouts have results, and the difference exceeds [`GATE_TOLERANCE`].
     Failed,
-    /// Fewer nominal rollouts have a result than the published figure rests on.
+    /// Too few nominal rollouts have results: fewer than are behind the published figure.
     Undecided,
 }
 

@@ -38,7 +38,7 @@ pub struct Inference {
     /// The loss under each condition, against the nominal rollouts of the same initial
     /// states; empty without them.
     pub losses: Losses,
-    /// Test whether simultaneous success depends on the direction; absent if directions are
+    /// Test of whether simultaneous success depends on the direction; absent if directions are
     /// not shared between tasks, and for the placebo.
     pub directions: Option<DirectionTest>,
     /// The noise floor and the excess over it; absent without a placebo, and for the placebo

@@ -95,8 +95,8 @@ pub struct Matched {
     pub nominal: Outcome,
     /// Outcomes under each axis alone, all axes of the campaign.
     pub alone: BTreeMap<Axis, Outcome>,
-    /// Outcome with a late policy, which is in no conjunction; `None` if the campaign does not run
-    /// it at this level.
+    /// Outcome with a late policy, which counts in no conjunction; `None` if the campaign does not
+    /// run it at this level.
     pub latency: Option<Outcome>,
     /// Outcomes under proper subsets of two or more axes, as far as recorded.
     pub subsets: BTreeMap<AxisSet, Outcome>,

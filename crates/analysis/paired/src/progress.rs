@@ -45,7 +45,7 @@ pub(crate) struct ProgressPair {
 /// Differences in progress of two policies over the rollouts with an outcome for both.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ProgressDifference {
-    /// Share of the goal's predicates, the most that held together at any step.
+    /// Largest share of the goal's predicates that held together at any step.
     pub goal: Option<MeanDifference>,
     /// Control steps until success; a failure counts with the steps until its end, which is
     /// the step budget. No rollout is left out for its outcome.

@@ -23,14 +23,13 @@
 //! martingale, and so is its average over several sizes of bets.
 //!
 //! The totals of the strata are unknown nuisance parameters. The evidence against a
-//! candidate θ for the population's total is that against the best-supported strata totals
-//! with this sum: E(θ) = min {M(T_1, …, T_K): Σ T_k = θ}. At the true total,
-//! E is at most the martingale at the true totals of strata. By Ville's
-//! inequality it ever reaches 1/α with a probability of at most α, so that
-//! {θ: E(θ) < 1/α} holds the true total at all looks at once with a probability
-//! of at least 1 − α. For each bet, −log of the denominators is convex in each
-//! T_k, so that the minimum is found exactly, one unit of θ after the other
-//! (the file `e_process`).
+//! candidate θ for the population's total is the evidence against the best-supported strata
+//! totals that sum to θ: E(θ) = min {M(T_1, …, T_K): Σ T_k = θ}. At the true total, E is at
+//! most the martingale at the true totals of strata. By Ville's inequality, the probability
+//! that it ever reaches 1/α is at most α, so that {θ: E(θ) < 1/α} holds the true total at
+//! all looks at once with a probability of at least 1 − α. For each bet, −log of the
+//! denominators is convex in each T_k, so that the minimum is found exactly, one unit of θ
+//! after the other (the file `e_process`).
 //!
 //! The five measures share α = 5 % equally (Bonferroni).
 //!

@@ -18,7 +18,7 @@ pub struct Search {
     /// Largest width of a finished bracket, in units of radius; `None` if no radii between
     /// those of the grid exist.
     pub tolerance: Option<f64>,
-    /// Distance between radii that can be run, where not every radius can.
+    /// Distance between the radii that can be run; `None` without such a restriction.
     pub spacing: Option<f64>,
 }
 
@@ -27,9 +27,13 @@ impl Search {
     /// Language has wordings only at the protocol's levels, so that a condition that
     /// perturbs it is run only at those. A policy is late by whole control steps.
     pub fn of(thresholds: &Thresholds, condition: Condition, axes: AxisSet) -> Self {
-        let mut grid = thresholds.grid();
         if condition == Condition::Latency {
             let spacing = 1.0 / STEPS_PER_RADIUS;
+            let whole = Thresholds {
+                max_radius: (thresholds.max_radius / spacing).floor() * spacing,
+                ..thresholds.clone()
+            };
+            let mut grid = whole.grid();
             grid.retain(|level| delay_at(*level).is_some());
             return Self {
                 grid,
@@ -37,6 +41,7 @@ impl Search {
                 spacing: Some(spacing),
             };
         }
+        let mut grid = thresholds.grid();
         if !condition.axes(axes).contains(Axis::Language) {
             return Self {
                 grid,

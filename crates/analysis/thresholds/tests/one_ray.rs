@@ -218,7 +218,7 @@ fn what_fails_nominally_is_not_perturbed_further() {
     let mut known = Known::new(Outcome::Failure);
     assert_eq!(next(&known, &search), Decision::Done);
     assert_eq!(found(&known, &search).threshold, Threshold::NominalFails);
-    // A rollout that the campaign ran already may contradict this, and is named.
+    // A rollout that was run before may contradict this; its level is then reported.
     known.record(Level::L2, Outcome::Success);
     let found_out = found(&known, &search);
     assert_eq!(found_out.threshold, Threshold::NominalFails);

@@ -291,6 +291,12 @@ impl CampaignSpec {
                     let given = self.execution.clone();
                     return Err(SpecError::Execution { given, of_rows });
                 }
+                let mut ids = rows.iter().map(|row| row.id);
+                let is_late = ids.any(|id| id.condition() == Condition::Latency);
+                if is_late && !self.execution.is_wait() {
+                    let given = self.execution.clone();
+                    return Err(SpecError::Latency { given });
+                }
             }
             Rollouts::Explanation(explanation) => {
                 if explanation.campaign.is_empty() {

@@ -15,7 +15,7 @@ pub enum Condition {
     Clean,
     /// One axis alone.
     Single(Axis),
-    /// A late policy, alone: an axis beside the protocol's six, which no set of axes has.
+    /// A late policy, without further perturbation. Latency is in no [`AxisSet`].
     Latency,
     /// Two to five axes; constructed by [`Self::of`].
     Subset(AxisSet),

@@ -26,7 +26,7 @@ pub struct Design {
     pub tasks: Vec<TaskRef>,
     /// Perturbed axes: each alone and, if there are two or more, all simultaneously.
     pub axes: Vec<Axis>,
-    /// True if the policy is also late, alone: the latency axis beside the six.
+    /// True if the design has the latency axis: a late policy, without further perturbation.
     pub latency: bool,
     /// Further conditions: proper subsets of two or more axes.
     pub subsets: Vec<AxisSet>,
@@ -281,7 +281,7 @@ impl Design {
         self
     }
 
-    /// Returns true if a condition is run at a level: at the placebo level, a late policy is none.
+    /// Returns true if a condition is run at a level. The placebo level has no latency rollouts.
     pub(crate) fn has(&self, condition: Condition, level: Level) -> bool {
         condition != Condition::Latency || level != Level::L0
     }

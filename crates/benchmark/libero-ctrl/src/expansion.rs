@@ -76,11 +76,11 @@ impl Design {
     }
 
     /// Returns the row of a configuration under a condition of this design at any level,
-    /// including levels that the design does not run; the direction does not depend on it.
+    /// including levels that the design does not run; the direction is the same at all levels.
     ///
     /// # Errors
-    /// If the condition perturbs language and the level has no paraphrases, or it is latency and
-    /// the level no delay.
+    /// If the condition perturbs language and the level has no paraphrases, or the condition is
+    /// latency and the level has no delay.
     pub fn row_at(
         &self,
         task: TaskRef,

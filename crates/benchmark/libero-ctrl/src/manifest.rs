@@ -2,8 +2,8 @@
 //! validates, writes and compares texts; the caller opens files, and `row` defines
 //! the rows.
 //!
-//! An imported manifest is authoritative: its values and instructions are run
-//! unchanged, under the rows' execution model. Inconsistent rows are therefore rejected, with their line numbers.
+//! An imported manifest is authoritative: its values and instructions are run unchanged, under the
+//! rows' execution model. Inconsistent rows are therefore rejected, with their line numbers.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Write};

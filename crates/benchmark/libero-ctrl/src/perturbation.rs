@@ -97,8 +97,8 @@ parameters! {
 }
 
 parameters! {
-    /// Corruption of the rendered pictures. Only magnitudes count; lengths in
-    /// pixels hold at 128 pixels and scale with the picture.
+    /// Corruption of the rendered pictures. Only magnitudes count; lengths in pixels are for a
+    /// picture of 128 pixels and scale with the picture.
     SensorCorruption [4] {
         /// Standard deviation of the noise, on pixel values in [0, 1].
         noise_sigma,

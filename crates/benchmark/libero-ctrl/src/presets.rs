@@ -17,11 +17,11 @@ use crate::perturbation::{
 };
 use crate::suite::{Suite, TaskRef};
 
-/// Number of presets per axis, which is that of configurations per task and level.
+/// Number of presets per axis, and of configurations per task and level.
 pub const PRESETS: u16 = 10;
 
-/// Control steps without action before the policy starts, in which the objects of the
-/// released initial states, which float above their supports, settle.
+/// Control steps without action before the policy starts. In them, the objects of the released
+/// initial states settle, which float above their supports.
 pub const SETTLE_STEPS: u32 = 10;
 
 /// Seed of NumPy's legacy generator before a scene is composed and before each

@@ -1,4 +1,4 @@
-//! Compares answers with PyTorch's, for weights that are shipped. Training exports both.
+//! Compares answers with PyTorch's for the shipped weights. Training exports weights and answers.
 
 use std::fs;
 use std::path::Path;

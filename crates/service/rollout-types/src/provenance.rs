@@ -141,8 +141,8 @@ impl Provenance {
     }
 
     /// Describes the first difference between the policies of two results of one campaign and
-    /// suite; `None` if they are the same. The reported training assets are ignored: they affect no
-    /// action, and a server may start to report them. So is the execution model, which is the row's.
+    /// suite; `None` if they are the same. Ignores the row's execution model, and reported training
+    /// assets: these affect no action, and a server may start to report them.
     pub fn other_policy(&self, pinned: &Provenance) -> Option<String> {
         let differs = |what: &str, here: &str, there: &str| {
             (here != there).then(|| format!("{what} is `{here}` now and was `{there}`"))

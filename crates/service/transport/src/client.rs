@@ -83,7 +83,7 @@ impl Service<Uri> for LocalConnector {
             let port = uri.port_u16().unwrap_or(HTTP_PORT);
             let stream = TcpStream::connect((bare_host(&uri), port)).await?;
             stream.set_nodelay(true)?;
-            check_server(&stream)?;
+            check_server(&stream).await?;
             Ok(TokioIo::new(stream))
         })
     }
@@ -206,9 +206,9 @@ impl Access {
     ///
     /// # Errors
     /// The finding, if the token would be sent unencrypted to another user of this machine.
-    pub fn check_connection(&self, uri: &Uri, connection: &TcpStream) -> Result<(), Found> {
+    pub async fn check_connection(&self, uri: &Uri, connection: &TcpStream) -> Result<(), Found> {
         match self.shows_token_in_clear(uri) {
-            true => check_server(connection).map_err(Found::from),
+            true => check_server(connection).await.map_err(Found::from),
             false => Ok(()),
         }
     }

@@ -479,7 +479,7 @@ mod tests {
         caller.write_all(&bytes).expect("sent");
         connection.read_exact(&mut bytes).await.expect("received");
         let begun = Instant::now();
-        // Traffic of one direction alone keeps it, well beyond the first timer.
+        // Traffic in one direction alone keeps the connection open, well beyond the first timer.
         while begun.elapsed() < GREETING_TIMEOUT + idle {
             let silence = timeout(idle / 2, connection.read_u8()).await;
             assert!(silence.is_err(), "{silence:?} after {:?}", begun.elapsed());
@@ -550,7 +550,7 @@ mod tests {
         let begun = Instant::now();
         let early = timeout(Duration::from_millis(400), accepted(&mut incoming)).await;
         assert!(early.is_err(), "accepted without a file");
-        // Six pauses of 10, 20, … 320 ms, not as many tries as there is time for.
+        // It pauses six times, for 10, 20, … 320 ms, instead of trying without a pause.
         assert!(incoming.pause > 8 * FIRST_PAUSE, "{:?}", incoming.pause);
         assert!(incoming.pause <= LONGEST_PAUSE, "{:?}", incoming.pause);
         drop(files);

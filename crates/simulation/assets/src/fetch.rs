@@ -85,7 +85,7 @@ impl Fetch<'_> {
             let parcel = self.persistently(progress, || origin.locate(table, &group))?;
             self.receive(&parcel, &incoming, &mut progress)?;
         }
-        // Not empty after an interrupted fetch.
+        // Fails if an interrupted fetch has left files in the folder.
         let _ = fs::remove_dir(&incoming);
         Ok(Fetched {
             present: wanted.len() - lacking.len(),

@@ -149,7 +149,7 @@ impl Client {
         })
     }
 
-    /// Requests a byte range. The server may send everything instead, which the status tells.
+    /// Requests a byte range. The server may send the whole file instead; the status tells which.
     pub(crate) fn get_range(
         &self,
         address: &Address,

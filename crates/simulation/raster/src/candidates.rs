@@ -120,8 +120,8 @@ fn column_of(row: I) -> I {
     (I::splat(0x8d) >> ((row & I::splat(3)) << 1i32)) & I::splat(3)
 }
 
-/// Returns the mask of those of eight small triangles that cover a sample. `columns` and `rows` are
-/// the first and last that they may cover.
+/// Returns the mask of the triangles, of eight small ones, that cover a sample. `columns` and
+/// `rows` are the first and last that they may cover.
 #[inline(always)]
 fn small_covers(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
     let splat = |value: i32| I::splat(value);

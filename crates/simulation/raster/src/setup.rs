@@ -11,8 +11,8 @@ use crate::window::Window;
 /// exceeds 32 bits.
 const LARGE: i32 = 32 * SUBPIXELS;
 
-/// Returns the winding order of a triangle's corners: Mesa swaps the first two of triangles whose
-/// front is wound counter-clockwise.
+/// Returns the winding order of a triangle's corners. Mesa swaps the first two corners of a
+/// triangle whose front is wound counter-clockwise.
 #[inline(always)]
 pub(crate) fn turned(counter_clockwise: bool) -> [usize; 3] {
     match counter_clockwise {

@@ -31,7 +31,7 @@ pub struct Texture {
     /// Texels of the largest level.
     largest: usize,
     /// Bytes of the smaller levels, level by level and image by image, plus one byte, so that four
-    /// bytes can be read at the last texel's three.
+    /// bytes can be read at the last texel, which has three.
     smaller: Values<u8>,
 }
 
@@ -400,9 +400,9 @@ fn encoded(value: f32) -> u8 {
     scaled.round_ties_even() as u8
 }
 
-/// Returns the reciprocal square root of a positive number as Intel's processors estimate it: that
-/// of the centre of one of 1,024 intervals per octave, in 12 bits. Only with this estimate are the
-/// levels of sRGB textures equal to Mesa's.
+/// Returns the reciprocal square root of a positive number as Intel's processors estimate it: for
+/// the centre of the number's interval, of which an octave has 1,024, and rounded to 12 bits. Only
+/// with this estimate are the levels of sRGB textures equal to Mesa's.
 fn over_root(value: f32) -> f32 {
     const PART: u32 = 1 << 13;
     let bits = value.to_bits();

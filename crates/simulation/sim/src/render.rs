@@ -130,7 +130,7 @@ impl LazyDrawer {
 /// A renderer's state for drawing one scene.
 pub(crate) enum Canvas {
     Software(Box<SoftwareCanvas>),
-    /// State of OpenGL, which suits no renderer on another thread than its own.
+    /// State of OpenGL, which only a renderer on the same thread can use.
     Gl(ThreadBound<GlCanvas>),
 }
 

@@ -121,7 +121,7 @@ impl Environment {
     }
 
     /// Observes the current state. As in robosuite, later control steps then observe one simulation
-    /// step earlier: a requested update counts as one of those between two samples.
+    /// step earlier: a requested update counts as one of the steps between two samples.
     pub fn observe_now(&mut self) {
         self.observed_substep = (self.observed_substep + SUBSTEPS - 1) % SUBSTEPS;
         self.record_all();

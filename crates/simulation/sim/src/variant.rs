@@ -23,7 +23,7 @@ const DRAWN_SIDE: usize = 256;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {
     /// The row's initial state, loaded after a reset. The controllers stay as the reset left them,
-    /// so the waits turn the hand back to its orientation then.
+    /// so the waits turn the hand back to its orientation at the reset.
     InitialState,
     /// The state after the reset.
     Reset,

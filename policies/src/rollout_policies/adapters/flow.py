@@ -54,8 +54,8 @@ class FlowPolicy(Policy):
         return self.infer_batch([observation])[0]
 
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
-        """Answers each query. Those that are told what is executed meanwhile are answered one
-        by one, since a network's call has one delay."""
+        """Answers each query. Queries with actions that are executed during inference are answered
+        one by one, since a call of the network has one delay."""
         heeds = self.description.real_time_chunking
         answers: dict[int, np.ndarray] = {}
         for at, one in enumerate(observations):

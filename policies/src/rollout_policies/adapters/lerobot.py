@@ -186,14 +186,14 @@ class LerobotModel:
 
     @property
     def chunks_in_real_time(self) -> bool:
-        """True if a chunk can go on from what is executed meanwhile."""
+        """True if chunks can continue the actions that are executed during inference."""
         config = getattr(self.config, "rtc_config", None)
         return config is not None and config.enabled
 
     def chunk_in_real_time(self) -> None:
-        """Has chunks go on from what is executed meanwhile, where lerobot's policy can: by its
-        guidance of the flow, with the checkpoint's settings or else lerobot's. Chunks of queries
-        that are told nothing have the same bits."""
+        """Has chunks continue the actions that are executed during inference, if lerobot's policy
+        supports it: by its guidance of the flow, with the checkpoint's settings or lerobot's.
+        Queries without such actions get the same bits as before."""
         if not hasattr(self.config, "rtc_config") or not hasattr(
             self.network, "init_rtc_processor"
         ):
@@ -214,8 +214,8 @@ class LerobotModel:
         """Chunks of actions [batch, n, 7], in the world's units.
 
         `noise` is the flow's initial noise, [batch, n, width]; without it the
-        network draws from torch's generator. `under_way` is executed meanwhile;
-        the first chunk goes on from it, and there is no other.
+        network draws from torch's generator. `under_way` has the actions that are executed
+        during inference; the batch must then be of one, whose chunk continues them.
         """
         import torch
 
@@ -225,12 +225,12 @@ class LerobotModel:
             device = next(self.network.parameters()).device
             given["noise"] = torch.from_numpy(noise.astype(np.float32)).to(device)
         if under_way is not None:
-            # As lerobot keeps its last chunk: normalised, from this observation's step on.
+            # Normalised and starting at this observation's step, as lerobot keeps its last chunk.
             given["prev_chunk_left_over"] = batch.pop(ACTION)
             given["inference_delay"] = under_way.delay
             guided = self.config.rtc_config.execution_horizon
             given["execution_horizon"] = max(guided, under_way.delay)
-        # Guidance is a gradient, which inference mode has none of.
+        # Guidance needs a gradient, which inference mode does not compute.
         with torch.inference_mode() if under_way is None else torch.no_grad():
             chunks = self.network.predict_action_chunk(batch, **given)
             flat = self.after(chunks.reshape(-1, chunks.shape[-1]))

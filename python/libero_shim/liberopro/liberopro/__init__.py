@@ -41,7 +41,7 @@ def get_libero_path(query_key: str) -> str:
 
 
 def get_default_path_dict(custom_location: str | None = None) -> dict[str, str]:
-    """All of these folders. Raises ValueError for a location of one's own."""
+    """All of these folders. Raises ValueError for a custom location."""
     set_libero_default_path(custom_location)
     keys = ("benchmark_root", "bddl_files", "init_states", "datasets")
     return {key: get_libero_path(key) for key in keys} | {"assets": get_assets_path()}

@@ -57,7 +57,7 @@ class Benchmark(_libero.Benchmark):
         self.n_tasks = len(tasks)
 
     def get_task_bddl_file_path(self, i: int) -> str:
-        """Where a task's BDDL file lies."""
+        """Path of a task's BDDL file."""
         task = self.tasks[i]
         root = _core.get_libero_path("bddl_files")
         return os.path.join(root, task.problem_folder, task.bddl_file)
@@ -73,7 +73,7 @@ BENCHMARK_MAPPING: dict[str, type[Benchmark]] = {}
 
 
 def register_benchmark(target_class: type[Benchmark]) -> type[Benchmark]:
-    """Makes a suite known by its class's name, in lower case."""
+    """Registers a suite by the name of its class, in lower case."""
     BENCHMARK_MAPPING[target_class.__name__.lower()] = target_class
     return target_class
 
@@ -86,7 +86,7 @@ def get_benchmark_dict(help: bool = False) -> dict[str, type[Benchmark]]:
 
 
 def get_benchmark(benchmark_name: str) -> type[Benchmark]:
-    """A suite by its name, in capitals or not. Raises KeyError."""
+    """A suite by its name, in any case. Raises KeyError."""
     try:
         return BENCHMARK_MAPPING[benchmark_name.lower()]
     except KeyError:

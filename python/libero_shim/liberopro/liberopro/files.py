@@ -12,7 +12,7 @@ from rollout_libero import files
 from rollout_libero.tasks import SUITES as LIBEROS
 
 KINDS = ("lan", "object", "swap", "task")
-"""What is changed: the sentence, objects' colours and sizes, their places, the goal."""
+"""Changes to the sentence, to objects' colours and sizes, to their places, to the goal."""
 SUITES = tuple(f"{suite}_{kind}" for suite in LIBEROS for kind in KINDS)
 
 _PACKAGE = "libero/libero"
@@ -40,11 +40,11 @@ def folder() -> Path:
 
 
 def _complete(unpacked: Path) -> None:
-    """Writes states as LIBERO has them, and puts LIBERO's suites beside."""
+    """Writes states in LIBERO's format, and adds LIBERO's suites to the folder."""
     for packed in unpacked.glob("init_files/*/*.pruned_init.npz"):
         with np.load(packed, allow_pickle=False) as archive:
             content = pickle.dumps(np.ascontiguousarray(archive["states"]), protocol=2)
-        # By the name that every release of NumPy knows.
+        # Every release of NumPy knows this name.
         content = content.replace(b"numpy._core.multiarray", b"numpy.core.multiarray", 1)
         with zipfile.ZipFile(packed.with_suffix(""), "w") as archive:
             archive.writestr("archive/data.pkl", content)

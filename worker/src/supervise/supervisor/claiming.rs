@@ -179,7 +179,7 @@ impl Supervisor {
                 format!("read the manifest row of job {}: {problem}", lease.job_id)
             })?;
         let realisation = lease.realisation.parse();
-        // Rows of campaigns from before rows had an execution model.
+        // Rows of older campaigns have no execution model; the lease then gives it.
         if row.execution.is_wait() && !lease.execution.is_empty() {
             let execution = lease.execution.parse();
             row.execution =

@@ -113,8 +113,7 @@ impl Rule {
                     Self(coins)
                 }
             };
-            // A drawn rule may be hidden by a part of it: draw until the rule is
-            // of its kind.
+            // A part of a drawn rule may hide the rest: draw again until the rule has its kind.
             let sizes: Vec<usize> = rule
                 .truth()
                 .iter()

@@ -130,7 +130,7 @@ mod tests {
             (chance.tasks, chance.configurations, chance.replicate),
             (0.0, 0.0, 0.5)
         );
-        // 0.5 over eight outcomes; a third replicate makes it twelve.
+        // A variance of 0.5 over eight outcomes, or over twelve with a third replicate.
         assert!((chance.standard_error.powi(2) - 0.5 / 8.0).abs() < 1e-12);
         assert!((chance.one_more_replicate.powi(2) - 0.5 / 12.0).abs() < 1e-12);
         let tasks = of([[0.0, 0.0], [0.0, 0.0], [1.0, 1.0], [1.0, 1.0]]);

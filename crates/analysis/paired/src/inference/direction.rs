@@ -1,5 +1,5 @@
-//! Test whether success depends on the direction. All tasks share the direction of
-//! configuration c, so that a campaign samples only ten directions, not four hundred.
+//! Test of whether success depends on the direction. All tasks share the direction of configuration
+//! c, so that a campaign samples only ten directions, not four hundred.
 
 use std::collections::BTreeMap;
 

@@ -14,9 +14,9 @@ pub const FEWEST_TASKS: usize = 5;
 /// Error probability of an interval.
 const ALPHA: f64 = 0.05;
 
-/// A point estimate, a fraction unless stated otherwise, with a 95 % interval for each target population. An interval
-/// is absent if the data do not allow it: fewer than [`FEWEST_TASKS`] tasks, a task with one
-/// configuration, or no variance.
+/// A point estimate, a fraction unless stated otherwise, with a 95 % interval for each target
+/// population. An interval is absent if the data do not allow it: fewer than [`FEWEST_TASKS`]
+/// tasks, a task with one configuration, or no variance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
     /// The point estimate.

@@ -34,8 +34,8 @@ pub struct Excess {
     pub n: u64,
     /// Complete configurations of the placebo.
     pub placebo: u64,
-    /// The placebo's measures, averaged over the choice of the rollout of a configuration
-    /// that takes the role of the simultaneous one.
+    /// The placebo's measures, averaged over all choices of one rollout of each configuration as
+    /// the simultaneous one.
     pub floor: Simultaneity,
     /// The level's measures minus the floor.
     pub excess: Simultaneity,

@@ -114,12 +114,12 @@ impl Sample {
     /// Returns the variances of a statistic, which must be a function of sums that is
     /// invariant under scaling all of them by the same factor.
     ///
-    /// V_T and V_TD leave out a task and a configuration at a time, within strata of
-    /// suites, V_D a direction at a time. The variance for new tasks is V_T; for new tasks
-    /// and new directions it is V_T + V_D − V_TD, at least the greater of V_T and V_D,
-    /// with Satterthwaite's degrees of freedom. For these tasks, configurations are left
-    /// out within their tasks; this counts effects of directions within a task as chance,
-    /// so that the variance is never too small.
+    /// V_T leaves out one task at a time and V_TD one configuration, both within strata of
+    /// suites; V_D leaves out one direction at a time. The variance for new tasks is V_T; for
+    /// new tasks and new directions it is V_T + V_D − V_TD, at least the greater of V_T and
+    /// V_D, with Satterthwaite's degrees of freedom. For these tasks, configurations are left
+    /// out within their tasks; this counts effects of directions within a task as chance, so
+    /// that the variance is never too small.
     ///
     /// Sources: J. N. K. Rao and J. Shao, Jackknife variance estimation with survey data,
     /// Biometrika 79 (1992), 811–822 (strata); A. C. Cameron, J. B. Gelbach and

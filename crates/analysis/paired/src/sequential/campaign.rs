@@ -18,7 +18,7 @@ pub const SEQUENTIAL_ALPHA: f64 = 0.05;
 ///
 /// A configuration is complete when all its rollouts have ended, at all levels and under
 /// all conditions, including its nominal rollout if the campaign runs one. Rollouts that
-/// the intervals do not use count in other figures.
+/// the intervals do not use still count in other figures.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CampaignLook {
     /// Configurations that the look rests on, in the drawn order.
@@ -94,9 +94,9 @@ impl CampaignLook {
         })
     }
 
-    /// Returns the first look at which the rule holds at every level; `None` if that is not
-    /// before the last configuration. Outcomes beyond that look in the drawn order do not
-    /// affect it.
+    /// Returns the first look at which the rule holds at every level; `None` if there is
+    /// none before the last configuration. Outcomes beyond that look in the drawn order do
+    /// not affect it.
     pub fn when_met(records: &Records, stop: &Stop) -> Option<Self> {
         let mut walk = Walk::begin(records, stop)?;
         while walk.step() {

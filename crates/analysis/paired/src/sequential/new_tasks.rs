@@ -10,17 +10,17 @@
 //! depend on earlier rounds alone, and a task's mean x,
 //! (1 + s·(x − c)) / (1 + s·(μ_h − c)) has the expectation 1, so that the product over all
 //! tasks is a nonnegative martingale. −log of the denominators is convex in μ_h, so that by
-//! Jensen's inequality the product is at least that with every μ_h replaced by their
-//! average m, as s and c are the same for all tasks of a round. By Ville's inequality the
-//! average of the latter over two bets ever reaches 1/α at the true m with a probability
-//! of at most α. There are no further assumptions about the tasks. Rounds that lack a suite
-//! are ignored.
+//! Jensen's inequality the product is at least the one in which the average m replaces every
+//! μ_h, as s and c are the same for all tasks of a round. By Ville's inequality, the
+//! probability that the average of the latter over two bets ever reaches 1/α at the true m is
+//! at most α. There are no further assumptions about the tasks. Rounds that lack a suite are
+//! ignored.
 //!
 //! # Sample size
-//! A task's mean may have any value in the range, and a task that fails in all of its
-//! configurations remains possible regardless of the number of tasks that did not. 40 tasks
-//! therefore exclude I = 0 only if |I| is about 0.15. The command
-//! `cargo run --release -p paired --example new_tasks` prints error rates and savings.
+//! A task's mean may have any value in the range. However many tasks succeed somewhere, one
+//! that fails in all of its configurations remains possible, so that 40 tasks exclude I = 0
+//! only if |I| is about 0.15. The command `cargo run --release -p paired --example new_tasks`
+//! prints error rates and savings.
 //!
 //! # Sources
 //! I. Waudby-Smith and A. Ramdas, Estimating means of bounded random variables by betting,

@@ -179,7 +179,7 @@ def main():
               (91, 47), (0, 400), (700, 900), (2000, 2100)]
     samples = [rng.normal(size=n) for n in [1, 2, 3, 10, 101]]
     shares = [0, 0.025, 0.3, 0.5, 0.975, 1]
-    # Of its own, so that what is above stays as it is.
+    # A separate generator, so that the expectations above stay the same.
     rng_of_pairs = np.random.default_rng(20260905)
     paired_sets = []
     for _ in range(PAIRED_SETS):

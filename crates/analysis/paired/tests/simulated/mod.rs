@@ -433,8 +433,8 @@ pub(crate) struct NetEffect {
 }
 
 impl NetEffect {
-    /// A campaign of 40 tasks at L2: a configuration changes by chance in one case of ten, and
-    /// as its task's effect demands besides.
+    /// A campaign of 40 tasks at L2: one configuration in ten changes by chance, others as their
+    /// task's effect demands.
     pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
         let mut records = Vec::new();
         for at in 0..40 {
@@ -447,7 +447,7 @@ impl NetEffect {
                 let change = match coin {
                     _ if coin < 0.05 => 1,
                     _ if coin < 0.1 => -1,
-                    // The coin is in the other nine tenths.
+                    // The coin is in the remaining nine tenths.
                     _ if (coin - 0.1) < effect.abs() => effect.signum() as i32,
                     _ => 0,
                 };

@@ -16,6 +16,6 @@ kinds = {
 }
 gaps = {name: int(column.isna().sum()) for name, column in frame.items()}
 mixed = [name for name, column in frame.items() if column.dtype == object]
-# What it is for: no cast is needed to count.
+# The purpose: no cast is needed to count.
 successes = int(frame["camera"].sum())
 json.dump({"columns": kinds, "gaps": gaps, "objects": mixed, "camera": successes}, sys.stdout)

@@ -35,8 +35,8 @@ fn campaign(policy: &str) -> Subject {
     }
 }
 
-/// Subject that fails where the index of the row is a multiple of thirteen, and
-/// succeeds where it is one of seventeen.
+/// Subject that fails where the index of the row is a multiple of thirteen, and succeeds where it
+/// is a multiple of seventeen.
 fn other(policy: &str) -> Subject {
     let mut subject = campaign(policy);
     for (index, record) in subject.records.iter_mut().enumerate() {

@@ -108,7 +108,7 @@ fn an_upset_plot_counts_each_minimal_subset_and_what_is_established_of_it() {
     let emergent = texts(&emergent);
     for said in [
         "camera+robot: 3 configurations, established in 3",
-        // A pair in it was not run.
+        // One of its pairs was not run.
         "camera+lighting+sensor: 3 configurations, established in 0",
         "lighting+actuation: 3 configurations, established in 3",
         "n = 9",
@@ -160,7 +160,7 @@ fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
         "a line for every axis that is added"
     );
     assert_eq!(count("<a href=\"/"), 15);
-    // Shape and colour both, with one more of each in the legend.
+    // Outcomes differ in shape and in colour; the legend has one more of each.
     let fails = explained
         .outcomes
         .iter()

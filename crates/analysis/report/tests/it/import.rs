@@ -67,7 +67,7 @@ fn a_row_of_the_reference_is_read_with_or_without_what_its_id_says() {
     assert_eq!(alone.records, subject.records);
 }
 
-/// A row without a model waited, as the reference's did.
+/// A row without an execution model counts as `wait`, which the reference's rows had.
 #[test]
 fn a_file_has_one_execution_model() {
     let late = ROW.replace("\"success\"", r#""execution": "overlap:4", "success""#);

@@ -70,7 +70,7 @@ fn nought_has_no_interval_of_no_width() {
     assert_eq!((&l2["b"], &l2["r_e_ci95"]), (&0.into(), &Value::Null));
     assert_eq!(l2["no_interval"], "no_spread");
     assert_eq!(l2["r_c_ci95"].as_array().map(Vec::len), Some(2));
-    // A share of no configuration has an interval all the same.
+    // A share of 0 still has an interval for new tasks.
     let [low, high] = [0, 1].map(|end| {
         let of = &json["reports"][0]["cells"][1]["inference"]["paired"]["r_e"];
         assert_eq!(of["value"], 0.0);

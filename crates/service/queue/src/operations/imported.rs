@@ -14,10 +14,10 @@ use sqlx::SqliteConnection;
 use super::derive::aside;
 use super::passages::PIECE;
 use crate::ids::{CampaignId, JobId, NameError, WorkerId, shortened};
-use crate::store::StoreError;
 use crate::store::imported::{self, StoredRow};
 use crate::store::portable;
 use crate::store::workers::MAX_SLOTS;
+use crate::store::{Store, StoreError};
 
 /// Longest problem of a parser in a message, bytes: it may quote the archive.
 const MAX_PROBLEM_BYTES: usize = 200;
@@ -229,11 +229,10 @@ fn in_short(error: serde_json::Error) -> String {
 
 /// Returns true if the rollouts of a derived campaign have step budgets of its source.
 pub(super) async fn has_budgets_of(
-    (derived, campaign): (&mut SqliteConnection, CampaignId),
-    (here, source): (&mut SqliteConnection, CampaignId),
+    (derived, campaign): (&Store, CampaignId),
+    (here, source): (&Store, CampaignId),
 ) -> Result<bool, StoreError> {
-    let known = imported::budgets(here, source).await?;
-    Ok(imported::budgets(derived, campaign)
-        .await?
-        .is_subset(&known))
+    let known = imported::budgets(&mut *here.read().await?, source).await?;
+    let budgets = imported::budgets(&mut *derived.read().await?, campaign).await?;
+    Ok(budgets.is_subset(&known))
 }

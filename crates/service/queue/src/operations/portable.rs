@@ -276,13 +276,16 @@ impl Queue {
         }
         let follows = context.followed(&called, source).await?;
         if let Some(source) = follows {
-            let mut view = from.store.read().await?;
-            let derived = (&mut *view, from.campaign.id);
-            if !imported::has_budgets_of(derived, (&mut context.tx, source)).await? {
+            // Nobody waits for the writer while many rows are read. No campaign comes or goes
+            // meanwhile, and rows of a campaign never change.
+            drop(context);
+            let derived = (&from.store, from.campaign.id);
+            if !imported::has_budgets_of(derived, (&shared.store, source)).await? {
                 return Err(AdoptError::OtherBudgets {
                     campaign: called.name,
                 });
             }
+            context = Context::begin(shared, vec![]).await?;
         }
         called.folder = campaigns::free_folder(&mut context.tx, &called.name).await?;
         let folder = campaign_folder(&called.folder);

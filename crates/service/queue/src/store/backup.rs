@@ -33,7 +33,7 @@ fn place(store: &Store) -> io::Result<TempPath> {
     if store.is_in_place() {
         return TempPath::try_from_path(store.folder().join(BACKUP_FILE));
     }
-    // Others can write there: an empty file of this user's, under a name that nobody can foresee.
+    // Others can write to that folder, so the file is this user's, with an unforeseeable name.
     let copy = tempfile::Builder::new()
         .prefix("rollout-")
         .suffix(BACKUP_FILE)

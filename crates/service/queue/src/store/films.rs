@@ -40,8 +40,8 @@ pub(crate) struct FilmableRow {
     pub(crate) is_wanting: bool,
 }
 
-/// A campaign that records transitions. While these revisions stay the same, so does the set of its
-/// rollouts to be filmed, except that filmed ones leave it.
+/// A campaign that records transitions. While these revisions are unchanged, its set of rollouts to
+/// be filmed only loses those that are filmed.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct Filmed {
     pub(crate) campaign: CampaignId,

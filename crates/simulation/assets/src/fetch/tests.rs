@@ -261,7 +261,7 @@ fn an_index_that_sends_byte_by_byte_is_given_up() {
         let begun = Instant::now();
         let done = fetch_from(&origin, index.table(), &into);
         assert_eq!(done.pauses, 4, "{fault:?}");
-        // The bytes of a page or wheel would take longer than five tries.
+        // Receiving a whole page or wheel byte by byte would take longer than these five tries.
         let took = begun.elapsed();
         assert!(took < Duration::from_secs(10), "{fault:?}: {took:?}");
         let error = done.error();

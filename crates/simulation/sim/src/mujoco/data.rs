@@ -40,8 +40,8 @@ macro_rules! slices {
         $(#[$doc])*
         pub fn $name<'a>(&'a self, model: &Model) -> &'a [f64] {
             self.assert_made_for(model);
-            // SAFETY: of this model, so the field points at this many doubles while
-            // the data lives.
+            // SAFETY: the data is of this model, so the field points at this many
+            // doubles while the data lives.
             unsafe { values(self.raw().$name.cast_const(), model.raw().$rows * $columns) }
         }
     )*};

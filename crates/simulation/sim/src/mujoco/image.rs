@@ -15,8 +15,8 @@ use super::slices::values;
 pub(crate) const ALIGNMENT: usize = 64;
 /// Size of MuJoCo's structure, bytes.
 pub(crate) const STRUCTURE: usize = size_of::<mjModel>();
-/// Position of all pointers in the structure. They lead into its buffer, the first one to its
-/// start.
+/// Position of all pointers in the structure. They lead into MuJoCo's buffer; the first one leads
+/// to the buffer's start.
 const POINTERS: std::ops::Range<usize> =
     offset_of!(mjModel, buffer)..offset_of!(mjModel, signature);
 /// Represents a null pointer.
@@ -62,8 +62,8 @@ impl Model {
         let buffer = unsafe {
             std::slice::from_raw_parts(compiled.buffer.cast::<u8>().cast_const(), length)
         };
-        // SAFETY: the structure as bytes. MuJoCo clears it whole before it fills it in, its
-        // padding too.
+        // SAFETY: views the structure as bytes. MuJoCo clears it whole, its padding included,
+        // before it fills it in.
         let mut structure =
             unsafe { std::slice::from_raw_parts((&raw const *compiled).cast::<u8>(), STRUCTURE) }
                 .to_vec();
@@ -104,7 +104,7 @@ impl Model {
         }
         let mut raw = Box::<mjModel>::new_uninit();
         let place = raw.as_mut_ptr().cast::<u8>();
-        // SAFETY: as many bytes as the box has room for.
+        // SAFETY: the structure has as many bytes as the box has room for.
         unsafe { place.copy_from_nonoverlapping(structure.as_ptr(), STRUCTURE) };
         for at in POINTERS.step_by(size_of::<usize>()) {
             let word = &structure[at..][..size_of::<usize>()];
@@ -114,12 +114,12 @@ impl Model {
                 offset if offset <= arrays.len() => start.cast_mut().wrapping_add(offset),
                 _ => return None,
             };
-            // SAFETY: a pointer's place in the structure, aligned as asserted above.
+            // SAFETY: `at` is a pointer's place in the structure, aligned as asserted above.
             unsafe { place.add(at).cast::<*mut u8>().write(pointer) };
         }
-        // SAFETY: written whole, from a model of the same version as the caller promises;
-        // its pointers lead into `arrays`, which the compilation keeps. Nobody writes through
-        // them: what a model changes is copied first.
+        // SAFETY: the structure was written whole, from a model of the same version as the caller
+        // promises; its pointers lead into `arrays`, which the compilation keeps. Nobody writes
+        // through them: arrays that a model changes are copied first.
         let raw = NonNull::from(Box::leak(unsafe { raw.assume_init() }));
         Some(Self::of(Arc::new(Compilation::new(
             raw,
@@ -158,7 +158,7 @@ struct Texels(Arc<Compilation>);
 impl AsRef<[u8]> for Texels {
     fn as_ref(&self) -> &[u8] {
         let compiled = self.0.structure();
-        // SAFETY: the field points at so many values while the compilation lives, or is null.
+        // SAFETY: the field is null, or points at this many values while the compilation lives.
         unsafe { values(compiled.tex_data.cast_const(), compiled.ntexdata) }
     }
 }

@@ -63,8 +63,8 @@ impl Compilation {
 unsafe impl Send for Compilation {}
 // SAFETY: as above.
 unsafe impl Sync for Compilation {}
-// SAFETY: plain memory that no thread owns; what is written to belongs to this model
-// alone, and is written through `&mut self`.
+// SAFETY: plain memory that no thread owns; the arrays that are written to belong to
+// this model alone, and are written through `&mut self`.
 unsafe impl Send for Model {}
 // SAFETY: as above; `&self` only reads.
 unsafe impl Sync for Model {}
@@ -309,7 +309,7 @@ impl Model {
     /// Returns the textures of the model.
     pub(crate) fn textures(&self) -> impl Iterator<Item = TextureData> {
         let raw = self.raw();
-        // SAFETY: the fields point at so many values while the model lives; a
+        // SAFETY: the fields point at this many values while the model lives; a
         // model without textures may have null pointers.
         let of = |pointer: *const i32| unsafe { values(pointer, raw.ntex) };
         let (kinds, spaces) = (of(raw.tex_type), of(raw.tex_colorspace));
@@ -427,7 +427,7 @@ impl<'a> Meshes<'a> {
     /// Returns one mesh.
     pub(crate) fn get(&self, index: usize) -> MeshData<'a> {
         let raw = self.0;
-        // SAFETY: the fields point at so many values while the model lives; a
+        // SAFETY: the fields point at this many values while the model lives; a
         // model without meshes may have null pointers.
         unsafe {
             let of = |pointer: *const i32| values(pointer, raw.nmesh)[index];

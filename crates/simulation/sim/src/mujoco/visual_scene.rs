@@ -64,7 +64,7 @@ impl VisualScene {
     /// Returns the camera halfway between the two eyes, from which pictures are drawn.
     pub(crate) fn eye(&self) -> c::mjvGLCamera {
         let [left, right] = &self.scene.camera;
-        // SAFETY: it reads the two cameras, and nothing else.
+        // SAFETY: the call reads the two cameras, and nothing else.
         unsafe { c::mjv_averageCamera(left, right) }
     }
 

@@ -134,9 +134,8 @@ impl GlCanvas {
             scene.flags[*flag as usize] = 1;
         }
         // SAFETY: scene and context are of one model, and their OpenGL context is
-        // current; what is written to has room for all pixels, or is null, which
-        // MuJoCo passes over; the viewport lies inside the buffer. Sizes were
-        // asserted above.
+        // current; each target has room for all pixels, or is null, which MuJoCo
+        // skips; the viewport lies inside the buffer. Sizes were asserted above.
         unsafe {
             c::mjr_render(viewport, scene, &*self.context);
             c::mjr_readPixels(colours, depths, viewport, &*self.context);

@@ -420,8 +420,8 @@ pub(super) fn names_of_textures(sections: &[Bytes]) -> Option<&[Name]> {
 /// Restores a scene from mapped sections; `None` if they do not belong to a scene.
 fn assemble(sections: &[Bytes], textures: Vec<Option<Vec<Bytes>>>) -> Option<Obtained> {
     let (structure, arrays) = (sections.get(STRUCTURE)?, sections.get(ARRAYS)?);
-    // SAFETY: written by `store`, of the same layout since the name says so, and not changed
-    // since, as the checksum shows.
+    // SAFETY: `store` wrote the sections; the name shows that the layout is the same, and the
+    // checksum that the sections were not changed since.
     #[allow(unsafe_code, reason = "a model of mapped arrays")]
     let model = unsafe { Model::of_image(structure, arrays.clone())? };
     let textures = textures

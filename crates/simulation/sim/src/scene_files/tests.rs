@@ -48,7 +48,7 @@ impl Seek for Disk<'_> {
 }
 
 /// Compiles a scene with meshes that collide and fall, textures of three kinds, and shapes with
-/// neither. `size` distinguishes scenes, which share one texture.
+/// neither. `size` distinguishes scenes, which share two of the textures.
 fn compile(size: f64) -> Result<Model, SimError> {
     Model::compile(&format!(
         r#"<mujoco><asset>
@@ -357,7 +357,7 @@ fn another_program_has_other_textures() {
     fixture.obtain();
     let before = fixture.files(".texture");
     fixture.folder.layout += "another";
-    // Another program also uses other scene names, which this name represents.
+    // Another program would also use other scene names; `OTHER` stands for one of them.
     let obtained = fixture.folder.obtain(&OTHER, || compile(0.1));
     assert!(behaviour(obtained.expect("a scene")) == fixture.wanted);
     assert_eq!(fixture.files(".texture").len(), 2 * before.len());
@@ -385,7 +385,7 @@ fn room_is_made_by_the_oldest_scene_that_is_not_mapped() {
     assert_eq!(names(&fixture), ["a", "b"], "one is mapped, one is new");
     drop(keep(&fixture, &[b'c'; NAME_DIGITS], 0.3));
     assert_eq!(names(&fixture), ["a", "c"], "nobody maps the second");
-    // One of a scene's three textures is its own.
+    // Each scene shares two of its three textures with the other one.
     assert_eq!(fixture.files(".texture").len(), 4);
     assert!(behaviour(first) == fixture.wanted);
     drop(keep(&fixture, &[b'd'; NAME_DIGITS], 0.4));

@@ -71,8 +71,8 @@ class _Subclass:
 
 
 class _Encoded:
-    """Bytes, as pickles of the second protocol ask for them. Made once they are needed: a
-    pickle may ask for those of one text many times."""
+    """Bytes, as pickles of the second protocol request them. Created only when needed: a
+    pickle may request those of one text many times."""
 
     def __init__(self, text: str, encoding: str) -> None:
         if encoding != "latin1" or not isinstance(text, str):
@@ -99,7 +99,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _check(content: bytes) -> None:
-    """Walks a pickle without obeying it. A few bytes can ask for a list of notes of any size.
+    """Walks a pickle without executing it, since a few bytes can request a huge list of notes.
 
     Raises _Tensors; ValueError if it has more operations or notes than an array takes.
     """

@@ -41,7 +41,7 @@ _ONE_VALUE: dict[str, tuple[tuple[Any, ...], str]] = {
     "scene_xml": ((None,), "the room is the one that the BDDL file's problem has"),
     "scene_properties": ((None,), "the room is the one that the BDDL file's problem has"),
 }
-#: Arguments that have no effect here, and some none in the original either.
+#: Arguments that have no effect here. Some have none in the original either.
 _IGNORED = ("reward_shaping", "render_camera", "render_gpu_device_id")
 
 

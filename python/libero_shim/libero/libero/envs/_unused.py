@@ -1,4 +1,4 @@
-"""Cameras that whoever starts a program says it does not use: they are not drawn."""
+"""Cameras that the user declares unused in an environment variable: they are not drawn."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import os
 import sys
 from collections.abc import Collection
 
-#: Names of cameras, divided by commas. Programs that read or send every frame of every step, of
-#: cameras that their policy is not shown, are spared the drawing.
+#: Names of cameras, separated by commas. Leaving out cameras that the policy is not shown saves
+#: drawing time in programs that read or send every frame of every step.
 VARIABLE = "ROLLOUT_UNUSED_CAMERAS"
 
 _said: set[str] = set()
 
 
 def unused_cameras(known: Collection[str]) -> frozenset[str]:
-    """Returns the cameras that the environment variable names. Says once in a process that
-    their frames are black, since a policy that is shown them would look bad for no fault of its.
+    """Returns the cameras that the environment variable names. Warns once per camera that its
+    frames are black, because a policy that is shown them fails through no fault of its own.
 
     Raises ValueError for a camera that is not among those of the scene.
     """

@@ -51,7 +51,7 @@ pub(super) enum Fault {
     Stalls,
     /// Bytes arrive slowly but steadily.
     Slow,
-    /// Pages arrive byte by byte, without end for any patience.
+    /// Pages arrive byte by byte, too slowly for any timeout.
     DripsPages,
     /// Wheels arrive byte by byte.
     DripsWheels,
