@@ -7,11 +7,12 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 
 use crate::axis::Axis;
+use crate::axis::LATENCY;
 use crate::axis_set::AxisSet;
 use crate::condition::Condition;
 use crate::design_version::DesignVersion;
 use crate::directions::{Directions, MAX_CONFIGS};
-use crate::latency::{AnyAxis, LATENCY, delay_at};
+use crate::latency::{AnyAxis, delay_at};
 use crate::level::Level;
 use crate::names::UnknownName;
 use crate::placebo::{PLACEBO_RADII, Placebo};
