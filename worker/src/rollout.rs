@@ -189,7 +189,7 @@ pub(crate) fn run_after(
         policy_checkpoint_digest: description.about.checkpoint_digest.clone(),
         policy_privileged: description.about.privileged,
         policy_canonical_only: description.about.language() == wire::Language::CanonicalOnly,
-        policy_settings: settings(&description, execution),
+        policy_settings: settings(&description, &row.execution),
         batch_mode: match description.about.batch_mode.as_str() {
             "" => UNBATCHED.to_owned(),
             mode => mode.to_owned(),

@@ -235,6 +235,23 @@ fn a_policy_is_told_what_is_executed_while_it_thinks_and_only_then() {
 }
 
 #[test]
+fn a_delay_as_long_as_an_answer_is_a_failure_on_the_latency_axis() {
+    let test = "a_delay_as_long_as_an_answer_is_a_failure_on_the_latency_axis";
+    let Some(mut simulator) = simulator(test) else {
+        return;
+    };
+    let id = "spatial/t0/latency/r20/c00".parse().expect("an id");
+    let mut late = row_of(id).expect("a row");
+    late.max_steps = STEPS;
+    assert_eq!(late.execution, parsed("overlap:10"));
+    let ran = run_row(&mut simulator, late, false);
+    let result = &ran.simulated.finished.result;
+    assert_eq!((result.success, result.steps), (false, STEPS));
+    let still = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
+    assert!(ran.sent.iter().all(|sent| *sent == still));
+}
+
+#[test]
 fn a_policy_whose_every_action_would_be_dropped_is_not_run() {
     let test = "a_policy_whose_every_action_would_be_dropped_is_not_run";
     let Some(mut simulator) = simulator(test) else {

@@ -183,6 +183,7 @@ proptest! {
 fn a_delay_is_found_to_the_control_step() {
     for (max_radius, grid) in [
         (16.0, "L1 L2 L3 r16"),
+        (15.0, "L1 L2 L3 r14"),
         (14.0, "L1 L2 L3 r14"),
         (5.5, "L1 L2"),
     ] {

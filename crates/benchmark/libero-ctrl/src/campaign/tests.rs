@@ -94,6 +94,32 @@ fn a_manifest_stands_in_place_of_a_design() {
     );
 }
 
+#[test]
+fn rows_of_the_latency_axis_run_beside_no_other_model() {
+    let row = |id: &str| crate::row_of(id.parse().expect("an id")).expect("a row");
+    let [late, nominal] = ["goal/t0/latency/L2/c00", "goal/t0/clean/i06"].map(row);
+    let holding = nominal.clone().under(&"hold:2".parse().expect("a model"));
+    let spec = |rows: [&ManifestRow; 2], model: Option<&str>| {
+        let mut json = serde_json::json!({
+            "name": "imported",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "manifest": rows,
+        });
+        if let Some(model) = model {
+            json["execution"] = model.into();
+        }
+        CampaignSpec::from_json(&json.to_string())
+    };
+    spec([&late, &nominal], None).expect("a specification");
+    for (rows, model) in [
+        ([&late, &nominal], Some("overlap:8")),
+        ([&late, &holding], None),
+    ] {
+        let error = spec(rows, model).expect_err("two models");
+        assert!(matches!(error, SpecError::Latency { .. }), "{error}");
+    }
+}
+
 /// A manifest that was expanded under a model says so, in each row.
 #[test]
 fn a_campaign_runs_under_the_model_of_its_manifest() {
