@@ -368,6 +368,9 @@ def difference(pairs, own_directions):
         np.column_stack([np.ones(len(better)), better]),
         own_directions=True,
     )
+    improvement = profile.estimate(lambda s: s[1] / s[0], True)
+    if not own_directions:
+        improvement["new_tasks_and_directions"] = None
     return {
         "n": len(pairs),
         "tasks": len(by_task),
@@ -384,7 +387,7 @@ def difference(pairs, own_directions):
         "profile": {
             "a_better": int((better == 1).sum()),
             "b_better": int((better == 0).sum()),
-            "improvement": profile.estimate(lambda s: s[1] / s[0], True),
+            "improvement": improvement,
         },
     }, by_task
 
@@ -392,18 +395,27 @@ def difference(pairs, own_directions):
 def max_t(by_tasks):
     """Half-width, in standard errors, of simultaneous intervals for all rows, by random signs."""
     tasks = sorted(set().union(*by_tasks))
-    columns = []
-    for of in by_tasks:
-        means = {suite: np.mean([v for (s, _), v in of.items() if s == suite]) for suite, _ in of}
-        columns.append([of[task] - means[task[0]] if task in of else 0.0 for task in tasks])
-    u = np.array(columns)
+    strata = np.array([suite for suite, _ in tasks])
+    if 1 in np.unique(strata, return_counts=True)[1]:
+        strata[:] = 0
+    u = np.zeros((len(by_tasks), len(tasks)))
+    for row, of in zip(u, by_tasks):
+        known = np.array([task in of for task in tasks])
+        row[known] = [of[task] for task in tasks if task in of]
+        for stratum in set(strata[known]):
+            row[known & (strata == stratum)] -= row[known & (strata == stratum)].mean()
     u = u[(np.abs(u) > 1e-12).any(axis=1)]
-    g = len(tasks)
-    if g < 2 or not len(u):
+    if len(tasks) < 2 or not len(u):
         return None
-    signs = np.random.default_rng(2).choice([-1.0, 1.0], (SIGNS, g))
+    signs = np.random.default_rng(2).choice([-1.0, 1.0], (SIGNS, len(tasks)))
     sums = signs @ u.T
-    variance = ((u**2).sum(axis=1) - sums**2 / g) * g / (g - 1)
+    variance = np.zeros_like(sums)
+    for stratum in set(strata):
+        own = strata == stratum
+        g = own.sum()
+        squares = (u[:, own] ** 2).sum(axis=1)
+        rest = squares - (signs[:, own] @ u[:, own].T) ** 2 / g
+        variance += np.where(rest > 1e-12 * squares, rest, 0.0) * g / (g - 1)
     with np.errstate(all="ignore"):
         t = np.where(variance > 0, np.abs(sums) / np.sqrt(variance), np.inf)
     critical = np.quantile(t.max(axis=1), 0.95)

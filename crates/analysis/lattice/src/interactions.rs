@@ -202,7 +202,9 @@ fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -
 
 /// Sets the simultaneous intervals of a family of estimates.
 fn hold_together(estimates: &mut [Estimate], deviations: &[Vec<f64>], bootstrap: &Bootstrap) {
-    let Some(critical) = max_t(deviations, bootstrap) else {
+    // The standard errors below pool all tasks.
+    let tasks = deviations.first().map_or(0, Vec::len);
+    let Some(critical) = max_t(deviations, &[tasks], bootstrap) else {
         return;
     };
     for (estimate, row) in estimates.iter_mut().zip(deviations) {

@@ -5,17 +5,20 @@
 //! Every campaign draws new tasks and new directions from a known population, and new
 //! outcomes. Each interval is compared with the true value of its own target: the drawn
 //! tasks and directions, all tasks under the drawn directions, or all tasks and directions.
+//! The first table is about the report of one policy, the second about the comparison of two.
+//! *All rows together* is the share of campaigns in which every simultaneous interval holds.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use libero_ctrl::Level;
-use paired::{Cell, Estimate, Interval, Options, report};
+use paired::{Cell, Comparison, Estimate, Interval, Options, report};
 
 // The tests use the other functions of this module.
 #[allow(dead_code)]
 #[path = "../tests/simulated/mod.rs"]
 mod simulated;
 
+use simulated::two::{MEASURES, Truth, TwoPolicies, row};
 use simulated::{CONFIGURATIONS, Chance, Population, estimates};
 
 /// Default number of campaigns of each size.
@@ -40,13 +43,64 @@ impl Coverage {
     }
 }
 
-type Key = (&'static str, usize);
+/// Coverage by figure and target.
+#[derive(Default)]
+struct Table(BTreeMap<(String, usize), Coverage>);
 
-fn simulate(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> BTreeMap<Key, Coverage> {
+impl Table {
+    fn add(&mut self, name: &str, target: usize, interval: Option<Interval>, truth: f64) {
+        let one = self.0.entry((name.to_owned(), target)).or_default();
+        one.add(interval, truth);
+    }
+
+    /// Adds the interval for each target.
+    fn add_each(&mut self, name: &str, estimate: &Estimate, truths: [f64; 3]) {
+        let intervals = [
+            estimate.these_tasks,
+            estimate.new_tasks,
+            estimate.new_tasks_and_directions,
+        ];
+        for (target, (interval, truth)) in intervals.into_iter().zip(truths).enumerate() {
+            self.add(name, target, interval, truth);
+        }
+    }
+
+    fn add_comparison(&mut self, comparison: &Comparison, truths: [&Truth; 3]) {
+        let mut together = Vec::new();
+        for cell in &comparison.cells {
+            let (row, label) = (row(cell.condition), cell.condition.label());
+            let name = |of: &str| format!("{of}, {label}");
+            let truths_of = |measure: usize| truths.map(|truth| truth[measure][row]);
+            let difference = cell.difference.as_ref().expect("outcomes");
+            let progress = cell.progress.as_ref().expect("progress");
+            let estimates = [
+                difference.estimate,
+                progress.goal.expect("goals").difference,
+                progress.steps.expect("steps").difference,
+                difference.profile.improvement,
+            ];
+            for (measure, estimate) in estimates.iter().enumerate() {
+                self.add_each(&name(MEASURES[measure]), estimate, truths_of(measure));
+            }
+            let truth = truths[1][0][row];
+            let percentiles = difference.difference_ci95;
+            self.add(&name("A - B, percentiles"), 1, percentiles, truth);
+            if let Some([low, high]) = difference.simultaneous_ci95 {
+                together.push((low..=high).contains(&truth));
+            }
+        }
+        let all = self.0.entry(("all rows together".to_owned(), 1));
+        let all = all.or_default();
+        all.made += u64::from(!together.is_empty());
+        all.held += u64::from(!together.is_empty() && together.iter().all(|holds| *holds));
+    }
+}
+
+fn simulate(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
     let population = Population::usual();
     let mut chance = Chance::new(seed + tasks as u64);
     let everywhere = population.truth_of_all_tasks(suites, None);
-    let mut coverage: BTreeMap<Key, Coverage> = BTreeMap::new();
+    let mut coverage = Table::default();
     for _ in 0..campaigns {
         let drawn = population.tasks(tasks, &mut chance);
         let directions = population.directions(CONFIGURATIONS, &mut chance);
@@ -59,31 +113,57 @@ fn simulate(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> BTreeMap<
             population.truth_of_all_tasks(suites, Some(&directions)),
         ];
         for (name, estimate) in estimates(cell) {
-            let Estimate {
-                these_tasks,
-                new_tasks,
-                new_tasks_and_directions,
-                ..
-            } = estimate;
-            let intervals = [these_tasks, new_tasks, new_tasks_and_directions];
             let truths = [truths[0][name], truths[1][name], everywhere[name]];
-            for (target, (interval, truth)) in intervals.into_iter().zip(truths).enumerate() {
-                coverage
-                    .entry((name, target))
-                    .or_default()
-                    .add(interval, truth);
-            }
+            coverage.add_each(name, &estimate, truths);
         }
         let measures = cell.paired.as_ref().expect("complete");
         for (name, of, interval) in [
             ("I, percentiles", "I", measures.i_ci95),
             ("R_d, percentiles", "R_d", measures.r_d_ci95),
         ] {
-            let one = coverage.entry((name, 1)).or_default();
-            one.add(interval, truths[1][of]);
+            coverage.add(name, 1, interval, truths[1][of]);
         }
     }
     coverage
+}
+
+fn simulate_two(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
+    let policies = TwoPolicies::usual();
+    let mut chance = Chance::new(seed + tasks as u64);
+    let everywhere = policies.truth_of_all_tasks(suites, None);
+    let mut coverage = Table::default();
+    for _ in 0..campaigns {
+        let drawn = policies.tasks(tasks, &mut chance);
+        let directions = policies.directions(&mut chance);
+        let comparison = policies.compare(&drawn, suites, &directions, &mut chance);
+        let these = policies.truth(&drawn, suites, &directions);
+        let new_tasks = policies.truth_of_all_tasks(suites, Some(&directions));
+        coverage.add_comparison(&comparison, [&these, &new_tasks, &everywhere]);
+    }
+    coverage
+}
+
+fn print(title: &str, sizes: &[Table]) {
+    print!("\n{title:<34}{:<11}", "tasks");
+    SIZES.iter().for_each(|(tasks, _)| print!("{tasks:>8}"));
+    println!();
+    let keys = sizes.iter().flat_map(|table| table.0.keys());
+    for key in keys.collect::<BTreeSet<_>>() {
+        let of_sizes = sizes.iter().map(|table| table.0.get(key));
+        let of_sizes: Vec<Coverage> = of_sizes.map(|it| it.copied().unwrap_or_default()).collect();
+        // Some figures have no interval for some target, whatever the number of tasks.
+        if of_sizes.iter().all(|it| it.made == 0) {
+            continue;
+        }
+        print!("{:<34}{:<11}", key.0, TARGETS[key.1]);
+        for Coverage { made, held } in of_sizes {
+            match made {
+                0 => print!("{:>8}", "-"),
+                _ => print!("{:>8.1}", 100.0 * held as f64 / made as f64),
+            }
+        }
+        println!();
+    }
 }
 
 fn main() {
@@ -97,21 +177,13 @@ fn main() {
             std::process::exit(2);
         }
     };
-    let sizes = SIZES.map(|(tasks, suites)| simulate(tasks, suites, campaigns, seed));
     println!("coverage of 95 % intervals, %, {campaigns} campaigns of each size, seed {seed}");
-    print!("\n{:<24}{:<11}", "", "tasks");
-    SIZES.iter().for_each(|(tasks, _)| print!("{tasks:>8}"));
-    println!();
-    for (name, target) in sizes[3].keys() {
-        print!("{name:<24}{:<11}", TARGETS[*target]);
-        for of_size in &sizes {
-            match of_size.get(&(*name, *target)) {
-                Some(Coverage { made, held }) if *made > 0 => {
-                    print!("{:>8.1}", 100.0 * *held as f64 / *made as f64);
-                }
-                _ => print!("{:>8}", "-"),
-            }
-        }
-        println!();
-    }
+    print(
+        "one policy",
+        &SIZES.map(|(tasks, suites)| simulate(tasks, suites, campaigns, seed)),
+    );
+    print(
+        "two policies",
+        &SIZES.map(|(tasks, suites)| simulate_two(tasks, suites, campaigns, seed)),
+    );
 }

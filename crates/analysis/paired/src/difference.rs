@@ -85,7 +85,8 @@ pub struct Profile {
     /// Tasks in which B succeeds more often.
     pub b_better: u64,
     /// Probability of improvement with intervals: the probability that A does better than B
-    /// in a task drawn at random, where ties count half.
+    /// in a task drawn at random, where ties count half. It has no interval for these tasks, nor
+    /// for new directions where tasks share theirs.
     ///
     /// Source: R. Agarwal et al., Deep reinforcement learning at the edge of the
     /// statistical precipice, NeurIPS 2021.
@@ -201,7 +202,7 @@ impl Difference {
             sign_flip_p,
             holm_p: sign_flip_p,
             simultaneous_ci95: None,
-            profile: Profile::of(pairs)?,
+            profile: Profile::of(pairs, directions)?,
             n: total.n(),
             tasks: clusters.len() as u64,
             s_a: total.rate(total.both + total.a_only),
@@ -298,7 +299,7 @@ impl Profile {
         Some([least?, most?])
     }
 
-    fn of(pairs: &[Pair]) -> Option<Self> {
+    fn of(pairs: &[Pair], directions: Directions) -> Option<Self> {
         let mut sums: BTreeMap<TaskRef, [f64; 2]> = BTreeMap::new();
         for row in rows(pairs) {
             let sum = sums.entry(row.task).or_default();
@@ -332,10 +333,15 @@ impl Profile {
             .collect();
         let sample = Sample::new(&rows, Directions::Own)?;
         let improvement = Estimate::of(&sample, Scale::Share, &|sums| sums[1] / sums[0]);
+        let mut improvement = defined(improvement);
+        if directions == Directions::Shared {
+            // The spread of tasks under the same directions says nothing of other directions.
+            improvement.new_tasks_and_directions = None;
+        }
         Some(Self {
             a_better: better(1.0) as u64,
             b_better: better(-1.0) as u64,
-            improvement: defined(improvement),
+            improvement,
             tasks,
         })
     }
@@ -352,22 +358,28 @@ fn together(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
         .iter()
         .flat_map(|it| it.profile.tasks.keys().copied())
         .collect();
+    let tasks: Vec<TaskRef> = tasks.into_iter().collect();
+    let strata = strata(&tasks);
     // If all tasks have the same number of rollouts, the pseudo-value is the task's
-    // difference minus the mean of its suite.
+    // difference minus the mean of its stratum.
     let pseudo = made.iter().map(|difference| {
         let of = &difference.profile.tasks;
-        let mean = |suite| {
-            let own = of.iter().filter(|(task, _)| task.suite() == suite);
-            let own: Vec<f64> = own.map(|(_, change)| *change).collect();
-            own.iter().sum::<f64>() / own.len() as f64
-        };
-        let value = |task: &TaskRef| {
-            of.get(task)
-                .map_or(0.0, |change| change - mean(task.suite()))
-        };
-        tasks.iter().map(value).collect::<Vec<f64>>()
+        let mut values = Vec::with_capacity(tasks.len());
+        let mut rest = tasks.as_slice();
+        for &size in &strata {
+            let (stratum, others) = rest.split_at(size);
+            rest = others;
+            let own: Vec<f64> = stratum
+                .iter()
+                .filter_map(|it| of.get(it).copied())
+                .collect();
+            let mean = own.iter().sum::<f64>() / own.len() as f64;
+            let value = |task| of.get(task).map_or(0.0, |change| change - mean);
+            values.extend(stratum.iter().map(value));
+        }
+        values
     });
-    let Some(critical) = max_t(&pseudo.collect::<Vec<_>>(), bootstrap) else {
+    let Some(critical) = max_t(&pseudo.collect::<Vec<_>>(), &strata, bootstrap) else {
         return;
     };
     for difference in made {
@@ -376,5 +388,16 @@ fn together(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
             let value = difference.difference;
             [(value - half).max(-1.0), (value + half).min(1.0)]
         });
+    }
+}
+
+/// Returns the numbers of tasks in strata of suites, or in a single stratum if any suite has only
+/// one task, as in the standard errors. Tasks are ordered by suite.
+fn strata(tasks: &[TaskRef]) -> Vec<usize> {
+    let of_suites = tasks.chunk_by(|a, b| a.suite() == b.suite());
+    let of_suites: Vec<usize> = of_suites.map(<[TaskRef]>::len).collect();
+    match of_suites.contains(&1) {
+        true => vec![tasks.len()],
+        false => of_suites,
     }
 }

@@ -7,6 +7,8 @@ use paired::{Cell, Estimate, Outcome, Record};
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
+pub(crate) mod two;
+
 /// Number of configurations of every task, and of directions.
 pub(crate) const CONFIGURATIONS: u16 = 10;
 const AXES: usize = Axis::ALL.len();

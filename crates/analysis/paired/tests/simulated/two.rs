@@ -1,0 +1,301 @@
+//! Campaigns of two policies, A and B, whose true differences are known.
+
+use libero_ctrl::{Condition, Directions, Level};
+use paired::{Bootstrap, Compared, Comparison, Progress, Record};
+use rollout_types::GoalProgress;
+
+use super::{
+    CONDITIONS, CONFIGURATIONS, Chance, Effects, Population, conditions, logistic, normal_points,
+    record, task,
+};
+
+/// Rows of a comparison: the conditions at L2, then nominal.
+const ROWS: usize = CONDITIONS + 1;
+/// Control steps after which a rollout without success ends.
+const BUDGET: f64 = 300.0;
+/// Measures of one row: success, the goal's share, steps, and the probability of improvement.
+pub(crate) const MEASURES: [&str; 4] = ["A - B", "goal", "steps", "A better"];
+
+/// True values of A − B by measure and row; the last measure is the probability of improvement.
+pub(crate) type Truth = [[f64; ROWS]; 4];
+
+/// Returns the row of a condition in [`Truth`].
+pub(crate) fn row(condition: Condition) -> usize {
+    let row = conditions().position(|of| of == condition);
+    row.unwrap_or(CONDITIONS)
+}
+
+/// One of two policies.
+struct Policy {
+    population: Population,
+    /// Probability that one of the goal's two predicates held in a rollout that fails.
+    half: f64,
+    /// Mean number of control steps of a success in a task of mean length.
+    steps: f64,
+}
+
+impl Policy {
+    fn logit(&self, suite: usize, row: usize) -> f64 {
+        let costs = &self.population.costs;
+        self.population.ease[suite] - costs.get(row).copied().unwrap_or_default()
+    }
+
+    /// Returns the means of success, the goal's share and steps.
+    fn means(&self, success: f64, length: f64) -> [f64; 3] {
+        [
+            success,
+            success + (1.0 - success) * self.half / 2.0,
+            success * self.steps * length + (1.0 - success) * BUDGET,
+        ]
+    }
+
+    /// Runs a rollout; returns its success, steps and progress.
+    fn rollout(&self, success: f64, length: f64, chance: &mut Chance) -> (bool, u32, GoalProgress) {
+        let succeeds = chance.uniform() < success;
+        let at_most = match succeeds {
+            true => 2,
+            false => u32::from(chance.uniform() < self.half),
+        };
+        let steps = match succeeds {
+            // Rounding at random keeps the mean.
+            true => {
+                self.steps * length * (0.8 + 0.4 * chance.uniform()) + chance.uniform().min(0.999)
+            }
+            false => BUDGET,
+        };
+        let goal = GoalProgress {
+            predicates: 2,
+            at_end: at_most,
+            at_most,
+        };
+        (succeeds, steps as u32, goal)
+    }
+}
+
+/// Tasks or directions as they affect both policies.
+pub(crate) struct Both {
+    /// Effects on A and on B.
+    effects: [Effects; 2],
+    /// Lengths of tasks, with mean 1.
+    lengths: Vec<f64>,
+}
+
+/// Two policies that find the same tasks difficult, and whose axes cost unequally much.
+pub(crate) struct TwoPolicies([Policy; 2]);
+
+impl TwoPolicies {
+    pub(crate) const fn usual() -> Self {
+        let first = Policy {
+            population: Population::usual(),
+            half: 0.5,
+            steps: 120.0,
+        };
+        let second = Policy {
+            population: Population {
+                ease: [2.4, 3.3, 2.0, 1.5],
+                costs: [0.6, 1.2, 0.7, 0.1, 0.9, 0.1, 1.4],
+                deviations: Population::usual().deviations,
+            },
+            half: 0.3,
+            steps: 140.0,
+        };
+        Self([first, second])
+    }
+
+    fn deviations(&self) -> [f64; 3] {
+        self.0[0].population.deviations
+    }
+
+    /// Draws tasks. Both policies share a task's own effect, and have separate ones of its
+    /// conditions.
+    pub(crate) fn tasks(&self, tasks: usize, chance: &mut Chance) -> Both {
+        let [of_task, of_condition, _] = self.deviations();
+        let own: Vec<f64> = (0..tasks).map(|_| of_task * chance.normal()).collect();
+        let mut effects = || -> Effects {
+            let of = |own: &f64| std::array::from_fn(|_| own + of_condition * chance.normal());
+            own.iter().map(of).collect()
+        };
+        Both {
+            effects: [effects(), effects()],
+            lengths: (0..tasks).map(|_| 0.5 + chance.uniform()).collect(),
+        }
+    }
+
+    /// Draws directions. Half of the variance of their effects is common to both policies.
+    pub(crate) fn directions(&self, chance: &mut Chance) -> Both {
+        let drawn = [(); 3].map(|()| self.0[0].population.directions(CONFIGURATIONS, chance));
+        let [common, first, second] = drawn;
+        let sum = |own: Effects| -> Effects {
+            let each = common.iter().zip(own);
+            let sum = each.map(|(common, own)| {
+                std::array::from_fn(|row| (common[row] + own[row]) * 0.5_f64.sqrt())
+            });
+            sum.collect()
+        };
+        Both {
+            effects: [sum(first), sum(second)],
+            lengths: Vec::new(),
+        }
+    }
+
+    /// Returns A − B over tasks and directions, tasks of suite k at positions k, k + suites, ….
+    /// The probability of improvement, which is about new tasks, is NaN.
+    pub(crate) fn truth(&self, tasks: &Both, suites: usize, directions: &Both) -> Truth {
+        let mut truth = [[0.0; ROWS]; 4];
+        truth[3] = [f64::NAN; ROWS];
+        for (sign, which) in [(1.0, 0), (-1.0, 1)] {
+            let policy = &self.0[which];
+            for (at, (effects, length)) in
+                tasks.effects[which].iter().zip(&tasks.lengths).enumerate()
+            {
+                for row in 0..ROWS {
+                    let logit = policy.logit(at % suites, row) + effects[row];
+                    let directions = directions.effects[which].iter();
+                    let each = directions.map(|direction| logistic(logit + direction[row]));
+                    let success = each.sum::<f64>() / f64::from(CONFIGURATIONS);
+                    for (truth, mean) in truth.iter_mut().zip(policy.means(success, *length)) {
+                        truth[row] += sign * mean / tasks.lengths.len() as f64;
+                    }
+                }
+            }
+        }
+        truth
+    }
+
+    /// Returns the exact A − B over all tasks of the first suites, under some directions or under
+    /// all of them. The probability of improvement, which has no interval about new directions,
+    /// is NaN under all of them.
+    pub(crate) fn truth_of_all_tasks(&self, suites: usize, directions: Option<&Both>) -> Truth {
+        let [of_task, of_condition, of_direction] = self.deviations();
+        let none: Effects = vec![[0.0; ROWS]];
+        let mut truth = [[0.0; ROWS]; 4];
+        for (sign, which) in [(1.0, 0), (-1.0, 1)] {
+            let policy = &self.0[which];
+            let known = directions.map(|directions| &directions.effects[which]);
+            let directions = known.unwrap_or(&none);
+            for row in 0..ROWS {
+                // Nominal rollouts have no direction.
+                let unknown = match known {
+                    None if row < CONDITIONS => of_direction,
+                    _ => 0.0,
+                };
+                let spread = of_task.hypot(of_condition).hypot(unknown);
+                let mut success = 0.0;
+                for suite in 0..suites {
+                    for direction in directions {
+                        let logit = policy.logit(suite, row) + direction[row];
+                        success += normal_points()
+                            .map(|(z, weight)| weight * logistic(logit + spread * z))
+                            .sum::<f64>();
+                    }
+                }
+                success /= (suites * directions.len()) as f64;
+                for (truth, mean) in truth.iter_mut().zip(policy.means(success, 1.0)) {
+                    truth[row] += sign * mean;
+                }
+            }
+        }
+        truth[3] = match directions {
+            Some(directions) => self.improvement(suites, directions),
+            None => [f64::NAN; ROWS],
+        };
+        truth
+    }
+
+    /// Returns the probability that A succeeds in more configurations of a task drawn at random
+    /// than B, ties counting half.
+    ///
+    /// Given the directions and the effect that a task has in all conditions, the policies are
+    /// independent.
+    fn improvement(&self, suites: usize, directions: &Both) -> [f64; ROWS] {
+        let [of_task, of_condition, _] = self.deviations();
+        let mut improvement = [0.0; ROWS];
+        for suite in 0..suites {
+            for (row, improvement) in improvement.iter_mut().enumerate() {
+                for (own, weight) in normal_points() {
+                    let [a, b] = [0, 1].map(|which| {
+                        let logit = self.0[which].logit(suite, row) + of_task * own;
+                        let mut counts = [0.0; CONFIGURATIONS as usize + 1];
+                        for (z, weight) in normal_points() {
+                            let logit = logit + of_condition * z;
+                            let each = directions.effects[which].iter();
+                            let of = successes(each.map(|it| logistic(logit + it[row])));
+                            let terms = counts.iter_mut().zip(of);
+                            terms.for_each(|(count, of)| *count += weight * of);
+                        }
+                        counts
+                    });
+                    let mut below = 0.0;
+                    for (a, b) in a.iter().zip(b) {
+                        *improvement += weight * a * (below + b / 2.0) / suites as f64;
+                        below += b;
+                    }
+                }
+            }
+        }
+        improvement
+    }
+
+    /// Compares a campaign of both policies at L2, with nominal rollouts. Tasks take the suites
+    /// in turn.
+    pub(crate) fn compare(
+        &self,
+        tasks: &Both,
+        suites: usize,
+        directions: &Both,
+        chance: &mut Chance,
+    ) -> Comparison {
+        let [a, b] = [0, 1].map(|which| self.campaign(which, tasks, suites, directions, chance));
+        let [a, b] = [&a, &b].map(|(records, progress)| Compared {
+            records,
+            progress,
+            directions: Directions::Shared,
+        });
+        Comparison::of(a, b, &Bootstrap::default(), |_| None)
+    }
+
+    fn campaign(
+        &self,
+        which: usize,
+        tasks: &Both,
+        suites: usize,
+        directions: &Both,
+        chance: &mut Chance,
+    ) -> (Vec<Record>, Vec<Progress>) {
+        let policy = &self.0[which];
+        let (mut records, mut progress) = (Vec::new(), Vec::new());
+        for (at, effects) in tasks.effects[which].iter().enumerate() {
+            for (config, direction) in (0..).zip(&directions.effects[which]) {
+                let conditions = conditions().chain([Condition::Clean]);
+                for (row, condition) in conditions.enumerate() {
+                    let logit = policy.logit(at % suites, row) + effects[row] + direction[row];
+                    let (success, steps, goal) =
+                        policy.rollout(logistic(logit), tasks.lengths[at], chance);
+                    let task = task(at, suites);
+                    let record = record(task, condition, Level::L2, config, success);
+                    records.push(record);
+                    progress.push(Progress {
+                        id: record.id,
+                        replicate: 0,
+                        steps: Some(steps),
+                        goal: Some(goal),
+                    });
+                }
+            }
+        }
+        (records, progress)
+    }
+}
+
+/// Returns the probability of each number of successes of independent rollouts.
+fn successes(probabilities: impl Iterator<Item = f64>) -> [f64; CONFIGURATIONS as usize + 1] {
+    let mut counts = [0.0; CONFIGURATIONS as usize + 1];
+    counts[0] = 1.0;
+    for p in probabilities {
+        for count in (1..counts.len()).rev() {
+            counts[count] = counts[count] * (1.0 - p) + counts[count - 1] * p;
+        }
+        counts[0] *= 1.0 - p;
+    }
+    counts
+}
