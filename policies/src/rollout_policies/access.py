@@ -218,8 +218,8 @@ class TokenGate(grpc.ServerInterceptor):
         if not isinstance(shown, str) or not shown.startswith("Bearer "):
             return self._refusal(
                 grpc.StatusCode.UNAUTHENTICATED,
-                "let the caller in without a token: name a --token-file (it is sent over https:// and to"
-                " this machine only)",
+                "let the caller in without a token: name a --token-file (it is sent over https://"
+                " and to this machine only)",
             )
         role = self._tokens.role_of(shown[len("Bearer ") :])
         if role is None:
