@@ -26,8 +26,8 @@ class Rollout:
     is_begun: bool = False
     is_over: bool = False
     schedule: native.Schedule | None = None
-    """Where its policy's next query stands, never changed in place; None if chunks are executed
-    as they are given."""
+    """Schedule of the policy's queries, replaced at each call and never mutated; None if chunks
+    are executed as they are given."""
 
     def begin(self, start: Start) -> None:
         """Adopts a rollout that the simulator has begun."""

@@ -20,7 +20,7 @@ use tonic::codegen::InterceptedService;
 use tonic::transport::Channel;
 use tonic::{Code, Request, Status};
 
-use crate::harness::{registration, small_spec};
+use crate::harness::{registration, rows, small_spec};
 use crate::process::{Serve, coordinator, text};
 
 pub(crate) const WORKER: &str = "worker-secret-0123456789";
@@ -64,12 +64,9 @@ impl Guarded {
         endpoint.connect().await.expect("a connection")
     }
 
-    /// Returns the bytes of the database and of its write-ahead log.
-    fn database(&self) -> [Vec<u8>; 2] {
-        ["coordinator.sqlite", "coordinator.sqlite-wal"].map(|name| {
-            let path = self.folder.path().join("data").join(name);
-            std::fs::read(path).unwrap_or_default()
-        })
+    /// Returns all rows of the database. Its bytes change at every checkpoint.
+    async fn rows(&self) -> Vec<String> {
+        rows(&self.folder.path().join("data")).await
     }
 
     /// Counts the lines of the log that contain a word. No token may be in the log.
@@ -125,7 +122,7 @@ async fn list(channel: &Channel, token: Option<&str>) -> Result<(), Status> {
 async fn a_stranger_is_refused_logged_once_and_changes_nothing() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
-    let before = guarded.database();
+    let before = guarded.rows().await;
     let spec = || small_spec("theirs").to_string();
     for token in [None, Some("wrong-secret-0123456789"), Some("x")] {
         for _ in 0..3 {
@@ -141,14 +138,14 @@ async fn a_stranger_is_refused_logged_once_and_changes_nothing() {
         }
     }
     assert_eq!(guarded.logged("was refused"), 1);
-    assert_eq!(guarded.database(), before);
+    assert_eq!(guarded.rows().await, before);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_role_allows_what_it_is_for_and_nothing_else() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
-    let before = guarded.database();
+    let before = guarded.rows().await;
     let spec = || small_spec("one").to_string();
     for (role, token) in [("worker", WORKER), ("viewer", VIEWER)] {
         let refused = create(&channel, Some(token), spec()).await;
@@ -166,7 +163,7 @@ async fn a_role_allows_what_it_is_for_and_nothing_else() {
     let refused = list(&channel, Some(WORKER)).await.expect_err("a worker");
     assert_eq!(refused.code(), Code::PermissionDenied);
     assert_eq!(guarded.logged("was refused"), 1);
-    assert_eq!(guarded.database(), before);
+    assert_eq!(guarded.rows().await, before);
 
     create(&channel, Some(OPERATOR), spec())
         .await
@@ -174,14 +171,14 @@ async fn a_role_allows_what_it_is_for_and_nothing_else() {
     register(&channel, Some(WORKER), "w")
         .await
         .expect("a worker");
-    assert_ne!(guarded.database(), before);
+    assert_ne!(guarded.rows().await, before);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_million_characters_are_refused_wherever_they_stand() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
-    let before = guarded.database();
+    let before = guarded.rows().await;
     let long = "n".repeat(MILLION);
     let mut worker = WorkerServiceClient::new(showing(&channel, Some(WORKER)));
     for field in [
@@ -217,14 +214,14 @@ async fn a_million_characters_are_refused_wherever_they_stand() {
     let refused = register(&channel, Some(&long), "w").await;
     refused.expect_err("a token of a megabyte");
     assert_eq!(guarded.logged("was refused"), 1);
-    assert_eq!(guarded.database(), before);
+    assert_eq!(guarded.rows().await, before);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_oversized_message_is_refused_before_it_is_read() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
-    let before = guarded.database();
+    let before = guarded.rows().await;
     let mut worker = WorkerServiceClient::new(showing(&channel, Some(WORKER)));
     let refused = worker
         .release(wire::ReleaseRequest {
@@ -235,7 +232,7 @@ async fn an_oversized_message_is_refused_before_it_is_read() {
         .expect_err("four megabytes");
     assert_eq!(refused.code(), Code::OutOfRange, "{refused}");
     assert_eq!(guarded.logged("was refused"), 1);
-    assert_eq!(guarded.database(), before);
+    assert_eq!(guarded.rows().await, before);
 }
 
 /// A certificate authority in a folder, which signs certificates for `localhost`.
@@ -293,34 +290,34 @@ fn list_over_tls(guarded: &Guarded, ca: &Path) -> Output {
     ])
 }
 
-#[test]
-fn over_tls_a_token_opens_and_what_cannot_be_trusted_is_refused() {
+#[tokio::test(flavor = "multi_thread")]
+async fn over_tls_a_token_opens_and_what_cannot_be_trusted_is_refused() {
     let authority = Authority::new();
     let valid = authority.sign(3_000);
     let guarded = Guarded::start(&valid.each_ref().map(String::as_str));
     let listed = list_over_tls(&guarded, &authority.path("ca.pem"));
     assert!(listed.status.success(), "{}", text(&listed.stderr));
-    let before = guarded.database();
+    let before = guarded.rows().await;
     let other = Authority::new();
     let refused = list_over_tls(&guarded, &other.path("ca.pem"));
     assert_eq!(refused.status.code(), Some(1));
     let told = text(&refused.stderr);
     assert!(told.contains("not signed by the authority"), "{told}");
-    assert_eq!(guarded.database(), before);
+    assert_eq!(guarded.rows().await, before);
 }
 
-#[test]
-fn an_expired_certificate_is_refused_at_once() {
+#[tokio::test(flavor = "multi_thread")]
+async fn an_expired_certificate_is_refused_at_once() {
     let authority = Authority::new();
     let expired = authority.sign(2_020);
     let guarded = Guarded::start(&expired.each_ref().map(String::as_str));
-    let before = guarded.database();
+    let before = guarded.rows().await;
     let refused = list_over_tls(&guarded, &authority.path("ca.pem"));
     assert_eq!(refused.status.code(), Some(1));
     let told = text(&refused.stderr);
     assert!(told.contains("certificate expired"), "{told}");
     assert!(!told.contains("trying again"), "{told}");
-    assert_eq!(guarded.database(), before);
+    assert_eq!(guarded.rows().await, before);
 }
 
 #[test]

@@ -495,6 +495,36 @@ pub(crate) async fn open_database(folder: &Path) -> SqlitePool {
     SqlitePool::connect_with(options).await.expect("a database")
 }
 
+/// Returns all rows of a data folder's database, each after the name of its table.
+pub(crate) async fn rows(folder: &Path) -> Vec<String> {
+    let pool = open_database(folder).await;
+    let tables = "SELECT name FROM sqlite_schema WHERE type = 'table'
+                      AND name NOT LIKE 'sqlite_%' ORDER BY name";
+    let tables: Vec<String> = sqlx::query_scalar(tables)
+        .fetch_all(&pool)
+        .await
+        .expect("tables");
+    let mut rows = Vec::new();
+    for table in tables {
+        let columns = format!(
+            "SELECT group_concat('quote(' || name || ')', ' || '','' || ')
+             FROM pragma_table_info('{table}')"
+        );
+        let columns: String = sqlx::query_scalar(sqlx::AssertSqlSafe(columns))
+            .fetch_one(&pool)
+            .await
+            .expect("columns");
+        let query = format!("SELECT '{table}: ' || {columns} FROM {table} ORDER BY 1");
+        let found: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(query))
+            .fetch_all(&pool)
+            .await
+            .expect("rows");
+        rows.extend(found);
+    }
+    pool.close().await;
+    rows
+}
+
 /// Returns the SHA-256 of a text, in place of a real digest.
 pub(crate) fn sha(of: &str) -> String {
     use sha2::{Digest, Sha256};

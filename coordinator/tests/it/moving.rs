@@ -18,7 +18,7 @@ use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
 use crate::artifacts::put;
-use crate::harness::{Worker, open_database, rollout_id, small_spec, with};
+use crate::harness::{Worker, open_database, rollout_id, rows, small_spec, with};
 use crate::process::{Serve, text};
 
 static WORKERS: AtomicU32 = AtomicU32::new(0);
@@ -118,31 +118,8 @@ impl Bench {
 
     /// Returns all rows of the database except those of workers, which change with every call.
     pub(crate) async fn rows(&self) -> Vec<String> {
-        let pool = open_database(self.folder.path()).await;
-        let tables = "SELECT name FROM sqlite_schema WHERE type = 'table'
-                          AND name <> 'worker' AND name NOT LIKE 'sqlite_%' ORDER BY name";
-        let tables: Vec<String> = sqlx::query_scalar(tables)
-            .fetch_all(&pool)
-            .await
-            .expect("tables");
-        let mut rows = Vec::new();
-        for table in tables {
-            let columns = format!(
-                "SELECT group_concat('quote(' || name || ')', ' || '','' || ')
-                 FROM pragma_table_info('{table}')"
-            );
-            let columns: String = sqlx::query_scalar(sqlx::AssertSqlSafe(columns))
-                .fetch_one(&pool)
-                .await
-                .expect("columns");
-            let query = format!("SELECT '{table}: ' || {columns} FROM {table} ORDER BY 1");
-            let found: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(query))
-                .fetch_all(&pool)
-                .await
-                .expect("rows");
-            rows.extend(found);
-        }
-        pool.close().await;
+        let mut rows = rows(self.folder.path()).await;
+        rows.retain(|row| !row.starts_with("worker: "));
         rows
     }
 

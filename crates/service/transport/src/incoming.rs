@@ -528,7 +528,7 @@ mod tests {
     }
 
     #[tokio::test]
-    #[ignore = "another test starts it"]
+    #[ignore = "lowers its process's limits: `the_limit_of_files_is_raised_…` runs it alone"]
     async fn descriptors_in_a_process_of_its_own() {
         let lower = |to| {
             let mut limit = getrlimit(Resource::Nofile);

@@ -72,6 +72,19 @@ fn an_execution_model_is_written_unless_the_world_waits_and_makes_another_design
     assert!(error.to_string().contains("overlap:N"), "{error}");
 }
 
+/// Returns the specification of a campaign of these rows.
+fn imported(rows: &[ManifestRow], model: Option<&str>) -> Result<CampaignSpec, SpecError> {
+    let mut json = serde_json::json!({
+        "name": "imported",
+        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+        "manifest": rows,
+    });
+    if let Some(model) = model {
+        json["execution"] = model.into();
+    }
+    CampaignSpec::from_json(&json.to_string())
+}
+
 #[test]
 fn a_manifest_stands_in_place_of_a_design() {
     let rows = Design::v0_1().expand().expect("rows");
@@ -99,23 +112,10 @@ fn rows_of_the_latency_axis_run_beside_no_other_model() {
     let row = |id: &str| crate::row_of(id.parse().expect("an id")).expect("a row");
     let [late, nominal] = ["goal/t0/latency/L2/c00", "goal/t0/clean/i06"].map(row);
     let holding = nominal.clone().under(&"hold:2".parse().expect("a model"));
-    let spec = |rows: [&ManifestRow; 2], model: Option<&str>| {
-        let mut json = serde_json::json!({
-            "name": "imported",
-            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-            "manifest": rows,
-        });
-        if let Some(model) = model {
-            json["execution"] = model.into();
-        }
-        CampaignSpec::from_json(&json.to_string())
-    };
-    spec([&late, &nominal], None).expect("a specification");
-    for (rows, model) in [
-        ([&late, &nominal], Some("overlap:8")),
-        ([&late, &holding], None),
-    ] {
-        let error = spec(rows, model).expect_err("two models");
+    let beside = [late.clone(), nominal];
+    imported(&beside, None).expect("a specification");
+    for (rows, model) in [(&beside, Some("overlap:8")), (&[late, holding], None)] {
+        let error = imported(rows, model).expect_err("two models");
         assert!(matches!(error, SpecError::Latency { .. }), "{error}");
     }
 }
@@ -131,17 +131,6 @@ fn a_campaign_runs_under_the_model_of_its_manifest() {
     assert_eq!(lines, rows.len());
     assert_eq!(manifest::parse(&text), Ok(rows.clone()));
 
-    let imported = |rows: &[ManifestRow], model: Option<&str>| {
-        let mut json = serde_json::json!({
-            "name": "imported",
-            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-            "manifest": rows,
-        });
-        if let Some(model) = model {
-            json["execution"] = model.into();
-        }
-        CampaignSpec::from_json(&json.to_string())
-    };
     let told = imported(&rows, None).expect("a specification");
     assert_eq!(told.execution, late.execution);
     assert_eq!(told.version(), DesignVersion::of_manifest(&rows));

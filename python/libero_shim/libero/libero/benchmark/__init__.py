@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from libero.libero.benchmark.init_states import load_init_states
 from libero.libero.benchmark.libero_suite_task_map import libero_task_map, task_orders
+from libero.libero.benchmark.registry import Registry, suite_class
 from libero.libero.paths import get_libero_path
 
 __all__ = [
@@ -67,13 +69,18 @@ class Benchmark:
     name: str
     tasks: list[Task]
     n_tasks: int
+    _task_maps: Mapping[str, Mapping[str, Task]] = task_maps
 
     def __init__(self, task_order_index: int = 0) -> None:
         self.task_embs: Any = None
         self.task_order_index = task_order_index
 
+    @staticmethod
+    def _path(key: str) -> str:
+        return get_libero_path(key)
+
     def _make_benchmark(self) -> None:
-        tasks = list(task_maps[self.name].values())
+        tasks = list(self._task_maps[self.name].values())
         if len(tasks) == 10:
             tasks = [tasks[i] for i in task_orders[self.task_order_index]]
         self.tasks = tasks
@@ -98,7 +105,7 @@ class Benchmark:
     def get_task_bddl_file_path(self, i: int) -> str:
         """Returns the path of a task's BDDL file."""
         task = self.tasks[i]
-        return os.path.join(get_libero_path("bddl_files"), task.problem_folder, task.bddl_file)
+        return os.path.join(self._path("bddl_files"), task.problem_folder, task.bddl_file)
 
     def get_task_demonstration(self, i: int) -> str:
         """Returns the path of a task's demonstrations, relative to the folder `datasets`."""
@@ -118,65 +125,24 @@ class Benchmark:
         """A task's initial states: a float64 array [states, 1 + nq + nv] of time, s, and
         joint positions and velocities."""
         task = self.tasks[i]
-        return load_init_states(
-            os.path.join(
-                get_libero_path("init_states"),
-                task.problem_folder,
-                task.init_states_file,
-            )
-        )
+        root = self._path("init_states")
+        return load_init_states(os.path.join(root, task.problem_folder, task.init_states_file))
 
     def set_task_embs(self, task_embs: Any) -> None:
         """Stores embeddings of the instructions, one per task."""
         self.task_embs = task_embs
 
 
-BENCHMARK_MAPPING: dict[str, type[Benchmark]] = {}
-_Suite = TypeVar("_Suite", bound=type[Benchmark])
-
-
-def register_benchmark(target_class: _Suite) -> _Suite:
-    """Registers a suite under its class's name, in lower case."""
-    BENCHMARK_MAPPING[target_class.__name__.lower()] = target_class
-    return target_class
-
-
-def get_benchmark_dict(help: bool = False) -> dict[str, type[Benchmark]]:
-    """Returns all suites by name; with `help`, prints the names."""
-    if help:
-        print_benchmark()
-    return BENCHMARK_MAPPING
-
-
-def get_benchmark(benchmark_name: str) -> type[Benchmark]:
-    """Returns a suite by its name, in any case."""
-    try:
-        return BENCHMARK_MAPPING[benchmark_name.lower()]
-    except KeyError:
-        raise KeyError(
-            f"there is no suite `{benchmark_name}`: choose one of {', '.join(BENCHMARK_MAPPING)}"
-        ) from None
-
-
-def print_benchmark() -> None:
-    """Prints the suites' names."""
-    print("\n".join(BENCHMARK_MAPPING))
+_registry = Registry[Benchmark]()
+BENCHMARK_MAPPING = _registry.suites
+register_benchmark = _registry.register
+get_benchmark_dict = _registry.listed
+get_benchmark = _registry.find
+print_benchmark = _registry.print
 
 
 def _suite(suite: str) -> type[Benchmark]:
-    class Suite(Benchmark):
-        def __init__(self, task_order_index: int = 0) -> None:
-            super().__init__(task_order_index)
-            self.name = suite
-            if suite == "libero_90" and task_order_index != 0:
-                raise ValueError(
-                    "libero_90 has one order of its tasks: leave task_order_index at 0"
-                )
-            self._make_benchmark()
-
-    Suite.__name__ = Suite.__qualname__ = suite.upper()
-    Suite.__doc__ = f"The suite {suite}."
-    return register_benchmark(Suite)
+    return register_benchmark(suite_class(Benchmark, suite))
 
 
 LIBERO_SPATIAL = _suite("libero_spatial")

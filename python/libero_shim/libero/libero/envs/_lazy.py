@@ -94,7 +94,7 @@ class Observation(OrderedDict[str, Any]):
     def copy(self) -> Observation:
         other = Observation()
         for key in self:
-            # Both share the placeholder, so the picture is drawn once.
+            # Both copies share the camera's picture, which is drawn once.
             other[key] = super().__getitem__(key)
         return other
 
