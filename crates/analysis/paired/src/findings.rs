@@ -254,7 +254,9 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
         ),
         false => {
             let r_d = percent(Some(inference.paired.r_d.value));
-            let bound = flips(cell, report).map_or_else(String::new, |(of, flips)| {
+            // That none of a few rollouts ended differently bounds nothing.
+            let seen = flips(cell, report).filter(|(_, flips)| *flips > 0.0);
+            let bound = seen.map_or_else(String::new, |(of, flips)| {
                 let [r_d, _] = chance_bounds(flips, cell.alone.len());
                 format!(
                     " {of} in {} %, and chance of that size can change up to {} % by itself.",

@@ -232,6 +232,29 @@ fn a_campaign_of_two_axes_is_measured_on_its_own_axes() {
 }
 
 #[test]
+fn chance_is_bounded_only_by_rollouts_that_end_differently() {
+    let sentences = |language: Outcome| {
+        let rows = (0..3).flat_map(|task| {
+            [
+                nominal(task, 0, S),
+                perturbed(task, Condition::Single(Axis::Language), 0, language),
+                perturbed(task, Condition::Single(Axis::Sensor), 0, S),
+                perturbed(task, Condition::Combination, 0, F),
+            ]
+        });
+        let report = report(&rows.collect::<Vec<_>>(), &Options::default());
+        let findings = report.expect("no duplicates").findings.into_iter();
+        let sentences: Vec<String> = findings.map(|finding| finding.sentence).collect();
+        sentences.join(" ")
+    };
+    for (language, is_bounded) in [(S, false), (F, true)] {
+        let said = sentences(language);
+        assert!(said.contains("unknown without a placebo"), "{said}");
+        assert_eq!(said.contains("chance of that size"), is_bounded, "{said}");
+    }
+}
+
+#[test]
 fn an_incomplete_cell_counts_what_is_complete_and_says_what_is_not() {
     let records = campaign([[S, S, S, F], [S, M, S, S], [M, S, Q, S]]);
     let report = report(&records, &Options::default()).expect("no duplicates");
