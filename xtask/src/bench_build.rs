@@ -71,8 +71,14 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             std::os::unix::fs::symlink(shared, &link).context("link the reference data")?;
         }
         let seconds = match wait {
-            Wait::Demo => timed(cargo(&clone).args(["xtask", "demo"]))?,
-            Wait::Ci => timed(Command::new("bash").arg(".ci/run").current_dir(&clone))?,
+            Wait::Demo => timed(cargo(&clone).args(["xtask", "demo"]))?.0,
+            Wait::Ci => {
+                let mut check = Command::new("bash");
+                let (seconds, output) = timed(check.arg(".ci/run").current_dir(&clone))?;
+                let suites = output.lines().filter(|line| line.starts_with("Suite "));
+                suites.for_each(|line| println!("  {line}"));
+                seconds
+            }
             Wait::Line => {
                 queue_tests(&clone)?;
                 let source = clone.join("crates/service/queue/src/lib.rs");
@@ -99,11 +105,12 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
 /// Returns the seconds until the queue's tests passed.
 fn queue_tests(clone: &Path) -> Result<u64> {
     let tests = ["nextest", "run", "--workspace", "-E", "package(queue)"];
-    timed(cargo(clone).args(tests))
+    Ok(timed(cargo(clone).args(tests))?.0)
 }
 
-/// Returns the seconds that a command took. Its output is shown only if it fails.
-fn timed(command: &mut Command) -> Result<u64> {
+/// Returns the seconds that a command took, and its standard output. Both outputs are shown if it
+/// fails.
+fn timed(command: &mut Command) -> Result<(u64, String)> {
     // The variables set by the cargo that runs this program would affect the clone's build.
     for (name, _) in std::env::vars_os() {
         let text = name.to_string_lossy();
@@ -130,5 +137,8 @@ fn timed(command: &mut Command) -> Result<u64> {
             tail(&output.stderr)
         );
     }
-    Ok(seconds)
+    Ok((
+        seconds,
+        String::from_utf8_lossy(&output.stdout).into_owned(),
+    ))
 }
