@@ -3,8 +3,8 @@
 //! a page, the results, and videos of the configurations whose outcome changes under simultaneous
 //! perturbation.
 //!
-//! The policy is the scripted expert. It receives the simulator's state, so that only the robot's
-//! pose and the actuation axis affect it, and it needs no rendering.
+//! The policy is the student: a small network that comes with the gateway, looks through both
+//! cameras and reads the instruction, so that every axis affects it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -24,12 +24,13 @@ use crate::step::step;
 pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
 /// Name of the demo's campaign.
 const CAMPAIGN: &str = "demo";
-/// Tasks and configurations that have both kinds of transitions, chosen for that: of all 400
-/// configurations, 12 at L2 have a transition with the expert.
-const TASKS: &str = "libero_object/7,libero_object/9";
-const CONFIGURATIONS: &str = "0,5,9";
+/// Name of its policy.
+const POLICY: &str = "student";
+/// Tasks and configurations that have both kinds of transitions, chosen for that.
+const TASKS: &str = "libero_object/1,libero_object/5";
+const CONFIGURATIONS: &str = "0,1,2";
 /// Task and configuration with an emergent failure, for the demo's own test.
-const EMERGENT: (&str, &str) = ("libero_object/7", "0");
+const EMERGENT: (&str, &str) = ("libero_object/5", "0");
 /// Address of the live page when the demo's data is served again.
 const PAGE_ADDRESS: &str = "127.0.0.1:7411";
 
@@ -92,14 +93,15 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
         "coordinator",
         &["serve", "--data", &data_arg, "--listen", "127.0.0.1:0"],
     )?;
+    // Each of the students was taught on one asset pack.
+    let builtin = match options.assets.as_str() {
+        "primitives" => "builtin:student-boxes",
+        _ => "builtin:student",
+    };
+    let route = format!("{POLICY}={builtin}");
     let gateway = start_one(
         "policy-gateway",
-        &[
-            "--listen",
-            "127.0.0.1:0",
-            "--route",
-            "expert=builtin:expert",
-        ],
+        &["--listen", "127.0.0.1:0", "--route", &route],
     )?;
     let call = |arguments: &[&str]| {
         let mut command = Command::new(programs.join("coordinator"));
@@ -122,7 +124,7 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
     )?;
     #[rustfmt::skip]
     run_command(&mut call(&[
-        "campaign", "create", "--name", CAMPAIGN, "--policy", "expert", "--endpoint", &gateway.url,
+        "campaign", "create", "--name", CAMPAIGN, "--policy", POLICY, "--endpoint", &gateway.url,
         "--tasks", &options.tasks, "--axes", "all", "--levels", "L2", "--configs", &options.configs,
         "--nominal", "eval", "--record", "transitions",
     ]))?;
