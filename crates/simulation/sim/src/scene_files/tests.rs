@@ -4,11 +4,14 @@
 use std::fs::{self, File, Permissions};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::os::unix::fs::{PermissionsExt, chown};
+use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::Barrier;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 
+use rustix::process::{Signal, getpid, kill_process};
 use tempfile::TempDir;
 
 use super::*;
@@ -18,7 +21,16 @@ use crate::render::{Canvas, Drawer, View};
 const NAME: Name = [b'a'; NAME_DIGITS];
 const OTHER: Name = [b'b'; NAME_DIGITS];
 
-/// A file on a simulated disk that fills up.
+/// Environment variables of a writer that is killed: its folder, and the bytes written until then.
+const KILLED_IN: &str = "ROLLOUT_TEST_KILLED_IN";
+const KILLED_AT: &str = "ROLLOUT_TEST_KILLED_AT";
+
+unsafe extern "C" {
+    /// Sets the user as whom the calling thread accesses files (Linux).
+    fn setfsuid(user: u32) -> i32;
+}
+
+/// A file on a simulated disk that fills up, or whose writer is killed instead.
 pub(super) struct Disk<'a> {
     pub(super) file: &'a mut File,
     /// Remaining bytes on the disk.
@@ -30,6 +42,9 @@ impl Write for Disk<'_> {
         let room = self.room.load(Ordering::Relaxed);
         let written = bytes.len().min(room as usize);
         if written < bytes.len() && written == 0 {
+            if std::env::var_os(KILLED_AT).is_some() {
+                kill_process(getpid(), Signal::KILL).expect("a signal");
+            }
             return Err(io::ErrorKind::StorageFull.into());
         }
         self.room.store(room - written as u64, Ordering::Relaxed);
@@ -252,6 +267,39 @@ fn a_disk_that_is_full_at_any_point_leaves_nothing_half() {
 }
 
 #[test]
+fn a_writer_that_is_killed_at_any_point_leaves_nothing_half() {
+    if let (Some(dir), Ok(at)) = (std::env::var_os(KILLED_IN), std::env::var(KILLED_AT)) {
+        let folder = SceneFolder::new(Path::new(&dir));
+        folder
+            .room
+            .store(at.parse().expect("bytes"), Ordering::Relaxed);
+        folder.obtain(&NAME, || compile(0.1)).expect("a scene");
+        return;
+    }
+    let fixture = Fixture::new();
+    let name = "scene_files::tests::a_writer_that_is_killed_at_any_point_leaves_nothing_half";
+    let mut killed_at = 0;
+    loop {
+        let mut writer = Command::new(std::env::current_exe().expect("this program"));
+        writer.args(["--exact", name]);
+        writer.env(KILLED_IN, &fixture.folder.dir);
+        writer.env(KILLED_AT, killed_at.to_string());
+        let ended = writer.output().expect("it runs").status;
+        if ended.success() {
+            break;
+        }
+        assert_eq!(ended.signal(), Some(Signal::KILL.as_raw()), "{killed_at}");
+        assert!(fixture.files(".scene").is_empty(), "killed at {killed_at}");
+        assert_eq!(fixture.obtain(), (true, true), "killed at {killed_at}");
+        assert_eq!(fixture.aside(), 0, "killed at {killed_at}");
+        fs::remove_dir_all(&fixture.folder.dir).expect("removed");
+        killed_at += 6000;
+    }
+    assert!(killed_at > 12_000, "it wrote {killed_at} bytes at the most");
+    assert_eq!(fixture.obtain(), (false, true));
+}
+
+#[test]
 fn what_a_crashed_writer_left_is_not_read_and_goes() {
     let fixture = Fixture::new();
     fixture.obtain();
@@ -316,6 +364,37 @@ fn a_folder_that_cannot_be_made_costs_memory_and_is_said() {
     assert_eq!(fixture.obtain(), (true, false));
     let error = fixture.folder.check().expect_err("no folder").to_string();
     assert!(error.starts_with("make /proc/rollout-scenes: "), "{error}");
+}
+
+#[test]
+fn a_read_only_folder_gives_its_scenes_and_takes_none() {
+    let fixture = Fixture::new();
+    fixture.obtain();
+    let (above, dir) = (fixture._aside.path(), &fixture.folder.dir);
+    for dir in [above, dir] {
+        fs::set_permissions(dir, Permissions::from_mode(0o555)).expect("rights");
+    }
+    std::thread::scope(|scope| {
+        let reader = scope.spawn(|| {
+            if fixture.folder.user == 0 {
+                // Root may write everywhere. The test as a whole stays root.
+                // SAFETY: the call has no preconditions and concerns this thread only.
+                unsafe { setfsuid(12_345) };
+            }
+            assert_eq!(fixture.obtain(), (false, true));
+            let other = fixture.folder.obtain(&OTHER, || compile(0.1));
+            let other = other.expect("a scene");
+            assert!(!matches!(other.prepared, Preparation::Kept(_)));
+            assert!(behaviour(other) == fixture.wanted);
+        });
+        reader.join().expect("the reader's assertions hold");
+    });
+    let said = SceneFolder::take_problem().expect("a problem");
+    assert!(said.contains("Permission denied"), "{said}");
+    assert_eq!(fixture.files(".scene").len(), 1);
+    for dir in [above, dir] {
+        fs::set_permissions(dir, Permissions::from_mode(0o700)).expect("rights");
+    }
 }
 
 #[test]
