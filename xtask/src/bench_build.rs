@@ -104,7 +104,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
 
 /// Returns the seconds until the queue's tests passed.
 fn queue_tests(clone: &Path) -> Result<u64> {
-    let tests = ["nextest", "run", "--workspace", "-E", "package(queue)"];
+    let tests = ["nextest", "run", "--package", "queue"];
     Ok(timed(cargo(clone).args(tests))?.0)
 }
 
