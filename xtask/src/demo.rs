@@ -28,7 +28,7 @@ const CAMPAIGN: &str = "demo";
 const POLICY: &str = "student";
 /// Tasks and configurations that have both kinds of transitions, chosen for that.
 const TASKS: &str = "libero_object/1,libero_object/5";
-const CONFIGURATIONS: &str = "0,1,2";
+const CONFIGURATIONS: &str = "0,1";
 /// Task and configuration with an emergent failure, for the demo's own test.
 const EMERGENT: (&str, &str) = ("libero_object/5", "0");
 /// Address of the live page when the demo's data is served again.
