@@ -31,7 +31,10 @@ impl BuiltinPolicy for expert::Expert {
         let state = observation.privileged.as_ref();
         let state = state
             .ok_or("the observation carries no privileged state, which the expert asks for")?;
-        self.act(&read(state)?).map(|action| vec![action])
+        let acted = self.act(&read(state)?);
+        acted
+            .map(|action| vec![action])
+            .map_err(|error| error.to_string())
     }
 }
 

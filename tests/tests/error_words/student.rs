@@ -1,5 +1,6 @@
-//! Errors of the student: unusable weights and queries.
+//! Errors of the student: unusable weights and queries; and of the expert: unsupported scenes.
 
+use expert::ExpertError;
 use policy_gateway::builtin::student::WeightsFileError;
 use student::{QueryError, WeightsError};
 
@@ -36,6 +37,18 @@ pub(crate) fn add(messages: &mut Messages) {
             tensor: text(), place: 3, value: "0".to_owned(),
         },
         WeightsError::Unknown { .. } => WeightsError::Unknown { tensor: text() },
+    );
+    variants!(messages, ExpertError,
+        ExpertError::Entities { .. } => ExpertError::Entities { given: 1_001 },
+        ExpertError::NoEntity { .. } => ExpertError::NoEntity { name: text() },
+        ExpertError::NoJointNamed { .. } => ExpertError::NoJointNamed { name: text() },
+        ExpertError::NoJoint { .. } => ExpertError::NoJoint { fixture: text() },
+        ExpertError::NoDrawer { .. } => ExpertError::NoDrawer { region: text() },
+        ExpertError::NotGraspable { .. } => ExpertError::NotGraspable { object: text() },
+        ExpertError::NoSkill { .. } => ExpertError::NoSkill { goal: text() },
+        ExpertError::OutOfRange { .. } => ExpertError::OutOfRange {
+            field: "pos", owner: text(), value: 1e256,
+        },
     );
     variants!(messages, QueryError,
         QueryError::Picture { .. } => QueryError::Picture {

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 
 use libero_ctrl::Predicate;
 
+use crate::error::ExpertError;
 use crate::geometry::Vec3;
 use crate::motion::{Command, Fingers, HandPose, Motion, OPEN_M};
 use crate::place::{Place, Relation};
@@ -29,7 +30,7 @@ impl Skill {
         &mut self,
         world: &World,
         motion: &Motion,
-    ) -> Result<Option<Command>, String> {
+    ) -> Result<Option<Command>, ExpertError> {
         match self {
             Self::Transfer(transfer) => transfer.step(world, motion),
             Self::Routine(routine) => routine.step(world, motion),
@@ -91,7 +92,7 @@ pub(crate) fn resume(
     world: &World,
     motion: &Motion,
     earlier: &VecDeque<Skill>,
-) -> Result<Vec<Skill>, String> {
+) -> Result<Vec<Skill>, ExpertError> {
     let mut skills = plan(world)?;
     let mut held = None;
     for (at, skill) in skills.iter().enumerate() {
@@ -139,7 +140,7 @@ pub(crate) fn resume(
 ///
 /// # Errors
 /// If the expert has no skill for a predicate, or the scene lacks an argument.
-pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, String> {
+pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, ExpertError> {
     let (mut before, mut between, mut after) = (Vec::new(), Vec::new(), Vec::new());
     for predicate in &world.goal {
         let arguments: Vec<&str> = predicate.arguments.iter().map(String::as_str).collect();
@@ -160,7 +161,10 @@ pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, String> {
                 }
                 between.extend(put);
             }
-            _ => return Err(no_skill(predicate)),
+            _ => {
+                let goal = format!("{} {}", predicate.name, predicate.arguments.join(" "));
+                return Err(ExpertError::NoSkill { goal });
+            }
         }
     }
     before.append(&mut between);
@@ -168,17 +172,9 @@ pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, String> {
     Ok(before)
 }
 
-fn no_skill(predicate: &Predicate) -> String {
-    format!(
-        "the expert has no skill for the goal '{} {}'; run this task with another policy",
-        predicate.name,
-        predicate.arguments.join(" ")
-    )
-}
-
 /// Plans to open the drawer of `region` to `to`, m, if the region is in a drawer that is not
 /// open.
-fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, String> {
+fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, ExpertError> {
     let joint = drawer_joint(region);
     let Some(position) = joint.and_then(|joint| world.joint(&joint).ok()) else {
         return Ok(None);
@@ -191,7 +187,7 @@ fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, String> {
     Ok((!open).then(|| Skill::Routine(Routine::new(pull))))
 }
 
-fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, String> {
+fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, ExpertError> {
     let on = routine::knob_is_on(routine::only_joint(world, stove)?);
     let turn = Deed::TurnKnob {
         stove: stove.to_owned(),
@@ -200,7 +196,7 @@ fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, String> {
 }
 
 /// Plans to close a drawer, given by its region, or a door, given by its fixture.
-fn close(world: &World, what: &str) -> Result<Option<Skill>, String> {
+fn close(world: &World, what: &str) -> Result<Option<Skill>, ExpertError> {
     let drawer = drawer_joint(what).and_then(|joint| world.joint(&joint).ok());
     let (deed, closed) = match drawer {
         Some(position) => (
@@ -227,7 +223,7 @@ fn put_on(
     predicate: &Predicate,
     object: &str,
     on: &str,
-) -> Result<Option<Skill>, String> {
+) -> Result<Option<Skill>, ExpertError> {
     let slot = slot(&world.goal, predicate);
     let mut place = Place {
         relation: Relation::On,
@@ -278,12 +274,12 @@ fn sharer<'a>(goal: &'a [Predicate], predicate: &Predicate) -> Option<&'a str> {
 
 /// Returns the place's own side, or the opposite one if `other` is already there and nearer to
 /// the own side.
-fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<f64, String> {
+fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<f64, ExpertError> {
     let (object, other) = (world.entity(object)?, world.entity(other)?);
     if !place.holds(world, other)? {
         return Ok(place.slot);
     }
-    let room = |slot: f64| -> Result<f64, String> {
+    let room = |slot: f64| -> Result<f64, ExpertError> {
         let side = Place {
             slot,
             ..place.clone()
@@ -298,7 +294,7 @@ fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<
     })
 }
 
-fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, String> {
+fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, ExpertError> {
     let there = place.holds(world, world.entity(object)?)?;
     let transfer = Transfer::new(object.to_owned(), place);
     Ok((!there).then_some(Skill::Transfer(transfer)))

@@ -3,6 +3,7 @@
 //! that mostly succeed, and provides demonstrations for visual policies; it is not a
 //! baseline for them. Skills are in the modules; this file runs them in sequence.
 
+mod error;
 mod geometry;
 mod goal;
 mod grasp;
@@ -24,6 +25,7 @@ use goal::Skill;
 use motion::{Command, Fingers, HandPose, Motion};
 use world::World;
 
+pub use error::ExpertError;
 pub use motion::Action;
 
 /// Number of steps after which a hand far from its target counts as stuck.
@@ -59,7 +61,7 @@ impl Expert {
     ///
     /// # Errors
     /// If the expert does not support the scene or its goal.
-    pub fn act(&mut self, state: &Privileged) -> Result<Action, String> {
+    pub fn act(&mut self, state: &Privileged) -> Result<Action, ExpertError> {
         let mut world = World::read(state)?;
         world.shoulder = *self.shoulder.get_or_insert(world.shoulder);
         self.motion.observe(&world);
@@ -113,7 +115,7 @@ impl Expert {
 
     /// Returns the next skill's command. Replans when the plan is exhausted, because an
     /// episode that continues has not reached its goal.
-    fn command(&mut self, world: &World) -> Result<Command, String> {
+    fn command(&mut self, world: &World) -> Result<Command, ExpertError> {
         let is_interrupted = std::mem::take(&mut self.is_interrupted);
         let mut plan = match self.plan.take() {
             Some(plan) if is_interrupted => goal::resume(world, &self.motion, &plan)?.into(),
@@ -238,7 +240,7 @@ mod tests {
         for number in [1e256, -101.0, f64::NAN, f64::INFINITY] {
             let mut state = scene().state;
             state.grip_pos[1] = number;
-            let refusal = Expert::default().act(&state).unwrap_err();
+            let refusal = Expert::default().act(&state).unwrap_err().to_string();
             let expected = format!("grip_pos of 'gripper' holds {number}");
             assert!(refusal.contains(&expected), "{refusal}");
         }

@@ -1,6 +1,7 @@
 //! Destination of an object: resolves the target of a goal predicate to poses for the hand
 //! that carries the object. `motion` plans the path.
 
+use crate::error::ExpertError;
 use crate::geometry::{Vec3, footprint};
 use crate::grasp::Wish;
 use crate::motion::FINGERTIP_M;
@@ -71,7 +72,7 @@ enum Entry {
 impl Place {
     /// # Errors
     /// Names a target that the scene lacks.
-    pub(crate) fn spot(&self, world: &World, object: &Entity) -> Result<Spot, String> {
+    pub(crate) fn spot(&self, world: &World, object: &Entity) -> Result<Spot, ExpertError> {
         let target = world.entity(&self.target)?;
         let half_height = target.upright_half_height();
         let shape = footprint(object.quat, object.half);
@@ -119,7 +120,7 @@ impl Place {
     ///
     /// # Errors
     /// If the scene lacks the target.
-    pub(crate) fn holds(&self, world: &World, object: &Entity) -> Result<bool, String> {
+    pub(crate) fn holds(&self, world: &World, object: &Entity) -> Result<bool, ExpertError> {
         let target = world.entity(&self.target)?;
         let inside = target.local(object.pos).abs() - target.half;
         Ok(match self.relation {
@@ -140,7 +141,7 @@ impl Place {
     ///
     /// # Errors
     /// If the scene lacks the target.
-    pub(crate) fn owner<'a>(&self, world: &'a World) -> Result<&'a str, String> {
+    pub(crate) fn owner<'a>(&self, world: &'a World) -> Result<&'a str, ExpertError> {
         let target = world.entity(&self.target)?;
         Ok(if target.is_region() {
             &target.category
@@ -153,7 +154,7 @@ impl Place {
     ///
     /// # Errors
     /// If the scene lacks the target.
-    pub(crate) fn wish(&self, world: &World) -> Result<Wish, String> {
+    pub(crate) fn wish(&self, world: &World) -> Result<Wish, ExpertError> {
         let target = world.entity(&self.target)?;
         if self.relation == Relation::On {
             return Ok(Wish::Any);

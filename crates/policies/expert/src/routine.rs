@@ -5,6 +5,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
+use crate::error::ExpertError;
 use crate::geometry::{Quat, Vec3};
 use crate::motion::{
     Command, Errand, FINGERTIP_M, Fingers, HandPose, Motion, OPEN_M as OPEN_FINGERS_M, detour,
@@ -127,7 +128,7 @@ impl Routine {
     ///
     /// # Errors
     /// If the scene lacks an entity or joint.
-    pub(crate) fn resume(&mut self, world: &World, motion: &Motion) -> Result<(), String> {
+    pub(crate) fn resume(&mut self, world: &World, motion: &Motion) -> Result<(), ExpertError> {
         self.stage = self.deed.seen(world, motion)?;
         self.ticks = 0;
         Ok(())
@@ -141,7 +142,7 @@ impl Routine {
         &mut self,
         world: &World,
         motion: &Motion,
-    ) -> Result<Option<Command>, String> {
+    ) -> Result<Option<Command>, ExpertError> {
         while let Some(stage) = self.deed.stage(self.stage, world)? {
             if !self.over(&stage, world, motion) {
                 self.ticks += 1;
@@ -178,7 +179,7 @@ impl Routine {
 
 impl Deed {
     /// Derives the number of the current stage from the state of the world.
-    fn seen(&self, world: &World, motion: &Motion) -> Result<u32, String> {
+    fn seen(&self, world: &World, motion: &Motion) -> Result<u32, ExpertError> {
         let (Some(ready), Some(begun)) = (self.stage(0, world)?, self.stage(1, world)?) else {
             return Ok(0);
         };
@@ -211,7 +212,7 @@ impl Deed {
     }
 
     /// Returns stage `number`; `None` after the last.
-    fn stage(&self, number: u32, world: &World) -> Result<Option<Stage>, String> {
+    fn stage(&self, number: u32, world: &World) -> Result<Option<Stage>, ExpertError> {
         match self {
             Self::PullDrawer { region, to } => pull_drawer(number, world, region, *to),
             Self::PushDrawer { region } => push_drawer(number, world, region),
@@ -246,11 +247,13 @@ struct Drawer {
 }
 
 impl Drawer {
-    fn find(world: &World, region: &str) -> Result<Self, String> {
+    fn find(world: &World, region: &str) -> Result<Self, ExpertError> {
         let joint = drawer_joint(region).unwrap_or_default();
         let inside = world.entity(region)?;
         let out = world.front_of_drawer(inside);
-        let out = out.ok_or_else(|| format!("'{region}' is in no drawer"))?;
+        let out = out.ok_or_else(|| ExpertError::NoDrawer {
+            region: region.to_owned(),
+        })?;
         let handle = inside.pos + out * HANDLE_OUT_M + Vec3::UP * HANDLE_UP_M;
         Ok(Self {
             position: world.joint(&joint)?,
@@ -260,7 +263,12 @@ impl Drawer {
     }
 }
 
-fn pull_drawer(number: u32, world: &World, region: &str, to: f64) -> Result<Option<Stage>, String> {
+fn pull_drawer(
+    number: u32,
+    world: &World,
+    region: &str,
+    to: f64,
+) -> Result<Option<Stage>, ExpertError> {
     let drawer = Drawer::find(world, region)?;
     // The fingers close from above and below the bar.
     let upright = pointing_down(drawer.out.y.atan2(drawer.out.x));
@@ -288,7 +296,7 @@ fn pull_drawer(number: u32, world: &World, region: &str, to: f64) -> Result<Opti
     }))
 }
 
-fn push_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>, String> {
+fn push_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>, ExpertError> {
     let drawer = Drawer::find(world, region)?;
     let along_bar = drawer.out.cross(Vec3::UP);
     let upright = pointing_down(along_bar.y.atan2(along_bar.x));
@@ -308,7 +316,7 @@ fn push_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>
     }))
 }
 
-fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, String> {
+fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, ExpertError> {
     let knob = world.entity(stove)?;
     let position = only_joint(world, stove)?;
     let forward = knob.quat.rotate(Vec3::new(1.0, 0.0, 0.0));
@@ -343,7 +351,7 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, S
     }))
 }
 
-fn push_door(number: u32, world: &World, microwave: &str) -> Result<Option<Stage>, String> {
+fn push_door(number: u32, world: &World, microwave: &str) -> Result<Option<Stage>, ExpertError> {
     let oven = world.entity(microwave)?;
     let angle = only_joint(world, microwave)?;
     let at = |angle: f64, front: f64| {
@@ -375,7 +383,12 @@ fn push_door(number: u32, world: &World, microwave: &str) -> Result<Option<Stage
     }))
 }
 
-fn drag(number: u32, world: &World, object: &str, region: &str) -> Result<Option<Stage>, String> {
+fn drag(
+    number: u32,
+    world: &World,
+    object: &str,
+    region: &str,
+) -> Result<Option<Stage>, ExpertError> {
     let (thing, goal) = (world.entity(object)?, world.entity(region)?);
     let way = (goal.pos - thing.pos).at_height(0.0);
     let left = way.norm();
@@ -410,12 +423,12 @@ fn drag(number: u32, world: &World, object: &str, region: &str) -> Result<Option
 }
 
 /// Returns the position of the only joint of `fixture`.
-pub(crate) fn only_joint(world: &World, fixture: &str) -> Result<f64, String> {
+pub(crate) fn only_joint(world: &World, fixture: &str) -> Result<f64, ExpertError> {
     let name = world.joints_of(fixture).next();
-    name.map_or_else(
-        || Err(format!("'{fixture}' has no joint")),
-        |name| world.joint(name),
-    )
+    let name = name.ok_or_else(|| ExpertError::NoJoint {
+        fixture: fixture.to_owned(),
+    })?;
+    world.joint(name)
 }
 
 /// Returns true if `object` is too flat and too wide for the hand to lift.

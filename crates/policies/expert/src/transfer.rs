@@ -1,6 +1,7 @@
 //! Skill that picks an object up and places it: a state machine driven by the observation at
 //! every step. A missed grasp or a lost object starts another attempt with the next grasp.
 
+use crate::error::ExpertError;
 use crate::geometry::{Quat, Vec3};
 use crate::grasp::{self, Grasp, Purpose};
 use crate::motion::{
@@ -116,7 +117,7 @@ impl Transfer {
     ///
     /// # Errors
     /// If the scene lacks the object.
-    pub(crate) fn holds(&self, world: &World, motion: &Motion) -> Result<bool, String> {
+    pub(crate) fn holds(&self, world: &World, motion: &Motion) -> Result<bool, ExpertError> {
         let object = world.entity(&self.object)?;
         Ok(motion.grasps(world) && world.gap_to(object) < BESIDE_M)
     }
@@ -131,7 +132,7 @@ impl Transfer {
         earlier: Option<&Self>,
         world: &World,
         motion: &Motion,
-    ) -> Result<(), String> {
+    ) -> Result<(), ExpertError> {
         if let Some(earlier) = earlier {
             (self.missed, self.grasp) = (earlier.missed, earlier.grasp);
         }
@@ -160,7 +161,9 @@ impl Transfer {
         } else {
             let purpose = self.purpose(world, object)?;
             let grasp = grasp::nearest(world, object, purpose, self.grasp.as_ref());
-            let grasp = grasp.ok_or_else(|| format!("'{}' cannot be held", self.object))?;
+            let grasp = grasp.ok_or_else(|| ExpertError::NotGraspable {
+                object: self.object.clone(),
+            })?;
             self.grasp = Some(grasp);
             seen(grasp, world, object, motion)
         };
@@ -185,7 +188,7 @@ impl Transfer {
         }
     }
 
-    fn purpose<'a>(&self, world: &'a World, object: &Entity) -> Result<Purpose<'a>, String> {
+    fn purpose<'a>(&self, world: &'a World, object: &Entity) -> Result<Purpose<'a>, ExpertError> {
         Ok(Purpose {
             wish: self.place.wish(world)?,
             destination: self.place.spot(world, object)?.rest,
@@ -202,7 +205,7 @@ impl Transfer {
         &mut self,
         world: &World,
         motion: &Motion,
-    ) -> Result<Option<Command>, String> {
+    ) -> Result<Option<Command>, ExpertError> {
         loop {
             match self.look(world, motion)? {
                 Next::Stay(command) => {
@@ -227,7 +230,7 @@ impl Transfer {
         self.ticks = 0;
     }
 
-    fn look(&self, world: &World, motion: &Motion) -> Result<Next, String> {
+    fn look(&self, world: &World, motion: &Motion) -> Result<Next, ExpertError> {
         let object = world.entity(&self.object)?;
         Ok(match self.phase {
             Phase::Choose => self.choose(world, object)?,
@@ -248,7 +251,7 @@ impl Transfer {
         })
     }
 
-    fn choose(&self, world: &World, object: &Entity) -> Result<Next, String> {
+    fn choose(&self, world: &World, object: &Entity) -> Result<Next, ExpertError> {
         let choices = grasp::choices(world, object, self.purpose(world, object)?);
         let grasp = choices[self.missed % choices.len()];
         let quat = pointing_down(grasp.closing);
@@ -315,7 +318,7 @@ impl Transfer {
         hold_to(goal, hold, 1.0)
     }
 
-    fn carry(&self, world: &World, object: &Entity, hold: Hold) -> Result<Next, String> {
+    fn carry(&self, world: &World, object: &Entity, hold: Hold) -> Result<Next, ExpertError> {
         if hold.lost(world, object) || self.ticks >= TRAVEL_STEPS {
             return Ok(Next::Missed);
         }
@@ -334,7 +337,7 @@ impl Transfer {
         object: &Entity,
         hold: Hold,
         motion: &Motion,
-    ) -> Result<Next, String> {
+    ) -> Result<Next, ExpertError> {
         let spot = self.place.spot(world, object)?;
         let stopped = self.ticks > 3 && motion.still_steps() >= 2;
         if spot.reached(world, object) || stopped || self.overdue() {

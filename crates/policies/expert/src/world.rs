@@ -2,6 +2,7 @@
 
 use libero_ctrl::{EntityKind, Predicate, Privileged};
 
+use crate::error::ExpertError;
 use crate::geometry::{Quat, Vec3};
 
 /// An object, a fixture or a region.
@@ -86,20 +87,19 @@ const COMFORTABLE_REACH_M: f64 = 0.65;
 const LARGEST_M: f64 = 100.0;
 /// Largest component of a unit quaternion, with room for its rounding.
 const LARGEST_OF_UNIT: f64 = 1.001;
-/// Largest number of objects, fixtures and regions; LIBERO's scenes have a few dozen.
-const MAX_ENTITIES: usize = 1_000;
+/// Largest number of objects, fixtures and regions of a scene.
+pub(crate) const MAX_ENTITIES: usize = 1_000;
 
 impl World {
     /// Converts and validates a state.
     ///
     /// # Errors
     /// If there are too many entities, or a field holds a number that is out of range.
-    pub(crate) fn read(state: &Privileged) -> Result<Self, String> {
+    pub(crate) fn read(state: &Privileged) -> Result<Self, ExpertError> {
         if state.entities.len() > MAX_ENTITIES {
-            return Err(format!(
-                "the scene has {} objects, fixtures and regions; at most {MAX_ENTITIES} are looked at",
-                state.entities.len()
-            ));
+            return Err(ExpertError::Entities {
+                given: state.entities.len(),
+            });
         }
         let mut entities = Vec::with_capacity(state.entities.len());
         for e in &state.entities {
@@ -132,20 +132,22 @@ impl World {
     ///
     /// # Errors
     /// If the scene has no such entity.
-    pub(crate) fn entity(&self, name: &str) -> Result<&Entity, String> {
+    pub(crate) fn entity(&self, name: &str) -> Result<&Entity, ExpertError> {
         let found = self.entities.iter().find(|e| e.name == name);
-        found.ok_or_else(|| format!("the scene has no object, fixture or region named '{name}'"))
+        found.ok_or_else(|| ExpertError::NoEntity {
+            name: name.to_owned(),
+        })
     }
 
     /// Returns the position of a joint, rad or m.
     ///
     /// # Errors
     /// If the scene has no such joint.
-    pub(crate) fn joint(&self, name: &str) -> Result<f64, String> {
+    pub(crate) fn joint(&self, name: &str) -> Result<f64, ExpertError> {
         let found = self.joints.iter().find(|(n, _)| n == name);
-        found
-            .map(|j| j.1)
-            .ok_or_else(|| format!("the scene has no joint named '{name}'"))
+        found.map(|j| j.1).ok_or_else(|| ExpertError::NoJointNamed {
+            name: name.to_owned(),
+        })
     }
 
     /// Returns the names of the joints of the instance `owner`.
@@ -360,24 +362,31 @@ fn drawer(cabinet: &Entity, region: &Entity, out: Vec3) -> [Solid; 2] {
 
 /// Checks that values are in range. Paths are sampled every few centimetres, so that an
 /// absurdly large number would take minutes.
-fn within(values: &[f64], largest: f64, owner: &str, field: &str) -> Result<(), String> {
+fn within(
+    values: &[f64],
+    largest: f64,
+    owner: &str,
+    field: &'static str,
+) -> Result<(), ExpertError> {
     // NaN fails the comparison.
     let is_within = |value: &f64| value.abs() <= largest;
     match values.iter().find(|value| !is_within(value)) {
-        Some(value) => Err(format!(
-            "{field} of '{owner}' holds {value}, as in no scene"
-        )),
+        Some(value) => Err(ExpertError::OutOfRange {
+            field,
+            owner: owner.to_owned(),
+            value: *value,
+        }),
         None => Ok(()),
     }
 }
 
-fn vec3(values: &[f64; 3], owner: &str, field: &str) -> Result<Vec3, String> {
+fn vec3(values: &[f64; 3], owner: &str, field: &'static str) -> Result<Vec3, ExpertError> {
     within(values, LARGEST_M, owner, field)?;
     let [x, y, z] = *values;
     Ok(Vec3::new(x, y, z))
 }
 
-fn quat(values: &[f64; 4], owner: &str) -> Result<Quat, String> {
+fn quat(values: &[f64; 4], owner: &str) -> Result<Quat, ExpertError> {
     within(values, LARGEST_OF_UNIT, owner, "quat")?;
     let [w, x, y, z] = *values;
     let v = Vec3::new(x, y, z);

@@ -1,0 +1,62 @@
+//! Reasons for which the expert cannot act.
+
+use crate::world::MAX_ENTITIES;
+
+/// Error: the expert does not support the scene or its goal.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ExpertError {
+    /// The scene has too many entities.
+    #[error(
+        "the scene has {given} objects, fixtures and regions; the expert supports {MAX_ENTITIES}"
+    )]
+    Entities {
+        /// Number of entities.
+        given: usize,
+    },
+    /// The goal names an entity that the scene lacks.
+    #[error("the scene has no object, fixture or region named '{name}'")]
+    NoEntity {
+        /// Name of the entity.
+        name: String,
+    },
+    /// The scene lacks a joint.
+    #[error("the scene has no joint named '{name}'")]
+    NoJointNamed {
+        /// Name of the joint.
+        name: String,
+    },
+    /// The fixture to open or turn cannot move.
+    #[error("'{fixture}' has no joint")]
+    NoJoint {
+        /// Name of the fixture.
+        fixture: String,
+    },
+    /// The region to open or close is not in a drawer.
+    #[error("'{region}' is in no drawer")]
+    NoDrawer {
+        /// Name of the region.
+        region: String,
+    },
+    /// No grasp of the object is known.
+    #[error("'{object}' cannot be held")]
+    NotGraspable {
+        /// Name of the object.
+        object: String,
+    },
+    /// The goal needs a skill that the expert lacks.
+    #[error("the expert has no skill for the goal '{goal}'; run this task with another policy")]
+    NoSkill {
+        /// Predicate and arguments of the goal.
+        goal: String,
+    },
+    /// A number is not finite or absurdly large.
+    #[error("{field} of '{owner}' holds {value}, as in no scene")]
+    OutOfRange {
+        /// The field.
+        field: &'static str,
+        /// Name of the entity.
+        owner: String,
+        /// The number.
+        value: f64,
+    },
+}
