@@ -1,6 +1,6 @@
 //! Errors of the student: unusable weights and queries.
 
-use policy_gateway::builtin::student::WeightsFileError;
+use policy_backends::builtin::student::WeightsFileError;
 use student::{QueryError, WeightsError};
 
 use crate::{Messages, io_error, path, text, variants};
