@@ -1,4 +1,4 @@
-"""The gateway's referee judges this package's servers by their answers.
+"""`compare` and `doctor` judge this package's servers by their answers.
 
 Runs the program that the environment variable POLICY_GATEWAY names.
 """

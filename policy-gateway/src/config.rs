@@ -1,22 +1,11 @@
 //! A gateway's configuration, which consists of routes. Invalid configurations are refused before
 //! anything is opened; [`file`] reads them from TOML.
 
-use std::{collections::BTreeMap, fmt, path::PathBuf, str::FromStr, time::Duration};
+use std::{collections::BTreeMap, path::PathBuf, str::FromStr, time::Duration};
 
+use policy_backends::{BackendSpec, DEFAULT_ANSWER_WITHIN, recorder::RecordInto};
 use serde::Deserialize;
-use thiserror::Error;
 use transport::{Access, AccessError, Role};
-
-use crate::{
-    backend::{
-        grpc::{AddressError, GrpcAddress},
-        openpi::{OpenpiAddress, OpenpiAddressError},
-        recorder::RecordInto,
-        vla_eval::{VlaEvalAddress, VlaEvalAddressError},
-    },
-    builtin::{Builtin, student::WeightsFileError},
-    recording::RecordingError,
-};
 
 mod error;
 pub mod file;
@@ -24,10 +13,6 @@ mod name;
 
 pub use error::{ConfigError, MAX_REPLICAS};
 pub use name::{MAX_ROUTE_NAME_BYTES, RouteName, RouteNameError};
-
-/// Default of the longest wait for an answer: shorter than a worker's, so that the gateway detects
-/// a silent server first.
-pub const DEFAULT_ANSWER_WITHIN: Duration = Duration::from_secs(50);
 
 /// Routes of a gateway: at least one, with distinct names.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -99,29 +84,6 @@ impl AccessFiles {
         let roles = [Role::Worker, Role::Operator];
         Access::from_files(self.ca.as_deref(), self.token_file.as_deref(), &roles)
     }
-}
-
-/// Reason why a back-end cannot be created. Reads after "failed to …".
-#[derive(Debug, Error)]
-pub enum UnusableBackend {
-    /// The certificate authority or the token cannot be read.
-    #[error(transparent)]
-    Access(#[from] AccessError),
-    /// The recordings cannot be replayed.
-    #[error(transparent)]
-    Recording(#[from] RecordingError),
-    /// The weights cannot be used.
-    #[error(transparent)]
-    Weights(#[from] WeightsFileError),
-    /// The gRPC address is invalid.
-    #[error(transparent)]
-    Address(#[from] AddressError),
-    /// The openpi server's address is invalid.
-    #[error(transparent)]
-    Openpi(#[from] OpenpiAddressError),
-    /// The vla-eval model server's address is invalid.
-    #[error(transparent)]
-    VlaEval(#[from] VlaEvalAddressError),
 }
 
 /// Replicas of a route, by checkpoint.
@@ -222,67 +184,6 @@ impl FromStr for RouteSpec {
             access: AccessFiles::default(),
             record: None,
         })
-    }
-}
-
-/// Back-end of a route: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]` (`https://` over TLS),
-/// `ws://HOST:PORT` (`wss://` over TLS), `vla-eval://HOST:PORT` (`vla-evals://` over TLS),
-/// `student:FILE`, or `replay:FOLDER`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum BackendSpec {
-    /// A policy inside the gateway.
-    Builtin(Builtin),
-    /// The built-in student with the weights of a file.
-    Student(PathBuf),
-    /// Remote policy server.
-    Grpc(GrpcAddress),
-    /// openpi policy server.
-    Openpi(OpenpiAddress),
-    /// vla-eval model server.
-    VlaEval(VlaEvalAddress),
-    /// Folder of recordings.
-    Replay(PathBuf),
-}
-
-impl BackendSpec {
-    fn is_encrypted(&self) -> bool {
-        match self {
-            Self::Builtin(_) | Self::Student(_) | Self::Replay(_) => false,
-            Self::Grpc(address) => address.encrypted,
-            Self::Openpi(address) => address.place.encrypted,
-            Self::VlaEval(address) => address.place.encrypted,
-        }
-    }
-}
-
-impl FromStr for BackendSpec {
-    type Err = ConfigError;
-
-    fn from_str(text: &str) -> Result<Self, ConfigError> {
-        match text.split_once(':') {
-            Some(("builtin", name)) => Ok(Self::Builtin(name.parse()?)),
-            Some(("grpc" | "https", _)) => Ok(Self::Grpc(text.parse()?)),
-            Some(("ws" | "wss", _)) => Ok(Self::Openpi(text.parse()?)),
-            Some(("vla-eval" | "vla-evals", _)) => Ok(Self::VlaEval(text.parse()?)),
-            Some(("student", file)) if !file.is_empty() => Ok(Self::Student(file.into())),
-            Some(("replay", folder)) if !folder.is_empty() => Ok(Self::Replay(folder.into())),
-            _ => Err(ConfigError::Backend {
-                text: text.to_owned(),
-            }),
-        }
-    }
-}
-
-impl fmt::Display for BackendSpec {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Builtin(builtin) => builtin.fmt(f),
-            Self::Grpc(address) => address.fmt(f),
-            Self::Openpi(address) => address.fmt(f),
-            Self::VlaEval(address) => address.fmt(f),
-            Self::Student(file) => write!(f, "student:{}", file.display()),
-            Self::Replay(folder) => write!(f, "replay:{}", folder.display()),
-        }
     }
 }
 

@@ -5,14 +5,10 @@
 //! sick needs an answered query: its Describe and Reset often keep working when its accelerator
 //! does not.
 
-use std::{
-    fmt,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
+use policy_backends::{Cause, told::told};
 use rollout_types::Waits;
-
-use crate::told::told;
 
 /// Waits for a server that could not be reached: one that recovers is in use again within the
 /// longest wait.
@@ -58,69 +54,6 @@ pub enum Answered {
     Something,
     /// An answer to a query, with actions.
     Query,
-}
-
-/// Reason why a server is out.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Cause {
-    /// The connection failed.
-    Unreachable(String),
-    /// The settings are wrong, for example the address of another server.
-    Misplaced(String),
-    /// The server rejected the gateway's credentials.
-    Distrust(String),
-    /// The description differs from the earlier one, or from that of the other replicas.
-    Disagrees(String),
-    /// The server did not answer in time.
-    Silent,
-    /// Different tasks got the same error.
-    Repeats(String),
-    /// The server's process cannot recover from an error.
-    Broken(String),
-}
-
-impl Cause {
-    fn waits(&self) -> Waits {
-        match self {
-            Self::Unreachable(_) => WAITS,
-            _ => SICK_WAITS,
-        }
-    }
-
-    /// Returns the cause with its text as [`told`], so that what is kept of it and logged is small.
-    pub fn told(self) -> Self {
-        match self {
-            Self::Unreachable(why) => Self::Unreachable(told(&why)),
-            Self::Misplaced(why) => Self::Misplaced(told(&why)),
-            Self::Distrust(error) => Self::Distrust(told(&error)),
-            Self::Disagrees(difference) => Self::Disagrees(told(&difference)),
-            Self::Silent => Self::Silent,
-            Self::Repeats(error) => Self::Repeats(told(&error)),
-            Self::Broken(error) => Self::Broken(told(&error)),
-        }
-    }
-
-    /// Returns true if only an answered query shows that the server has recovered.
-    fn needs_query(&self) -> bool {
-        matches!(self, Self::Silent | Self::Repeats(_) | Self::Broken(_))
-    }
-}
-
-impl fmt::Display for Cause {
-    /// Writes the reason; reads after the server's name.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Unreachable(why) | Self::Misplaced(why) => write!(f, "cannot be reached: {why}"),
-            Self::Distrust(error) => write!(f, "cannot be asked: {error}"),
-            Self::Disagrees(difference) => f.write_str(difference),
-            Self::Silent => f.write_str("did not answer in time"),
-            Self::Repeats(error) => write!(f, "gave different tasks the same error: {error}"),
-            Self::Broken(error) => write!(
-                f,
-                "gave an error from which its process does not recover (restart it): {error}"
-            ),
-        }
-    }
 }
 
 /// Last known state of a server.
@@ -230,12 +163,12 @@ impl Health {
             Self::Up(_) => (1, true),
             Self::Out(Outage { probe: None, .. }) => return false,
             // A failure with another kind of wait starts counting anew.
-            Self::Out(outage) if outage.cause.waits() != cause.waits() => (1, false),
+            Self::Out(outage) if waits(&outage.cause) != waits(&cause) => (1, false),
             Self::Out(outage) => (outage.failures.saturating_add(1), false),
         };
         *self = Self::Out(Outage {
             // Jitter is unnecessary, because sessions arrive at random.
-            probe_at: now + cause.waits().after(failures, 0),
+            probe_at: now + waits(&cause).after(failures, 0),
             cause,
             failures,
             probe: None,
@@ -283,6 +216,14 @@ impl Health {
                 Some(cause)
             }
         }
+    }
+}
+
+/// Returns the waits between probes of a server that is out.
+fn waits(cause: &Cause) -> Waits {
+    match cause {
+        Cause::Unreachable(_) => WAITS,
+        _ => SICK_WAITS,
     }
 }
 
@@ -400,7 +341,7 @@ mod tests {
             prop_assert!(health.admit(Call::Of("probe"), now).is_ok());
             health.failed(cause.clone(), now);
             let (refused, wait) = health.admit(Call::Of("probe"), now).expect_err("it failed just now");
-            let Waits { first, longest } = cause.waits();
+            let Waits { first, longest } = waits(&cause);
             prop_assert_eq!(refused, cause);
             prop_assert!((first..=longest).contains(&wait), "{:?}", wait);
         }

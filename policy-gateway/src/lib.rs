@@ -6,33 +6,23 @@
 
 use std::{convert::Infallible, pin::Pin, time::Duration};
 
+use policy_backends::http2::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES};
 use proto::policy::policy_server::PolicyServer;
 use thiserror::Error;
 use tokio::{net::TcpListener, sync::oneshot};
 use transport::{Incoming, Security, SecurityError, innermost};
 
-use crate::{
-    http2::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES},
-    service::Gateway,
-};
+use crate::service::Gateway;
 
 mod access;
-pub mod backend;
 pub mod batch;
-pub mod builtin;
-pub mod check;
 pub mod config;
-pub mod conformance;
+pub mod front;
 pub mod health;
 pub mod held;
-pub mod http2;
 pub mod pace;
-pub mod recording;
-pub mod referee;
 pub mod route;
 pub mod service;
-pub mod sessions;
-pub mod told;
 
 /// Time limit for queries in flight at shutdown.
 pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);

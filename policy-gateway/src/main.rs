@@ -14,11 +14,17 @@ use std::{
 
 use anyhow::Context;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, error::ErrorKind};
+use policy_backends::{
+    BackendSpec,
+    recorder::{DEFAULT_MAX_BYTES, RecordInto},
+};
+use policy_doctor::{
+    command::{CommandError, Compare, Doctor},
+    conformance::{self, Target, scene},
+};
 use policy_gateway::{
-    backend::recorder::{DEFAULT_MAX_BYTES, RecordInto},
-    config::{self, AccessFiles, BackendSpec, Config, RouteName, RouteSpec},
-    conformance::{self, Target, front::Front, scene},
-    referee::command::{CommandError, Compare, Doctor},
+    config::{self, AccessFiles, Config, RouteName, RouteSpec},
+    front::Front,
     service::Gateway,
 };
 use terminal::{number, reader_is_gone};

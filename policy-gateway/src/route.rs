@@ -10,6 +10,10 @@ use std::{
     time::{Duration, Instant},
 };
 
+use policy_backends::{
+    BackendError, UnusableBackend,
+    sessions::{MAX_SESSION_BYTES, MAX_SESSIONS, SessionTable},
+};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 
 use self::{
@@ -18,11 +22,9 @@ use self::{
     replica::Replica,
 };
 use crate::{
-    backend::BackendError,
-    config::{RouteName, RouteSpec, UnusableBackend},
+    config::{RouteName, RouteSpec},
     health::Call,
     held::Held,
-    sessions::{MAX_SESSION_BYTES, MAX_SESSIONS, SessionTable},
 };
 
 mod checkpoints;

@@ -6,6 +6,7 @@ use std::{
     sync::{Arc, PoisonError, RwLock},
 };
 
+use policy_backends::{UnusableBackend, description::MAX_BATCH_QUERIES};
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferBatchRequest,
     InferBatchResponse, InferRequest, InferResponse, InferResult, ResetRequest, ResetResponse,
@@ -15,8 +16,7 @@ use tokio::task::JoinSet;
 use tonic::{Request, Response, Status};
 
 use crate::{
-    check::MAX_BATCH_QUERIES,
-    config::{Config, RouteSpec, UnusableBackend},
+    config::{Config, RouteSpec},
     held::Held,
     route::{Route, RouteError},
 };

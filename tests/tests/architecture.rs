@@ -34,11 +34,13 @@ const LIBRARIES: [(&str, &[&str]); 8] = [
     ("ureq", &["assets"]),
     ("maud", &["coordinator", "report"]),
     ("parquet", &["report"]),
-    ("prost", &["proto", "policy-gateway"]),
+    ("prost", &["proto", "policy-backends"]),
     (
         "tokio",
         &[
             "coordinator",
+            "policy-backends",
+            "policy-doctor",
             "policy-gateway",
             "queue",
             "transport",

@@ -4,10 +4,8 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use policy_gateway::{
-    conformance::scene,
-    http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
-};
+use policy_backends::http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
+use policy_doctor::conformance::scene;
 use proto::policy::{DescribeRequest, InferRequest, ResetRequest, policy_client::PolicyClient};
 use serde_json::{Value, json};
 use tonic::{

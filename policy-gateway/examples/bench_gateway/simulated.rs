@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::Result;
 use clap::Args;
-use policy_gateway::http2::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES};
+use policy_backends::http2::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES};
 use proto::policy::{
     CameraRequest, DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse,
     InferRequest, InferResponse, InferResult, ResetRequest, ResetResponse, StateField,

@@ -10,6 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use policy_backends::{Backend, BackendError};
 use proto::policy::{InferRequest, InferResponse};
 use tokio::{
     sync::{Notify, oneshot},
@@ -17,10 +18,7 @@ use tokio::{
 };
 
 use super::{MAX_QUEUED, Next, Queue};
-use crate::{
-    backend::{Backend, BackendError},
-    pace::{Silent, Watch},
-};
+use crate::pace::{Silent, Watch};
 
 /// Queue of queries with the task that empties it. Dropping it ends the task.
 pub struct Batcher {

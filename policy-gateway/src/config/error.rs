@@ -2,13 +2,10 @@
 
 use std::path::PathBuf;
 
+use policy_backends::spec::BackendSpecError;
 use thiserror::Error;
 
 use super::name::{RouteName, RouteNameError};
-use crate::{
-    backend::{grpc::AddressError, openpi::OpenpiAddressError, vla_eval::VlaEvalAddressError},
-    builtin::UnknownBuiltin,
-};
 
 /// Most replicas of one checkpoint.
 pub const MAX_REPLICAS: usize = 64;
@@ -96,28 +93,9 @@ pub enum ConfigError {
         /// The name.
         name: RouteName,
     },
-    /// The text is not a known kind of back-end.
-    #[error(
-        "read back-end {text:?}: write grpc://HOST:PORT, or https:// for one over TLS, or \
-         ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model server of \
-         vla-eval, or builtin:NAME, or student:FILE, or replay:FOLDER"
-    )]
-    Backend {
-        /// Text as written.
-        text: String,
-    },
-    /// The built-in policy does not exist.
+    /// The text is not a back-end.
     #[error(transparent)]
-    Builtin(#[from] UnknownBuiltin),
-    /// The address after `grpc://` is invalid.
-    #[error(transparent)]
-    Address(#[from] AddressError),
-    /// The address after `ws://` is invalid.
-    #[error(transparent)]
-    Openpi(#[from] OpenpiAddressError),
-    /// The address after `vla-eval://` is invalid.
-    #[error(transparent)]
-    VlaEval(#[from] VlaEvalAddressError),
+    Backend(#[from] BackendSpecError),
     /// A TLS server is given without a certificate authority.
     #[error(
         "trust {replica} of policy {name}: give the certificate authority that signed its \

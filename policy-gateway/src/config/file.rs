@@ -25,12 +25,10 @@ use std::{
 };
 
 use libero_ctrl::plain_words;
+use policy_backends::{BackendSpec, DEFAULT_ANSWER_WITHIN, spec::BackendSpecError};
 use serde::Deserialize;
 
-use super::{
-    AccessFiles, BackendSpec, Batching, CheckpointSpecs, Config, ConfigError,
-    DEFAULT_ANSWER_WITHIN, RouteName, RouteSpec,
-};
+use super::{AccessFiles, Batching, CheckpointSpecs, Config, ConfigError, RouteName, RouteSpec};
 
 /// Longest `answer_within_secs`.
 const MAX_ANSWER_WITHIN_SECS: f64 = 3600.0;
@@ -120,7 +118,7 @@ fn route(name: &str, table: Table) -> Result<RouteSpec, ConfigError> {
     })
 }
 
-fn backends(texts: &[String]) -> Result<Vec<BackendSpec>, ConfigError> {
+fn backends(texts: &[String]) -> Result<Vec<BackendSpec>, BackendSpecError> {
     texts.iter().map(|text| text.parse()).collect()
 }
 

@@ -2,8 +2,10 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
+use policy_backends::{BackendSpec, UnusableBackend};
+
 use super::{pool::Pool, replica::Replica};
-use crate::config::{BackendSpec, CheckpointSpecs, RouteSpec, UnusableBackend};
+use crate::config::{CheckpointSpecs, RouteSpec};
 
 pub(super) enum Checkpoints {
     One(Arc<Pool>),

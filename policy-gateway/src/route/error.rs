@@ -2,15 +2,13 @@
 
 use std::time::Duration;
 
+use policy_backends::{BackendError, sessions::MAX_SESSION_BYTES, told::told};
 use policy_protocol::ActionFault;
 use thiserror::Error;
 use tonic::{Code, Status};
 use transport::{chain, is_outage_code};
 
-use crate::{
-    backend::BackendError, config::RouteName, held::MAX_HELD_BYTES, sessions::MAX_SESSION_BYTES,
-    told::told,
-};
+use crate::{config::RouteName, held::MAX_HELD_BYTES};
 
 /// Reason why a route did not answer.
 #[derive(Debug, Error)]

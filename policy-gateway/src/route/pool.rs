@@ -10,11 +10,12 @@ use std::{
     time::Duration,
 };
 
+use policy_backends::{BackendError, description};
 use proto::policy::DescribeResponse;
 use sha2::{Digest, Sha256};
 
 use super::replica::Replica;
-use crate::{backend::BackendError, check, config::Batching, health::Call};
+use crate::{config::Batching, health::Call};
 
 /// Interchangeable replicas of a checkpoint.
 pub struct Pool {
@@ -173,7 +174,7 @@ impl Pool {
             .await?;
         // A gateway behind this one knows the actual batch mode.
         if described.batch_mode.is_empty() {
-            let batch_size = check::batch_size(&described);
+            let batch_size = description::batch_size(&described);
             described.batch_mode = self.batching.describe(batch_size);
             if described.unseeded {
                 described.batch_mode.push_str(", unseeded");
@@ -190,7 +191,7 @@ impl Pool {
             described: Arc::new(described.clone()),
             by: by.clone(),
         });
-        match check::difference(&first.described, described) {
+        match description::difference(&first.described, described) {
             None => Ok(()),
             Some(difference) if first.by == by => Err(format!("changed: {difference}")),
             Some(difference) => Err(format!("is no replica of {}: {difference}", first.by)),

@@ -13,18 +13,19 @@ use std::{
     time::{Duration, Instant},
 };
 
+use policy_backends::{
+    Backend, BackendError, BackendSpec, Cause, UnusableBackend, description, open,
+    recorder::Recorder, told::told,
+};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use tokio::sync::Semaphore;
 use transport::Access;
 
 use crate::{
-    backend::{Backend, BackendError, open::open, recorder::Recorder},
     batch::batcher::Batcher,
-    check,
-    config::{AccessFiles, BackendSpec, Batching, RouteSpec, UnusableBackend},
-    health::{Answered, Call, Cause, Health},
+    config::{AccessFiles, Batching, RouteSpec},
+    health::{Answered, Call, Health},
     pace::{Silent, Watch},
-    told::told,
 };
 
 /// Concurrent single queries per server. The server computes them one by one; queries waiting
@@ -207,7 +208,7 @@ impl Replica {
         }
         self.answered(Answered::Something);
         let batch_size = match self.batching {
-            Batching::Dynamic => check::batch_size(&described),
+            Batching::Dynamic => description::batch_size(&described),
             Batching::Single | Batching::Deterministic => 1,
         };
         self.batch_size.store(batch_size, Ordering::Relaxed);

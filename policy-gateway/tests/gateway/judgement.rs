@@ -2,7 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use policy_gateway::{backend::recorder::RecordInto, config::RouteSpec};
+use policy_backends::recorder::RecordInto;
+use policy_gateway::config::RouteSpec;
 use proto::policy::{
     DescribeResponse, Image, InferRequest, Observation, Setting, StateField, StateReading,
 };

@@ -4,17 +4,20 @@ mod access;
 mod answers;
 mod batches;
 mod both_paths;
-mod compare;
 mod conformance;
 mod crowd;
-mod doctor;
 mod judgement;
 mod outages;
+#[path = "../../../crates/policies/policy-doctor/tests/it/planted.rs"]
+#[allow(dead_code, reason = "the tests of policy-doctor use more of it")]
 mod planted;
 mod program;
 mod recordings;
 mod replicas;
 mod routing;
+#[path = "../../../crates/policies/policy-doctor/tests/it/scripted.rs"]
+#[allow(dead_code, reason = "the tests of policy-doctor use more of it")]
+mod scripted;
 mod sessions;
 mod support;
 mod vla_eval;

@@ -2,7 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use policy_gateway::{builtin::noop::NOOP_ACTION, health::WAITS};
+use policy_backends::builtin::noop::NOOP_ACTION;
+use policy_gateway::health::WAITS;
 use proto::policy::{InferBatchRequest, policy_client::PolicyClient};
 use tonic::{Code, Status, transport::Channel};
 

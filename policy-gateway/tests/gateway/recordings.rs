@@ -3,11 +3,8 @@
 
 use std::path::Path;
 
-use policy_gateway::{
-    backend::recorder::RecordInto,
-    config::{BackendSpec, RouteSpec},
-    recording,
-};
+use policy_backends::{BackendSpec, recorder::RecordInto, recording};
+use policy_gateway::config::RouteSpec;
 use proto::policy::{Image, InferRequest, InferResponse, Observation, policy_client::PolicyClient};
 use tonic::{Code, Status, transport::Channel};
 

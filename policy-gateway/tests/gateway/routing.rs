@@ -1,6 +1,9 @@
 //! Routing of requests to policies, and the gateway's description of itself.
 
-use policy_gateway::{builtin::noop::NOOP_ACTION, check::MAX_BATCH_QUERIES};
+use policy_backends::{
+    builtin::{self, noop::NOOP_ACTION},
+    description::MAX_BATCH_QUERIES,
+};
 use proto::policy::{
     DescribeRequest, DescribeResponse, Image, InferBatchRequest, InferRequest, Observation,
     infer_result,
@@ -51,7 +54,7 @@ async fn a_gateway_behind_a_gateway_looks_like_a_policy() {
     assert_eq!(described.batch_mode, "single");
     let expected = DescribeResponse {
         batch_mode: "single".to_owned(),
-        ..policy_gateway::builtin::expert::describe()
+        ..builtin::expert::describe()
     };
     assert_eq!(described, expected);
 

@@ -1,22 +1,23 @@
-//! Errors of the policy-gateway.
+//! Errors of the policy-gateway, its back-ends and the examination of policy servers.
 
 use std::time::Duration;
 
+use policy_backends::builtin::{Builtin, student::WeightsFileError};
+use policy_backends::grpc::GrpcAddress;
+use policy_backends::numpy::ArrayError;
+use policy_backends::openpi::OpenpiAddress;
+use policy_backends::openpi::codec::AnswerError;
+use policy_backends::recording::RecordingError;
+use policy_backends::spec::BackendSpecError;
+use policy_backends::vla_eval::{AnswerError as VlaEvalAnswerError, VlaEvalAddress};
+use policy_backends::{BackendError, BackendSpec, Cause, UnusableBackend};
+use policy_doctor::command::CommandError;
+use policy_doctor::conformance::ConformanceError;
+use policy_doctor::server::ExaminationError;
+use policy_doctor::situation::MissingInput;
 use policy_gateway::RunError;
-use policy_gateway::backend::BackendError;
-use policy_gateway::backend::grpc::GrpcAddress;
-use policy_gateway::backend::numpy::ArrayError;
-use policy_gateway::backend::openpi::OpenpiAddress;
-use policy_gateway::backend::openpi::codec::AnswerError;
-use policy_gateway::backend::vla_eval::{AnswerError as VlaEvalAnswerError, VlaEvalAddress};
-use policy_gateway::builtin::{Builtin, student::WeightsFileError};
-use policy_gateway::config::{BackendSpec, ConfigError, RouteName, RouteSpec, UnusableBackend};
-use policy_gateway::conformance::ConformanceError;
-use policy_gateway::conformance::front::FrontError;
-use policy_gateway::health::Cause;
-use policy_gateway::recording::RecordingError;
-use policy_gateway::referee::command::CommandError;
-use policy_gateway::referee::server::RefereeError;
+use policy_gateway::config::{ConfigError, RouteName, RouteSpec};
+use policy_gateway::front::FrontError;
 use policy_gateway::route::RouteError;
 use policy_protocol::{ActionFault, DescriptionFault};
 use tonic::Status;
@@ -30,7 +31,7 @@ pub(crate) fn add(messages: &mut Messages) {
     back_ends(messages);
     routes(messages);
     conformance(messages);
-    referee(messages);
+    examination(messages);
 }
 
 fn name() -> RouteName {
@@ -66,8 +67,7 @@ fn configuration(messages: &mut Messages) {
         text.parse::<VlaEvalAddress>().expect_err("no port")
     };
     messages.add("VlaEvalAddressError", no_vla_eval());
-    let no_back_end = "nobody".parse::<BackendSpec>().expect_err("no back-end");
-    messages.add("ConfigError", no_back_end);
+    let no_back_end = || "nobody".parse::<BackendSpec>().expect_err("no back-end");
     variants!(messages, ConfigError,
         ConfigError::NoRoute => ConfigError::NoRoute,
         ConfigError::Unreadable { .. } => ConfigError::Unreadable {
@@ -89,14 +89,17 @@ fn configuration(messages: &mut Messages) {
         ConfigError::Form { .. } => "pi05".parse::<RouteSpec>().expect_err("no back-end"),
         ConfigError::Name(_) => ConfigError::Name(no_name()),
         ConfigError::Twice { .. } => ConfigError::Twice { name: name() },
-        ConfigError::Backend { .. } => ConfigError::Backend { text: text() },
-        ConfigError::Builtin(_) => ConfigError::Builtin(no_builtin()),
-        ConfigError::Address(_) => ConfigError::Address(no_address()),
-        ConfigError::Openpi(_) => ConfigError::Openpi(no_openpi()),
-        ConfigError::VlaEval(_) => ConfigError::VlaEval(no_vla_eval()),
+        ConfigError::Backend(_) => ConfigError::Backend(no_back_end()),
         ConfigError::NoAuthority { .. } => ConfigError::NoAuthority {
             name: name(), replica: "https://h:1".to_owned(),
         },
+    );
+    variants!(messages, BackendSpecError,
+        BackendSpecError::Kind { .. } => no_back_end(),
+        BackendSpecError::Builtin(_) => BackendSpecError::Builtin(no_builtin()),
+        BackendSpecError::Address(_) => BackendSpecError::Address(no_address()),
+        BackendSpecError::Openpi(_) => BackendSpecError::Openpi(no_openpi()),
+        BackendSpecError::VlaEval(_) => BackendSpecError::VlaEval(no_vla_eval()),
     );
     variants!(messages, UnusableBackend,
         UnusableBackend::Access(_) => {
@@ -296,7 +299,6 @@ fn conformance(messages: &mut Messages) {
         ConformanceError::Connect { .. } => ConformanceError::Connect {
             url: url(), trouble: trouble(),
         },
-        ConformanceError::Front(_) => ConformanceError::Front(FrontError::Listen(io_error())),
         ConformanceError::Describe { .. } => ConformanceError::Describe {
             url: url(), status: Box::new(Status::unknown("")),
         },
@@ -313,30 +315,30 @@ fn conformance(messages: &mut Messages) {
     );
 }
 
-fn referee(messages: &mut Messages) {
+fn examination(messages: &mut Messages) {
     let url = || "grpc://h:1".to_owned();
     let recordings = || RecordingError::None { folder: path() };
-    variants!(messages, RefereeError,
-        RefereeError::Backend(_) => RefereeError::Backend(UnusableBackend::Access(
+    variants!(messages, ExaminationError,
+        ExaminationError::Backend(_) => ExaminationError::Backend(UnusableBackend::Access(
             AccessError::Host { host: text() },
         )),
-        RefereeError::Recording(_) => RefereeError::Recording(recordings()),
-        RefereeError::Silent { .. } => RefereeError::Silent { url: url() },
-        RefereeError::Answer { .. } => RefereeError::Answer {
+        ExaminationError::Recording(_) => ExaminationError::Recording(recordings()),
+        ExaminationError::Silent { .. } => ExaminationError::Silent { url: url() },
+        ExaminationError::Answer { .. } => ExaminationError::Answer {
             url: url(), problem: "nothing listens there; start it".to_owned(),
         },
-        RefereeError::Description { .. } => RefereeError::Description {
+        ExaminationError::Description { .. } => ExaminationError::Description {
             url: url(), fault: DescriptionFault::Nameless,
         },
-        RefereeError::Nonsense { .. } => RefereeError::Nonsense {
+        ExaminationError::Nonsense { .. } => ExaminationError::Nonsense {
             url: url(), fault: ActionFault::Empty,
         },
-        RefereeError::Lacking { .. } => RefereeError::Lacking {
-            url: url(), missing: "frames of \"agentview\"".to_owned(),
+        ExaminationError::Lacking { .. } => ExaminationError::Lacking {
+            url: url(), missing: MissingInput::Privileged,
         },
     );
     variants!(messages, CommandError,
         CommandError::Access(_) => CommandError::Access(AccessError::Host { host: text() }),
-        CommandError::Referee(_) => CommandError::Referee(RefereeError::Silent { url: url() }),
+        CommandError::Examination(_) => CommandError::Examination(ExaminationError::Silent { url: url() }),
     );
 }

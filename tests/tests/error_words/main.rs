@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use tests::phrases::raw_phrase;
 
 /// Errors that only their own crate can construct; the errors that wrap them are listed.
-const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "Missing"];
+const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "MissingInput"];
 
 /// Errors whose messages are complete sentences; the messages of all others follow "failed to …".
 const SENTENCES: [&str; 13] = [

@@ -1,7 +1,7 @@
 //! Errors of the student: unusable weights and queries; and of the expert: unsupported scenes.
 
 use expert::ExpertError;
-use policy_gateway::builtin::student::WeightsFileError;
+use policy_backends::builtin::student::WeightsFileError;
 use student::{QueryError, WeightsError};
 
 use crate::{Messages, io_error, path, text, variants};

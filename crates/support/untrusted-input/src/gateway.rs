@@ -2,9 +2,9 @@
 //! policies, and arbitrary answers of policy servers. Checks that every call is answered, and that
 //! every answer of a policy server yields either executable actions or a refusal.
 
-use policy_gateway::backend::openpi::codec;
-use policy_gateway::backend::vla_eval;
-use policy_gateway::check;
+use policy_backends::description;
+use policy_backends::openpi::codec;
+use policy_backends::vla_eval;
 use policy_gateway::config::Config;
 use policy_gateway::service::Gateway;
 use policy_protocol::{ACTION_WIDTH, LARGEST_NUMBER, MAX_HORIZON};
@@ -57,8 +57,8 @@ pub(crate) fn answers(input: &[u8]) -> bool {
     {
         is_an_answer = true;
         assert!((1..=MAX_HORIZON).contains(&described.horizon));
-        assert!(check::batch_size(&described) >= 1);
-        assert_eq!(check::difference(&described, &described), None);
+        assert!(description::batch_size(&described) >= 1);
+        assert_eq!(description::difference(&described, &described), None);
     }
     if let Ok(response) = wire::InferResponse::decode(input)
         && let Ok(actions) = policy_protocol::actions(&response, MAX_HORIZON)

@@ -1,0 +1,236 @@
+//! The trait of a back-end, and its errors.
+
+use std::{fmt, time::Duration};
+
+use policy_protocol::{ActionFault, DescriptionFault};
+use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
+use thiserror::Error;
+use tonic::{Code, Status};
+use transport::{Settings, Trouble, answer, is_outage_code};
+
+use crate::cause::Cause;
+
+/// Names, in messages, of the settings with which a gateway's user addresses a policy server.
+pub(crate) const SETTINGS: Settings = Settings {
+    address: "its route",
+    authority: "`ca` of the policy",
+    clear: "grpc://",
+    encrypted: "https://",
+};
+
+/// A back-end that answers for a policy. Back-ends ignore the `policy` field of requests, which is
+/// the caller's name of the route.
+#[tonic::async_trait]
+pub trait Backend: fmt::Display + Send + Sync {
+    /// Describes the policy and its inputs, with the checkpoint for `suite` if
+    /// it has several. Speaks [`proto::PROTOCOL_VERSION`].
+    ///
+    /// # Errors
+    /// See [`BackendError`], as for every method here.
+    async fn describe(&self, suite: &str) -> Result<DescribeResponse, BackendError>;
+
+    /// Starts an episode; restarts one that is open.
+    ///
+    /// # Errors
+    /// See [`BackendError`].
+    async fn reset(&self, request: ResetRequest) -> Result<(), BackendError>;
+
+    /// Ends an episode. Back-ends without state per episode do nothing; errors are ignored.
+    async fn end(&self, _session: &str) {}
+
+    /// Answers one observation. The answer is not checked.
+    ///
+    /// # Errors
+    /// See [`BackendError`].
+    async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError>;
+
+    /// Answers several independent observations, in their order, or one after the other if the
+    /// policy takes no batches. The answers are not checked.
+    ///
+    /// # Errors
+    /// See [`BackendError`], if no observation was answered.
+    async fn infer_batch(
+        &self,
+        requests: Vec<InferRequest>,
+    ) -> Result<Vec<Result<InferResponse, BackendError>>, BackendError> {
+        let mut answers = Vec::with_capacity(requests.len());
+        for request in requests {
+            answers.push(self.infer(request).await);
+        }
+        Ok(answers)
+    }
+}
+
+/// Reason why a back-end did not answer. Its gRPC code tells a worker whether the infrastructure
+/// failed (`UNAVAILABLE`, `DEADLINE_EXCEEDED`, `RESOURCE_EXHAUSTED`: not charged to the rollout)
+/// or the policy.
+#[derive(Clone, Debug, Error)]
+pub enum BackendError {
+    /// The connection failed or broke, or leads to another service.
+    #[error("cannot reach the policy server at {address}: {trouble}")]
+    Unreachable {
+        /// host:port.
+        address: String,
+        /// Cause found at that address.
+        trouble: Box<Trouble>,
+    },
+    /// The server rejected the gateway's credentials.
+    #[error(
+        "the policy server at {address} does not let this gateway in: {reason}; put a token that \
+         it knows into the `token_file` of the policy, then reload the configuration (SIGHUP)"
+    )]
+    Barred {
+        /// host:port.
+        address: String,
+        /// Reason that the server gave.
+        reason: String,
+    },
+    /// The server is out; only a probe is let through until it answers.
+    #[error("{backend} {cause}; it is tried again in {:.1} s", retry_in.as_secs_f64())]
+    Out {
+        /// Back-end as configured.
+        backend: String,
+        /// Reason why the server is out.
+        cause: Cause,
+        /// Time until the next attempt.
+        retry_in: Duration,
+    },
+    /// The server did not answer within the limit.
+    #[error("{backend} did not answer within {:.1} s", limit.as_secs_f64())]
+    TimedOut {
+        /// Back-end as configured.
+        backend: String,
+        /// Longest time without an answer.
+        limit: Duration,
+    },
+    /// The server's error shows that the server is broken, not the query.
+    #[error("{backend} is out, because it {cause}")]
+    Sick {
+        /// Back-end as configured.
+        backend: String,
+        /// Reason why the server is out.
+        cause: Cause,
+    },
+    /// The policy's description cannot be used.
+    #[error("policy {policy:?} describes itself wrongly: {fault}")]
+    Description {
+        /// The policy's own name.
+        policy: String,
+        /// Fault of the description.
+        fault: DescriptionFault,
+    },
+    /// The description differs from the earlier one, or from that of the other replicas.
+    #[error(
+        "it {difference}; put the same weights everywhere, then reload the gateway's \
+         configuration (SIGHUP)"
+    )]
+    Disagrees {
+        /// The difference, and the description compared with.
+        difference: String,
+    },
+    /// The answer is not a valid chunk of actions.
+    #[error("{fault}")]
+    Nonsense {
+        /// Fault of the answer.
+        fault: ActionFault,
+    },
+    /// The queue of the policy's server is full.
+    #[error("{queued} queries wait for their batch already; try again later")]
+    QueueFull {
+        /// Number of queries in the queue.
+        queued: usize,
+    },
+    /// The query timed out in the queue of a busy server.
+    #[error(
+        "{backend} has more queries before it than it answers within {:.0} s; run fewer slots, or \
+         give its route more replicas",
+        waited.as_secs_f64()
+    )]
+    Crowded {
+        /// Back-end as configured.
+        backend: String,
+        /// Time spent in the queue.
+        waited: Duration,
+    },
+    /// The batch ended unanswered, through no fault of its queries.
+    #[error("the batch ended without an answer to this query")]
+    BatchLost,
+    /// The number of answers differs from that of the batch's queries.
+    #[error("it answered a batch of {asked} with {answered} results")]
+    BatchSize {
+        /// Number of queries sent.
+        asked: usize,
+        /// Number of results received.
+        answered: usize,
+    },
+    /// The server answered with an error of its own.
+    #[error("the policy server at {address} answered: {}", answer(status))]
+    Refused {
+        /// host:port.
+        address: String,
+        /// Answer of the server.
+        status: Box<Status>,
+    },
+    /// The server's policy cannot be run under LIBERO-CTRL's conventions.
+    #[error("the policy server at {address} cannot be run here: {reason}")]
+    Unsuited {
+        /// host:port.
+        address: String,
+        /// Reason, with the remedy.
+        reason: String,
+    },
+    /// The session is not open: it was never reset, or the gateway restarted or discarded it. The
+    /// episode is lost, through no fault of the policy.
+    #[error(
+        "the session is not open here (the gateway may have restarted since its Reset); start \
+         the rollout again"
+    )]
+    SessionLost,
+    /// A query to a stateful policy came out of order.
+    #[error("a stateful policy answers its queries in order, and query {expected} is next")]
+    OutOfOrder {
+        /// Query index that the policy expects.
+        expected: u32,
+    },
+    /// The policy could not answer.
+    #[error("the policy failed: {message}")]
+    Policy {
+        /// Message of the policy.
+        message: String,
+    },
+}
+
+impl BackendError {
+    /// Returns the gRPC code to answer a worker with.
+    pub fn code(&self) -> Code {
+        match self {
+            Self::Unreachable { .. }
+            | Self::Barred { .. }
+            | Self::Out { .. }
+            | Self::Sick { .. }
+            | Self::Disagrees { .. }
+            | Self::BatchLost
+            | Self::SessionLost => Code::Unavailable,
+            Self::QueueFull { .. } | Self::Crowded { .. } => Code::ResourceExhausted,
+            Self::TimedOut { .. } => Code::DeadlineExceeded,
+            // Servers in most languages report an uncaught exception as `UNKNOWN`.
+            Self::Refused { status, .. } if status.code() == Code::Unknown => Code::Internal,
+            Self::Refused { status, .. } => status.code(),
+            Self::Unsuited { .. }
+            | Self::OutOfOrder { .. }
+            | Self::Description {
+                fault: DescriptionFault::Version { .. },
+                ..
+            } => Code::FailedPrecondition,
+            Self::Policy { .. }
+            | Self::Description { .. }
+            | Self::Nonsense { .. }
+            | Self::BatchSize { .. } => Code::Internal,
+        }
+    }
+
+    /// Returns true if the infrastructure failed rather than this query.
+    pub fn is_outage(&self) -> bool {
+        is_outage_code(self.code())
+    }
+}

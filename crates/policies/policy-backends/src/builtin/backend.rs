@@ -1,0 +1,121 @@
+//! Back-end of the policies that run inside the gateway: one instance per session, queried in
+//! order if the policy is stateful.
+
+use std::{
+    fmt,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use policy_protocol::ACTION_WIDTH;
+use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
+use tokio::task::JoinSet;
+
+use super::instance::{BuiltinPolicy, Policy};
+use crate::{
+    backend::{Backend, BackendError},
+    sessions::{MAX_SESSIONS, SessionTable},
+};
+
+/// A built-in policy and its sessions.
+pub(crate) struct BuiltinBackend {
+    /// Name of the policy, as written in its route.
+    name: String,
+    policy: Policy,
+    sessions: Mutex<SessionTable<Arc<Mutex<Instance>>>>,
+}
+
+/// Instance of the policy for one session.
+struct Instance {
+    policy: Box<dyn BuiltinPolicy>,
+    next_query: u32,
+}
+
+impl Instance {
+    fn answer(
+        &mut self,
+        stateful: bool,
+        request: InferRequest,
+    ) -> Result<InferResponse, BackendError> {
+        if stateful && request.query_index != self.next_query {
+            return Err(BackendError::OutOfOrder {
+                expected: self.next_query,
+            });
+        }
+        let observation = request.observation.unwrap_or_default();
+        let actions = self
+            .policy
+            .infer(request.query_index, &observation)
+            .map_err(|message| BackendError::Policy { message })?;
+        self.next_query = request.query_index.saturating_add(1);
+        Ok(InferResponse {
+            actions: actions.into_flattened(),
+            action_width: ACTION_WIDTH as u32,
+        })
+    }
+}
+
+fn panicked(when: &str) -> BackendError {
+    BackendError::Policy {
+        message: format!("it panicked {when} of this session"),
+    }
+}
+
+impl BuiltinBackend {
+    /// Creates a back-end without sessions.
+    pub(crate) fn new(name: String, policy: Policy) -> Self {
+        Self {
+            name,
+            policy,
+            sessions: Mutex::new(SessionTable::new(MAX_SESSIONS)),
+        }
+    }
+
+    fn episode(&self, session: &str) -> Option<Arc<Mutex<Instance>>> {
+        let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
+        sessions.get(session).cloned()
+    }
+}
+
+#[tonic::async_trait]
+impl Backend for BuiltinBackend {
+    async fn describe(&self, _suite: &str) -> Result<DescribeResponse, BackendError> {
+        Ok(self.policy.described.clone())
+    }
+
+    async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
+        let episode = Instance {
+            policy: (self.policy.start)(&request),
+            next_query: 0,
+        };
+        let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
+        sessions.open(&request.session, Arc::new(Mutex::new(episode)));
+        Ok(())
+    }
+
+    async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError> {
+        let episode = self
+            .episode(&request.session)
+            .ok_or(BackendError::SessionLost)?;
+        let stateful = self.policy.described.stateful;
+        // The set aborts its task when dropped, so that a query without a caller never starts.
+        let mut answering = JoinSet::new();
+        answering.spawn_blocking(move || {
+            // Only a panic inside the policy poisons the lock; the instance's state is then
+            // unreliable.
+            let mut episode = episode
+                .lock()
+                .map_err(|_| panicked("at an earlier query"))?;
+            episode.answer(stateful, request)
+        });
+        let answered = answering.join_next().await;
+        answered
+            .and_then(Result::ok)
+            .unwrap_or_else(|| Err(panicked("at this query")))
+    }
+}
+
+impl fmt::Display for BuiltinBackend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.name.fmt(f)
+    }
+}

@@ -1,0 +1,54 @@
+//! Batch size of a policy by its description, and the difference between two descriptions. Pure
+//! functions. The crate `policy-protocol` checks descriptions and answers.
+
+use proto::policy::DescribeResponse;
+
+/// Most queries in one `InferBatch`.
+pub const MAX_BATCH_QUERIES: usize = 64;
+
+/// Returns the batch size for a policy, limited by its description and by the largest message.
+pub fn batch_size(described: &DescribeResponse) -> usize {
+    let cameras = described.cameras.iter();
+    let pixels = cameras.map(|it| u64::from(it.width) * u64::from(it.height));
+    // Half of a message is left for readings, which are small.
+    let query_bytes = 3 * pixels.sum::<u64>().max(1);
+    let fitting = proto::MAX_MESSAGE_BYTES as u64 / 2 / query_bytes;
+    let declared = u64::from(described.max_batch).min(MAX_BATCH_QUERIES as u64);
+    declared.min(fitting).max(1) as usize
+}
+
+/// Describes the first difference between two descriptions. The batch size is ignored, because it
+/// may differ between replicas.
+pub fn difference(one: &DescribeResponse, other: &DescribeResponse) -> Option<String> {
+    let said = |it: &DescribeResponse| {
+        [
+            ("name", it.name.clone()),
+            ("checkpoint digest", it.checkpoint_digest.clone()),
+            ("checkpoint", it.checkpoint.clone()),
+            ("parameter count", it.parameters.to_string()),
+            ("horizon", it.horizon.to_string()),
+            ("execute", it.execute.to_string()),
+            ("cameras", format!("{:?}", it.cameras)),
+            ("robot readings", format!("{:?}", it.state)),
+            ("stateful", it.stateful.to_string()),
+            ("stochastic", it.stochastic.to_string()),
+            ("seeding", (!it.unseeded).to_string()),
+            ("language", it.language.to_string()),
+            ("privileged", it.privileged.to_string()),
+            ("real-time chunking", it.real_time_chunking.to_string()),
+        ]
+    };
+    let setting = |of: &DescribeResponse, name: &str| {
+        let named = of.settings.iter().find(|setting| setting.name == name);
+        named.map_or_else(|| "not given".to_owned(), |setting| setting.value.clone())
+    };
+    let names = one.settings.iter().chain(&other.settings);
+    let names = names.map(|setting| setting.name.as_str());
+    said(one)
+        .into_iter()
+        .zip(said(other))
+        .map(|((what, was), (_, is))| (what, was, is))
+        .chain(names.map(|name| (name, setting(one, name), setting(other, name))))
+        .find(|(_, was, is)| was != is)
+        .map(|(what, was, is)| format!("its {what} is {is:?}, not {was:?}"))
+}

@@ -1,0 +1,37 @@
+//! Clients of policy servers, one module per protocol, and the policies that need no server: all
+//! behind the trait [`Backend`], which a [`BackendSpec`] names and [`open()`] creates.
+//!
+//! A back-end neither checks answers nor retries: the gateway does, and those who examine a server
+//! see its answers unchanged.
+
+#![forbid(unsafe_code)]
+
+use std::time::Duration;
+
+mod backend;
+pub mod builtin;
+mod cause;
+pub mod description;
+pub mod grpc;
+pub mod http2;
+pub mod numpy;
+mod open;
+pub mod openpi;
+pub mod recorder;
+pub mod recording;
+pub mod replay;
+pub mod sessions;
+mod shown;
+pub mod spec;
+pub mod told;
+pub mod vla_eval;
+mod websocket;
+
+pub use backend::{Backend, BackendError};
+pub use cause::Cause;
+pub use open::{UnusableBackend, open};
+pub use spec::BackendSpec;
+
+/// Default of the longest wait for an answer: shorter than a worker's, so that the gateway detects
+/// a silent server first.
+pub const DEFAULT_ANSWER_WITHIN: Duration = Duration::from_secs(50);

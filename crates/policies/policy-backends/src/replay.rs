@@ -1,0 +1,243 @@
+//! Back-end that answers from recordings: an observation that equals the recorded one of the same
+//! episode gets the recorded actions. For any other, the error names the first difference. It
+//! needs neither computation nor a server.
+//!
+//! An episode is identified by suite, instruction and seed. If there are several recordings of an
+//! episode, the one with the query's observation is used.
+
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use prost::Message;
+use proto::policy::{
+    DescribeResponse, InferRequest, InferResponse, Observation, ResetRequest, StateReading,
+};
+use sha2::{Digest, Sha256};
+
+use crate::{
+    backend::{Backend, BackendError},
+    description,
+    recording::{self, Reader, RecordingError},
+    sessions::{MAX_SESSIONS, SessionTable},
+};
+
+/// Batch mode in the provenance of replayed results.
+const BATCH_MODE: &str = "replayed from a recording";
+
+/// Recordings of one policy.
+pub struct Replay {
+    folder: PathBuf,
+    described: DescribeResponse,
+    recorded: Vec<(PathBuf, ResetRequest)>,
+    sessions: Mutex<SessionTable<Arc<Vec<RecordedEpisode>>>>,
+}
+
+/// Recording of an episode, with digests in place of the observations.
+struct RecordedEpisode {
+    path: PathBuf,
+    steps: Vec<Step>,
+}
+
+struct Step {
+    query_index: u32,
+    digest: [u8; 32],
+    answer: InferResponse,
+}
+
+impl Replay {
+    /// Opens the recordings of a folder.
+    ///
+    /// # Errors
+    /// If there are no recordings, one is damaged, or they are of different policies.
+    pub fn open(folder: &Path) -> Result<Self, RecordingError> {
+        let mut described: Option<(PathBuf, DescribeResponse)> = None;
+        let mut recorded = vec![];
+        for path in recording::files(folder)? {
+            let reader = Reader::open(&path)?;
+            let (one, first) =
+                described.get_or_insert_with(|| (path.clone(), reader.described.clone()));
+            if let Some(difference) = description::difference(first, &reader.described) {
+                return Err(RecordingError::Policies {
+                    one: one.clone(),
+                    other: path,
+                    difference,
+                });
+            }
+            recorded.push((path, reader.reset));
+        }
+        let (_, mut described) = described.unwrap_or_default();
+        described.batch_mode = BATCH_MODE.to_owned();
+        // Batches would not make recordings any faster.
+        described.max_batch = 1;
+        Ok(Self {
+            folder: folder.to_owned(),
+            described,
+            recorded,
+            sessions: Mutex::new(SessionTable::new(MAX_SESSIONS)),
+        })
+    }
+
+    fn sessions(&self) -> std::sync::MutexGuard<'_, SessionTable<Arc<Vec<RecordedEpisode>>>> {
+        self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[tonic::async_trait]
+impl Backend for Replay {
+    async fn describe(&self, _suite: &str) -> Result<DescribeResponse, BackendError> {
+        Ok(self.described.clone())
+    }
+
+    async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
+        let of_episode = |it: &ResetRequest| (it.suite.clone(), it.instruction.clone(), it.seed);
+        let known = self.recorded.iter();
+        let paths: Vec<_> = known
+            .filter(|(_, reset)| of_episode(reset) == of_episode(&request))
+            .map(|(path, _)| path.clone())
+            .collect();
+        if paths.is_empty() {
+            let message = format!(
+                "no recording in {:?} is of {:?} in {} with seed {}; record that rollout first",
+                self.folder, request.instruction, request.suite, request.seed
+            );
+            return Err(BackendError::Policy { message });
+        }
+        let read = move || paths.into_iter().map(RecordedEpisode::read).collect();
+        let read: Result<Vec<_>, RecordingError> = tokio::task::spawn_blocking(read)
+            .await
+            .map_err(|error| policy(&error))?;
+        let episodes = read.map_err(|error| policy(&format!("failed to {error}")))?;
+        self.sessions().open(&request.session, Arc::new(episodes));
+        Ok(())
+    }
+
+    async fn infer(&self, query: InferRequest) -> Result<InferResponse, BackendError> {
+        let episodes = self.sessions().get(&query.session).cloned();
+        let episodes = episodes.ok_or(BackendError::SessionLost)?;
+        let observation = query.observation.unwrap_or_default();
+        let shown = digest(&observation);
+        let answer = episodes
+            .iter()
+            .find_map(|episode| episode.answer(query.query_index, shown));
+        match answer {
+            Some(answer) => Ok(answer.clone()),
+            None => {
+                let path = episodes.first().map(|it| it.path.clone());
+                let path = path.unwrap_or_default();
+                let compare = move || difference(&path, query.query_index, &observation);
+                let compared = tokio::task::spawn_blocking(compare).await;
+                let difference = compared.map_err(|error| policy(&error))?;
+                Err(BackendError::Policy {
+                    message: difference.unwrap_or_else(|error| format!("failed to {error}")),
+                })
+            }
+        }
+    }
+}
+
+impl RecordedEpisode {
+    fn read(path: PathBuf) -> Result<Self, RecordingError> {
+        let mut reader = Reader::open(&path)?;
+        let mut steps = vec![];
+        while let Some(pair) = reader.pair()? {
+            steps.push(Step {
+                query_index: pair.query.query_index,
+                digest: digest(&pair.query.observation.unwrap_or_default()),
+                answer: pair.answer,
+            });
+        }
+        Ok(Self { path, steps })
+    }
+
+    /// Returns the recorded answer if the recorded observation has this digest.
+    fn answer(&self, query_index: u32, shown: [u8; 32]) -> Option<&InferResponse> {
+        let step = self.steps.iter().find(|it| it.query_index == query_index)?;
+        (step.digest == shown).then_some(&step.answer)
+    }
+}
+
+impl fmt::Display for Replay {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "replay:{}", self.folder.display())
+    }
+}
+
+fn digest(observation: &Observation) -> [u8; 32] {
+    Sha256::digest(observation.encode_to_vec()).into()
+}
+
+fn policy(error: &dyn fmt::Display) -> BackendError {
+    BackendError::Policy {
+        message: error.to_string(),
+    }
+}
+
+/// Describes the first difference between an observation and the recorded one.
+fn difference(path: &Path, query_index: u32, now: &Observation) -> Result<String, RecordingError> {
+    let mut reader = Reader::open(path)?;
+    let mut pairs = 0;
+    while let Some(pair) = reader.pair()? {
+        if pair.query.query_index == query_index {
+            let recorded = pair.query.observation.unwrap_or_default();
+            let what = first_difference(&recorded, now);
+            return Ok(format!(
+                "the observation is not the recorded one ({}): {what}",
+                path.display()
+            ));
+        }
+        pairs += 1;
+    }
+    Ok(format!(
+        "the recording ({}) ends after {pairs} queries",
+        path.display()
+    ))
+}
+
+fn first_difference(recorded: &Observation, now: &Observation) -> String {
+    if recorded.images.len() != now.images.len() {
+        let counts = (recorded.images.len(), now.images.len());
+        return format!("{} frames were recorded, and {} came", counts.0, counts.1);
+    }
+    for (was, is) in recorded.images.iter().zip(&now.images) {
+        let shape = |it: &proto::policy::Image| (it.camera.clone(), it.width, it.height);
+        if shape(was) != shape(is) {
+            return format!(
+                "frame {:?} was recorded, and {:?} came",
+                shape(was),
+                shape(is)
+            );
+        }
+        let levels = was.rgb.iter().zip(&is.rgb);
+        let differing = levels.clone().filter(|(was, is)| was != is).count();
+        if let Some(at) = levels.clone().position(|(was, is)| was != is) {
+            let (column, row) = (
+                at / 3 % is.width.max(1) as usize,
+                at / 3 / is.width.max(1) as usize,
+            );
+            return format!(
+                "{differing} of {} numbers of {:?} differ, first at column {column} of row {row} \
+                 ({} was recorded, {} came)",
+                is.rgb.len(),
+                is.camera,
+                was.rgb[at],
+                is.rgb[at],
+            );
+        }
+    }
+    let readings = |it: &Observation| it.state.clone();
+    let pairs = readings(recorded).into_iter().zip(readings(now));
+    let differs = |(was, is): &(StateReading, StateReading)| was != is;
+    match pairs.into_iter().find(differs) {
+        Some((was, is)) => format!(
+            "{} was {:?}, and {} {:?} came",
+            was.field().as_str_name(),
+            was.values,
+            is.field().as_str_name(),
+            is.values
+        ),
+        None => "the simulator's own state, or the number of readings".to_owned(),
+    }
+}

@@ -1,0 +1,334 @@
+//! Back-end of unmodified vla-eval model servers, which speak msgpack over WebSocket. Acts like
+//! vla-eval's LIBERO benchmark: in the order of messages, the observations sent, and the use of
+//! the actions; and manages the connections. [`hello`] negotiates the observations, [`state`] and
+//! [`image`] compute them, [`message`] encodes and decodes.
+//!
+//! Such a server identifies a session with a connection, which holds its chunks, histories and
+//! ensembles. So every episode has its own connection, which is closed with it.
+
+use std::{
+    fmt,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+};
+
+use proto::policy::{
+    DescribeResponse, InferRequest, InferResponse, Observation, ResetRequest, StateField,
+};
+use rmpv::Value;
+use transport::{Access, ServerKind};
+
+pub use self::{
+    address::{DEFAULT_EXECUTE, MAX_EXECUTE, Parameters, VlaEvalAddress, VlaEvalAddressError},
+    image::ImageFormat,
+    message::{AnswerError, answer},
+};
+use self::{
+    hello::{CAMERAS, Terms},
+    message::Kind,
+};
+use crate::{
+    backend::{Backend, BackendError},
+    numpy::{Keys, array, map},
+    sessions::SessionTable,
+    shown::{self, FRAME_SIDE},
+    websocket::{Connection, Received, Server},
+};
+
+mod address;
+mod hello;
+mod image;
+mod message;
+mod state;
+
+/// Concurrent episodes per server, each with a connection; one more replaces the one that was idle
+/// longest.
+pub const MAX_EPISODES: usize = 512;
+/// Time without a query after which an episode counts as ended.
+pub const ENDED_AFTER: Duration = Duration::from_secs(600);
+/// Idle connections kept for future episodes.
+const MAX_IDLE: usize = 8;
+
+/// Connections and episodes of a vla-eval model server.
+pub struct VlaEvalBackend {
+    address: VlaEvalAddress,
+    server: Server,
+    episodes: Mutex<SessionTable<Open>>,
+    /// Connections after their HELLO, without an episode so far.
+    idle: Mutex<Vec<Link>>,
+}
+
+struct Open {
+    last_use: Instant,
+    episode: Arc<Episode>,
+}
+
+struct Episode {
+    instruction: String,
+    /// `None` during a query, and after the connection is lost. A caller that stops waiting drops
+    /// the connection, so that no later query gets its answer.
+    link: tokio::sync::Mutex<Option<Link>>,
+}
+
+/// Connection with its negotiated terms.
+struct Link {
+    connection: Connection,
+    terms: Terms,
+    /// Number of messages sent.
+    sent: u64,
+    next_query: u32,
+}
+
+impl VlaEvalBackend {
+    /// Creates a back-end without connecting.
+    ///
+    /// # Errors
+    /// If the address is invalid.
+    pub fn new(address: VlaEvalAddress, access: Access) -> Result<Self, VlaEvalAddressError> {
+        let schemes = ["vla-eval://", "vla-evals://"];
+        // The protocol has no tokens, but a proxy in front of the server may require one.
+        let server = Server::new(
+            address.place.clone(),
+            access,
+            ServerKind::VlaEval,
+            schemes,
+            "Bearer",
+        );
+        Ok(Self {
+            server: server.ok_or_else(|| VlaEvalAddressError {
+                text: address.to_string(),
+            })?,
+            address,
+            episodes: Mutex::new(SessionTable::new(MAX_EPISODES)),
+            idle: Mutex::default(),
+        })
+    }
+
+    async fn connect(&self) -> Result<Link, BackendError> {
+        let hello = message::message(Kind::Hello, message::hello(), 1, now());
+        let (connection, received) = self.server.connect(Some(hello)).await?;
+        Ok(Link {
+            terms: self.terms(&received)?,
+            connection,
+            sent: 1,
+            next_query: 0,
+        })
+    }
+
+    fn terms(&self, received: &Received) -> Result<Terms, BackendError> {
+        let hello = match received {
+            Received::Binary(bytes) => message::greeting(bytes),
+            Received::Text(_) => None,
+        };
+        let terms = match hello {
+            Some(hello) => hello::terms(&hello.as_ref(), &self.address),
+            None => Err(
+                "it answered HELLO with something else; name the address of a vla-eval model \
+                 server, or write ws://HOST:PORT for an openpi server"
+                    .to_owned(),
+            ),
+        };
+        terms.map_err(|reason| self.unsuited(reason))
+    }
+
+    fn unsuited(&self, reason: String) -> BackendError {
+        BackendError::Unsuited {
+            address: self.server.authority().to_owned(),
+            reason,
+        }
+    }
+
+    /// Returns a connection without an episode.
+    async fn fresh(&self) -> Result<Link, BackendError> {
+        loop {
+            let Some(mut link) = self.idle().pop() else {
+                return self.connect().await;
+            };
+            // A closed connection means that the server restarted.
+            if link.connection.is_idle() {
+                return Ok(link);
+            }
+        }
+    }
+
+    fn idle(&self) -> MutexGuard<'_, Vec<Link>> {
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn episodes(&self) -> MutexGuard<'_, SessionTable<Open>> {
+        self.episodes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Link {
+    async fn send(&mut self, kind: Kind, payload: Value) -> Result<(), BackendError> {
+        self.sent += 1;
+        let message = message::message(kind, payload, self.sent, now());
+        self.connection.send(message).await
+    }
+
+    /// Sends one query.
+    ///
+    /// # Errors
+    /// If the connection is lost.
+    async fn ask(
+        &mut self,
+        observation: Value,
+        execute: u32,
+    ) -> Result<Result<InferResponse, AnswerError>, BackendError> {
+        self.send(Kind::Observation, observation).await?;
+        let received = match self.connection.receive().await? {
+            Received::Binary(bytes) => bytes,
+            Received::Text(text) => text.into_bytes(),
+        };
+        Ok(message::answer(&received, self.sent, execute))
+    }
+}
+
+#[tonic::async_trait]
+impl Backend for VlaEvalBackend {
+    async fn describe(&self, _suite: &str) -> Result<DescribeResponse, BackendError> {
+        // Opens a new connection each time, because HELLO shows whether it is still the same
+        // server.
+        let link = self.connect().await?;
+        let described = link.terms.described.clone();
+        let mut idle = self.idle();
+        idle.truncate(MAX_IDLE - 1);
+        idle.push(link);
+        Ok(described)
+    }
+
+    async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
+        let mut link = self.fresh().await?;
+        let ResetRequest {
+            session,
+            suite,
+            instruction,
+            ..
+        } = request;
+        if let Some(its) = link.terms.suite.as_ref().filter(|its| **its != suite) {
+            return Err(self.unsuited(format!(
+                "it has a checkpoint for {its}, and the episode is of {suite}; give the policy a \
+                 server per suite"
+            )));
+        }
+        link.send(Kind::EpisodeStart, message::task(&suite, &instruction))
+            .await?;
+        let episode = Episode {
+            instruction,
+            link: Some(link).into(),
+        };
+        let open = Open {
+            last_use: Instant::now(),
+            episode: episode.into(),
+        };
+        let mut episodes = self.episodes();
+        episodes.retain(|open| open.last_use.elapsed() < ENDED_AFTER);
+        episodes.open(&session, open);
+        Ok(())
+    }
+
+    async fn end(&self, session: &str) {
+        let Some(open) = self.episodes().close(session) else {
+            return;
+        };
+        let link = open.episode.link.lock().await.take();
+        let Some(mut link) = link else { return };
+        // The outcome is unknown here; vla-eval sends an empty map in that case, too.
+        if link.send(Kind::EpisodeEnd, map([])).await.is_ok() {
+            link.connection.close().await;
+        }
+    }
+
+    async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError> {
+        let episode = {
+            let mut episodes = self.episodes();
+            let open = episodes.get(&request.session);
+            let open = open.ok_or(BackendError::SessionLost)?;
+            open.last_use = Instant::now();
+            Arc::clone(&open.episode)
+        };
+        let mut place = episode.link.lock().await;
+        let expected = place.as_ref().map(|link| link.next_query);
+        if let Some(expected) = expected.filter(|it| *it != request.query_index) {
+            return Err(BackendError::OutOfOrder { expected });
+        }
+        let mut link = place.take().ok_or(BackendError::SessionLost)?;
+        let execute = self.address.execute;
+        let format = self.address.image_format;
+        let (terms, instruction) = (link.terms.clone(), episode.instruction.clone());
+        // Compression takes milliseconds, so it runs on a blocking thread.
+        let shown = tokio::task::spawn_blocking(move || {
+            observation(request.observation.as_ref(), &terms, format, &instruction)
+        });
+        let shown = shown.await.unwrap_or_else(|error| Err(error.to_string()));
+        let wrong = |message| BackendError::Policy { message };
+        let answer = match shown {
+            Ok(shown) => link.ask(shown, execute).await?,
+            Err(message) => {
+                *place = Some(link);
+                return Err(wrong(message));
+            }
+        };
+        link.next_query += u32::from(answer.is_ok());
+        if answer.as_ref().err().is_none_or(AnswerError::is_in_step) {
+            *place = Some(link);
+        }
+        answer.map_err(|error| wrong(error.to_string()))
+    }
+}
+
+impl fmt::Display for VlaEvalBackend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.address.fmt(f)
+    }
+}
+
+/// Encodes an observation as vla-eval's LIBERO benchmark does.
+fn observation(
+    observation: Option<&Observation>,
+    terms: &Terms,
+    format: ImageFormat,
+    instruction: &str,
+) -> Result<Value, String> {
+    let images = CAMERAS.iter().take(if terms.wrist { 2 } else { 1 });
+    let images = images.map(|(camera, slot)| {
+        let frame = shown::frame(observation, camera)?;
+        let frame = image::encode(format, FRAME_SIDE, &frame);
+        Ok((Value::from(*slot), frame.map_err(|it| it.to_string())?))
+    });
+    let images = Value::Map(images.collect::<Result<_, String>>()?);
+    let entry = |key: &str, value| (Value::from(key), value);
+    let mut entries = vec![
+        entry("images", images),
+        entry("task_description", instruction.into()),
+    ];
+    if terms.state {
+        let position = shown::reading(observation, StateField::EefPos)?;
+        let quaternion = shown::reading(observation, StateField::EefQuatXyzw)?;
+        let hand = shown::reading(observation, StateField::EefRotation)?;
+        let fingers = shown::reading(observation, StateField::GripperPos)?;
+        let states = state::states(position, quaternion, fingers, terms.flips);
+        let states = states.iter().flat_map(|it| it.to_le_bytes()).collect();
+        let of_controller = state::controller_states(position, hand, fingers);
+        let of_controller = of_controller.iter().flat_map(|it| it.to_le_bytes());
+        entries.extend([
+            entry("states", array(Keys::Text, "<f8", &[8], states)),
+            entry(
+                "controller_states",
+                array(Keys::Text, "<f4", &[8], of_controller.collect()),
+            ),
+        ]);
+    }
+    Ok(Value::Map(entries))
+}
+
+/// Returns the seconds since 1970.
+#[allow(
+    clippy::disallowed_methods,
+    reason = "a stamp for the server's logs, which decides nothing"
+)]
+fn now() -> f64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.unwrap_or_default().as_secs_f64()
+}

@@ -1,0 +1,261 @@
+//! Interprets a vla-eval server's HELLO: which observations the server needs, and whether it can
+//! be run at all, by the rules of vla-eval's orchestrator and LIBERO benchmark. Pure functions.
+
+use proto::policy::{DescribeResponse, Language, Setting, StateField};
+use rmpv::{Value, ValueRef};
+use sha2::{Digest, Sha256};
+
+use super::{address::VlaEvalAddress, message::VERSION};
+use crate::{
+    numpy::{as_text, lookup, written},
+    shown::camera,
+};
+
+/// Names of the cameras in the simulator and in vla-eval's observations.
+pub(super) const CAMERAS: [(&str, &str); 2] =
+    [("agentview", "agentview"), ("robot0_eye_in_hand", "wrist")];
+/// Robot readings from which the state is computed.
+const STATE: [StateField; 4] = [
+    StateField::EefPos,
+    StateField::EefQuatXyzw,
+    StateField::EefRotation,
+    StateField::GripperPos,
+];
+/// Parameters of vla-eval's LIBERO benchmark that the campaign determines here. The benchmark
+/// ignores unknown parameters.
+const OF_THE_CAMPAIGN: [&str; 4] = ["seed", "env_seed", "max_steps", "num_steps_wait"];
+/// Longest recorded value of a setting, bytes; the digest covers the whole HELLO.
+const RECORDED_BYTES: usize = 512;
+
+/// Negotiated conditions of a server's episodes.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Terms {
+    /// Suite of the server, if it names exactly one.
+    pub(super) suite: Option<String>,
+    /// True if the server receives the wrist camera's frames, too.
+    pub(super) wrist: bool,
+    /// True if the server receives the robot's state.
+    pub(super) state: bool,
+    /// True if a quaternion with negative w is replaced by its antipode.
+    pub(super) flips: bool,
+    pub(super) described: DescribeResponse,
+}
+
+/// Derives the terms from a server's HELLO.
+///
+/// # Errors
+/// If the server cannot be run. The text includes the remedy, and reads after "the policy server
+/// cannot be run here:".
+pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Terms, String> {
+    let version = lookup(hello, "protocol_version");
+    if version != Some(&VERSION.into()) {
+        let version = version.map_or_else(
+            || "an unnamed version".to_owned(),
+            |it| format!("version {it}"),
+        );
+        return Err(format!(
+            "it speaks {version} of vla-eval's protocol, and this gateway version {VERSION}; \
+             upgrade the older side"
+        ));
+    }
+    check_actions(hello)?;
+    let none = ValueRef::Map(vec![]);
+    let asked = lookup(hello, "observation_params").unwrap_or(&none);
+    let given = address.parameters;
+    if flag(asked, "absolute_action", None)? {
+        return Err(
+            "it asks for absolute_action, so its actions are poses, and LIBERO-CTRL's are \
+             motions, which is what the actuation axis perturbs; serve a checkpoint of relative \
+             actions"
+                .to_owned(),
+        );
+    }
+    let wrist = flag(asked, "send_wrist_image", given.send_wrist_image)?;
+    let state = flag(asked, "send_state", given.send_state)?;
+    let flips = !flag(asked, "quat_no_antipodal", given.quat_no_antipodal)?;
+    let suite = lookup(asked, "suite").and_then(as_text).map(str::to_owned);
+    let text = |key| lookup(hello, key).and_then(as_text).unwrap_or_default();
+    let cameras = &CAMERAS[..if wrist { 2 } else { 1 }];
+    let slots: Vec<_> = cameras
+        .iter()
+        .map(|(camera, slot)| format!("{slot}={camera}"))
+        .collect();
+    let controller_states = match state {
+        false => "none",
+        true => "of the instant of observation, not of the end of the control step",
+    };
+    let shown_state = match (state, flips) {
+        (false, _) => "none",
+        (true, true) => "eef_pos3_axisangle3_gripper2, nearer antipode",
+        (true, false) => "eef_pos3_axisangle3_gripper2, quaternion as it is",
+    };
+    let campaign = OF_THE_CAMPAIGN.into_iter();
+    let campaign: Vec<_> = campaign.filter(|it| lookup(asked, it).is_some()).collect();
+    let recorded = |key| lookup(hello, key).map_or_else(|| "none".to_owned(), declaration);
+    let settings = [
+        (
+            "server",
+            format!(
+                "{} of vla-eval {}",
+                text("model_server"),
+                text("harness_version")
+            ),
+        ),
+        ("observation parameters", recorded("observation_params")),
+        ("left to the campaign", or_none(&campaign.join(", "))),
+        ("observation spec", recorded("observation_spec")),
+        ("action spec", recorded("action_spec")),
+        ("image slots", slots.join(", ")),
+        ("image format", address.image_format.to_string()),
+        ("state", shown_state.to_owned()),
+        ("controller states", controller_states.to_owned()),
+        ("gripper", "open below 0, else closed".to_owned()),
+    ];
+    let described = DescribeResponse {
+        protocol_version: proto::PROTOCOL_VERSION,
+        name: match text("model_server") {
+            "" => "vla-eval".to_owned(),
+            name => name.to_owned(),
+        },
+        checkpoint: format!(
+            "not named by its server, whose HELLO is sha256 {}…",
+            digest(hello)
+        ),
+        cameras: cameras.iter().map(|(name, _)| camera(name)).collect(),
+        state: match state {
+            true => STATE.map(i32::from).into(),
+            false => vec![],
+        },
+        horizon: address.execute,
+        execute: address.execute,
+        // A connection is a session, with chunks, histories and ensembles.
+        stateful: true,
+        stochastic: true,
+        unseeded: true,
+        language: Language::FreeForm.into(),
+        settings: settings
+            .map(|(name, value)| Setting {
+                name: name.to_owned(),
+                value: begin_of(value),
+            })
+            .into(),
+        ..DescribeResponse::default()
+    };
+    Ok(Terms {
+        suite,
+        wrist,
+        state,
+        flips,
+        described,
+    })
+}
+
+/// Refuses actions that LIBERO's robot would misinterpret. Mere differences in the declaration
+/// (such as Euler angles) are accepted, as in LIBERO's benchmark.
+fn check_actions(hello: &ValueRef<'_>) -> Result<(), String> {
+    let format = |part| {
+        let spec = lookup(lookup(hello, "action_spec")?, part)?;
+        lookup(spec, "format").and_then(as_text)
+    };
+    let effect = match format("gripper") {
+        Some("continuous_01" | "binary_close_01") => "never open",
+        Some("binary_close_negative") => "open where it should close",
+        _ => "",
+    };
+    if !effect.is_empty() {
+        let format = format("gripper").unwrap_or_default();
+        return Err(format!(
+            "it declares its gripper as {format}, and LIBERO closes it from 0 up, so that it \
+             would {effect}; have the server answer -1 for open and 1 for closed \
+             (binary_close_positive; GR00T: invert_gripper)"
+        ));
+    }
+    if format("position") == Some("absolute_xyz") {
+        return Err(
+            "it declares absolute positions, and LIBERO-CTRL's actions are motions; serve a \
+             checkpoint of relative actions"
+                .to_owned(),
+        );
+    }
+    Ok(())
+}
+
+/// Returns a flag: the address's value, else the server's request, else false.
+fn flag(asked: &ValueRef<'_>, name: &str, given: Option<bool>) -> Result<bool, String> {
+    match (given, lookup(asked, name)) {
+        (Some(given), _) => Ok(given),
+        (None, None | Some(ValueRef::Nil)) => Ok(false),
+        (None, Some(ValueRef::Boolean(asked))) => Ok(*asked),
+        (None, Some(other)) => Err(format!(
+            "it asks for {name} = {other}, which is neither true nor false; mend the server's \
+             observation parameters"
+        )),
+    }
+}
+
+/// Summarises a map of a HELLO; of a component's specification, only the format.
+fn declaration(value: &ValueRef<'_>) -> String {
+    let ValueRef::Map(entries) = value else {
+        return or_none(&value.to_string());
+    };
+    let entries = entries.iter().map(|(name, value)| {
+        let name = as_text(name).map_or_else(|| name.to_string(), str::to_owned);
+        match lookup(value, "format").and_then(as_text) {
+            Some(format) => format!("{name}={format}"),
+            None => format!("{name}={value}"),
+        }
+    });
+    or_none(&entries.collect::<Vec<_>>().join(", "))
+}
+
+/// Truncates a text to the recorded length.
+fn begin_of(mut text: String) -> String {
+    let fits = |at: &usize| *at <= RECORDED_BYTES;
+    let ends = text.char_indices().map(|(at, c)| at + c.len_utf8());
+    text.truncate(ends.take_while(fits).last().unwrap_or_default());
+    text
+}
+
+fn or_none(text: &str) -> String {
+    match text {
+        "" => "none".to_owned(),
+        text => text.to_owned(),
+    }
+}
+
+fn digest(hello: &ValueRef<'_>) -> String {
+    let hello: Value = hello.to_owned();
+    let digest = Sha256::digest(written(&hello));
+    digest[..8].iter().map(|it| format!("{it:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(parameters: Value) -> Result<Terms, String> {
+        let hello = crate::numpy::map([
+            ("protocol_version", VERSION.into()),
+            ("observation_params", parameters),
+        ]);
+        let address = "vla-eval://h:1".parse().expect("an address");
+        terms(&hello.as_ref(), &address)
+    }
+
+    #[test]
+    fn what_a_server_declares_fits_a_result_however_long_it_is() {
+        let long = "é".repeat(10 * RECORDED_BYTES);
+        let parameters = Value::Map(vec![(long.as_str().into(), true.into())]);
+        let described = told(parameters).expect("nothing to refuse").described;
+        let lengths = described.settings.iter().map(|it| it.value.len());
+        assert_eq!(lengths.max(), Some(RECORDED_BYTES));
+    }
+
+    #[test]
+    fn parameters_that_are_nothing_are_as_if_they_were_not_there() {
+        for nothing in [Value::Nil, Value::Map(vec![]), "".into()] {
+            let terms = told(nothing).expect("nothing to refuse");
+            assert!(!terms.wrist && !terms.state && terms.flips);
+        }
+    }
+}

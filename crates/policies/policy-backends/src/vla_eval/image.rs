@@ -1,0 +1,67 @@
+//! Encodes frames as vla-eval's client does (module `protocol.image_codec`). Pure functions.
+
+use std::fmt;
+
+use image::{
+    ExtendedColorType, ImageEncoder, ImageError,
+    codecs::{jpeg::JpegEncoder, png::PngEncoder},
+};
+use rmpv::Value;
+
+use crate::numpy::{Keys, array, map};
+
+/// JPEG quality, as in vla-eval.
+const JPEG_QUALITY: u8 = 95;
+
+/// Encoding of a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ImageFormat {
+    /// Lossless compression, the default of vla-eval's client.
+    #[default]
+    Png,
+    /// Uncompressed NumPy array.
+    Raw,
+    /// Lossy compression.
+    Jpeg,
+}
+
+impl ImageFormat {
+    /// Returns the format with this name.
+    pub(super) fn named(name: &str) -> Option<Self> {
+        [Self::Png, Self::Raw, Self::Jpeg]
+            .into_iter()
+            .find(|it| it.to_string() == name)
+    }
+}
+
+impl fmt::Display for ImageFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Png => "png",
+            Self::Raw => "raw",
+            Self::Jpeg => "jpeg",
+        })
+    }
+}
+
+/// Encodes an RGB frame of `side`² pixels, row 0 at the top, as a message's value.
+///
+/// # Errors
+/// If the image encoder fails.
+pub(super) fn encode(format: ImageFormat, side: u32, rgb: &[u8]) -> Result<Value, ImageError> {
+    let shape = [side as usize, side as usize, 3];
+    let mut data = vec![];
+    let color = ExtendedColorType::Rgb8;
+    match format {
+        ImageFormat::Raw => return Ok(array(Keys::Text, "|u1", &shape, rgb.to_vec())),
+        ImageFormat::Png => PngEncoder::new(&mut data).write_image(rgb, side, side, color)?,
+        ImageFormat::Jpeg => JpegEncoder::new_with_quality(&mut data, JPEG_QUALITY)
+            .write_image(rgb, side, side, color)?,
+    }
+    Ok(map([
+        ("__image__", Value::Boolean(true)),
+        ("format", Value::from(format.to_string())),
+        ("data", Value::Binary(data)),
+        ("shape", Value::Array(shape.map(Value::from).into())),
+    ]))
+}

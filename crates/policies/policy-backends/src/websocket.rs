@@ -1,0 +1,275 @@
+//! WebSocket connections to policy servers of other protocols: TCP, TLS, token, handshake, and a
+//! diagnosis of failures. The back-ends interpret the messages.
+
+use std::time::Duration;
+
+use futures_util::{FutureExt, SinkExt, StreamExt};
+use tokio::{
+    io::{AsyncRead, AsyncWrite},
+    net::TcpStream,
+};
+use tokio_tungstenite::{
+    WebSocketStream, client_async_with_config,
+    tungstenite::{
+        self, Message, client::IntoClientRequest, http::header::AUTHORIZATION,
+        protocol::WebSocketConfig,
+    },
+};
+use tonic::{codegen::http::Uri, transport::Endpoint};
+use transport::{Access, Found, Peer, ServerKind, Settings};
+
+use crate::{
+    backend::{BackendError, SETTINGS},
+    grpc::CONNECT_TIMEOUT,
+};
+
+/// Largest message of a server, bytes. The longest chunk of actions has 58 kB, and metadata and
+/// HELLO less; a decoded message takes up to forty times as much memory.
+const MAX_MESSAGE_BYTES: usize = 1 << 20;
+/// Longest wait for handshake and first message: a server may not answer while it computes.
+const GREETING_WITHIN: Duration = Duration::from_secs(30);
+
+/// URL schemes of a kind of server.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Schemes {
+    /// Scheme without TLS, such as `ws`.
+    pub(super) clear: &'static str,
+    /// Scheme with TLS, such as `wss`.
+    pub(super) encrypted: &'static str,
+}
+
+/// Host and port of a server.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// `host:port`.
+    pub authority: String,
+    /// True for TLS.
+    pub encrypted: bool,
+}
+
+impl Place {
+    /// Parses `SCHEME://HOST:PORT`, optionally with a query but without a path.
+    pub(super) fn read(uri: &Uri, schemes: Schemes) -> Option<Self> {
+        let encrypted = match uri.scheme_str()? {
+            scheme if scheme == schemes.clear => false,
+            scheme if scheme == schemes.encrypted => true,
+            _ => return None,
+        };
+        let complete = uri.host().is_some_and(|host| !host.is_empty())
+            && uri.port_u16().is_some()
+            && uri.path() == "/";
+        complete.then(|| Self {
+            authority: uri.authority().map(ToString::to_string).unwrap_or_default(),
+            encrypted,
+        })
+    }
+
+    /// Formats the address as written in a route.
+    pub(super) fn text(&self, schemes: Schemes) -> String {
+        let scheme = if self.encrypted {
+            schemes.encrypted
+        } else {
+            schemes.clear
+        };
+        format!("{scheme}://{}", self.authority)
+    }
+
+    fn uri(&self) -> String {
+        let scheme = if self.encrypted { "wss" } else { "ws" };
+        format!("{scheme}://{}/", self.authority)
+    }
+}
+
+/// Address of a server, with the credentials for it.
+pub(super) struct Server {
+    place: Place,
+    access: Access,
+    peer: Peer,
+    /// Scheme of the `Authorization` header, such as `Bearer`.
+    authorization: &'static str,
+}
+
+impl Server {
+    /// Creates a server without connecting. `clear` and `encrypted` are its URL prefixes, with
+    /// `://`. Returns `None` if the place is not a valid URI.
+    pub(super) fn new(
+        place: Place,
+        access: Access,
+        kind: ServerKind,
+        [clear, encrypted]: [&'static str; 2],
+        authorization: &'static str,
+    ) -> Option<Self> {
+        let endpoint = Endpoint::from_shared(place.uri()).ok()?;
+        let settings = Settings {
+            clear,
+            encrypted,
+            ..SETTINGS
+        };
+        Some(Self {
+            peer: Peer::new(endpoint, &access, kind, settings),
+            place,
+            access,
+            authorization,
+        })
+    }
+
+    /// Returns `host:port`.
+    pub(super) fn authority(&self) -> &str {
+        &self.place.authority
+    }
+
+    /// Connects, sends `first` if given, and waits for the server's first message.
+    pub(super) async fn connect(
+        &self,
+        first: Option<Vec<u8>>,
+    ) -> Result<(Connection, Received), BackendError> {
+        let connecting = TcpStream::connect(&self.place.authority);
+        let stream = match tokio::time::timeout(CONNECT_TIMEOUT, connecting).await {
+            Ok(Ok(stream)) => stream,
+            Ok(Err(_)) => return Err(self.absent().await),
+            Err(_) => return Err(self.unreachable(Found::NoAnswer)),
+        };
+        let checked = match self.place.uri().parse() {
+            Ok(uri) => self.access.check_connection(&uri, &stream).await,
+            Err(_) => Err(Found::UnknownHost),
+        };
+        checked.map_err(|found| self.unreachable(found))?;
+        let greeting = async {
+            let socket = match self.shake_hands(stream).await {
+                Ok(socket) => socket,
+                Err(error) => return Err(self.refusal(&error).await),
+            };
+            let mut connection = Connection {
+                socket,
+                authority: self.place.authority.clone(),
+                peer: self.peer.clone(),
+            };
+            if let Some(first) = first {
+                connection.send(first).await?;
+            }
+            let received = connection.receive().await?;
+            Ok((connection, received))
+        };
+        tokio::time::timeout(GREETING_WITHIN, greeting)
+            .await
+            .map_err(|_| self.unreachable(Found::Mute))?
+    }
+
+    async fn shake_hands(
+        &self,
+        stream: TcpStream,
+    ) -> Result<WebSocketStream<Box<dyn Stream>>, tungstenite::Error> {
+        let mut request = self.place.uri().into_client_request()?;
+        if let Some(token) = self.access.authorization(request.uri(), self.authorization) {
+            request.headers_mut().insert(AUTHORIZATION, token);
+        }
+        stream.set_nodelay(true)?;
+        let stream: Box<dyn Stream> = match self.place.encrypted {
+            false => Box::new(stream),
+            true => {
+                let host = request.uri().host().unwrap_or_default();
+                let host = host.trim_start_matches('[').trim_end_matches(']');
+                Box::new(self.access.encrypt(stream, host).await?)
+            }
+        };
+        let limits = WebSocketConfig::default()
+            .max_message_size(Some(MAX_MESSAGE_BYTES))
+            .max_frame_size(Some(MAX_MESSAGE_BYTES));
+        let (socket, _) = client_async_with_config(request, stream, Some(limits)).await?;
+        Ok(socket)
+    }
+
+    async fn refusal(&self, error: &tungstenite::Error) -> BackendError {
+        match error {
+            tungstenite::Error::Http(response)
+                if matches!(response.status().as_u16(), 401 | 403) =>
+            {
+                BackendError::Barred {
+                    address: self.place.authority.clone(),
+                    reason: format!("it answered HTTP {}", response.status()),
+                }
+            }
+            tungstenite::Error::Http(response) => {
+                self.unreachable(Found::web(response.status().as_u16()))
+            }
+            _ => self.absent().await,
+        }
+    }
+
+    /// Returns the error for a server that cannot be reached, with a diagnosis of its address.
+    async fn absent(&self) -> BackendError {
+        BackendError::Unreachable {
+            address: self.place.authority.clone(),
+            trouble: self.peer.look_around().await.into(),
+        }
+    }
+
+    fn unreachable(&self, found: Found) -> BackendError {
+        BackendError::Unreachable {
+            address: self.place.authority.clone(),
+            trouble: self.peer.found(found).into(),
+        }
+    }
+}
+
+trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
+impl<S: AsyncRead + AsyncWrite + Send + Unpin> Stream for S {}
+
+/// A message of a server.
+pub(super) enum Received {
+    Binary(Vec<u8>),
+    Text(String),
+}
+
+/// An open connection.
+pub(super) struct Connection {
+    socket: WebSocketStream<Box<dyn Stream>>,
+    authority: String,
+    peer: Peer,
+}
+
+impl Connection {
+    /// Sends a message.
+    pub(super) async fn send(&mut self, message: Vec<u8>) -> Result<(), BackendError> {
+        let sent = self.socket.send(Message::binary(message)).await;
+        sent.map_err(|_| self.lost())
+    }
+
+    /// Waits for the next message.
+    pub(super) async fn receive(&mut self) -> Result<Received, BackendError> {
+        loop {
+            match self.socket.next().await {
+                Some(Ok(Message::Binary(bytes))) => return Ok(Received::Binary(bytes.to_vec())),
+                Some(Ok(Message::Text(text))) => return Ok(Received::Text(text.to_string())),
+                // The library answers pings.
+                Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => {}
+                Some(Err(tungstenite::Error::Capacity(_))) => {
+                    return Err(BackendError::Policy {
+                        message: format!(
+                            "it sent a message of more than {} MiB, and actions take a few kB",
+                            MAX_MESSAGE_BYTES >> 20
+                        ),
+                    });
+                }
+                Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(self.lost()),
+            }
+        }
+    }
+
+    /// Returns true if the server has neither closed the connection nor sent a message.
+    pub(super) fn is_idle(&mut self) -> bool {
+        self.socket.next().now_or_never().is_none()
+    }
+
+    /// Closes the connection; ignores errors.
+    pub(super) async fn close(mut self) {
+        let _ = self.socket.close(None).await;
+    }
+
+    fn lost(&self) -> BackendError {
+        BackendError::Unreachable {
+            address: self.authority.clone(),
+            trouble: self.peer.found(Found::Broken).into(),
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! A server's answers to all situations, as numbers. Pure functions.
+
+use crate::server::Action;
+
+/// Actions for each situation, averaged over seeds if there were several.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Answers {
+    /// Chunks by situation; each is a list of actions.
+    pub chunks: Vec<Vec<Action>>,
+    /// Standard deviation between answers to the same situation with different seeds, by component
+    /// of an action; 0 for a single seed.
+    pub spread: Action,
+}
+
+impl Answers {
+    /// Averages several answers to each situation, given as `asked[situation][seed]`. Chunks are
+    /// cut to the shortest length within a situation.
+    pub(crate) fn of(asked: Vec<Vec<Vec<Action>>>) -> Self {
+        let mut chunks = vec![];
+        let mut squares = [0.0; 7];
+        let mut freedom = 0_usize;
+        for seeds in asked {
+            let rows = seeds.iter().map(Vec::len).min().unwrap_or(0);
+            let count = seeds.len() as f64;
+            let mean = |row: usize, at: usize| {
+                seeds.iter().map(|chunk| chunk[row][at]).sum::<f64>() / count
+            };
+            let means: Vec<Action> = (0..rows)
+                .map(|row| std::array::from_fn(|at| mean(row, at)))
+                .collect();
+            for chunk in &seeds {
+                for (row, mean) in chunk.iter().zip(&means) {
+                    for at in 0..7 {
+                        squares[at] += (row[at] - mean[at]).powi(2);
+                    }
+                }
+            }
+            freedom += rows * seeds.len().saturating_sub(1);
+            chunks.push(means);
+        }
+        Self {
+            chunks,
+            spread: squares.map(|it| (it / freedom.max(1) as f64).sqrt()),
+        }
+    }
+
+    /// Returns the largest absolute difference to `other`, with the index of its component in an
+    /// action.
+    pub(crate) fn largest_difference(&self, other: &Self) -> (f64, usize) {
+        let pairs = self.chunks.iter().zip(&other.chunks);
+        let rows = pairs.flat_map(|(one, other)| one.iter().zip(other));
+        let numbers = rows.flat_map(|(a, b)| (0..7).map(move |at| ((a[at] - b[at]).abs(), at)));
+        numbers.fold((0.0, 0), |most, it| if it.0 > most.0 { it } else { most })
+    }
+
+    /// Returns the number of compared values.
+    pub(crate) fn numbers(&self) -> usize {
+        self.chunks.iter().map(|chunk| 7 * chunk.len()).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn answers_of_several_seeds_have_means_and_a_spread() {
+        let asked = vec![
+            vec![vec![[1.0; 7], [5.0; 7]], vec![[3.0; 7]]],
+            vec![vec![[0.0; 7]], vec![[2.0; 7]]],
+        ];
+        let answers = Answers::of(asked);
+        assert_eq!(answers.chunks, [[[2.0; 7]], [[1.0; 7]]]);
+        assert_eq!(answers.spread, [2.0_f64.sqrt(); 7]);
+        assert_eq!(answers.numbers(), 14);
+    }
+
+    #[test]
+    fn the_largest_difference_is_found_with_its_place() {
+        let one = Answers::of(vec![vec![vec![[0.0; 7]]]]);
+        let mut other = one.clone();
+        other.chunks[0][0][4] = -0.5;
+        assert_eq!(one.largest_difference(&other), (0.5, 4));
+    }
+}

@@ -1,0 +1,52 @@
+//! Randomness of a server's answers: whether they depend on the seed, and whether a repeated query
+//! gets the same answer.
+
+use crate::conformance::verdict::BATCH_TOLERANCE;
+use crate::{
+    answers::Answers,
+    panel::{Panel, SEED, Side},
+    server::ExaminationError,
+};
+
+/// Largest difference between equal answers: batches and kernels change low-order bits.
+pub(crate) const REPEATABLE: f64 = BATCH_TOLERANCE as f64;
+/// Number of situations that are queried again.
+const SITUATIONS: usize = 3;
+
+/// Variation of a server's answers to one observation.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Chance {
+    /// Largest difference between answers to a repeated query.
+    pub repeats: f64,
+    /// Largest difference between answers with two seeds.
+    pub moves: f64,
+}
+
+impl Chance {
+    /// Queries a server again, and with another seed; `answers` are those of [`SEED`].
+    ///
+    /// # Errors
+    /// If the server does not answer with actions.
+    pub(crate) async fn of(
+        panel: &Panel,
+        side: Side,
+        answers: &Answers,
+    ) -> Result<Self, ExaminationError> {
+        let again = panel.ask(side, &[], SITUATIONS, |_| vec![SEED]).await?;
+        let other = panel.ask(side, &[], SITUATIONS, |_| vec![SEED + 1]).await?;
+        Ok(Self {
+            repeats: again.largest_difference(answers).0,
+            moves: other.largest_difference(answers).0,
+        })
+    }
+
+    /// Returns true if a repeated query gets the same answer.
+    pub(crate) fn is_repeatable(&self) -> bool {
+        self.repeats <= REPEATABLE
+    }
+
+    /// Returns true if answers depend on the seed, and are equal for equal seeds.
+    pub(crate) fn follows_seed(&self) -> bool {
+        self.is_repeatable() && self.moves > REPEATABLE
+    }
+}

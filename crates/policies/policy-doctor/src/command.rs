@@ -1,0 +1,188 @@
+//! `policy-gateway compare` and `policy-gateway doctor`: command-line arguments, and the course of
+//! both commands.
+
+use std::{path::PathBuf, time::Duration};
+
+use clap::Args;
+use libero_ctrl::Suite;
+use policy_backends::{BackendSpec, DEFAULT_ANSWER_WITHIN};
+use serde::Serialize;
+use terminal::number;
+use thiserror::Error;
+use transport::{Access, AccessError, ClientArguments, Role};
+
+use crate::{
+    compare::compare,
+    diagnosis::{self, Finding, Measures},
+    recorded,
+    report::{self, Asked, ComparisonJson, ExaminationJson},
+    server::{ExaminationError, Server},
+    situation::Situation,
+    synthetic,
+};
+
+/// Situations that servers are shown.
+#[derive(Clone, Debug, Args)]
+struct Shown {
+    /// Show what was recorded in this folder by `policy-gateway record`, in place of
+    /// made-up scenes
+    #[arg(long, value_name = "DIR")]
+    recorded: Option<PathBuf>,
+
+    /// The suite of made-up tasks
+    #[arg(long, value_name = "SUITE", default_value_t = Suite::Object, conflicts_with = "recorded")]
+    suite: Suite,
+
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+
+    #[command(flatten)]
+    access: ClientArguments,
+}
+
+/// `compare`.
+#[derive(Clone, Debug, Args)]
+pub struct Compare {
+    /// One server, as in --route: grpc://HOST:PORT[/POLICY], ws://HOST:PORT,
+    /// builtin:expert …
+    #[arg(value_name = "URL-A")]
+    a: BackendSpec,
+
+    /// The other one
+    #[arg(value_name = "URL-B")]
+    b: BackendSpec,
+
+    #[command(flatten)]
+    shown: Shown,
+}
+
+/// `doctor`.
+#[derive(Clone, Debug, Args)]
+pub struct Doctor {
+    /// The server, as in --route: grpc://HOST:PORT[/POLICY], ws://HOST:PORT,
+    /// builtin:expert …
+    #[arg(value_name = "URL")]
+    url: BackendSpec,
+
+    /// Seconds that a gateway gives it for an answer (answer_within_secs there)
+    #[arg(long, value_name = "SECS", default_value_t = DEFAULT_ANSWER_WITHIN.as_secs(),
+        value_parser = number(1..=3600_u64, "seconds"))]
+    answer_within: u64,
+
+    /// Episodes to play to see whether its memory grows
+    #[arg(long, value_name = "N", default_value_t = 30,
+        value_parser = number(0..=100_000_u32, "episodes"))]
+    episodes: u32,
+
+    #[command(flatten)]
+    shown: Shown,
+}
+
+/// Reason why a command failed. Reads after "failed to …".
+#[derive(Debug, Error)]
+pub enum CommandError {
+    /// The token or the certificate authority cannot be used.
+    #[error(transparent)]
+    Access(#[from] AccessError),
+    /// The servers cannot be compared or diagnosed.
+    #[error(transparent)]
+    Examination(#[from] ExaminationError),
+}
+
+impl Compare {
+    /// Compares two servers, and passes each line of output to `say`. Returns true if they answer
+    /// alike.
+    ///
+    /// # Errors
+    /// If a server cannot be queried.
+    pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
+        let access = self.shown.access()?;
+        let recorded = self.shown.recorded()?;
+        let suite = self.shown.suite_of(recorded.as_deref());
+        let a = Server::connect(&self.a, &access, &suite).await?;
+        let b = Server::connect(&self.b, &access, &suite).await?;
+        let situations = recorded.unwrap_or_else(|| {
+            let cameras = synthetic::cameras(&[&a.described, &b.described]);
+            synthetic::situations(self.shown.suite, &cameras)
+        });
+        let asked = [&a, &b].map(|it| Asked::new(&it.url, &it.described));
+        if !self.shown.json {
+            for (letter, asked) in ["A", "B"].iter().zip(&asked) {
+                say(&asked.line(letter));
+            }
+        }
+        let comparison = compare(a, b, situations).await?;
+        if self.shown.json {
+            let [a, b] = asked;
+            say(&json(&ComparisonJson::of(a, b, &comparison)));
+        } else {
+            for line in report::comparison(&comparison) {
+                say(&line);
+            }
+        }
+        Ok(comparison.differences.is_empty())
+    }
+}
+
+impl Doctor {
+    /// Diagnoses a server, and passes each line of output to `say`. Returns true if nothing is
+    /// wrong.
+    ///
+    /// # Errors
+    /// If the server cannot be queried.
+    pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
+        let access = self.shown.access()?;
+        let recorded = self.shown.recorded()?;
+        let suite = self.shown.suite_of(recorded.as_deref());
+        let server = Server::connect(&self.url, &access, &suite).await?;
+        let situations = recorded.unwrap_or_else(|| {
+            let cameras = synthetic::cameras(&[&server.described]);
+            synthetic::situations(self.shown.suite, &cameras)
+        });
+        let asked = Asked::new(&server.url, &server.described);
+        if !self.shown.json {
+            say(&asked.line(""));
+        }
+        let measures = Measures {
+            answer_within: Duration::from_secs(self.answer_within),
+            episodes: self.episodes,
+        };
+        let mut findings = vec![];
+        let mut report = |finding: &Finding| {
+            if !self.shown.json {
+                say(&report::finding(finding));
+            }
+            findings.push(finding.clone());
+        };
+        let sound = diagnosis::examine(&server, &situations, measures, &mut report).await?;
+        match self.shown.json {
+            true => say(&json(&ExaminationJson::of(asked, &findings))),
+            false if sound => say("nothing found"),
+            false => say("found something"),
+        }
+        Ok(sound)
+    }
+}
+
+impl Shown {
+    fn access(&self) -> Result<Access, AccessError> {
+        self.access.access(&[Role::Operator, Role::Worker])
+    }
+
+    fn recorded(&self) -> Result<Option<Vec<Situation>>, ExaminationError> {
+        let folder = self.recorded.as_deref();
+        let situations = folder.map(|folder| recorded::situations(folder, synthetic::COUNT));
+        Ok(situations.transpose()?)
+    }
+
+    /// Returns the suite of the first queries: the recording's, if there is one.
+    fn suite_of(&self, recorded: Option<&[Situation]>) -> String {
+        let first = recorded.and_then(|it| it.first());
+        first.map_or_else(|| self.suite.name().to_owned(), |it| it.suite.clone())
+    }
+}
+
+fn json(value: &impl Serialize) -> String {
+    serde_json::to_string_pretty(value).expect("numbers and text are JSON")
+}

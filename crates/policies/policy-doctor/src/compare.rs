@@ -1,0 +1,341 @@
+//! `policy-gateway compare A B`: compares two servers' actions for the same observations, and
+//! explains a difference. Policies with random noise are compared by means over several seeds,
+//! unless equal seeds give both servers equal noise.
+
+use serde::Serialize;
+
+use crate::{
+    answers::Answers,
+    chance::{Chance, REPEATABLE},
+    descriptions::{self, DescriptionDifference},
+    difference::{self, Apart, Difference, Kind, NUMBERS, size},
+    fit::{Limit, fit},
+    panel::{Panel, SEED, Side},
+    search::{Course, Explanation, Found},
+    server::{ExaminationError, Server},
+    situation::Situation,
+    variant::Topic,
+};
+
+/// Number of answers per situation that are averaged, if equal seeds do not give equal noise.
+const AVERAGED: usize = 8;
+/// Number of standard errors within which two means count as equal.
+const ERRORS: f64 = 2.5;
+/// Largest share of a difference that an explanation by frame size may leave.
+const LEFT_OF_SIZE: f64 = 0.4;
+/// Share of the answers' variation below which differences count as rounding.
+const ROUNDING: f64 = 0.02;
+/// Common default seeds.
+const USUAL_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];
+
+/// Result of a comparison.
+#[derive(Clone, Debug, Serialize)]
+pub struct Comparison {
+    /// Differences between the descriptions.
+    pub descriptions: Vec<DescriptionDifference>,
+    /// Differences between the answers; empty if they are the same.
+    pub differences: Vec<Difference>,
+    /// Method of the comparison, and its certainty.
+    pub note: String,
+}
+
+/// Answers of both servers to the same queries.
+struct Both {
+    a: Answers,
+    b: Answers,
+}
+
+impl Both {
+    async fn ask(
+        panel: &Panel,
+        seeds: &(dyn Fn(usize) -> Vec<u64> + Sync),
+    ) -> Result<Self, ExaminationError> {
+        let all = panel.situations();
+        Ok(Self {
+            a: panel.ask(Side::A, &[], all, seeds).await?,
+            b: panel.ask(Side::B, &[], all, seeds).await?,
+        })
+    }
+
+    fn apart(&self) -> Apart {
+        let (before, at) = self.a.largest_difference(&self.b);
+        Apart { before, at }
+    }
+
+    /// Returns true if the difference is small relative to the variation of the answers.
+    fn differ_by_rounding(&self) -> bool {
+        let left = fit(&self.a, &self.b, &[f64::INFINITY; 7]).left;
+        let varied = varied(&self.b);
+        (0..7).all(|at| left[at] <= (ROUNDING * varied[at]).max(REPEATABLE))
+    }
+}
+
+/// Compares the answers of two servers to the same situations.
+///
+/// # Errors
+/// If a server does not answer with actions, or needs an input that the situations lack.
+pub async fn compare(
+    a: Server,
+    b: Server,
+    situations: Vec<Situation>,
+) -> Result<Comparison, ExaminationError> {
+    let descriptions = descriptions::differences(&a.described, &b.described);
+    let panel = Panel::new(a, b, situations)?;
+    let both = Both::ask(&panel, &|_| vec![SEED]).await?;
+    let chances = [
+        Chance::of(&panel, Side::A, &both.a).await?,
+        Chance::of(&panel, Side::B, &both.b).await?,
+    ];
+    let mut differences = of_chance(&panel, chances);
+    let (further, note) = match chances.iter().all(Chance::is_repeatable) {
+        true => paired(&panel, &both, chances).await?,
+        false => averaged(&panel, chances).await?,
+    };
+    for further in further {
+        match differences.iter_mut().find(|it| it.kind == further.kind) {
+            Some(known) => known.text = format!("{} {}", known.text, further.text),
+            None => differences.push(further),
+        }
+    }
+    Ok(Comparison {
+        descriptions,
+        differences,
+        note,
+    })
+}
+
+/// Finds differences between the servers' use of the seed, regardless of the observations.
+fn of_chance(panel: &Panel, chances: [Chance; 2]) -> Vec<Difference> {
+    let sides = [(Side::A, "A"), (Side::B, "B")].into_iter().zip(chances);
+    for ((side, letter), chance) in sides {
+        if !chance.is_repeatable() && !panel.described(side).unseeded {
+            let text = format!(
+                "{letter} answers the same observation with the same seed otherwise every time, \
+                 by up to {}, and does not say so: its noise does not come from the seed.",
+                size(chance.repeats)
+            );
+            return vec![Difference::new(Kind::Seed, text)];
+        }
+    }
+    let [a, b] = chances;
+    let ignored = match (a.follows_seed(), b.follows_seed()) {
+        (true, false) if b.is_repeatable() => ("A", "B", a.moves),
+        (false, true) if a.is_repeatable() => ("B", "A", b.moves),
+        _ => return vec![],
+    };
+    let (follows, ignores, by) = ignored;
+    let text = format!(
+        "{follows}'s answers follow the seed (seeds {SEED} and {} differ by up to {}), \
+         {ignores}'s are the same for any.",
+        SEED + 1,
+        size(by),
+    );
+    vec![Difference::new(Kind::Seed, text)]
+}
+
+/// Compares answers with the same seed.
+async fn paired(
+    panel: &Panel,
+    both: &Both,
+    chances: [Chance; 2],
+) -> Result<(Vec<Difference>, String), ExaminationError> {
+    let random = chances.iter().any(|it| it.moves > REPEATABLE);
+    let apart = both.apart();
+    let seeds = |_: usize| vec![SEED];
+    let course = Course {
+        panel,
+        seeds: &seeds,
+        floor: [REPEATABLE; 7],
+        // No change to the observations makes different noise equal, so only single changes are
+        // tried.
+        together: !random,
+    };
+    let as_they_come = fit(&both.a, &both.b, &course.floor);
+    if random
+        && !as_they_come.explains
+        && let Some(found) = other_seed(panel, both).await?
+    {
+        let note = compared(panel, &both.a, "with one seed each");
+        return Ok((vec![found], note));
+    }
+    match course.search(&both.a, &both.b).await? {
+        Found::Explained(explanation) => {
+            let note = format!(
+                "{}; the largest difference as they come is {}",
+                compared(panel, &both.a, "with the same seed"),
+                size(apart.before)
+            );
+            Ok((difference::explained(&explanation, apart), note))
+        }
+        Found::Nothing(_) if both.differ_by_rounding() => {
+            let note = format!(
+                "{}; they differ by up to {}, less than {ROUNDING} of how much they vary, as \
+                 rounding (bfloat16), JPEG or another processor does",
+                compared(panel, &both.a, "with the same seed"),
+                size(apart.before)
+            );
+            Ok((vec![], note))
+        }
+        Found::Nothing(_) if random => averaged(panel, chances).await,
+        Found::Nothing(closest) => {
+            let found = not_explained(both, apart, &closest);
+            let note = compared(panel, &both.a, "with the same seed");
+            Ok((found, note))
+        }
+    }
+}
+
+/// Checks whether one server's answers with a seed equal the other's with another seed.
+async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, ExaminationError> {
+    let all = panel.situations();
+    let near = [("one more than", SEED + 1), ("one less than", SEED - 1)];
+    let usual = USUAL_SEEDS.map(|seed| ("", seed));
+    for (relation, seed) in near.into_iter().chain(usual) {
+        for (side, letter, other) in [(Side::A, "A", "B"), (Side::B, "B", "A")] {
+            let changed = panel.ask(side, &[], 1, |_| vec![seed]).await?;
+            let (unchanged, first) = match side {
+                Side::A => (&both.b, &changed),
+                Side::B => (&both.a, &changed),
+            };
+            if unchanged.largest_difference(first).0 > REPEATABLE {
+                continue;
+            }
+            let changed = panel.ask(side, &[], all, |_| vec![seed]).await?;
+            let left = unchanged.largest_difference(&changed).0;
+            if left > REPEATABLE {
+                continue;
+            }
+            let which = match relation {
+                "" => format!("seed {seed}, whatever its own seed is"),
+                _ => format!("seed {seed}, {relation} its own"),
+            };
+            let text = format!(
+                "{other} answers with seed {SEED} what {letter} answers with {which}. With the \
+                 same seed they differ by up to {}; so, by {}.",
+                size(both.apart().before),
+                size(left)
+            );
+            return Ok(Some(Difference::new(Kind::Seed, text)));
+        }
+    }
+    Ok(None)
+}
+
+/// Compares means over several seeds.
+async fn averaged(
+    panel: &Panel,
+    chances: [Chance; 2],
+) -> Result<(Vec<Difference>, String), ExaminationError> {
+    // Different seeds for every situation keep the errors of the means independent.
+    let seeds = |situation: usize| -> Vec<u64> {
+        let first = SEED + 100 + (situation * AVERAGED) as u64;
+        (first..first + AVERAGED as u64).collect()
+    };
+    let both = Both::ask(panel, &seeds).await?;
+    let course = Course {
+        panel,
+        seeds: &seeds,
+        floor: floor(&both, chances),
+        together: true,
+    };
+    let apart = both.apart();
+    let noise = chances.map(|it| it.moves.max(it.repeats));
+    let note = format!(
+        "{}; the means differ by up to {}, and single answers to the same by {}",
+        compared(
+            panel,
+            &both.a,
+            &format!("{AVERAGED} answers to each averaged")
+        ),
+        size(apart.before),
+        size(noise[0].max(noise[1])),
+    );
+    let mut differences = match course.search(&both.a, &both.b).await? {
+        Found::Explained(explanation) => difference::explained(&explanation, apart),
+        Found::Nothing(_) if both.differ_by_rounding() => vec![],
+        Found::Nothing(closest) => not_explained(&both, apart, &closest),
+    };
+    if differences.is_empty() && chances.iter().all(Chance::follows_seed) {
+        let text = format!(
+            "both follow the seed, and the same seed gives each other noise: by up to {}. The \
+             means of {AVERAGED} seeds are alike.",
+            size(chances[0].moves.max(chances[1].moves)),
+        );
+        differences.push(Difference::new(Kind::Seed, text));
+    }
+    Ok((differences, note))
+}
+
+/// Returns the distance between means that randomness explains, by component.
+fn floor(both: &Both, chances: [Chance; 2]) -> Limit {
+    let [a, b] = chances.map(|it| it.moves > REPEATABLE || !it.is_repeatable());
+    std::array::from_fn(|at| {
+        let (of_a, of_b) = (both.a.spread[at].powi(2), both.b.spread[at].powi(2));
+        // Noise that is the same for every seed does not average out, and shifts all means alike.
+        let frozen = match (a, b) {
+            (true, false) => 2.0 * of_a,
+            (false, true) => 2.0 * of_b,
+            _ => 0.0,
+        };
+        let error = ((of_a + of_b) / AVERAGED as f64 + frozen).sqrt();
+        (ERRORS * error).max(REPEATABLE)
+    })
+}
+
+/// Returns the differences to report if no explanation makes the answers alike. An explanation by
+/// frame size is accepted with a larger remainder, because no two libraries resize frames to the
+/// same bits.
+fn not_explained(both: &Both, apart: Apart, closest: &Explanation) -> Vec<Difference> {
+    let norm = |it: &Limit| it.iter().map(|it| it * it).sum::<f64>().sqrt();
+    let as_they_come = fit(&both.a, &both.b, &[f64::INFINITY; 7]).left;
+    let mut shown = closest.shown.iter();
+    let scaled = shown.any(|(_, variant)| variant.topic() == Topic::Size);
+    match scaled && norm(&closest.fit.left) < LEFT_OF_SIZE * norm(&as_they_come) {
+        true => difference::of_shown(closest, apart),
+        false => vec![unexplained(both, apart, closest)],
+    }
+}
+
+fn unexplained(both: &Both, apart: Apart, closest: &Explanation) -> Difference {
+    let left = closest.fit.left.iter().copied().fold(0.0, f64::max);
+    let attempt = difference::attempt(closest);
+    let mut text = format!(
+        "their answers differ by up to {} ({}), and no difference that is looked for here \
+         explains it.",
+        size(apart.before),
+        NUMBERS[apart.at],
+    );
+    for (letter, answers) in [("A", &both.a), ("B", &both.b)] {
+        if varied(answers).iter().all(|it| *it <= REPEATABLE) {
+            text.push_str(&format!(
+                " {letter} answers all observations alike: `policy-gateway doctor` looks into that."
+            ));
+        }
+    }
+    if !attempt.is_empty() {
+        text.push_str(&format!(
+            " It is least if {attempt}: then {} is left.",
+            size(left)
+        ));
+    }
+    Difference::new(Kind::Unexplained, text)
+}
+
+/// Returns the standard deviation of each component over all actions.
+fn varied(answers: &Answers) -> Limit {
+    let rows: Vec<_> = answers.chunks.iter().flatten().collect();
+    let count = rows.len().max(1) as f64;
+    std::array::from_fn(|at| {
+        let mean = rows.iter().map(|row| row[at]).sum::<f64>() / count;
+        let squares = rows.iter().map(|row| (row[at] - mean).powi(2));
+        (squares.sum::<f64>() / count).sqrt()
+    })
+}
+
+fn compared(panel: &Panel, answers: &Answers, how: &str) -> String {
+    format!(
+        "compared {} numbers of the answers to {} observations, {how}",
+        answers.numbers(),
+        panel.situations(),
+    )
+}

@@ -1,0 +1,200 @@
+//! `policy-gateway check URL`: checks that a policy server conforms to the policy protocol. This
+//! module orders the checks: `probe` queries the server, `verdict` judges the answers,
+//! [`scene`] generates observations. Servers of other protocols are checked behind a gateway.
+//!
+//! The check covers the protocol, not the policy's quality: the scenes are synthetic, so no answer
+//! to them is good or bad.
+
+use std::fmt;
+
+use tonic::Status;
+
+use probe::{EpisodeAnswers, Probe, QueryOrder};
+pub use target::{ConformanceError, Target};
+pub use verdict::Verdict;
+
+pub mod latency;
+mod probe;
+pub mod scene;
+mod target;
+pub(crate) mod verdict;
+
+/// Seed of the reference episode.
+const SEED: u64 = 1;
+/// Seed of episodes whose answers may differ from the reference's.
+const OTHER_SEED: u64 = 2;
+/// Concurrent episodes in the measurement of throughput.
+const CONCURRENCY: u32 = 8;
+
+/// Requirement of the protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the sentences below say it")]
+pub enum Point {
+    Description,
+    Version,
+    Health,
+    Shape,
+    Range,
+    Retry,
+    SameSeed,
+    OtherSeed,
+    Order,
+    Isolation,
+    Restart,
+    Batch,
+    Unopened,
+    Speed,
+}
+
+impl Point {
+    /// All points, in the order of the checks.
+    pub const ALL: [Self; 14] = [
+        Self::Description,
+        Self::Version,
+        Self::Health,
+        Self::Shape,
+        Self::Range,
+        Self::Retry,
+        Self::SameSeed,
+        Self::OtherSeed,
+        Self::Order,
+        Self::Isolation,
+        Self::Restart,
+        Self::Batch,
+        Self::Unopened,
+        Self::Speed,
+    ];
+}
+
+impl fmt::Display for Point {
+    /// Writes the requirement as a sentence that is true of a conforming server.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Description => "the description can be true",
+            Self::Version => "another protocol version is refused",
+            Self::Health => "the health service says that it serves",
+            Self::Shape => "answers are finite actions, n × 7, within the horizon",
+            Self::Range => "actions lie within -1..1",
+            Self::Retry => "a retry gets the same actions",
+            Self::SameSeed => "the same seed gives the same actions",
+            Self::OtherSeed => "another seed gives other actions just if declared stochastic",
+            Self::Order => "the order of queries changes nothing",
+            Self::Isolation => "sessions do not touch one another",
+            Self::Restart => "a Reset starts an open session anew",
+            Self::Batch => "a batch's neighbours change nothing",
+            Self::Unopened => "a session that was never opened is refused",
+            Self::Speed => "it answers at speed",
+        })
+    }
+}
+
+/// Result of one point.
+#[derive(Clone, Debug)]
+pub struct Finding {
+    /// Point that was checked.
+    pub point: Point,
+    /// Result of the check.
+    pub verdict: Verdict,
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (word, text) = match &self.verdict {
+            Verdict::Pass { note } => ("pass", note),
+            Verdict::Fail { reason } => ("FAIL", reason),
+            Verdict::Skip { reason } => ("skip", reason),
+        };
+        let separator = if text.is_empty() { "" } else { ": " };
+        write!(f, "{word}  {}{separator}{text}", self.point)
+    }
+}
+
+/// Checks a policy server point by point, and reports each finding at once. Returns true if no
+/// point failed.
+///
+/// # Errors
+/// If the server cannot be reached, does not describe itself or answers no query, so that nothing
+/// can be checked.
+pub async fn check(
+    target: &Target,
+    report: &mut dyn FnMut(&Finding),
+) -> Result<bool, ConformanceError> {
+    let probe = Probe::connect(target).await?;
+    let reference = probe.episode("reference", SEED, QueryOrder::Forward).await;
+    let reference = reference.map_err(|status| ConformanceError::Episode {
+        url: target.url.clone(),
+        status: status.into(),
+    })?;
+    let mut conforms = true;
+    for point in Point::ALL {
+        let verdict = examine(point, &probe, &reference).await;
+        let verdict = verdict.unwrap_or_else(|status| verdict::refused(&status));
+        conforms &= !matches!(verdict, Verdict::Fail { .. });
+        report(&Finding { point, verdict });
+    }
+    Ok(conforms)
+}
+
+/// Checks one point, by comparison with the reference episode.
+///
+/// # Errors
+/// If the server answers with an error where actions are required.
+async fn examine(
+    point: Point,
+    probe: &Probe,
+    reference: &EpisodeAnswers,
+) -> Result<Verdict, Status> {
+    let described = probe.described();
+    let answers = &reference.answers;
+    Ok(match point {
+        Point::SameSeed
+        | Point::OtherSeed
+        | Point::Order
+        | Point::Isolation
+        | Point::Restart
+        | Point::Batch
+            if described.unseeded =>
+        {
+            verdict::skip("its random numbers follow no seed, so that no two episodes are alike")
+        }
+        Point::Description => {
+            verdict::description(described, policy_protocol::description(described))
+        }
+        Point::Version => probe.other_version().await,
+        Point::Health => probe.health().await?,
+        Point::Shape => verdict::shapes(answers, described.horizon),
+        Point::Range => verdict::range(answers),
+        Point::Retry => {
+            let (first, second) = probe.retries(SEED).await?;
+            verdict::same(&first, &second)
+        }
+        Point::SameSeed => {
+            let again = probe.episode("again", SEED, QueryOrder::Forward).await?;
+            verdict::same(answers, &again.answers)
+        }
+        Point::OtherSeed => {
+            let other = probe
+                .episode("other seed", OTHER_SEED, QueryOrder::Forward)
+                .await?;
+            verdict::seeds(described.stochastic, answers, &other.answers)
+        }
+        Point::Order if described.stateful => {
+            verdict::skip("the policy is stateful: its queries come in order")
+        }
+        Point::Order => {
+            let backward = probe
+                .episode("backward", SEED, QueryOrder::Backward)
+                .await?;
+            verdict::same(answers, &backward.answers)
+        }
+        Point::Isolation => verdict::same(answers, &probe.interleaved(SEED, OTHER_SEED).await?),
+        Point::Restart => verdict::same(answers, &probe.restarted(SEED, OTHER_SEED).await?),
+        Point::Batch if described.max_batch <= 1 => verdict::skip("the policy declares no batches"),
+        Point::Batch => verdict::batch(answers, &probe.batched(SEED).await?),
+        Point::Unopened => probe.unopened().await,
+        Point::Speed => {
+            let (wall, together) = probe.side_by_side(CONCURRENCY).await?;
+            verdict::speed(&reference.latencies, CONCURRENCY, wall, &together)
+        }
+    })
+}

@@ -1,0 +1,63 @@
+//! Target of a conformance check, and the errors of the check.
+
+use thiserror::Error;
+use tonic::Status;
+use transport::{Access, AccessError, Trouble, answer};
+
+/// Queries per episode.
+pub(super) const QUERIES: u32 = 5;
+
+/// Server and policy to check.
+#[derive(Clone, Debug)]
+pub struct Target {
+    /// `http://HOST:PORT` or `grpc://HOST:PORT`.
+    pub url: String,
+    /// Name of the policy; empty selects the server's only one.
+    pub policy: String,
+    /// Suite of the synthetic task, one of [`scene::TASKS`].
+    pub suite: String,
+    /// Credentials of the client.
+    pub access: Access,
+}
+
+/// Reason why a server cannot be checked. Reads after "failed to …".
+#[derive(Debug, Error)]
+pub enum ConformanceError {
+    /// The URL is not a policy server's address.
+    #[error(
+        "read {url:?} as a policy server's address: write grpc://HOST:PORT, or https:// for one \
+         over TLS, or ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model \
+         server of vla-eval"
+    )]
+    Url {
+        /// URL as given.
+        url: String,
+    },
+    /// TLS cannot be set up for the URL.
+    #[error(transparent)]
+    Access(#[from] AccessError),
+    /// No policy server can be reached.
+    #[error("reach the policy server at {url}: {trouble}")]
+    Connect {
+        /// URL as given.
+        url: String,
+        /// Cause found at that address.
+        trouble: Box<Trouble>,
+    },
+    /// The server does not describe its policy.
+    #[error("have {url} describe its policy: {}", answer(status))]
+    Describe {
+        /// URL as given.
+        url: String,
+        /// Answer of the server.
+        status: Box<Status>,
+    },
+    /// The server answers no query.
+    #[error("play one episode with {url}: {}", answer(status))]
+    Episode {
+        /// URL as given.
+        url: String,
+        /// Answer of the server.
+        status: Box<Status>,
+    },
+}

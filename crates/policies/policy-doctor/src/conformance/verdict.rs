@@ -1,0 +1,259 @@
+//! Verdicts of the conformance check, as pure functions of a server's answers.
+
+use std::time::Duration;
+
+use policy_protocol::DescriptionFault;
+use proto::policy::{DescribeResponse, InferResponse};
+use tonic::Status;
+use transport::answer;
+
+/// Largest absolute value that a worker plausibly clips; a larger one means that the policy
+/// answers in other units.
+pub(crate) const LARGEST_PLAUSIBLE: f32 = 2.0;
+/// Largest difference between actions in a batch and alone. Kernels for other batch sizes sum in
+/// another order, which changes low-order bits.
+pub(crate) const BATCH_TOLERANCE: f32 = 1e-3;
+
+/// Result of one point.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// The server meets the requirement.
+    Pass {
+        /// Remark on the result; may be empty.
+        note: String,
+    },
+    /// The server violates the protocol.
+    Fail {
+        /// Observed violation.
+        reason: String,
+    },
+    /// The point does not apply.
+    Skip {
+        /// Reason why the point does not apply.
+        reason: String,
+    },
+}
+
+/// Passes a point, with a remark.
+pub(crate) fn pass(note: impl Into<String>) -> Verdict {
+    Verdict::Pass { note: note.into() }
+}
+
+/// Fails a point.
+pub(crate) fn fail(reason: impl Into<String>) -> Verdict {
+    Verdict::Fail {
+        reason: reason.into(),
+    }
+}
+
+/// Skips a point.
+pub(crate) fn skip(reason: impl Into<String>) -> Verdict {
+    Verdict::Skip {
+        reason: reason.into(),
+    }
+}
+
+/// Fails a point because the server answered with an error.
+pub(crate) fn refused(status: &Status) -> Verdict {
+    fail(format!("the server refused: {}", answer(status)))
+}
+
+/// Judges a description by the result of its check.
+pub(crate) fn description(
+    described: &DescribeResponse,
+    checked: Result<(), DescriptionFault>,
+) -> Verdict {
+    match checked {
+        Ok(()) => pass(format!(
+            "{:?}, checkpoint {:?}, horizon {}, execute {}",
+            described.name, described.checkpoint, described.horizon, described.execute
+        )),
+        Err(fault) => fail(fault.to_string()),
+    }
+}
+
+/// Checks the shape of every answer of an episode, in order of query index.
+pub(crate) fn shapes(answers: &[InferResponse], horizon: u32) -> Verdict {
+    let faults = answers.iter().enumerate();
+    let mut faults =
+        faults.filter_map(|(at, it)| Some((at, policy_protocol::actions(it, horizon).err()?)));
+    match faults.next() {
+        Some((at, fault)) => fail(format!("at query {at}, {fault}")),
+        None => pass(""),
+    }
+}
+
+/// Checks that the values are within the range of actions.
+pub(crate) fn range(answers: &[InferResponse]) -> Verdict {
+    let sizes = numbers(answers).map(f32::abs);
+    let largest = sizes.fold(0.0, f32::max);
+    if largest <= 1.0 {
+        pass("")
+    } else if largest <= LARGEST_PLAUSIBLE {
+        pass(format!(
+            "the largest is {largest}: workers clip it, and count that"
+        ))
+    } else {
+        fail(format!("the largest is {largest}: is it un-normalised?"))
+    }
+}
+
+/// Checks that two episodes have the same answers, bit for bit.
+pub(crate) fn same(expected: &[InferResponse], found: &[InferResponse]) -> Verdict {
+    match first_difference(expected, found) {
+        None => pass(""),
+        Some(at) => fail(format!("at query {at} the actions differ")),
+    }
+}
+
+/// Checks that answers depend on the seed just as the policy declares.
+pub(crate) fn seeds(stochastic: bool, one: &[InferResponse], other: &[InferResponse]) -> Verdict {
+    match (stochastic, first_difference(one, other)) {
+        (true, Some(_)) | (false, None) => pass(""),
+        (true, None) => fail("it declares itself stochastic, but seeds 1 and 2 give the same"),
+        (false, Some(at)) => fail(format!(
+            "it declares itself deterministic, but seeds 1 and 2 differ at query {at}"
+        )),
+    }
+}
+
+/// Checks that answers in a batch equal those given alone.
+pub(crate) fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdict {
+    if first_difference(alone, batched).is_none() {
+        return pass("bit for bit");
+    }
+    let comparable = alone.len() == batched.len()
+        && alone
+            .iter()
+            .zip(batched)
+            .all(|(a, b)| a.actions.len() == b.actions.len());
+    let differences = numbers(alone)
+        .zip(numbers(batched))
+        .map(|(a, b)| (a - b).abs());
+    let largest = differences.fold(0.0, f32::max);
+    if comparable && largest <= BATCH_TOLERANCE {
+        pass(format!(
+            "but they move actions by up to {largest:e}: batches cost reproducibility"
+        ))
+    } else {
+        fail(format!("in a batch the actions differ by up to {largest}"))
+    }
+}
+
+/// Reports the latencies of single queries, and those of `concurrency` concurrent episodes with a
+/// total time of `wall`.
+pub(crate) fn speed(
+    alone: &[Duration],
+    concurrency: u32,
+    wall: Duration,
+    together: &[Duration],
+) -> Verdict {
+    pass(format!(
+        "one by one {}; {concurrency} episodes at once {}, {:.0} queries/s",
+        percentiles(alone),
+        percentiles(together),
+        together.len() as f64 / wall.as_secs_f64(),
+    ))
+}
+
+fn numbers(answers: &[InferResponse]) -> impl Iterator<Item = f32> {
+    answers
+        .iter()
+        .flat_map(|answer| answer.actions.iter().copied())
+}
+
+/// Returns the first query at which two episodes differ.
+fn first_difference(one: &[InferResponse], other: &[InferResponse]) -> Option<usize> {
+    let bits = |answer: &InferResponse| -> Vec<u32> {
+        answer
+            .actions
+            .iter()
+            .map(|number| number.to_bits())
+            .collect()
+    };
+    let pairs = one.iter().zip(other);
+    let differing = pairs.clone().position(|(a, b)| bits(a) != bits(b));
+    differing.or((one.len() != other.len()).then_some(pairs.len()))
+}
+
+fn percentiles(latencies: &[Duration]) -> String {
+    let mut sorted = latencies.to_vec();
+    sorted.sort_unstable();
+    let at = |share: f64| {
+        let index = (share * sorted.len() as f64).ceil() as usize;
+        sorted
+            .get(index.max(1) - 1)
+            .map_or(f64::NAN, |it| it.as_secs_f64() * 1e3)
+    };
+    format!("p50 {:.2} ms, p99 {:.2} ms", at(0.5), at(0.99))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answers(numbers: &[f32]) -> Vec<InferResponse> {
+        let answer = |&it| InferResponse {
+            actions: vec![it; 7],
+            action_width: 7,
+        };
+        numbers.iter().map(answer).collect()
+    }
+
+    fn fails(verdict: &Verdict, expected: &str) -> bool {
+        matches!(verdict, Verdict::Fail { reason } if reason.contains(expected))
+    }
+
+    #[test]
+    fn a_difference_is_found_at_its_query_even_between_zeros() {
+        assert_eq!(same(&answers(&[1.0, 0.0]), &answers(&[1.0, 0.0])), pass(""));
+        assert!(fails(
+            &same(&answers(&[1.0, 0.0]), &answers(&[1.0, -0.0])),
+            "query 1"
+        ));
+        assert!(fails(
+            &same(&answers(&[1.0, 0.0]), &answers(&[1.0])),
+            "query 1"
+        ));
+    }
+
+    #[test]
+    fn a_seed_must_do_what_the_policy_declares() {
+        let (one, other) = (answers(&[0.1]), answers(&[0.2]));
+        assert_eq!(seeds(true, &one, &other), pass(""));
+        assert_eq!(seeds(false, &one, &one), pass(""));
+        assert!(fails(
+            &seeds(true, &one, &one),
+            "declares itself stochastic"
+        ));
+        assert!(fails(
+            &seeds(false, &one, &other),
+            "declares itself deterministic"
+        ));
+    }
+
+    #[test]
+    fn a_little_beyond_one_is_clipped_and_a_lot_is_another_unit() {
+        assert_eq!(range(&answers(&[-1.0, 1.0])), pass(""));
+        assert!(
+            matches!(range(&answers(&[-1.02])), Verdict::Pass { note } if note.contains("1.02"))
+        );
+        assert!(fails(&range(&answers(&[1e9])), "un-normalised"));
+    }
+
+    #[test]
+    fn a_batch_may_move_low_order_bits_and_no_more() {
+        let alone = answers(&[0.5]);
+        assert_eq!(batch(&alone, &alone), pass("bit for bit"));
+        let moved = batch(&alone, &answers(&[0.500_01]));
+        assert!(matches!(moved, Verdict::Pass { note } if note.contains("reproducibility")));
+        assert!(fails(&batch(&alone, &answers(&[0.6])), "differ by up to"));
+        assert!(fails(&batch(&alone, &[]), "differ"));
+    }
+
+    #[test]
+    fn percentiles_are_those_of_the_sorted_sample() {
+        let latencies: Vec<_> = (1..=100).rev().map(Duration::from_millis).collect();
+        assert_eq!(percentiles(&latencies), "p50 50.00 ms, p99 99.00 ms");
+    }
+}

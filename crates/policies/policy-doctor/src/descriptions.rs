@@ -1,0 +1,130 @@
+//! Differences between two servers' descriptions. Pure functions.
+
+use proto::policy::{DescribeResponse, Language};
+use serde::Serialize;
+
+/// Field in which two descriptions differ.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct DescriptionDifference {
+    /// Field of the description, for example "cameras".
+    pub what: String,
+    /// Value of the first server.
+    pub a: String,
+    /// Value of the other server.
+    pub b: String,
+}
+
+/// Returns all differences between descriptions that can matter to actions.
+pub(crate) fn differences(
+    a: &DescribeResponse,
+    b: &DescribeResponse,
+) -> Vec<DescriptionDifference> {
+    let sides = facts(a).into_iter().zip(facts(b));
+    let mut differences: Vec<DescriptionDifference> = sides
+        .filter(|((_, a), (_, b))| a != b)
+        .map(|((what, a), (_, b))| DescriptionDifference {
+            what: what.to_owned(),
+            a,
+            b,
+        })
+        .collect();
+    let setting = |of: &DescribeResponse, name: &str| {
+        let setting = of.settings.iter().find(|it| it.name == name);
+        setting.map_or_else(|| "not said".to_owned(), |it| it.value.clone())
+    };
+    let mut names: Vec<&str> = [a, b]
+        .iter()
+        .flat_map(|it| it.settings.iter().map(|it| it.name.as_str()))
+        .collect();
+    names.sort_unstable();
+    names.dedup();
+    for name in names {
+        let (a, b) = (setting(a, name), setting(b, name));
+        if a != b {
+            let what = name.to_owned();
+            differences.push(DescriptionDifference { what, a, b });
+        }
+    }
+    differences
+}
+
+fn facts(of: &DescribeResponse) -> [(&'static str, String); 9] {
+    let yes = |it: bool| if it { "yes" } else { "no" }.to_owned();
+    let cameras = of.cameras.iter();
+    let cameras: Vec<String> = cameras
+        .map(|it| format!("{} {} × {}", it.name, it.width, it.height))
+        .collect();
+    let state: Vec<&str> = of
+        .state()
+        .map(|it| it.as_str_name().trim_start_matches("STATE_FIELD_"))
+        .collect();
+    let language = match of.language() {
+        Language::FreeForm => "any instruction",
+        Language::CanonicalOnly => "canonical instructions only",
+        Language::Ignored => "not looked at",
+        Language::Unspecified => "not said",
+    };
+    [
+        ("cameras", or_none(cameras.join(", "))),
+        ("state", or_none(state.join(", "))),
+        ("actions per answer", of.horizon.to_string()),
+        ("actions executed of them", of.execute.to_string()),
+        ("language", language.to_owned()),
+        ("keeps something of an episode", yes(of.stateful)),
+        ("draws random numbers", yes(of.stochastic)),
+        ("takes a seed", yes(!of.unseeded)),
+        ("sees the simulator's state", yes(of.privileged)),
+    ]
+}
+
+fn or_none(list: String) -> String {
+    match list.is_empty() {
+        true => "none".to_owned(),
+        false => list,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::policy::{CameraRequest, Setting, StateField};
+
+    use super::*;
+
+    #[test]
+    fn every_fact_that_differs_is_said_with_both_sides() {
+        let a = DescribeResponse {
+            horizon: 8,
+            execute: 8,
+            ..DescribeResponse::default()
+        };
+        assert_eq!(differences(&a, &a), []);
+        let camera = CameraRequest {
+            name: "agentview".to_owned(),
+            width: 224,
+            height: 224,
+        };
+        let setting = Setting {
+            name: "statistics".to_owned(),
+            value: "libero".to_owned(),
+        };
+        let b = DescribeResponse {
+            cameras: vec![camera],
+            state: vec![StateField::EefPos.into()],
+            settings: vec![setting],
+            execute: 5,
+            ..a.clone()
+        };
+        let found = differences(&a, &b);
+        let said: Vec<String> = found
+            .iter()
+            .map(|it| format!("{}: {} / {}", it.what, it.a, it.b))
+            .collect();
+        let expected = [
+            "cameras: none / agentview 224 × 224",
+            "state: none / EEF_POS",
+            "actions executed of them: 8 / 5",
+            "statistics: not said / libero",
+        ];
+        assert_eq!(said, expected);
+    }
+}

@@ -1,0 +1,185 @@
+//! `policy-gateway doctor URL`: looks for a server's usual mistakes. This module orders the
+//! checks: `patient` queries the server, `verdicts` judges the answers, `memory` watches the
+//! server's process.
+
+use std::{fmt, time::Duration};
+
+use crate::{
+    conformance::verdict::{Verdict, fail, skip},
+    server::{ExaminationError, Server},
+    situation::Situation,
+};
+use memory::Process;
+use patient::{Answered, Patient};
+use verdicts::Change;
+
+mod memory;
+mod patient;
+mod verdicts;
+
+/// Check of the diagnosis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the sentences below say it")]
+pub enum Point {
+    Actions,
+    Range,
+    Motion,
+    Observations,
+    Frames,
+    Instructions,
+    Gripper,
+    Latency,
+    Memory,
+}
+
+impl Point {
+    /// All points, in the order of the checks.
+    pub const ALL: [Self; 9] = [
+        Self::Actions,
+        Self::Range,
+        Self::Motion,
+        Self::Observations,
+        Self::Frames,
+        Self::Instructions,
+        Self::Gripper,
+        // Sends many queries, which improves the percentiles of the latency.
+        Self::Memory,
+        Self::Latency,
+    ];
+
+    /// Returns the point's name in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Actions => "actions",
+            Self::Range => "range",
+            Self::Motion => "motion",
+            Self::Observations => "observations",
+            Self::Frames => "frames",
+            Self::Instructions => "instructions",
+            Self::Gripper => "gripper",
+            Self::Latency => "latency",
+            Self::Memory => "memory",
+        }
+    }
+}
+
+impl fmt::Display for Point {
+    /// Writes the check as a sentence that is true of a sound server.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Actions => "answers are finite actions of seven numbers",
+            Self::Range => "actions lie within -1..1",
+            Self::Motion => "the arm moves",
+            Self::Observations => "other observations get other actions",
+            Self::Frames => "it looks at its frames",
+            Self::Instructions => "other instructions get other actions",
+            Self::Gripper => "the gripper opens",
+            Self::Latency => "it answers in time",
+            Self::Memory => "what it keeps of an episode goes with it",
+        })
+    }
+}
+
+/// Result of one point.
+#[derive(Clone, Debug)]
+pub struct Finding {
+    /// Point that was examined.
+    pub point: Point,
+    /// Result of the examination.
+    pub verdict: Verdict,
+}
+
+/// Limits and sizes of the checks.
+#[derive(Clone, Copy, Debug)]
+pub struct Measures {
+    /// Longest time for one answer, as configured in a gateway.
+    pub answer_within: Duration,
+    /// Episodes played to detect growing memory.
+    pub episodes: u32,
+}
+
+/// Checks a server point by point, and reports each finding at once. Returns true if no point
+/// failed.
+///
+/// # Errors
+/// If the server answers no query, or needs an input that the situations lack, so that nothing can
+/// be checked.
+pub async fn examine(
+    server: &Server,
+    situations: &[Situation],
+    measures: Measures,
+    report: &mut dyn FnMut(&Finding),
+) -> Result<bool, ExaminationError> {
+    let mut patient = Patient::new(server, situations)?;
+    let answered = patient.answer_all().await?;
+    let mut sound = true;
+    for point in Point::ALL {
+        let verdict = verdict_on(point, &mut patient, &answered, measures).await;
+        let verdict = verdict.unwrap_or_else(|error| fail(format!("failed to {error}")));
+        sound &= !matches!(verdict, Verdict::Fail { .. });
+        report(&Finding { point, verdict });
+    }
+    Ok(sound)
+}
+
+/// Checks one point.
+///
+/// # Errors
+/// If the server does not answer, or the situations lack an input.
+async fn verdict_on(
+    point: Point,
+    patient: &mut Patient<'_>,
+    answered: &Answered,
+    measures: Measures,
+) -> Result<Verdict, ExaminationError> {
+    let actions = &answered.actions;
+    let described = &patient.server().described;
+    let noise = answered.noise;
+    Ok(match point {
+        Point::Actions => verdicts::actions(&answered.faults, answered.asked),
+        Point::Memory => memory(patient, measures.episodes).await?,
+        Point::Latency => verdicts::latency(&patient.latencies, measures.answer_within),
+        _ if !answered.faults.is_empty() => skip("not all of its answers are actions"),
+        Point::Range => verdicts::range(actions),
+        Point::Motion => verdicts::motion(actions),
+        Point::Gripper => verdicts::gripper(actions),
+        _ if verdicts::is_constant(actions) => skip("all of its actions are the same"),
+        Point::Observations => {
+            let most = answered.between_situations;
+            verdicts::observations(Change { most, noise }, patient.situations(), described)
+        }
+        Point::Frames if described.cameras.is_empty() => skip("it asks for none"),
+        Point::Frames => {
+            let mut changes = vec![];
+            for camera in &described.cameras {
+                let most = patient.with_other_frames(&camera.name).await?;
+                changes.push((camera.name.clone(), Change { most, noise }));
+            }
+            verdicts::frames(&changes)
+        }
+        Point::Instructions => match verdicts::reads_language(described) {
+            Err(reason) => skip(reason),
+            Ok(()) => {
+                let (most, asked) = patient.with_other_instructions().await?;
+                verdicts::instructions(Change { most, noise }, asked)
+            }
+        },
+    })
+}
+
+/// Plays episodes, and checks that the server's memory or latency does not grow with them.
+async fn memory(patient: &mut Patient<'_>, episodes: u32) -> Result<Verdict, ExaminationError> {
+    let process = Process::listening_at(&patient.server().url);
+    let mut resident = vec![];
+    let mut took = vec![];
+    for _ in 0..episodes {
+        took.push(patient.episode().await?);
+        resident.extend(process.as_ref().and_then(Process::resident_bytes));
+    }
+    Ok(match process {
+        Some(process) if resident.len() == took.len() => {
+            verdicts::memory(&process.to_string(), &resident)
+        }
+        _ => verdicts::slowing(&took),
+    })
+}

@@ -1,0 +1,230 @@
+//! The diagnosed server and the queries that it is sent.
+
+use std::time::Duration;
+
+use libero_ctrl::Suite;
+use policy_protocol::ActionFault;
+use proto::policy::{InferResponse, Observation};
+
+use crate::{
+    panel::SEED,
+    server::{Action, ExaminationError, Server},
+    situation::Situation,
+    variant::{Turn, Variant},
+};
+
+/// Number of situations in which a change is tried.
+const TRIED: usize = 4;
+/// Queries per episode in the memory check.
+const EPISODE_QUERIES: usize = 2;
+
+/// The diagnosed server, the situations it is queried in, and its latencies.
+pub(super) struct Patient<'a> {
+    server: &'a Server,
+    situations: &'a [Situation],
+    shown: Vec<Observation>,
+    /// Latency of every query, in order.
+    pub(super) latencies: Vec<Duration>,
+}
+
+/// Answers of the server to all situations.
+#[derive(Default)]
+pub(super) struct Answered {
+    /// Number of answers.
+    pub(super) asked: usize,
+    /// Faults of the answers that are not valid chunks of actions.
+    pub(super) faults: Vec<ActionFault>,
+    /// Actions of all valid answers.
+    pub(super) actions: Vec<Action>,
+    /// Largest difference between answers to two situations.
+    pub(super) between_situations: f64,
+    /// Largest difference between answers to a repeated query.
+    pub(super) noise: f64,
+}
+
+impl<'a> Patient<'a> {
+    pub(super) fn new(
+        server: &'a Server,
+        situations: &'a [Situation],
+    ) -> Result<Self, ExaminationError> {
+        let shown = situations
+            .iter()
+            .map(|it| it.observation(&server.described));
+        let shown: Result<Vec<Observation>, _> = shown.collect();
+        Ok(Self {
+            server,
+            situations,
+            shown: shown.map_err(|missing| ExaminationError::Lacking {
+                url: server.url.clone(),
+                missing,
+            })?,
+            latencies: vec![],
+        })
+    }
+
+    pub(super) fn server(&self) -> &'a Server {
+        self.server
+    }
+
+    /// Returns the number of situations.
+    pub(super) fn situations(&self) -> usize {
+        self.situations.len()
+    }
+
+    /// Queries each situation in an episode of its own, some of them twice, then all of them in one
+    /// shared episode; always with the same instruction.
+    pub(super) async fn answer_all(&mut self) -> Result<Answered, ExaminationError> {
+        let mut answered = Answered::default();
+        let mut first: Vec<Vec<Action>> = vec![];
+        let situation = &self.situations[0];
+        let (suite, instruction) = (&situation.suite, &situation.instruction);
+        for at in 0..self.situations.len() {
+            let shown = self.shown[at].clone();
+            let response = self.ask(at, shown, Some(instruction)).await?;
+            let actions = answered.take(self.server, &response);
+            for earlier in &first {
+                let apart = largest_difference(earlier, &actions);
+                answered.between_situations = answered.between_situations.max(apart);
+            }
+            first.push(actions);
+        }
+        for (at, earlier) in first.iter().enumerate().take(self.tried()) {
+            let shown = self.shown[at].clone();
+            let response = self.ask(at, shown, Some(instruction)).await?;
+            let again = answered.take(self.server, &response);
+            let apart = largest_difference(earlier, &again);
+            answered.noise = answered.noise.max(apart);
+        }
+        let mut episode = self.server.episode(suite, instruction, SEED).await?;
+        for shown in &self.shown {
+            let answer = episode.query(shown.clone()).await?;
+            self.latencies.push(answer.took);
+            answered.take(self.server, &answer.response);
+        }
+        episode.end().await;
+        Ok(answered)
+    }
+
+    /// Returns the largest change of an answer when one camera's frames are flipped or black.
+    pub(super) async fn with_other_frames(
+        &mut self,
+        camera: &str,
+    ) -> Result<f64, ExaminationError> {
+        let flipped = Variant::Turned(Turn::UpsideDown, Some(camera.to_owned()));
+        let mut most = 0.0_f64;
+        for at in 0..self.tried() {
+            let as_it_is = self.actions(at, self.shown[at].clone(), None).await?;
+            let mut changed = self.shown[at].clone();
+            flipped.apply(&self.situations[at], &mut changed);
+            let to_flipped = self.actions(at, changed.clone(), None).await?;
+            for image in changed.images.iter_mut().filter(|it| it.camera == camera) {
+                image.rgb = vec![0; image.rgb.len()].into();
+            }
+            let to_black = self.actions(at, changed, None).await?;
+            for answer in [to_flipped, to_black] {
+                most = most.max(largest_difference(&as_it_is, &answer));
+            }
+        }
+        Ok(most)
+    }
+
+    /// Returns the largest change of an answer when the instruction is replaced by another task's,
+    /// with the number of instructions tried.
+    pub(super) async fn with_other_instructions(
+        &mut self,
+    ) -> Result<(f64, usize), ExaminationError> {
+        let mut most = 0.0_f64;
+        let mut asked = 0;
+        for at in 0..self.tried() {
+            let situation = &self.situations[at];
+            let suite: Suite = situation.suite.parse().unwrap_or(Suite::Object);
+            let tasks = suite.tasks().map(|it| it.instruction());
+            let others = tasks.filter(|it| *it != situation.instruction);
+            let other = others.skip(at).step_by(4).take(2);
+            let own = self.actions(at, self.shown[at].clone(), None).await?;
+            for instruction in other {
+                let shown = self.shown[at].clone();
+                let answer = self.actions(at, shown, Some(&instruction)).await?;
+                most = most.max(largest_difference(&own, &answer));
+                asked += 1;
+            }
+        }
+        Ok((most, asked))
+    }
+
+    /// Plays a short episode; returns the total latency of its queries.
+    pub(super) async fn episode(&mut self) -> Result<Duration, ExaminationError> {
+        let at = self.latencies.len();
+        let situation = &self.situations[at % self.situations.len()];
+        let (suite, instruction) = (&situation.suite, &situation.instruction);
+        let mut episode = self.server.episode(suite, instruction, at as u64).await?;
+        let mut took = Duration::ZERO;
+        for query in 0..EPISODE_QUERIES {
+            let shown = &self.shown[(at + query) % self.shown.len()];
+            let answer = episode.query(shown.clone()).await?;
+            self.latencies.push(answer.took);
+            took += answer.took;
+        }
+        episode.end().await;
+        Ok(took)
+    }
+
+    fn tried(&self) -> usize {
+        TRIED.min(self.situations.len())
+    }
+
+    async fn actions(
+        &mut self,
+        at: usize,
+        observation: Observation,
+        instruction: Option<&str>,
+    ) -> Result<Vec<Action>, ExaminationError> {
+        let response = self.ask(at, observation, instruction).await?;
+        let actions = self.server.actions(&response);
+        actions.map_err(|fault| ExaminationError::Nonsense {
+            url: self.server.url.clone(),
+            fault,
+        })
+    }
+
+    /// Sends one query in its own episode.
+    async fn ask(
+        &mut self,
+        at: usize,
+        observation: Observation,
+        instruction: Option<&str>,
+    ) -> Result<InferResponse, ExaminationError> {
+        let situation = &self.situations[at];
+        let instruction = instruction.unwrap_or(&situation.instruction);
+        let mut episode = self
+            .server
+            .episode(&situation.suite, instruction, SEED)
+            .await?;
+        let answer = episode.query(observation).await?;
+        episode.end().await;
+        self.latencies.push(answer.took);
+        Ok(answer.response)
+    }
+}
+
+impl Answered {
+    /// Counts an answer and returns its actions; empty if the answer is not a valid chunk.
+    fn take(&mut self, server: &Server, response: &InferResponse) -> Vec<Action> {
+        self.asked += 1;
+        match server.actions(response) {
+            Ok(actions) => {
+                self.actions.extend(&actions);
+                actions
+            }
+            Err(fault) => {
+                self.faults.push(fault);
+                vec![]
+            }
+        }
+    }
+}
+
+fn largest_difference(one: &[Action], other: &[Action]) -> f64 {
+    let numbers = one.iter().flatten().zip(other.iter().flatten());
+    numbers.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}

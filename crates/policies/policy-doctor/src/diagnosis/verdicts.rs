@@ -1,0 +1,371 @@
+//! Verdicts of the diagnosis, as pure functions of a server's answers. Each states the
+//! observation, its usual meaning and the remedy.
+
+use std::time::Duration;
+
+use policy_protocol::ActionFault;
+use proto::policy::{DescribeResponse, Language};
+
+use crate::{
+    chance::REPEATABLE,
+    conformance::verdict::{LARGEST_PLAUSIBLE, Verdict, fail, pass, skip},
+    fit::GRIPPER,
+    server::Action,
+};
+
+/// Largest difference between equal values.
+const SAME: f64 = 1e-6;
+/// Memory per episode below which growth is ignored, bytes; logs and allocators cause that much.
+const KEPT_BYTES: u64 = 200 << 10;
+/// Slowdown that indicates growing memory: each third of the episodes takes longer than the one
+/// before by this factor, and the last takes longer than the first by `SLOWER_IN_ALL`.
+const SLOWER: f64 = 1.25;
+const SLOWER_IN_ALL: Duration = Duration::from_millis(50);
+
+/// Variation of answers with a change of the input, and without.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Change {
+    /// Largest difference that the change causes.
+    pub most: f64,
+    /// Largest difference between answers to a repeated query.
+    pub noise: f64,
+}
+
+impl Change {
+    /// Returns true if the change affects answers; `None` if noise hides the effect.
+    fn is_seen(self) -> Option<bool> {
+        let is_seen = self.most > SAME.max(3.0 * self.noise);
+        (is_seen || self.noise <= REPEATABLE).then_some(is_seen)
+    }
+
+    fn hidden(self) -> Verdict {
+        skip(format!(
+            "answers to the same question differ by {:.1e}, which hides it",
+            self.noise
+        ))
+    }
+}
+
+/// Checks that answers are valid actions.
+pub(super) fn actions(faults: &[ActionFault], asked: usize) -> Verdict {
+    match faults.first() {
+        None => pass(""),
+        Some(fault) => fail(format!(
+            "{} of {asked} answers are none: {fault}. NaN usually comes from half precision, or \
+             from statistics that lack a dimension: run the policy in float32 and look at what it \
+             loads.",
+            faults.len()
+        )),
+    }
+}
+
+/// Checks that actions are in the simulator's units.
+pub(super) fn range(actions: &[Action]) -> Verdict {
+    let numbers = || actions.iter().flatten().map(|it| it.abs());
+    let largest = numbers().fold(0.0, f64::max);
+    let (beyond, count) = (numbers().filter(|it| *it > 1.0).count(), numbers().count());
+    if largest <= 1.0 {
+        pass("")
+    } else if largest <= f64::from(LARGEST_PLAUSIBLE) {
+        pass(format!(
+            "{beyond} of {count} numbers lie beyond, up to {largest:.2}: workers clip them"
+        ))
+    } else {
+        fail(format!(
+            "{beyond} of {count} numbers lie beyond, up to {largest:.2}. Usually the actions are \
+             not un-normalised, or with another data set's statistics: compare what the server \
+             loads with what its authors' evaluation loads."
+        ))
+    }
+}
+
+/// Returns true if all actions are equal.
+pub(super) fn is_constant(actions: &[Action]) -> bool {
+    let Some(first) = actions.first() else {
+        return true;
+    };
+    let numbers = |action: &Action| {
+        let pairs = action.iter().zip(first);
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    };
+    actions.iter().all(|action| numbers(action) <= SAME)
+}
+
+/// Checks that the actions move the arm.
+pub(super) fn motion(actions: &[Action]) -> Verdict {
+    let still = |action: &Action| action[..GRIPPER].iter().all(|it| it.abs() <= SAME);
+    let count = actions.len();
+    let advice = "Usually weights are missing or random, or statistics are of no variation: look \
+                  at what the server loads.";
+    if actions.iter().all(still) {
+        fail(format!(
+            "translation and rotation of all {count} actions are 0. {advice}"
+        ))
+    } else if is_constant(actions) {
+        let first: Vec<String> = actions[0].iter().map(|it| format!("{it:.3}")).collect();
+        fail(format!(
+            "all {count} actions are [{}]. {advice}",
+            first.join(", ")
+        ))
+    } else {
+        pass("")
+    }
+}
+
+/// Checks that observations affect the answers at all.
+pub(super) fn observations(
+    change: Change,
+    situations: usize,
+    described: &DescribeResponse,
+) -> Verdict {
+    let shown = !described.cameras.is_empty() || !described.state.is_empty();
+    if !shown && !described.privileged {
+        return skip("it asks for no observation");
+    }
+    match change.is_seen() {
+        None => change.hidden(),
+        Some(true) => pass(""),
+        Some(false) => fail(format!(
+            "{situations} observations get the same answer, within {:.1e}. Usually an answer is \
+             kept from the first query, or the inputs do not reach the network: log what it is \
+             given.",
+            change.most
+        )),
+    }
+}
+
+/// Checks that each camera's frames affect the answers.
+pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
+    let unseen: Vec<&str> = changes
+        .iter()
+        .filter(|(_, change)| change.is_seen() == Some(false))
+        .map(|(camera, _)| camera.as_str())
+        .collect();
+    if !unseen.is_empty() {
+        let all = unseen.len() == changes.len();
+        let rest = if all { "" } else { "; those of the others do" };
+        return fail(format!(
+            "frames of {} that are flipped vertically, or black, change no action{rest}. Usually \
+             an image slot of the network is fed with nothing: compare the names of cameras and \
+             slots, or do not ask for these frames.",
+            unseen.join(" and ")
+        ));
+    }
+    match changes.iter().find(|(_, it)| it.is_seen().is_none()) {
+        Some((_, change)) => change.hidden(),
+        None => pass(""),
+    }
+}
+
+/// Checks that the policy declares that it reads instructions.
+///
+/// # Errors
+/// If the policy does not declare it; the text says what it declares instead.
+pub(super) fn reads_language(described: &DescribeResponse) -> Result<(), &'static str> {
+    match described.language() {
+        Language::FreeForm | Language::CanonicalOnly => Ok(()),
+        Language::Ignored => Err("it says that it looks at no instruction"),
+        Language::Unspecified => Err("it does not say whether it reads instructions"),
+    }
+}
+
+/// Checks that the instruction affects the answers.
+pub(super) fn instructions(change: Change, asked: usize) -> Verdict {
+    match change.is_seen() {
+        None => change.hidden(),
+        Some(true) => pass(""),
+        Some(false) => fail(format!(
+            "{asked} other instructions change no action. Usually the text does not reach the \
+             network, or it was tuned on one task: log the prompt. If it reads none, describe \
+             its language as ignored."
+        )),
+    }
+}
+
+/// Checks that some action opens the gripper.
+pub(super) fn gripper(actions: &[Action]) -> Verdict {
+    let numbers = || actions.iter().map(|action| action[GRIPPER]);
+    let least = numbers().fold(f64::INFINITY, f64::min);
+    let most = numbers().fold(f64::NEG_INFINITY, f64::max);
+    if least < 0.0 {
+        return pass("");
+    }
+    let convention = match most <= 1.0 {
+        true => "Numbers of 0 to 1 are usually RLDS's, where 1 is open: answer 1 - 2 g.",
+        false => "Usually the gripper's statistics are wrong.",
+    };
+    fail(format!(
+        "its number lies within {least:.3}..{most:.3} in all {} actions, and only what is below 0 \
+         opens (-1 open, 1 closed). {convention}",
+        actions.len()
+    ))
+}
+
+/// Checks the latencies. The first query is separate, because it may include a compilation.
+pub(super) fn latency(latencies: &[Duration], answer_within: Duration) -> Verdict {
+    let Some((first, later)) = latencies.split_first() else {
+        return skip("nothing was asked");
+    };
+    let mut sorted = later.to_vec();
+    sorted.sort_unstable();
+    let at = |share: f64| {
+        let place = (share * sorted.len() as f64).ceil() as usize;
+        sorted.get(place.max(1) - 1).copied().unwrap_or(*first)
+    };
+    let (median, late) = (at(0.5), at(0.99));
+    let slowest = latencies.iter().max().copied().unwrap_or_default();
+    let ms = |it: Duration| it.as_secs_f64() * 1e3;
+    let seen = format!(
+        "first {:.1} ms, then median {:.1} ms, 99th percentile {:.1} ms of {} queries",
+        ms(*first),
+        ms(median),
+        ms(late),
+        sorted.len()
+    );
+    let limit = answer_within.as_secs_f64();
+    if slowest > answer_within {
+        let why = match *first == slowest && late <= answer_within {
+            true => "Compile and warm up before the server listens",
+            false => "Serve it from a faster device",
+        };
+        fail(format!(
+            "{seen}. A gateway takes a server that needs more than {limit} s for an outage. {why}, \
+             or raise answer_within_secs."
+        ))
+    } else if late > answer_within / 2 {
+        pass(format!("{seen}; a gateway waits {limit} s"))
+    } else {
+        pass(seen)
+    }
+}
+
+/// Checks that a process does not grow from episode to episode. `resident` holds its memory after
+/// each, bytes.
+pub(super) fn memory(process: &str, resident: &[u64]) -> Verdict {
+    let count = resident.len();
+    let third = count / 3;
+    if third == 0 {
+        return skip("too few episodes were played");
+    }
+    // Any program grows during the first third, as it warms up.
+    let [begin, middle, end] = [count - 1 - 2 * third, count - 1 - third, count - 1];
+    let grown = |from: usize, to: usize| resident[to].saturating_sub(resident[from]);
+    let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+    let kept = KEPT_BYTES * third as u64;
+    if grown(begin, middle) > kept && grown(middle, end) > kept {
+        return fail(format!(
+            "{process} grew from {:.0} to {:.0} MiB over the last {} of {count} episodes, {:.2} \
+             MiB each, though every episode was ended (End). Usually observations or caches are \
+             kept by session: drop them at End, and bound how many episodes are kept.",
+            mib(resident[begin]),
+            mib(resident[end]),
+            2 * third,
+            mib(grown(begin, end)) / (2 * third) as f64,
+        ));
+    }
+    pass(format!(
+        "{process} holds {:.0} MiB after {count} episodes; a GPU's memory is not looked at",
+        mib(resident[end])
+    ))
+}
+
+/// Checks that episodes do not become slower, for servers on other machines, whose memory cannot
+/// be read.
+pub(super) fn slowing(took: &[Duration]) -> Verdict {
+    let third = took.len() / 3;
+    if third == 0 {
+        return skip("too few episodes were played");
+    }
+    let median = |at: usize| {
+        let mut some = took[at * third..(at + 1) * third].to_vec();
+        some.sort_unstable();
+        some[third / 2]
+    };
+    let [first, second, last] = [0, 1, 2].map(median);
+    let slower = |one: Duration, other: Duration| other.as_secs_f64() > SLOWER * one.as_secs_f64();
+    let count = took.len();
+    let ms = |it: Duration| it.as_secs_f64() * 1e3;
+    if slower(first, second) && slower(second, last) && last - first > SLOWER_IN_ALL {
+        return fail(format!(
+            "episodes take longer and longer: medians of {:.0}, {:.0} and {:.0} ms by thirds of \
+             {count}, though every one was ended (End). Usually something is kept by session and \
+             searched.",
+            ms(first),
+            ms(second),
+            ms(last),
+        ));
+    }
+    pass(format!(
+        "{count} episodes did not slow it down; its process is not on this machine, or not to be \
+         seen"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fails(verdict: &Verdict, expected: &str) -> bool {
+        matches!(verdict, Verdict::Fail { reason } if reason.contains(expected))
+    }
+
+    fn passes(verdict: &Verdict) -> bool {
+        matches!(verdict, Verdict::Pass { .. })
+    }
+
+    #[test]
+    fn a_change_is_told_from_noise_or_not_at_all() {
+        let change = |most, noise| Change { most, noise }.is_seen();
+        assert_eq!(change(0.1, 0.0), Some(true));
+        assert_eq!(change(0.0, 0.0), Some(false));
+        assert_eq!(change(2e-5, 1e-5), Some(false));
+        assert_eq!(change(0.1, 0.05), None);
+        assert_eq!(change(0.5, 0.05), Some(true));
+    }
+
+    #[test]
+    fn memory_that_grows_to_the_end_is_a_leak_and_a_start_is_none() {
+        let mib = |it: f64| (it * f64::from(1 << 20)) as u64;
+        let leaking: Vec<u64> = (0..30).map(|at| mib(100.0 + f64::from(at))).collect();
+        assert!(fails(&memory("process 7", &leaking), "1.00 MiB each"));
+        let starting: Vec<u64> = (0..30)
+            .map(|at| mib(100.0 + 40.0 * f64::from(at.min(12))))
+            .collect();
+        assert!(passes(&memory("process 7", &starting)));
+        let once: Vec<u64> = (0..30)
+            .map(|at| mib(if at < 25 { 100.0 } else { 180.0 }))
+            .collect();
+        assert!(passes(&memory("process 7", &once)));
+    }
+
+    #[test]
+    fn episodes_that_take_longer_and_longer_are_told_from_a_slow_one() {
+        let took = |of: fn(u64) -> u64| (0..30).map(|at| Duration::from_millis(of(at))).collect();
+        let growing: Vec<Duration> = took(|at| 20 + 10 * at);
+        assert!(fails(&slowing(&growing), "longer and longer"));
+        let jumping: Vec<Duration> = took(|at| if at == 20 { 900 } else { 20 });
+        assert!(passes(&slowing(&jumping)));
+    }
+
+    #[test]
+    fn a_late_first_answer_is_told_from_a_slow_server() {
+        let within = Duration::from_secs(50);
+        let mut latencies = vec![Duration::from_millis(20); 40];
+        assert!(passes(&latency(&latencies, within)));
+        latencies[0] = Duration::from_secs(120);
+        assert!(fails(&latency(&latencies, within), "warm up"));
+        latencies = vec![Duration::from_secs(60); 40];
+        assert!(fails(&latency(&latencies, within), "faster device"));
+    }
+
+    #[test]
+    fn an_open_gripper_is_enough_and_a_share_is_named() {
+        let with = |number: f64| {
+            let mut action = [0.1; 7];
+            action[GRIPPER] = number;
+            action
+        };
+        assert!(passes(&gripper(&[with(0.5), with(-0.2)])));
+        assert!(fails(&gripper(&[with(0.0), with(1.0)]), "1 - 2 g"));
+    }
+}

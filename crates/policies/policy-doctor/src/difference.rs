@@ -1,0 +1,297 @@
+//! Puts a difference between two servers into words: its kind, the numbers, and its usual meaning.
+
+use serde::Serialize;
+
+use crate::{
+    fit::{Convention, Fit, GRIPPER, Map},
+    panel::Side,
+    search::Explanation,
+    variant::{Topic, Variant},
+};
+
+/// Names of an action's seven components.
+pub(crate) const NUMBERS: [&str; 7] = [
+    "x",
+    "y",
+    "z",
+    "rotation x",
+    "rotation y",
+    "rotation z",
+    "gripper",
+];
+
+/// Kind of a difference between two servers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[expect(missing_docs, reason = "the words below say it")]
+pub enum Kind {
+    FrameOrientation,
+    FrameSize,
+    Cameras,
+    Colours,
+    StateDefinition,
+    QuaternionSign,
+    Seed,
+    ChunkOffset,
+    GripperConvention,
+    GripperScale,
+    UnNormalisation,
+    Unexplained,
+}
+
+impl Kind {
+    /// Returns the name for reports and JSON.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::FrameOrientation => "frame orientation",
+            Self::FrameSize => "frame size",
+            Self::Cameras => "cameras",
+            Self::Colours => "colour channels",
+            Self::StateDefinition => "state definition",
+            Self::QuaternionSign => "quaternion sign",
+            Self::Seed => "seed",
+            Self::ChunkOffset => "chunk offset",
+            Self::GripperConvention => "gripper convention",
+            Self::GripperScale => "gripper scale",
+            Self::UnNormalisation => "un-normalisation",
+            Self::Unexplained => "unexplained",
+        }
+    }
+
+    /// Returns the usual meaning, with a hint on the code to compare.
+    pub(crate) fn meaning(self) -> &'static str {
+        match self {
+            Self::FrameOrientation => {
+                "One of the two shows its network frames turned otherwise. Frames arrive with the \
+                 bottom row first; most LIBERO checkpoints were trained on frames turned by 180°. \
+                 Compare how both prepare a frame."
+            }
+            Self::FrameSize => {
+                "One of the two scales its frames down on the way. Compare the size and the \
+                 filter of every step from the camera to the network."
+            }
+            Self::Cameras => {
+                "One of the two feeds the scene camera into the slot of the wrist camera. Compare \
+                 which camera feeds which image slot."
+            }
+            Self::Colours => {
+                "One of the two shows its network blue for red. OpenCV reads and writes BGR."
+            }
+            Self::StateDefinition => {
+                "One of the two takes the robot's numbers for something else. Compare what its \
+                 network's state was in training, number by number."
+            }
+            Self::QuaternionSign => {
+                "A quaternion and its negative are one orientation, but another axis-angle. LIBERO \
+                 keeps the simulator's sign. Compare how both convert it."
+            }
+            Self::Seed => {
+                "A rollout is repeated by its seed only where all noise comes from (seed, query). \
+                 Success rates stay comparable; single rollouts do not."
+            }
+            Self::ChunkOffset => {
+                "One of the two leaves out the first actions of a chunk, or plays some twice. \
+                 Compare from which action on both execute a chunk."
+            }
+            Self::GripperConvention => {
+                "The simulator opens at -1 and closes at 1. RLDS data have 1 for open and 0 for \
+                 closed. Compare what both do with the last number of an action."
+            }
+            Self::GripperScale => {
+                "The simulator opens at -1 and closes at 1. Compare what both do with the last \
+                 number of an action."
+            }
+            Self::UnNormalisation => {
+                "One of the two un-normalises with other statistics: of another data set, \
+                 percentiles for means, or not at all. Compare the statistics that both load."
+            }
+            Self::Unexplained => {
+                "Look for other weights, another prompt, a crop, or two differences at once."
+            }
+        }
+    }
+}
+
+/// Difference with its description.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Difference {
+    /// Kind of the difference.
+    pub kind: Kind,
+    /// Description of the observed difference. A and B are the servers.
+    pub text: String,
+}
+
+impl Difference {
+    /// Creates a difference.
+    pub(crate) fn new(kind: Kind, text: impl Into<String>) -> Self {
+        let text = text.into();
+        Self { kind, text }
+    }
+}
+
+/// Largest difference between two servers' answers before any explanation.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Apart {
+    /// Largest difference.
+    pub(crate) before: f64,
+    /// Index of the component in an action.
+    pub(crate) at: usize,
+}
+
+/// Returns the differences of an explanation, in the order of a policy's
+/// pipeline.
+pub(crate) fn explained(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
+    let mut differences = shown(explanation);
+    differences.extend(of_actions(&explanation.fit));
+    with_sizes(differences, explanation, apart)
+}
+
+/// Returns only those differences of an explanation that concern observations.
+pub(crate) fn of_shown(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
+    with_sizes(shown(explanation), explanation, apart)
+}
+
+fn shown(explanation: &Explanation) -> Vec<Difference> {
+    let shown = explanation.shown.iter();
+    shown
+        .map(|(side, variant)| Difference::new(kind(variant), seen(*side, variant)))
+        .collect()
+}
+
+fn with_sizes(
+    mut differences: Vec<Difference>,
+    explanation: &Explanation,
+    apart: Apart,
+) -> Vec<Difference> {
+    let left = explanation.fit.left.iter().copied().fold(0.0, f64::max);
+    for difference in &mut differences {
+        difference.text = format!(
+            "{} As they come, their answers differ by up to {} ({}); so, by {}.",
+            difference.text,
+            size(apart.before),
+            NUMBERS[apart.at],
+            size(left),
+        );
+    }
+    differences
+}
+
+/// Formats a number for people: 0.25, or 3e-6.
+pub(crate) fn size(number: f64) -> String {
+    match number {
+        0.0 => "0".to_owned(),
+        small if small < 5e-4 => format!("{small:.0e}"),
+        large => format!("{large:.3}"),
+    }
+}
+
+/// Describes the changes to observations in an explanation that falls short.
+pub(crate) fn attempt(explanation: &Explanation) -> String {
+    let shown = explanation.shown.iter();
+    let shown: Vec<String> = shown
+        .map(|(side, variant)| format!("{} is shown {variant}", letter(*side)))
+        .collect();
+    shown.join(", and ")
+}
+
+fn kind(variant: &Variant) -> Kind {
+    match variant.topic() {
+        Topic::Orientation => Kind::FrameOrientation,
+        Topic::Size => Kind::FrameSize,
+        Topic::Cameras => Kind::Cameras,
+        Topic::Colours => Kind::Colours,
+        Topic::Sign => Kind::QuaternionSign,
+        Topic::State => Kind::StateDefinition,
+    }
+}
+
+fn letter(side: Side) -> &'static str {
+    match side {
+        Side::A => "A",
+        Side::B => "B",
+    }
+}
+
+fn seen(side: Side, variant: &Variant) -> String {
+    let (shown, other) = match side {
+        Side::A => ("A", "B"),
+        Side::B => ("B", "A"),
+    };
+    let nearly = match variant.topic() {
+        Topic::Size => "nearly ",
+        _ => "",
+    };
+    format!("{other} answers {nearly}what {shown} answers when {shown} is shown {variant}.")
+}
+
+/// Returns the differences that concern the actions themselves.
+pub(crate) fn of_actions(fit: &Fit) -> Vec<Difference> {
+    let mut differences = vec![];
+    if fit.shift != 0 {
+        let (earlier, later) = if fit.shift > 0 {
+            ("A", "B")
+        } else {
+            ("B", "A")
+        };
+        let by = fit.shift.unsigned_abs();
+        let text = format!(
+            "{later}'s chunks begin {by} {} later: action k of {later} is action k + {by} of \
+             {earlier}.",
+            if by == 1 { "action" } else { "actions" },
+        );
+        differences.push(Difference::new(Kind::ChunkOffset, text));
+    }
+    let is_affine = |at: &usize| matches!(fit.maps[*at], Map::Affine { .. });
+    let arm: Vec<usize> = (0..GRIPPER).filter(is_affine).collect();
+    match fit.maps[GRIPPER] {
+        Map::Gripper(convention) => {
+            let text = convention_words(convention);
+            differences.push(Difference::new(Kind::GripperConvention, text));
+        }
+        Map::Affine { scale, offset } if arm.is_empty() => {
+            let text = format!("B's gripper is {}.", scaled("A's", scale, offset));
+            differences.push(Difference::new(Kind::GripperScale, text));
+        }
+        _ => {}
+    }
+    if !arm.is_empty() {
+        let all = (0..7).filter(is_affine);
+        let each = all.filter_map(|at| match fit.maps[at] {
+            Map::Affine { scale, offset } => Some(format!(
+                "{} = {}",
+                NUMBERS[at],
+                scaled("A's", scale, offset)
+            )),
+            _ => None,
+        });
+        let text = format!(
+            "B's actions are A's scaled and moved: {}.",
+            each.collect::<Vec<_>>().join(", ")
+        );
+        differences.push(Difference::new(Kind::UnNormalisation, text));
+    }
+    differences
+}
+
+fn scaled(what: &str, scale: f64, offset: f64) -> String {
+    let sign = if offset < 0.0 { '-' } else { '+' };
+    match offset.abs() < 5e-4 {
+        true => format!("{what} × {scale:.3}"),
+        false => format!("{what} × {scale:.3} {sign} {:.3}", offset.abs()),
+    }
+}
+
+fn convention_words(convention: Convention) -> &'static str {
+    match convention {
+        Convention::Inverted => "B's gripper is A's × -1: one opens where the other closes.",
+        Convention::Share => "B's gripper lies in 0..1 where A's lies in -1..1: B = (A + 1) / 2.",
+        Convention::InvertedShare => {
+            "B's gripper lies in 1..0 where A's lies in -1..1: B = (1 - A) / 2."
+        }
+        Convention::FromShare => "A's gripper lies in 0..1 where B's lies in -1..1: B = 2 A - 1.",
+        Convention::FromInvertedShare => {
+            "A's gripper lies in 1..0 where B's lies in -1..1: B = 1 - 2 A."
+        }
+        Convention::Sign => "B's gripper is the sign of A's: B rounds it to -1 or 1.",
+    }
+}

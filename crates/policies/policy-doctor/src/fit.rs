@@ -1,0 +1,296 @@
+//! Finds the simplest map from one server's actions to another's. Each of the seven components is
+//! unchanged or affine; the gripper may have another convention, and the chunk may be shifted.
+//! Pure functions.
+
+use crate::{answers::Answers, server::Action};
+
+/// Index of the gripper in an action.
+pub(crate) const GRIPPER: usize = 6;
+/// Smallest scale of an affine map; a smaller one means that the answers are unrelated.
+const LEAST_SCALE: f64 = 1e-3;
+
+/// Map of one component of an action.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Map {
+    /// The value is unchanged.
+    Same,
+    /// The gripper has another convention.
+    Gripper(Convention),
+    /// The value is scaled and shifted.
+    Affine {
+        /// Factor.
+        scale: f64,
+        /// Summand, after scaling.
+        offset: f64,
+    },
+}
+
+/// Convention of the second server's gripper, as a function of the first one's, which is −1 (open)
+/// to 1 (closed) or the reverse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Convention {
+    /// The sign is inverted.
+    Inverted,
+    /// From −1..1 to 0..1.
+    Share,
+    /// From −1..1 to 1..0.
+    InvertedShare,
+    /// From 0..1 to −1..1.
+    FromShare,
+    /// From 0..1 to 1..−1.
+    FromInvertedShare,
+    /// Rounded to −1 or 1.
+    Sign,
+}
+
+impl Convention {
+    const ALL: [Self; 6] = [
+        Self::Inverted,
+        Self::Share,
+        Self::InvertedShare,
+        Self::FromShare,
+        Self::FromInvertedShare,
+        Self::Sign,
+    ];
+
+    fn of(self, number: f64) -> f64 {
+        match self {
+            Self::Inverted => -number,
+            Self::Share => (number + 1.0) / 2.0,
+            Self::InvertedShare => (1.0 - number) / 2.0,
+            Self::FromShare => 2.0 * number - 1.0,
+            Self::FromInvertedShare => 1.0 - 2.0 * number,
+            Self::Sign => number.signum(),
+        }
+    }
+}
+
+impl Map {
+    fn of(self, number: f64) -> f64 {
+        match self {
+            Self::Same => number,
+            Self::Gripper(convention) => convention.of(number),
+            Self::Affine { scale, offset } => scale * number + offset,
+        }
+    }
+
+    /// Returns the number of assumptions of the map: an affine map has two parameters.
+    fn cost(self) -> u32 {
+        match self {
+            Self::Same => 0,
+            Self::Gripper(_) => 1,
+            Self::Affine { .. } => 2,
+        }
+    }
+}
+
+/// Largest root-mean-square difference within which values count as equal, by component of an
+/// action.
+pub(crate) type Limit = Action;
+
+/// Map from one server's actions to the other's.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Fit {
+    /// Index of the first server's action that corresponds to the second one's first action; if
+    /// negative, with the servers exchanged.
+    pub shift: i32,
+    /// Map of each component.
+    pub maps: [Map; 7],
+    /// Remaining root-mean-square difference of each component.
+    pub left: Action,
+    /// True if the remaining difference is within the limit.
+    pub explains: bool,
+}
+
+impl Fit {
+    /// Returns the number of assumptions of the fit.
+    pub(crate) fn cost(&self) -> u32 {
+        let maps: u32 = self.maps.iter().map(|map| map.cost()).sum();
+        maps + u32::from(self.shift != 0)
+    }
+
+    /// Returns true if all maps are identities and there is no shift.
+    pub(crate) fn is_identity(&self) -> bool {
+        self.cost() == 0
+    }
+
+    /// Returns true if the remaining difference is within another limit.
+    pub(crate) fn is_within(&self, limit: &Limit) -> bool {
+        self.left
+            .iter()
+            .zip(limit)
+            .all(|(left, limit)| left <= limit)
+    }
+
+    /// Returns the norm of the remaining difference, in units of the limit.
+    pub(crate) fn remainder(&self, limit: &Limit) -> f64 {
+        let shares = self.left.iter().zip(limit);
+        shares
+            .map(|(left, limit)| (left / limit).powi(2))
+            .sum::<f64>()
+            .sqrt()
+    }
+}
+
+/// Returns the simplest map from `one` to `other` within `limit`; if there is none, the best one
+/// without a shift.
+pub(crate) fn fit(one: &Answers, other: &Answers, limit: &Limit) -> Fit {
+    let aligned = at_shift(one, other, 0, limit);
+    if aligned.explains && aligned.is_identity() {
+        return aligned;
+    }
+    let pairs = one.chunks.iter().zip(&other.chunks);
+    let shortest = pairs.map(|(a, b)| a.len().min(b.len())).min().unwrap_or(0);
+    // At least half of the chunk must remain to be compared.
+    let furthest = (shortest / 2) as i32;
+    let shifts = (1..=furthest).flat_map(|by| [by, -by]);
+    let shifted = shifts.map(|shift| at_shift(one, other, shift, limit));
+    let explaining = shifted.filter(|fit| fit.explains);
+    let simplest = explaining.min_by(|a, b| {
+        let by_rest = || a.remainder(limit).total_cmp(&b.remainder(limit));
+        a.cost().cmp(&b.cost()).then_with(by_rest)
+    });
+    match simplest {
+        Some(fit) if !aligned.explains || fit.cost() < aligned.cost() => fit,
+        _ => aligned,
+    }
+}
+
+fn at_shift(one: &Answers, other: &Answers, shift: i32, limit: &Limit) -> Fit {
+    let (skip_one, skip_other) = (shift.max(0) as usize, (-shift).max(0) as usize);
+    let chunks = one.chunks.iter().zip(&other.chunks);
+    let rows: Vec<(&Action, &Action)> = chunks
+        .flat_map(|(a, b)| a.iter().skip(skip_one).zip(b.iter().skip(skip_other)))
+        .collect();
+    let mut fit = Fit {
+        shift,
+        maps: [Map::Same; 7],
+        left: [0.0; 7],
+        explains: true,
+    };
+    for at in 0..7 {
+        let numbers: Vec<(f64, f64)> = rows.iter().map(|(a, b)| (a[at], b[at])).collect();
+        let mut simplest = (Map::Same, left(&numbers, Map::Same));
+        if simplest.1 > limit[at] {
+            let conventions = Convention::ALL.map(Map::Gripper);
+            let conventions = conventions.into_iter().filter(|_| at == GRIPPER);
+            for map in conventions.chain(affine(&numbers)) {
+                let left = left(&numbers, map);
+                // Maps are ordered by cost, so the first within the limit is the simplest.
+                if simplest.1 > limit[at] && left < simplest.1 {
+                    simplest = (map, left);
+                }
+            }
+        }
+        fit.explains &= simplest.1 <= limit[at];
+        (fit.maps[at], fit.left[at]) = simplest;
+    }
+    fit
+}
+
+/// Returns the remaining root-mean-square difference after a map.
+fn left(numbers: &[(f64, f64)], map: Map) -> f64 {
+    let squares = numbers.iter().map(|(a, b)| (map.of(*a) - b).powi(2));
+    (squares.sum::<f64>() / numbers.len().max(1) as f64).sqrt()
+}
+
+/// Fits scale and offset by least squares. `None` for too few pairs, or if the second value does
+/// not depend on the first.
+fn affine(numbers: &[(f64, f64)]) -> Option<Map> {
+    let count = numbers.len() as f64;
+    if numbers.len() < 4 {
+        return None;
+    }
+    let mean = |of: fn(&(f64, f64)) -> f64| numbers.iter().map(of).sum::<f64>() / count;
+    let (mean_a, mean_b) = (mean(|it| it.0), mean(|it| it.1));
+    let varied: f64 = numbers.iter().map(|(a, _)| (a - mean_a).powi(2)).sum();
+    let together: f64 = numbers
+        .iter()
+        .map(|(a, b)| (a - mean_a) * (b - mean_b))
+        .sum();
+    let scale = match varied / count > 1e-12 {
+        true => together / varied,
+        // A constant value only determines an offset.
+        false => 1.0,
+    };
+    (scale.abs() >= LEAST_SCALE).then_some(Map::Affine {
+        scale,
+        offset: mean_b - scale * mean_a,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMIT: Limit = [1e-3; 7];
+
+    /// Returns eight chunks of four actions without a pattern.
+    fn answers() -> Answers {
+        let number = |situation: usize, row: usize, at: usize| {
+            ((situation * 37 + row * 11 + at * 5) as f64 * 1.7).sin() * 0.8
+        };
+        let chunk = |situation: usize| {
+            (0..4).map(move |row| std::array::from_fn(|at| number(situation, row, at)))
+        };
+        Answers {
+            chunks: (0..8).map(|situation| chunk(situation).collect()).collect(),
+            spread: [0.0; 7],
+        }
+    }
+
+    fn changed(change: impl Fn(&mut Action)) -> Answers {
+        let mut other = answers();
+        other.chunks.iter_mut().flatten().for_each(change);
+        other
+    }
+
+    #[test]
+    fn the_same_actions_need_no_map_and_others_have_none() {
+        let same = fit(&answers(), &changed(|it| it[2] += 1e-4), &LIMIT);
+        assert!(same.explains && same.is_identity());
+        let squared = changed(|it| it[2] = it[2] * it[2]);
+        let other = fit(&answers(), &squared, &LIMIT);
+        assert!(!other.explains);
+        let constant = changed(|it| *it = [0.3; 7]);
+        assert!(!fit(&answers(), &constant, &LIMIT).explains);
+    }
+
+    #[test]
+    fn a_gripper_is_told_in_another_convention_before_it_is_scaled() {
+        for convention in Convention::ALL {
+            let other = changed(|it| it[GRIPPER] = convention.of(it[GRIPPER]));
+            let found = fit(&answers(), &other, &LIMIT);
+            assert_eq!(found.maps[GRIPPER], Map::Gripper(convention));
+            assert!(found.explains && found.cost() == 1);
+        }
+        let scaled = fit(&answers(), &changed(|it| it[GRIPPER] *= 0.04), &LIMIT);
+        let Map::Affine { scale, offset } = scaled.maps[GRIPPER] else {
+            panic!("{scaled:?}");
+        };
+        assert!((scale - 0.04).abs() < 1e-9 && offset.abs() < 1e-9);
+    }
+
+    #[test]
+    fn scale_and_offset_of_a_number_are_found() {
+        let found = fit(&answers(), &changed(|it| it[1] = 0.5 * it[1] - 0.2), &LIMIT);
+        let Map::Affine { scale, offset } = found.maps[1] else {
+            panic!("{found:?}");
+        };
+        assert!((scale - 0.5).abs() < 1e-9 && (offset + 0.2).abs() < 1e-9);
+        assert!(found.explains && found.cost() == 2);
+    }
+
+    #[test]
+    fn a_chunk_that_begins_later_is_told_from_one_that_begins_earlier() {
+        for (skip, shift) in [(1, 1), (2, 2)] {
+            let mut later = answers();
+            for chunk in &mut later.chunks {
+                chunk.rotate_left(skip);
+                chunk[4 - skip..].fill([0.1; 7]);
+            }
+            assert_eq!(fit(&answers(), &later, &LIMIT).shift, shift);
+            assert_eq!(fit(&later, &answers(), &LIMIT).shift, -shift);
+        }
+    }
+}

@@ -1,0 +1,32 @@
+//! Examination of policy servers, for the commands `check`, `compare` and `doctor` of
+//! `policy-gateway`. [`conformance`] checks that a server keeps to the policy protocol. The rest is
+//! for servers that do, but whose rollouts fail: [`compare`] finds differences between the
+//! pipelines of two servers, [`diagnosis`] common mistakes of one. Both query servers in synthetic
+//! or recorded situations, and judge only the answers.
+//!
+//! `situation` is the input of a query, from [`synthetic`] or `recorded`; `variant`, `filter` and
+//! `layout` modify it; [`server`] and `panel` send queries; `fit` and `search` explain differences;
+//! [`difference`] and `report` put them into words.
+
+#![forbid(unsafe_code)]
+
+mod answers;
+mod chance;
+pub mod command;
+pub mod compare;
+pub mod conformance;
+mod descriptions;
+pub mod diagnosis;
+pub mod difference;
+mod filter;
+mod fit;
+mod layout;
+mod panel;
+pub mod pose;
+mod recorded;
+mod report;
+mod search;
+pub mod server;
+pub mod situation;
+pub mod synthetic;
+mod variant;

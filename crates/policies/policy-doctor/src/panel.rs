@@ -1,0 +1,156 @@
+//! The two compared servers with their situations. Queries a server in every situation, with the
+//! given changes and seeds.
+
+use proto::policy::{DescribeResponse, Observation};
+
+use crate::{
+    answers::Answers,
+    server::{Action, ExaminationError, Server},
+    situation::Situation,
+    variant::Variant,
+};
+
+/// First seed, which is no program's default.
+pub(crate) const SEED: u64 = 4_711;
+/// Queries per episode, all with the same observation, for stateful policies that answer one
+/// action at a time from a chunk: a single answer would show only its first action.
+const HELD_QUERIES: u32 = 4;
+
+/// Identifies one of the two servers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Side {
+    /// The first one named.
+    A,
+    /// The server named second.
+    B,
+}
+
+/// Both servers and their situations.
+pub(crate) struct Panel {
+    a: Server,
+    b: Server,
+    situations: Vec<Situation>,
+    /// Unchanged observations of all situations, by server.
+    shown_to_a: Vec<Observation>,
+    shown_to_b: Vec<Observation>,
+    queries: u32,
+}
+
+impl Panel {
+    /// Prepares the observations of both servers.
+    ///
+    /// # Errors
+    /// If a server needs an input that the situations lack.
+    pub(crate) fn new(
+        a: Server,
+        b: Server,
+        situations: Vec<Situation>,
+    ) -> Result<Self, ExaminationError> {
+        let shown = |server: &Server| -> Result<Vec<Observation>, ExaminationError> {
+            let shown = situations
+                .iter()
+                .map(|it| it.observation(&server.described));
+            shown
+                .collect::<Result<_, _>>()
+                .map_err(|missing| ExaminationError::Lacking {
+                    url: server.url.clone(),
+                    missing,
+                })
+        };
+        let (shown_to_a, shown_to_b) = (shown(&a)?, shown(&b)?);
+        let described = [&a.described, &b.described];
+        let one_by_one = described.iter().all(|it| it.horizon == 1);
+        let held = one_by_one && described.iter().any(|it| it.stateful);
+        Ok(Self {
+            shown_to_a,
+            shown_to_b,
+            situations,
+            queries: if held { HELD_QUERIES } else { 1 },
+            a,
+            b,
+        })
+    }
+
+    /// Returns a server's description.
+    pub(crate) fn described(&self, side: Side) -> &DescribeResponse {
+        &self.server(side).described
+    }
+
+    /// Returns one of the two servers.
+    pub(crate) fn server(&self, side: Side) -> &Server {
+        match side {
+            Side::A => &self.a,
+            Side::B => &self.b,
+        }
+    }
+
+    /// Returns the number of situations.
+    pub(crate) fn situations(&self) -> usize {
+        self.situations.len()
+    }
+
+    /// Returns the changes that apply to a server's observations in all situations.
+    pub(crate) fn variants(&self, side: Side) -> Vec<Variant> {
+        let other = match side {
+            Side::A => Side::B,
+            Side::B => Side::A,
+        };
+        let mut variants = Variant::all(self.described(side), self.described(other));
+        variants.retain(|it| {
+            self.situations
+                .iter()
+                .all(|situation| it.applies(situation))
+        });
+        variants
+    }
+
+    /// Queries a server in the first `count` situations, changed by `variants`, once per seed of
+    /// `seeds(situation)`.
+    ///
+    /// # Errors
+    /// If the server does not answer with actions.
+    pub(crate) async fn ask(
+        &self,
+        side: Side,
+        variants: &[Variant],
+        count: usize,
+        seeds: impl Fn(usize) -> Vec<u64>,
+    ) -> Result<Answers, ExaminationError> {
+        let shown = match side {
+            Side::A => &self.shown_to_a,
+            Side::B => &self.shown_to_b,
+        };
+        let mut asked = vec![];
+        for (at, situation) in self.situations.iter().take(count).enumerate() {
+            let mut observation = shown[at].clone();
+            for variant in variants {
+                variant.apply(situation, &mut observation);
+            }
+            let mut answers = vec![];
+            for seed in seeds(at) {
+                answers.push(self.chunk(side, situation, &observation, seed).await?);
+            }
+            asked.push(answers);
+        }
+        Ok(Answers::of(asked))
+    }
+
+    /// Plays one episode and returns its actions.
+    async fn chunk(
+        &self,
+        side: Side,
+        situation: &Situation,
+        observation: &Observation,
+        seed: u64,
+    ) -> Result<Vec<Action>, ExaminationError> {
+        let server = self.server(side);
+        let (suite, instruction) = (&situation.suite, &situation.instruction);
+        let mut episode = server.episode(suite, instruction, seed).await?;
+        let mut chunk = vec![];
+        for _ in 0..self.queries {
+            chunk.extend(episode.actions(observation.clone()).await?);
+        }
+        episode.end().await;
+        Ok(chunk)
+    }
+}

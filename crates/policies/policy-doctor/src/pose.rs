@@ -1,0 +1,123 @@
+//! Conversions between the representations of an orientation that policies use. Pure functions.
+
+/// A unit quaternion, x y z w.
+pub type Quaternion = [f64; 4];
+
+/// Returns axis times angle, rad, with the angle in 0..2π: a quaternion and its antipode differ,
+/// as in robosuite.
+pub fn axis_angle([x, y, z, w]: Quaternion) -> [f64; 3] {
+    let sine = (x * x + y * y + z * z).sqrt();
+    if sine == 0.0 {
+        return [0.0; 3];
+    }
+    let angle = 2.0 * sine.atan2(w);
+    [x, y, z].map(|it| it / sine * angle)
+}
+
+/// Returns the quaternion of an axis-angle; its w is negative for angles above π.
+pub fn from_axis_angle(rotation: [f64; 3]) -> Quaternion {
+    let [x, y, z] = rotation;
+    let angle = (x * x + y * y + z * z).sqrt();
+    if angle == 0.0 {
+        return [0.0, 0.0, 0.0, 1.0];
+    }
+    let (sine, cosine) = (angle / 2.0).sin_cos();
+    let [x, y, z] = rotation.map(|it| it / angle * sine);
+    [x, y, z, cosine]
+}
+
+/// Returns the rotation matrix in row-major order.
+pub(crate) fn matrix([x, y, z, w]: Quaternion) -> [f64; 9] {
+    [
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - z * w),
+        2.0 * (x * z + y * w),
+        2.0 * (x * y + z * w),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - x * w),
+        2.0 * (x * z - y * w),
+        2.0 * (y * z + x * w),
+        1.0 - 2.0 * (x * x + y * y),
+    ]
+}
+
+/// Returns the quaternion of a rotation matrix, with w ≥ 0.
+pub(crate) fn from_matrix(m: [f64; 9]) -> Quaternion {
+    // The diagonal gives each component's square; the largest component gives the signs.
+    let squares = [
+        1.0 + m[0] - m[4] - m[8],
+        1.0 - m[0] + m[4] - m[8],
+        1.0 - m[0] - m[4] + m[8],
+        1.0 + m[0] + m[4] + m[8],
+    ];
+    let largest = (0..4).max_by(|&i, &j| squares[i].total_cmp(&squares[j]));
+    let (xy, xz, yz) = (m[1] + m[3], m[2] + m[6], m[5] + m[7]);
+    let (xw, yw, zw) = (m[7] - m[5], m[2] - m[6], m[3] - m[1]);
+    let scaled = match largest {
+        Some(0) => [squares[0], xy, xz, xw],
+        Some(1) => [xy, squares[1], yz, yw],
+        Some(2) => [xz, yz, squares[2], zw],
+        _ => [xw, yw, zw, squares[3]],
+    };
+    let norm = scaled.iter().map(|it| it * it).sum::<f64>().sqrt();
+    let sign = if scaled[3] < 0.0 { -1.0 } else { 1.0 };
+    scaled.map(|it| sign * it / norm)
+}
+
+/// Returns roll, pitch and yaw, rad: rotations about the fixed axes x, y, z, in this order.
+pub fn roll_pitch_yaw(quaternion: Quaternion) -> [f64; 3] {
+    let m = matrix(quaternion);
+    [
+        m[7].atan2(m[8]),
+        (-m[6]).clamp(-1.0, 1.0).asin(),
+        m[3].atan2(m[0]),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn close(one: &[f64], other: &[f64]) -> bool {
+        one.iter().zip(other).all(|(a, b)| (a - b).abs() < 1e-9)
+    }
+
+    #[test]
+    fn every_form_leads_back_to_the_quaternion() {
+        for quaternion in [
+            [0.96, -0.2, 0.1, 0.0],
+            [0.5, 0.5, -0.5, 0.5],
+            [0.1, 0.9, 0.3, -0.2],
+            [0.0, 0.1, 0.9, 0.2],
+        ] {
+            let norm: f64 = quaternion.iter().map(|it| it * it).sum();
+            let quaternion = quaternion.map(|it: f64| it / norm.sqrt());
+            assert!(close(&from_axis_angle(axis_angle(quaternion)), &quaternion));
+            let sign = if quaternion[3] < 0.0 { -1.0 } else { 1.0 };
+            let positive = quaternion.map(|it| sign * it);
+            assert!(close(&from_matrix(matrix(quaternion)), &positive));
+        }
+    }
+
+    #[test]
+    fn the_antipode_has_another_axis_angle_and_the_same_matrix() {
+        let quaternion = from_axis_angle([3.0, 0.2, -0.1]);
+        let antipode = quaternion.map(|it| -it);
+        assert!(close(&matrix(quaternion), &matrix(antipode)));
+        let angle = axis_angle(antipode).iter().map(|it| it * it).sum::<f64>();
+        let whole = 2.0 * std::f64::consts::PI;
+        assert!((angle.sqrt() + (9.05_f64).sqrt() - whole).abs() < 1e-9);
+    }
+
+    #[test]
+    fn roll_pitch_and_yaw_are_those_of_the_fixed_axes() {
+        assert!(close(
+            &roll_pitch_yaw(from_axis_angle([0.3, 0.0, 0.0])),
+            &[0.3, 0.0, 0.0]
+        ));
+        assert!(close(
+            &roll_pitch_yaw(from_axis_angle([0.0, 0.0, -2.0])),
+            &[0.0, 0.0, -2.0]
+        ));
+    }
+}

@@ -1,0 +1,115 @@
+//! Situations from recorded sessions, with a policy's actual inputs.
+
+use std::path::Path;
+
+use policy_backends::recording::{self, Pair, Reader, RecordingError};
+
+use crate::situation::Situation;
+
+/// Takes up to `count` situations from the recordings of a folder, from as many sessions as
+/// possible and spread over the length of each.
+///
+/// # Errors
+/// If there is no recording, or one is damaged.
+pub(crate) fn situations(folder: &Path, count: usize) -> Result<Vec<Situation>, RecordingError> {
+    let files = recording::files(folder)?;
+    let mut situations = vec![];
+    for at in 0..count.min(files.len()) {
+        let file = &files[at * files.len() / count.min(files.len())];
+        // The first sessions contribute one more if `count` is not divisible.
+        let sessions = count.min(files.len());
+        let of_this = count / sessions + usize::from(at < count % sessions);
+        situations.extend(of_session(file, of_this)?);
+    }
+    match situations.is_empty() {
+        false => Ok(situations),
+        true => Err(RecordingError::None {
+            folder: folder.to_owned(),
+        }),
+    }
+}
+
+fn of_session(file: &Path, count: usize) -> Result<Vec<Situation>, RecordingError> {
+    let mut queries = 0;
+    let mut counting = Reader::open(file)?;
+    while counting.pair()?.is_some() {
+        queries += 1;
+    }
+    let count = count.min(queries);
+    let wanted: Vec<usize> = (0..count).map(|at| at * queries / count).collect();
+    let mut reader = Reader::open(file)?;
+    let mut situations = vec![];
+    let mut at = 0;
+    while let Some(pair) = reader.pair()? {
+        if wanted.contains(&at) {
+            situations.push(situation(&reader, pair));
+        }
+        at += 1;
+    }
+    Ok(situations)
+}
+
+fn situation(reader: &Reader, pair: Pair) -> Situation {
+    let shown = pair.query.observation.unwrap_or_default();
+    let readings = shown.state.iter();
+    Situation {
+        suite: reader.reset.suite.clone(),
+        instruction: reader.reset.instruction.clone(),
+        readings: readings.map(|it| (it.field(), it.values.clone())).collect(),
+        frames: shown.images,
+        privileged: shown.privileged,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::policy::{
+        DescribeResponse, InferRequest, InferResponse, Observation, ResetRequest, StateField,
+        StateReading,
+    };
+
+    use super::*;
+    use policy_backends::recording::Writer;
+
+    fn record(folder: &Path, session: &str, queries: u32) {
+        let reset = ResetRequest {
+            session: session.to_owned(),
+            instruction: session.to_owned(),
+            ..ResetRequest::default()
+        };
+        let mut writer =
+            Writer::begin(folder, &DescribeResponse::default(), &reset).expect("written");
+        for query_index in 0..queries {
+            let reading = StateReading {
+                field: StateField::EefPos.into(),
+                values: vec![f64::from(query_index); 3],
+            };
+            let query = InferRequest {
+                query_index,
+                observation: Some(Observation {
+                    state: vec![reading],
+                    ..Observation::default()
+                }),
+                ..InferRequest::default()
+            };
+            let answer = InferResponse::default();
+            writer.add(&Pair { query, answer }).expect("written");
+        }
+        writer.finish().expect("finished");
+    }
+
+    #[test]
+    fn situations_come_from_all_sessions_and_all_of_their_length() {
+        let folder = tempfile::tempdir().expect("a folder");
+        assert!(situations(folder.path(), 4).is_err());
+        record(folder.path(), "short", 1);
+        record(folder.path(), "long", 10);
+        let taken = situations(folder.path(), 4).expect("recordings");
+        let of = |session: &str| -> Vec<f64> {
+            let taken = taken.iter().filter(|it| it.instruction == session);
+            taken.map(|it| it.readings[0].1[0]).collect()
+        };
+        assert_eq!(of("short"), [0.0]);
+        assert_eq!(of("long"), [0.0, 5.0]);
+    }
+}

@@ -1,0 +1,167 @@
+//! Reports in lines of 80 columns, and in JSON as documented in docs/JSON.md.
+
+use proto::policy::DescribeResponse;
+use serde::Serialize;
+use terminal::wrapped;
+
+use crate::{
+    compare::Comparison,
+    conformance::verdict::Verdict,
+    descriptions::DescriptionDifference,
+    diagnosis::Finding,
+    difference::{Difference, Kind},
+};
+
+/// Indentation of a finding's continuation lines, columns.
+const INDENT: usize = 6;
+
+/// A queried server, as it describes itself.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Asked {
+    url: String,
+    name: String,
+    checkpoint: String,
+}
+
+impl Asked {
+    /// Creates the entry of the server at `url`.
+    pub(crate) fn new(url: &str, described: &DescribeResponse) -> Self {
+        Self {
+            url: url.to_owned(),
+            name: described.name.clone(),
+            checkpoint: described.checkpoint.clone(),
+        }
+    }
+
+    /// Formats a line with the server's name.
+    pub(crate) fn line(&self, letter: &str) -> String {
+        let checkpoint = match self.checkpoint.is_empty() {
+            true => String::new(),
+            false => format!(", checkpoint {}", self.checkpoint),
+        };
+        let Self { url, name, .. } = self;
+        wrapped("", INDENT, &format!("{letter} {url} ({name}{checkpoint})"))
+    }
+}
+
+/// Formats a comparison as lines.
+pub(crate) fn comparison(comparison: &Comparison) -> Vec<String> {
+    let Comparison {
+        descriptions,
+        differences,
+        note,
+    } = comparison;
+    let mut lines: Vec<String> = descriptions.iter().map(description).collect();
+    lines.extend(differences.iter().map(difference));
+    if differences.is_empty() {
+        let text = format!("the same observations get the same actions: {note}");
+        lines.push(wrapped("pass  ", INDENT, &text));
+        lines.push("the same".to_owned());
+    } else {
+        lines.push(wrapped("      ", INDENT, &format!("{note}.")));
+        lines.push("not the same".to_owned());
+    }
+    lines
+}
+
+fn description(difference: &DescriptionDifference) -> String {
+    let DescriptionDifference { what, a, b } = difference;
+    wrapped("note  ", INDENT, &format!("{what}: A {a}; B {b}"))
+}
+
+fn difference(difference: &Difference) -> String {
+    let Difference { kind, text } = difference;
+    let words = format!("{}: {text} {}", kind.name(), kind.meaning());
+    wrapped("FAIL  ", INDENT, &words)
+}
+
+/// Formats a finding as lines.
+pub(crate) fn finding(finding: &Finding) -> String {
+    let (word, text) = said(&finding.verdict);
+    let word = if word == "fail" { "FAIL" } else { word };
+    let separator = if text.is_empty() { "" } else { ": " };
+    let words = format!("{}{separator}{text}", finding.point);
+    wrapped(&format!("{word}  "), INDENT, &words)
+}
+
+fn said(verdict: &Verdict) -> (&'static str, &str) {
+    match verdict {
+        Verdict::Pass { note } => ("pass", note),
+        Verdict::Fail { reason } => ("fail", reason),
+        Verdict::Skip { reason } => ("skip", reason),
+    }
+}
+
+/// Output of `compare --json`.
+#[derive(Debug, Serialize)]
+pub(crate) struct ComparisonJson<'a> {
+    a: Asked,
+    b: Asked,
+    is_same: bool,
+    descriptions: &'a [DescriptionDifference],
+    differences: Vec<DifferenceJson<'a>>,
+    note: &'a str,
+}
+
+#[derive(Debug, Serialize)]
+struct DifferenceJson<'a> {
+    kind: Kind,
+    text: &'a str,
+    meaning: &'static str,
+}
+
+impl<'a> ComparisonJson<'a> {
+    /// Builds the report of a comparison of two servers.
+    pub(crate) fn of(a: Asked, b: Asked, comparison: &'a Comparison) -> Self {
+        let differences = comparison.differences.iter();
+        Self {
+            a,
+            b,
+            is_same: comparison.differences.is_empty(),
+            descriptions: &comparison.descriptions,
+            differences: differences
+                .map(|it| DifferenceJson {
+                    kind: it.kind,
+                    text: &it.text,
+                    meaning: it.kind.meaning(),
+                })
+                .collect(),
+            note: &comparison.note,
+        }
+    }
+}
+
+/// Output of `doctor --json`.
+#[derive(Debug, Serialize)]
+pub(crate) struct ExaminationJson<'a> {
+    server: Asked,
+    is_sound: bool,
+    findings: Vec<FindingJson<'a>>,
+}
+
+#[derive(Debug, Serialize)]
+struct FindingJson<'a> {
+    point: &'static str,
+    verdict: &'static str,
+    text: &'a str,
+}
+
+impl<'a> ExaminationJson<'a> {
+    /// Builds the report of all findings at a server.
+    pub(crate) fn of(server: Asked, findings: &'a [Finding]) -> Self {
+        let finding = |finding: &'a Finding| {
+            let (verdict, text) = said(&finding.verdict);
+            FindingJson {
+                point: finding.point.name(),
+                verdict,
+                text,
+            }
+        };
+        let findings: Vec<FindingJson<'a>> = findings.iter().map(finding).collect();
+        Self {
+            server,
+            is_sound: findings.iter().all(|it| it.verdict != "fail"),
+            findings,
+        }
+    }
+}

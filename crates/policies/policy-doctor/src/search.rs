@@ -1,0 +1,198 @@
+//! Searches for the usual differences between two pipelines that explain two servers' different
+//! answers. The explanation with the fewest assumptions comes first.
+
+use crate::{
+    answers::Answers,
+    fit::{Fit, Limit, fit},
+    panel::{Panel, Side},
+    server::ExaminationError,
+    variant::{Topic, Variant},
+};
+
+/// Most changes to observations in one explanation.
+const MOST_TOGETHER: usize = 3;
+/// Largest share of the remaining difference that another change may leave in order to be
+/// accepted.
+const PROGRESS: f64 = 0.75;
+
+/// Largest share of a difference that an explanation may leave; a larger remainder is a separate
+/// difference.
+const LEFT: f64 = 0.1;
+
+/// Setup of a search: the servers, the situations and the seeds.
+pub(crate) struct Course<'a> {
+    /// The servers and the situations.
+    pub panel: &'a Panel,
+    /// Seeds of a situation; answers to several are averaged.
+    pub seeds: &'a (dyn Fn(usize) -> Vec<u64> + Sync),
+    /// Differences up to this size count as none.
+    pub floor: Limit,
+    /// True if several simultaneous differences are searched for.
+    pub together: bool,
+}
+
+/// Changes to the observations, and a map of the actions.
+#[derive(Clone, Debug)]
+pub(crate) struct Explanation {
+    /// Changes to either server's observations that make the answers alike.
+    pub shown: Vec<(Side, Variant)>,
+    /// Map from A's actions to B's.
+    pub fit: Fit,
+}
+
+impl Explanation {
+    fn cost(&self) -> u32 {
+        self.fit.cost() + self.shown.len() as u32
+    }
+}
+
+/// Result of a search.
+#[derive(Clone, Debug)]
+pub(crate) enum Found {
+    /// This explanation makes the answers alike.
+    Explained(Explanation),
+    /// No explanation makes the answers alike; this one comes closest.
+    Nothing(Explanation),
+}
+
+impl Course<'_> {
+    /// Searches for an explanation of the difference between the answers `a` and `b` to the
+    /// unchanged situations. A change that explains nine tenths of a difference is accepted; the
+    /// remaining tenth is then searched separately.
+    ///
+    /// # Errors
+    /// If a server does not answer with actions.
+    pub(crate) async fn search(&self, a: &Answers, b: &Answers) -> Result<Found, ExaminationError> {
+        let mut limit = self.limit(fit(a, b, &[f64::INFINITY; 7]).left);
+        let plain = Explanation {
+            shown: vec![],
+            fit: fit(a, b, &limit),
+        };
+        let mut explained = match self.beyond(&plain, &limit, a, b).await? {
+            Found::Explained(explained) => explained,
+            nothing => return Ok(nothing),
+        };
+        while explained.shown.len() < MOST_TOGETHER && self.together {
+            let further = self.limit(explained.fit.left);
+            if further == limit || explained.fit.is_within(&self.floor) {
+                break;
+            }
+            limit = further;
+            let (one, other) = self.answers(&explained.shown, a, b).await?;
+            let fit = fit(&one, &other, &limit);
+            let shown = explained.shown.clone();
+            match self
+                .beyond(&Explanation { shown, fit }, &limit, a, b)
+                .await?
+            {
+                Found::Explained(more) => explained = more,
+                Found::Nothing(_) => break,
+            }
+        }
+        Ok(Found::Explained(explained))
+    }
+
+    /// Returns the largest remainder that counts as none for a difference of this size.
+    fn limit(&self, apart: Limit) -> Limit {
+        std::array::from_fn(|at| self.floor[at].max(LEFT * apart[at]))
+    }
+
+    /// Finds the simplest explanation that extends the known one.
+    async fn beyond(
+        &self,
+        known: &Explanation,
+        limit: &Limit,
+        a: &Answers,
+        b: &Answers,
+    ) -> Result<Found, ExaminationError> {
+        // No change to the observations could be simpler.
+        if known.fit.explains && known.fit.cost() <= 1 {
+            return Ok(Found::Explained(known.clone()));
+        }
+        let rest = |it: &Explanation| it.fit.remainder(limit);
+        let mut closest = known.clone();
+        let mut explanations: Vec<Explanation> = known
+            .fit
+            .explains
+            .then_some(known)
+            .cloned()
+            .into_iter()
+            .collect();
+        let depth = match self.together {
+            true => MOST_TOGETHER - known.shown.len(),
+            false => 1,
+        };
+        for _ in 0..depth {
+            let mut candidates = vec![];
+            for shown in self.further(&closest.shown) {
+                let (one, other) = self.answers(&shown, a, b).await?;
+                let fit = fit(&one, &other, limit);
+                candidates.push(Explanation { shown, fit });
+            }
+            explanations.extend(candidates.iter().filter(|it| it.fit.explains).cloned());
+            let simplest = explanations.iter().min_by(|one, other| {
+                let by_rest = || rest(one).total_cmp(&rest(other));
+                one.cost().cmp(&other.cost()).then_with(by_rest)
+            });
+            if let Some(simplest) = simplest {
+                return Ok(Found::Explained(simplest.clone()));
+            }
+            let nearest = candidates
+                .into_iter()
+                .min_by(|one, other| rest(one).total_cmp(&rest(other)));
+            match nearest {
+                Some(nearest) if rest(&nearest) < PROGRESS * rest(&closest) => closest = nearest,
+                _ => break,
+            }
+        }
+        Ok(Found::Nothing(closest))
+    }
+
+    /// Returns all extensions by one change, on a topic that is not yet used.
+    fn further(&self, shown: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
+        let touched: Vec<Topic> = shown.iter().map(|(_, it)| it.topic()).collect();
+        let mut further = vec![];
+        for side in [Side::A, Side::B] {
+            for variant in self.panel.variants(side) {
+                let again = side == Side::B
+                    && variant.is_its_own_inverse()
+                    && self.panel.variants(Side::A).contains(&variant);
+                if !again && !touched.contains(&variant.topic()) {
+                    further.push([shown, &[(side, variant)]].concat());
+                }
+            }
+        }
+        further
+    }
+
+    /// Returns both servers' answers under these changes.
+    async fn answers(
+        &self,
+        shown: &[(Side, Variant)],
+        a: &Answers,
+        b: &Answers,
+    ) -> Result<(Answers, Answers), ExaminationError> {
+        let one = self.changed(Side::A, shown).await?;
+        let other = self.changed(Side::B, shown).await?;
+        Ok((
+            one.unwrap_or_else(|| a.clone()),
+            other.unwrap_or_else(|| b.clone()),
+        ))
+    }
+
+    /// Returns one server's answers under its changes; `None` if it has none.
+    async fn changed(
+        &self,
+        side: Side,
+        shown: &[(Side, Variant)],
+    ) -> Result<Option<Answers>, ExaminationError> {
+        let of_side = shown.iter().filter(|(whose, _)| *whose == side);
+        let variants: Vec<Variant> = of_side.map(|(_, variant)| variant.clone()).collect();
+        if variants.is_empty() {
+            return Ok(None);
+        }
+        let all = self.panel.situations();
+        let answers = self.panel.ask(side, &variants, all, self.seeds).await?;
+        Ok(Some(answers))
+    }
+}

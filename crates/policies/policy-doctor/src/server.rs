@@ -1,0 +1,231 @@
+//! Client of a server under comparison or diagnosis: calls a route's back-end directly, so that
+//! its answers are seen unchanged.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU32, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use policy_backends::{
+    Backend, BackendError, BackendSpec, UnusableBackend, open, recording::RecordingError,
+};
+use policy_protocol::{ActionFault, DescriptionFault};
+use proto::policy::{DescribeResponse, InferRequest, InferResponse, Observation, ResetRequest};
+use thiserror::Error;
+use transport::{Access, chain};
+
+use crate::situation::MissingInput;
+
+/// Longest wait for an answer: models that compile at their first query take minutes.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(600);
+
+/// One action: translation (3), rotation (3), gripper.
+pub type Action = [f64; 7];
+
+/// Connected server with its description.
+pub struct Server {
+    /// URL as given.
+    pub(crate) url: String,
+    /// Description given by the server.
+    pub described: DescribeResponse,
+    backend: Arc<dyn Backend>,
+    /// Number of sessions opened so far.
+    sessions: AtomicU32,
+    /// Process id, which distinguishes this run's sessions from those of other runs.
+    run: u32,
+}
+
+/// An episode at a server.
+pub(crate) struct Episode<'a> {
+    server: &'a Server,
+    session: String,
+    next_query: u32,
+}
+
+/// Answer with its latency.
+pub(crate) struct Timed {
+    /// Answer of the server, unchecked.
+    pub(crate) response: InferResponse,
+    /// Time from query to answer.
+    pub(crate) took: Duration,
+}
+
+impl Server {
+    /// Connects to the server of a route and reads its description.
+    ///
+    /// # Errors
+    /// If the server cannot be reached, or its description is invalid.
+    pub async fn connect(
+        spec: &BackendSpec,
+        access: &Access,
+        suite: &str,
+    ) -> Result<Self, ExaminationError> {
+        let url = spec.to_string();
+        let backend = open(spec, access)?;
+        let described = in_time(&url, backend.describe(suite)).await?;
+        if let Err(fault) = policy_protocol::description(&described) {
+            return Err(ExaminationError::Description { url, fault });
+        }
+        Ok(Self {
+            url,
+            described,
+            backend,
+            sessions: AtomicU32::new(0),
+            run: std::process::id(),
+        })
+    }
+
+    /// Starts an episode.
+    ///
+    /// # Errors
+    /// If the server refuses the episode or does not answer.
+    pub(crate) async fn episode(
+        &self,
+        suite: &str,
+        instruction: &str,
+        seed: u64,
+    ) -> Result<Episode<'_>, ExaminationError> {
+        let number = self.sessions.fetch_add(1, Ordering::Relaxed);
+        let session = format!("referee {}: {number}", self.run);
+        let request = ResetRequest {
+            policy: String::new(),
+            session: session.clone(),
+            suite: suite.to_owned(),
+            instruction: instruction.to_owned(),
+            seed,
+        };
+        in_time(&self.url, self.backend.reset(request)).await?;
+        Ok(Episode {
+            server: self,
+            session,
+            next_query: 0,
+        })
+    }
+
+    /// Returns the actions of an answer after checking it.
+    ///
+    /// # Errors
+    /// If the answer is not a valid chunk of actions.
+    pub(crate) fn actions(&self, response: &InferResponse) -> Result<Vec<Action>, ActionFault> {
+        let actions = policy_protocol::actions(response, self.described.horizon)?;
+        Ok(actions.iter().map(|it| it.map(f64::from)).collect())
+    }
+}
+
+impl Episode<'_> {
+    /// Sends the next query.
+    ///
+    /// # Errors
+    /// If the server refuses the query, or does not answer within [`PATIENCE`].
+    pub(crate) async fn query(
+        &mut self,
+        observation: Observation,
+    ) -> Result<Timed, ExaminationError> {
+        let request = InferRequest {
+            policy: String::new(),
+            session: self.session.clone(),
+            query_index: self.next_query,
+            observation: Some(observation),
+            under_way: None,
+        };
+        self.next_query += 1;
+        let sent = Instant::now();
+        let response = in_time(&self.server.url, self.server.backend.infer(request)).await?;
+        Ok(Timed {
+            response,
+            took: sent.elapsed(),
+        })
+    }
+
+    /// Sends the next query, and returns the checked actions of its answer.
+    ///
+    /// # Errors
+    /// As [`Episode::query`], or if the answer is not a valid chunk of actions.
+    pub(crate) async fn actions(
+        &mut self,
+        observation: Observation,
+    ) -> Result<Vec<Action>, ExaminationError> {
+        let answer = self.query(observation).await?;
+        let actions = self.server.actions(&answer.response);
+        actions.map_err(|fault| ExaminationError::Nonsense {
+            url: self.server.url.clone(),
+            fault,
+        })
+    }
+
+    /// Ends the episode. Errors are ignored.
+    pub(crate) async fn end(self) {
+        let end = self.server.backend.end(&self.session);
+        // A server may ignore the end of an episode.
+        let _ = tokio::time::timeout(Duration::from_secs(5), end).await;
+    }
+}
+
+async fn in_time<T>(
+    url: &str,
+    answer: impl Future<Output = Result<T, BackendError>>,
+) -> Result<T, ExaminationError> {
+    let answer = tokio::time::timeout(PATIENCE, answer).await;
+    let answer = answer.map_err(|_| ExaminationError::Silent {
+        url: url.to_owned(),
+    })?;
+    answer.map_err(|error| ExaminationError::Answer {
+        url: url.to_owned(),
+        problem: chain(&error),
+    })
+}
+
+/// Reason why servers cannot be compared or diagnosed. Reads after "failed to …".
+#[derive(Debug, Error)]
+pub enum ExaminationError {
+    /// The address, the credentials or the recordings of a route cannot be used.
+    #[error(transparent)]
+    Backend(#[from] UnusableBackend),
+    /// The recordings cannot be used.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// The server does not answer in time.
+    #[error("get an answer of {url} within {} s", PATIENCE.as_secs())]
+    Silent {
+        /// URL as given.
+        url: String,
+    },
+    /// The server cannot be reached, or answers with an error.
+    #[error("get an answer of {url}: {problem}")]
+    Answer {
+        /// URL as given.
+        url: String,
+        /// Error of the server or of the connection.
+        problem: String,
+    },
+    /// The server's description cannot be used.
+    #[error("use what {url} says of itself: {fault}; `policy-gateway check {url}` says more")]
+    Description {
+        /// URL as given.
+        url: String,
+        /// Fault of the description.
+        fault: DescriptionFault,
+    },
+    /// The server's answer is not a valid chunk of actions.
+    #[error("compare what {url} answers: {fault}; `policy-gateway doctor {url}` says more")]
+    Nonsense {
+        /// URL as given.
+        url: String,
+        /// Fault of the answer.
+        fault: ActionFault,
+    },
+    /// The recordings lack an input that the server needs.
+    #[error(
+        "show {url} what was recorded: it wants {missing}, which the recordings lack; record a \
+         policy that wants them too, or leave --recorded out"
+    )]
+    Lacking {
+        /// URL as given.
+        url: String,
+        /// Missing input.
+        missing: MissingInput,
+    },
+}

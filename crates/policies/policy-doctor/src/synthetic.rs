@@ -1,0 +1,254 @@
+//! Synthetic situations: a table with texture at every scale and no symmetry, with a different arm
+//! pose and task in each situation. Equal in every run.
+
+use std::f64::consts::PI;
+
+use libero_ctrl::{Suite, TaskRef};
+use proto::policy::{DescribeResponse, Image, PrivilegedState, StateField};
+
+use crate::{conformance::scene, situation::Situation};
+
+/// Number of synthetic situations.
+pub(crate) const COUNT: usize = 8;
+/// Side of the frames, pixels, as in LIBERO.
+const SIDE: usize = 256;
+/// Index of the situation in which the colourful object fills much of the frame, as before a
+/// grasp.
+const CLOSE_UP: usize = 5;
+
+/// Generates situations for a suite, with frames of these cameras.
+pub fn situations(suite: Suite, cameras: &[&str]) -> Vec<Situation> {
+    let tasks: Vec<TaskRef> = suite.tasks().collect();
+    let situation = |at: usize| {
+        let mut chance = Chance(at as u64 + 1);
+        let hand = Hand::at_random(&mut chance, at);
+        let frames = cameras.iter().map(|camera| frame(camera, at));
+        Situation {
+            suite: suite.name().to_owned(),
+            instruction: tasks[at % tasks.len()].instruction(),
+            frames: frames.collect(),
+            readings: hand.readings(&mut chance),
+            privileged: Some(privileged(&hand, at)),
+        }
+    };
+    (0..COUNT).map(situation).collect()
+}
+
+/// Returns the cameras of all descriptions, without duplicates.
+pub fn cameras<'a>(described: &[&'a DescribeResponse]) -> Vec<&'a str> {
+    let cameras = described.iter().flat_map(|it| &it.cameras);
+    let mut names: Vec<&str> = cameras.map(|it| it.name.as_str()).collect();
+    names.sort_unstable();
+    names.dedup();
+    names
+}
+
+/// SplitMix64 generator, which is the same on every platform.
+struct Chance(u64);
+
+impl Chance {
+    /// Returns the next number, between -1 and 1.
+    fn number(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        2.0 * unit(mix(self.0)) - 1.0
+    }
+}
+
+fn mix(mut bits: u64) -> u64 {
+    bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    bits ^ (bits >> 31)
+}
+
+/// Maps bits to a number between 0 and 1.
+fn unit(bits: u64) -> f64 {
+    (bits >> 11) as f64 / (1_u64 << 53) as f64
+}
+
+struct Hand {
+    position: [f64; 3],
+    /// Orientation as a quaternion, x y z w.
+    quaternion: [f64; 4],
+    /// Opening of each finger, m.
+    opening: f64,
+}
+
+impl Hand {
+    /// Generates a hand that points roughly downwards. The sign of w, which distinguishes the two
+    /// quaternions of an orientation, alternates between situations.
+    fn at_random(chance: &mut Chance, at: usize) -> Self {
+        let sign = if at.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let [y, z, w] = [0.15, 0.3, 0.12].map(|size| size * chance.number());
+        let quaternion = [1.0, y, z, sign * (0.08 + w.abs())];
+        let norm = quaternion.iter().map(|it| it * it).sum::<f64>().sqrt();
+        Self {
+            position: [
+                -0.1 + 0.12 * chance.number(),
+                0.18 * chance.number(),
+                0.2 + 0.12 * chance.number(),
+            ],
+            quaternion: quaternion.map(|it| it / norm),
+            opening: 0.022 + 0.018 * chance.number(),
+        }
+    }
+
+    fn readings(&self, chance: &mut Chance) -> Vec<(StateField, Vec<f64>)> {
+        let rest = [0.0, -0.16, 0.0, -2.44, 0.0, 2.23, PI / 4.0];
+        let mut around = |centre: f64, size: f64| centre + size * chance.number();
+        vec![
+            (StateField::EefPos, self.position.to_vec()),
+            (StateField::EefQuatXyzw, self.quaternion.to_vec()),
+            (
+                StateField::JointPos,
+                rest.map(|it| around(it, 0.35)).to_vec(),
+            ),
+            (
+                StateField::JointVel,
+                rest.map(|_| around(0.0, 0.2)).to_vec(),
+            ),
+            (StateField::GripperPos, vec![self.opening, -self.opening]),
+            (StateField::GripperVel, vec![0.01, -0.01]),
+        ]
+    }
+}
+
+/// Returns the privileged scene of the conformance check, with its box moved.
+fn privileged(hand: &Hand, at: usize) -> PrivilegedState {
+    let wanting = DescribeResponse {
+        privileged: true,
+        ..DescribeResponse::default()
+    };
+    let mut state = scene::observation(&wanting, 0)
+        .privileged
+        .unwrap_or_default();
+    let mut chance = Chance(1000 + at as u64);
+    let moved = [0.06 * chance.number(), 0.06 * chance.number(), 0.0];
+    if let Some(thing) = state.entities.first_mut() {
+        for place in [&mut thing.pos, &mut thing.centre] {
+            place.iter_mut().zip(moved).for_each(|(it, by)| *it += by);
+        }
+    }
+    state.grip_pos = hand.position.to_vec();
+    state.gripper_opening = 2.0 * hand.opening;
+    state
+}
+
+/// Object on the table. Lengths are shares of the frame's width, from the lower left.
+struct Thing {
+    centre: [f64; 2],
+    half: [f64; 2],
+    round: bool,
+    colour: [f64; 3],
+}
+
+fn things(chance: &mut Chance, at: usize) -> Vec<Thing> {
+    // Only the first object is colourful, so that a policy that looks for colour finds one object.
+    let colours = [
+        [225.0, 35.0, 45.0],
+        [150.0, 110.0, 75.0],
+        [90.0, 120.0, 165.0],
+        [205.0, 205.0, 190.0],
+    ];
+    let mut things: Vec<Thing> = colours
+        .into_iter()
+        .map(|colour| Thing {
+            centre: [0; 2].map(|_| 0.5 + 0.36 * chance.number()),
+            half: [0; 2].map(|_| 0.085 + 0.04 * chance.number()),
+            round: chance.number() < 0.0,
+            colour,
+        })
+        .collect();
+    let (first, size) = (&mut things[0], if at == CLOSE_UP { 0.2 } else { 0.055 });
+    (first.half, first.round) = ([size, 0.9 * size], true);
+    // Draws the colourful object last, in front of the others.
+    things.rotate_left(1);
+    things
+}
+
+/// Renders a camera's frame: a lit table with grain and spots, and objects on it.
+fn frame(camera: &str, at: usize) -> Image {
+    let name = camera
+        .bytes()
+        .fold(17, |sum, byte| mix(sum ^ u64::from(byte)));
+    let mut chance = Chance(name ^ at as u64);
+    let things = things(&mut chance, at);
+    let light = [chance.number(), chance.number()].map(|it| 25.0 * it);
+    let spots = spots(name ^ at as u64);
+    let mut rgb = Vec::with_capacity(3 * SIDE * SIDE);
+    for row in 0..SIDE {
+        for column in 0..SIDE {
+            let place = [column, row].map(|it| (it as f64 + 0.5) / SIDE as f64);
+            let grain = mix(name ^ (at * SIDE * SIDE + row * SIDE + column) as u64);
+            let lit = 40.0 * (place[1] - 0.4)
+                + light[0] * place[0]
+                + light[1] * place[0] * place[1]
+                + spots(column, row)
+                + 24.0 * (unit(grain) - 0.5);
+            let inside = things.iter().rev().find(|it| it.covers(place));
+            let colour = inside.map_or([132.0, 122.0, 108.0], |it| it.colour);
+            rgb.extend(colour.map(|level| (level + lit).clamp(0.0, 255.0) as u8));
+        }
+    }
+    Image {
+        camera: camera.to_owned(),
+        width: SIDE as u32,
+        height: SIDE as u32,
+        rgb: rgb.into(),
+    }
+}
+
+impl Thing {
+    fn covers(&self, place: [f64; 2]) -> bool {
+        let [x, y] = [0, 1].map(|axis| (place[axis] - self.centre[axis]) / self.half[axis]);
+        match self.round {
+            true => x * x + y * y <= 1.0,
+            false => x.abs() <= 1.0 && y.abs() <= 1.0,
+        }
+    }
+}
+
+/// Returns smooth noise with spots of two sizes, in levels, by column and row.
+fn spots(key: u64) -> impl Fn(usize, usize) -> f64 {
+    let layer = move |cell: usize, column: usize, row: usize| {
+        let corner = |x: usize, y: usize| unit(mix(key ^ mix((cell * 4096 + y) as u64) ^ x as u64));
+        let ease = |it: usize| {
+            let t = (it % cell) as f64 / cell as f64;
+            t * t * (3.0 - 2.0 * t)
+        };
+        let (x, y) = (column / cell, row / cell);
+        let between = |one: f64, other: f64, share: f64| one + (other - one) * share;
+        let across = |y: usize| between(corner(x, y), corner(x + 1, y), ease(column));
+        between(across(y), across(y + 1), ease(row)) - 0.5
+    };
+    move |column, row| 36.0 * layer(48, column, row) + 24.0 * layer(11, column, row)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn situations_are_the_same_twice_and_each_another() {
+        let cameras = ["agentview", "robot0_eye_in_hand"];
+        let one = situations(Suite::Goal, &cameras);
+        let again = situations(Suite::Goal, &cameras);
+        assert_eq!(one.len(), COUNT);
+        for (at, (situation, again)) in one.iter().zip(&again).enumerate() {
+            assert_eq!(situation.frames, again.frames);
+            assert_ne!(situation.frames[0].rgb, situation.frames[1].rgb);
+            for other in &one[..at] {
+                assert_ne!(situation.frames[0].rgb, other.frames[0].rgb);
+                assert_ne!(situation.readings, other.readings);
+                assert_ne!(situation.instruction, other.instruction);
+            }
+        }
+    }
+
+    #[test]
+    fn quaternions_have_either_sign_of_w() {
+        let signs = situations(Suite::Object, &[]);
+        let signs = signs.iter().filter_map(Situation::quaternion);
+        let negative = signs.filter(|it| it[3] < 0.0).count();
+        assert_eq!(negative, COUNT / 2);
+    }
+}

@@ -1,0 +1,165 @@
+//! `doctor` finds a mistake planted in a server, and reports nothing for other servers.
+
+use std::time::Duration;
+
+use libero_ctrl::Suite;
+use policy_doctor::{
+    conformance::Verdict,
+    diagnosis::{Finding, Measures, Point, examine},
+    server::Server,
+    synthetic,
+};
+use proto::policy::{Language, StateField};
+
+use crate::{
+    planted::{Planted, hash},
+    scripted::serve,
+};
+
+const MEASURES: Measures = Measures {
+    answer_within: Duration::from_secs(50),
+    episodes: 3,
+};
+
+async fn examined(url: &str, measures: Measures) -> Vec<Finding> {
+    let spec = url.parse().expect("a back-end");
+    let server = Server::connect(&spec, &transport::Access::none(), "libero_goal").await;
+    let server = server.expect("it describes itself");
+    let cameras = synthetic::cameras(&[&server.described]);
+    let situations = synthetic::situations(Suite::Goal, &cameras);
+    let mut findings = vec![];
+    let mut report = |finding: &Finding| findings.push(finding.clone());
+    let sound = examine(&server, &situations, measures, &mut report).await;
+    let sound = sound.expect("it answers");
+    let failed = |it: &Finding| matches!(it.verdict, Verdict::Fail { .. });
+    assert_eq!(sound, !findings.iter().any(failed));
+    let points: Vec<Point> = findings.iter().map(|it| it.point).collect();
+    assert_eq!(points, Point::ALL);
+    findings
+}
+
+/// Returns the points on which a policy fails, with their messages.
+async fn failures(policy: Planted, measures: Measures) -> Vec<(Point, String)> {
+    let server = serve(policy).await;
+    let findings = examined(&format!("grpc://{}", server.address), measures).await;
+    let failed = findings.into_iter().filter_map(|it| match it.verdict {
+        Verdict::Fail { reason } => Some((it.point, reason)),
+        _ => None,
+    });
+    failed.collect()
+}
+
+/// Asserts that a planted mistake is found on exactly these points, the first with these words.
+async fn finds(policy: Planted, expected: &[Point], words: &str) {
+    let failed = failures(policy, MEASURES).await;
+    let points: Vec<Point> = failed.iter().map(|(point, _)| *point).collect();
+    assert_eq!(points, expected, "{failed:?}");
+    assert!(failed[0].1.contains(words), "{words:?} in {failed:?}");
+}
+
+#[tokio::test]
+async fn frames_that_are_not_looked_at_are_found_by_camera() {
+    let blind = Planted::sound().preparing(|seen| seen.frames.clear());
+    let words = "frames of agentview and robot0_eye_in_hand";
+    finds(blind, &[Point::Frames], words).await;
+    let half_blind = Planted::sound().preparing(|seen| seen.frames.truncate(1));
+    finds(half_blind, &[Point::Frames], "frames of robot0_eye_in_hand").await;
+}
+
+#[tokio::test]
+async fn a_gripper_that_never_opens_is_found() {
+    let share = Planted::sound().finishing(|actions| {
+        actions
+            .iter_mut()
+            .for_each(|it| it[6] = (it[6] + 1.0) / 2.0);
+    });
+    finds(share, &[Point::Gripper], "answer 1 - 2 g").await;
+}
+
+#[tokio::test]
+async fn actions_out_of_range_are_found() {
+    let large = Planted::sound().finishing(|actions| {
+        actions.iter_mut().flatten().for_each(|it| *it *= 40.0);
+    });
+    finds(large, &[Point::Range], "not un-normalised").await;
+}
+
+#[tokio::test]
+async fn an_arm_that_does_not_move_is_found() {
+    let still = Planted::sound().finishing(|actions| {
+        actions.iter_mut().for_each(|it| it[..6].fill(0.0));
+    });
+    finds(still, &[Point::Motion], "are 0").await;
+    let constant = Planted::sound().finishing(|actions| actions.fill([-0.2; 7]));
+    finds(constant, &[Point::Motion], "-0.200, -0.200").await;
+}
+
+#[tokio::test]
+async fn an_instruction_that_is_not_read_is_found_unless_it_is_declared() {
+    let deaf = || Planted::sound().preparing(|seen| seen.instruction.clear());
+    finds(deaf(), &[Point::Instructions], "8 other instructions").await;
+    let mut declared = deaf();
+    declared.described.language = Language::Ignored.into();
+    assert_eq!(failures(declared, MEASURES).await, []);
+}
+
+#[tokio::test]
+async fn an_answer_that_follows_no_observation_is_found() {
+    let absent = Planted::sound().preparing(|seen| {
+        seen.frames.clear();
+        seen.state.clear();
+    });
+    let points = [Point::Observations, Point::Frames];
+    finds(absent, &points, "8 observations get the same answer").await;
+}
+
+#[tokio::test]
+async fn numbers_that_are_none_are_found() {
+    let nan = Planted::sound().finishing(|actions| actions[1][3] = f64::NAN);
+    finds(nan, &[Point::Actions], "component 3 of action 1 is NaN").await;
+}
+
+#[tokio::test]
+async fn answers_that_come_too_late_are_found() {
+    let slow = Planted::sound().preparing(|_| std::thread::sleep(Duration::from_millis(30)));
+    let measures = Measures {
+        answer_within: Duration::from_millis(20),
+        episodes: 0,
+    };
+    let failed = failures(slow, measures).await;
+    assert_eq!(failed.len(), 1, "{failed:?}");
+    assert_eq!(failed[0].0, Point::Latency);
+    assert!(failed[0].1.contains("takes a server"), "{failed:?}");
+}
+
+#[tokio::test]
+async fn servers_that_make_no_mistake_are_not_accused() {
+    let sound: [fn() -> Planted; 5] = [
+        Planted::sound,
+        || Planted::drawing(0.3),
+        || {
+            let mut unseeded = Planted::drawing(0.1);
+            unseeded.described.unseeded = true;
+            unseeded.preparing(|seen| seen.seed = seen.asked_before)
+        },
+        || {
+            Planted::sound().preparing(|seen| {
+                let moved = 1e-5 * hash(&[9, seen.asked_before]);
+                seen.state.iter_mut().for_each(|it| *it += moved);
+            })
+        },
+        || {
+            let mut joints = Planted::sound().with_state(&[StateField::JointPos]);
+            joints.described.cameras.clear();
+            joints
+        },
+    ];
+    for policy in sound {
+        assert_eq!(failures(policy(), MEASURES).await, []);
+    }
+    let findings = examined("builtin:expert", MEASURES).await;
+    let failed = findings
+        .iter()
+        .filter(|it| matches!(it.verdict, Verdict::Fail { .. }));
+    assert_eq!(failed.count(), 0, "{findings:?}");
+}
