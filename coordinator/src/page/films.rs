@@ -109,14 +109,14 @@ fn film(lattice: &Lattice, set: AxisSet) -> Option<Film<'_>> {
         rows.map(move |(id, row)| (source, id, row))
     });
     let mut telling: Vec<_> = all
-        .filter(|(_, _, row)| row.success == Some(success))
+        .filter(|(_, _, row)| row.job.success == Some(success))
         .collect();
-    telling.sort_by_key(|(_, _, row)| (!row.is_filmed, row.replicate));
+    telling.sort_by_key(|(_, _, row)| (!row.is_filmed, row.job.replicate));
     let (source, id, row) = telling.into_iter().next()?;
     Some(Film {
         source,
         id,
-        replicate: row.replicate,
+        replicate: row.job.replicate,
         set,
         success,
         is_filmed: row.is_filmed,

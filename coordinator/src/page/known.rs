@@ -3,7 +3,7 @@
 
 use lattice::{Known, configurations, own_configurations};
 use libero_ctrl::{AxisSet, CampaignSpec, Condition, Explanation, RolloutId, Rollouts};
-use paired::{Outcome, Record};
+use paired::Record;
 use queue::read::{Campaign, SubsetRow, View};
 
 use super::campaign::address;
@@ -87,7 +87,7 @@ async fn source(view: &mut View, campaign: Campaign, asked: RolloutId) -> Result
     let ids: Vec<String> = ids.map(|id| id.to_string()).collect();
     let mut rows = view.subsets(campaign.id, &ids).await?;
     if let Some(first) = rows.first() {
-        let nominal = RolloutId::clean(asked.task(), first.init_id).to_string();
+        let nominal = RolloutId::clean(asked.task(), first.job.init_id).to_string();
         rows.extend(view.subsets(campaign.id, &[nominal]).await?);
     }
     Ok(Source { campaign, rows })
@@ -106,19 +106,8 @@ async fn explanation(view: &mut View, campaign: &Campaign) -> Result<Option<Expl
 }
 
 fn records(rows: &[SubsetRow]) -> Result<Vec<Record>, Problem> {
-    let record = |row: &SubsetRow| -> Result<Record, Problem> {
-        Ok(Record {
-            id: row.rollout_id.parse().map_err(ReadError::Name)?,
-            init_id: row.init_id,
-            replicate: row.replicate,
-            outcome: match (row.success, row.is_quarantined) {
-                (Some(success), _) => Outcome::from(success),
-                (None, true) => Outcome::Quarantined,
-                (None, false) => Outcome::Missing,
-            },
-        })
-    };
-    rows.iter().map(record).collect()
+    let records: Result<_, _> = rows.iter().map(|row| row.job.record()).collect();
+    Ok(records.map_err(ReadError::Name)?)
 }
 
 impl Source {
@@ -129,7 +118,8 @@ impl Source {
         full: AxisSet,
     ) -> impl Iterator<Item = (RolloutId, &SubsetRow)> {
         let rows = self.rows.iter();
-        let rows = rows.filter_map(|row| Some((row.rollout_id.parse::<RolloutId>().ok()?, row)));
+        let rows =
+            rows.filter_map(|row| Some((row.job.rollout_id.parse::<RolloutId>().ok()?, row)));
         rows.filter(move |(id, _)| id.condition().axes(full) == set)
     }
 }
@@ -143,7 +133,7 @@ impl Lattice {
     /// Returns true if a rollout exists under several, but not all, axes.
     pub(super) fn has_subsets(&self) -> bool {
         let rows = self.both().flat_map(|source| &source.rows);
-        let mut ids = rows.filter_map(|row| row.rollout_id.parse::<RolloutId>().ok());
+        let mut ids = rows.filter_map(|row| row.job.rollout_id.parse::<RolloutId>().ok());
         ids.any(|id| matches!(id.condition(), Condition::Subset(_)))
     }
 
@@ -157,7 +147,7 @@ impl Lattice {
                 Some(_) => id,
                 None => self.configuration,
             };
-            let address = address(source.campaign.name.as_str(), page, row.replicate);
+            let address = address(source.campaign.name.as_str(), page, row.job.replicate);
             Some(format!("{address}#{}", id.condition()))
         })
     }

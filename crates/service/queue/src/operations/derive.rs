@@ -10,8 +10,8 @@ use std::panic::resume_unwind;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use libero_ctrl::{CampaignSpec, Explanation, ManifestRow, Rollouts, Thresholds};
-use paired::{CampaignLook, Outcome, Record};
+use libero_ctrl::{CampaignSpec, Explanation, ManifestRow, Rollouts, Thresholds, UnknownName};
+use paired::{CampaignLook, Record};
 use sqlx::SqliteConnection;
 
 use super::context::Context;
@@ -21,8 +21,9 @@ use crate::ids::CampaignId;
 use crate::rules::explanation::{self, Wanted};
 use crate::rules::thresholds;
 use crate::store::campaigns;
-use crate::store::derivations::{self, Derived, OutcomeRow, SourceEdition};
+use crate::store::derivations::{self, Derived, SourceEdition};
 use crate::store::failpoint::Step;
+use crate::store::outcomes::OutcomeRow;
 use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, undecodable};
 
@@ -264,21 +265,10 @@ pub(super) async fn records(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
 ) -> Result<Vec<Record>, StoreError> {
-    let record = |row: OutcomeRow| {
-        Ok(Record {
-            id: row.rollout_id.parse().map_err(undecodable)?,
-            init_id: row.init_id,
-            replicate: row.replicate,
-            outcome: match (row.success, row.is_quarantined) {
-                (Some(success), _) => Outcome::from(success),
-                (None, true) => Outcome::Quarantined,
-                (None, false) => Outcome::Missing,
-            },
-        })
-    };
     let rows = derivations::outcomes(tx, campaign).await?;
-    let read = move || rows.into_iter().map(record).collect();
-    let records: Result<_, sqlx::Error> = aside(read).await;
+    let read = move || rows.iter().map(OutcomeRow::record).collect();
+    let records: Result<_, UnknownName> = aside(read).await;
+    let records = records.map_err(undecodable);
     records.doing("read the outcomes that a campaign follows from")
 }
 
