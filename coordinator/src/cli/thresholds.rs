@@ -6,7 +6,7 @@ use anyhow::anyhow;
 use clap::Args;
 use coordinator::client::Client;
 use libero_ctrl::{Condition, MAX_RADII, Record, Rollouts, TOLERANCES, Thresholds};
-use report::{HowFar, figures};
+use report::{ThresholdReport, figures};
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
@@ -82,12 +82,12 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         }
     }
     let found = async || {
-        let found = HowFar::of(&client.report(&name).await?);
+        let found = ThresholdReport::of(&client.report(&name).await?);
         let nothing = || anyhow!("show what `{name}` measures: it measures no thresholds");
         Ok(found.ok_or_else(nothing)?)
     };
-    let is_complete = |found: &HowFar| found.complete;
-    let found = derived::look(arguments.watch, found, is_complete, HowFar::text).await?;
+    let is_complete = |found: &ThresholdReport| found.complete;
+    let found = derived::look(arguments.watch, found, is_complete, ThresholdReport::text).await?;
     if let Some(folder) = &arguments.figures {
         write_figures(&figures::of_thresholds(&found), folder)?;
     }
@@ -135,8 +135,8 @@ async fn begin(
         seed: arguments.seed.unwrap_or_default(),
     };
     let campaign = client.report(&arguments.campaign).await?;
-    HowFar::is_affordable(&campaign, &thresholds).map_err(usage)?;
-    let prospect = HowFar::prospect(&campaign, &thresholds);
+    ThresholdReport::is_affordable(&campaign, &thresholds).map_err(usage)?;
+    let prospect = ThresholdReport::prospect(&campaign, &thresholds);
     let proposal = Proposal {
         name,
         source: &source,

@@ -1,13 +1,13 @@
 //! Explanation of an outcome as text and as films side by side: the minimal subset of axes that
 //! changes it, and the largest proper subsets that do not.
 
-use lattice::{Answer, Explanation, MinimalSubset};
+use adaptive::subsets::{Answer, Explanation, MinimalSubset};
 use libero_ctrl::{AxisSet, RolloutId};
 use maud::{Markup, html};
 use paired::Transition;
 
 use super::card::player;
-use super::known::{Lattice, Source};
+use super::lattice_view::{LatticeView, Source};
 use super::layout::breakable;
 
 /// Rendered films and their number.
@@ -48,7 +48,7 @@ pub(super) fn in_words(answer: &Answer, transition: Transition) -> Markup {
 }
 
 /// Renders the films of each answer's smallest minimal subset, preferring established ones.
-pub(super) fn films(lattice: &Lattice, explanation: &Explanation) -> Films {
+pub(super) fn films(lattice: &LatticeView, explanation: &Explanation) -> Films {
     let mut films = Films::default();
     let mut parts = Vec::new();
     for answer in &explanation.answers {
@@ -74,7 +74,7 @@ struct Film<'a> {
 }
 
 fn side_by_side(
-    lattice: &Lattice,
+    lattice: &LatticeView,
     minimal: &MinimalSubset,
     transition: Transition,
 ) -> (usize, Markup) {
@@ -101,9 +101,9 @@ fn side_by_side(
 }
 
 /// Returns a rollout with the known outcome of a subset, preferably a filmed one.
-fn film(lattice: &Lattice, set: AxisSet) -> Option<Film<'_>> {
-    let success = lattice.known.verdict(set).success()?;
-    let full = lattice.known.full();
+fn film(lattice: &LatticeView, set: AxisSet) -> Option<Film<'_>> {
+    let success = lattice.outcomes.verdict(set).success()?;
+    let full = lattice.outcomes.full();
     let all = lattice.both().flat_map(|source| {
         let rows = source.of(set, full);
         rows.map(move |(id, row)| (source, id, row))
@@ -143,7 +143,7 @@ fn card(film: &Film) -> Markup {
 }
 
 /// Renders the commands that produce the missing films.
-fn remedies(lattice: &Lattice, shown: &[Film]) -> Markup {
+fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
     let mut missing: Vec<&Source> = Vec::new();
     for film in shown.iter().filter(|film| !film.is_filmed) {
         let is_other = |it: &&Source| it.campaign.id != film.source.campaign.id;
