@@ -1,7 +1,6 @@
 //! Outcomes of one search by point.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Add;
+use std::collections::BTreeMap;
 
 use paired::{Count, Outcome};
 use serde::{Deserialize, Serialize};
@@ -42,7 +41,7 @@ impl Tally {
         }
     }
 
-    const fn add_outcome(&mut self, outcome: Outcome) {
+    const fn add(&mut self, outcome: Outcome) {
         match outcome {
             Outcome::Success => self.successes += 1,
             Outcome::Failure => self.failures += 1,
@@ -52,70 +51,68 @@ impl Tally {
     }
 }
 
-impl Add for Tally {
-    type Output = Self;
-
-    fn add(self, other: Self) -> Self {
-        Self {
-            successes: self.successes + other.successes,
-            failures: self.failures + other.failures,
-            pending: self.pending + other.pending,
-            quarantined: self.quarantined + other.quarantined,
-        }
-    }
-}
-
 /// Outcomes of one search by point: a subset of the axes, or a radius. Those of the source
 /// campaign and those of the campaign that runs the requests stay apart, because a budget
 /// pays for the latter only, and only they are evidence if the former select what is tested.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Outcomes<P> {
-    source: BTreeMap<P, Tally>,
-    own: BTreeMap<P, Tally>,
+pub struct Outcomes<P>(BTreeMap<P, Tallies>);
+
+/// Tallies of one point.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Tallies {
+    source: Tally,
+    own: Tally,
 }
 
 impl<P> Default for Outcomes<P> {
     fn default() -> Self {
-        Self {
-            source: BTreeMap::new(),
-            own: BTreeMap::new(),
-        }
+        Self(BTreeMap::new())
     }
 }
 
 impl<P: Copy + Ord> Outcomes<P> {
     /// Adds a rollout of the source campaign.
     pub fn record_source(&mut self, point: P, outcome: Outcome) {
-        self.source.entry(point).or_default().add_outcome(outcome);
+        self.0.entry(point).or_default().source.add(outcome);
     }
 
     /// Adds a requested rollout, with [`Outcome::Missing`] while it has no result.
     pub fn record(&mut self, point: P, outcome: Outcome) {
-        self.own.entry(point).or_default().add_outcome(outcome);
+        self.0.entry(point).or_default().own.add(outcome);
+    }
+
+    fn tallies(&self, point: P) -> Tallies {
+        self.0.get(&point).copied().unwrap_or_default()
     }
 
     /// Returns the tally of the source campaign's rollouts at a point.
     pub fn source(&self, point: P) -> Tally {
-        self.source.get(&point).copied().unwrap_or_default()
+        self.tallies(point).source
     }
 
     /// Returns the tally of the requested rollouts at a point.
     pub fn own(&self, point: P) -> Tally {
-        self.own.get(&point).copied().unwrap_or_default()
+        self.tallies(point).own
     }
 
     /// Returns the tally of both campaigns' rollouts at a point.
     pub fn both(&self, point: P) -> Tally {
-        self.source(point) + self.own(point)
+        let Tallies { source, own } = self.tallies(point);
+        Tally {
+            successes: source.successes + own.successes,
+            failures: source.failures + own.failures,
+            pending: source.pending + own.pending,
+            quarantined: source.quarantined + own.quarantined,
+        }
     }
 
-    /// Returns the points with a rollout in either campaign.
-    pub fn points(&self) -> BTreeSet<P> {
-        self.source.keys().chain(self.own.keys()).copied().collect()
+    /// Returns the points with a rollout in either campaign, in order.
+    pub fn points(&self) -> impl DoubleEndedIterator<Item = P> {
+        self.0.keys().copied()
     }
 
     /// Returns the number of rollouts requested beyond those of the source campaign.
     pub fn requested(&self) -> u32 {
-        self.own.values().map(Tally::asked).sum()
+        self.0.values().map(|tallies| tallies.own.asked()).sum()
     }
 }

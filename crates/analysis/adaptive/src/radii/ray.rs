@@ -45,8 +45,7 @@ impl Outcomes<Level> {
     /// Returns the radii beyond 0 with a requested rollout and their outcomes, in ascending
     /// order.
     pub fn perturbed(&self) -> impl DoubleEndedIterator<Item = (Level, Outcome)> {
-        let levels = self.points().into_iter();
-        let perturbed = levels.filter(|level| *level != Level::L0);
+        let perturbed = self.points().filter(|level| *level != Level::L0);
         perturbed.filter_map(|level| Some((level, self.at(level)?)))
     }
 

@@ -34,16 +34,16 @@ pub fn configurations(
     };
     let explained = decisive(explained, repeats.is_some());
     let records = Records::new(&explained).unwrap_or_default();
+    let full = records.axes().collect();
     let mut lattices = BTreeMap::new();
     for matched in records.configurations() {
         let id = simultaneous(matched.task, matched.level, matched.config);
         let Some(id) = id else { continue };
-        match lattices.entry(id) {
-            Entry::Vacant(new) => {
-                new.insert(Lattice::from_matched(matched, evidence)?);
-            }
-            Entry::Occupied(mut there) => there.get_mut().add_replicate(matched)?,
-        }
+        let lattice = match lattices.entry(id) {
+            Entry::Vacant(new) => new.insert(Lattice::new(full, evidence)?),
+            Entry::Occupied(there) => there.into_mut(),
+        };
+        lattice.add_replicate(matched)?;
     }
     for &Record { id, outcome, .. } in own {
         let name = simultaneous(id.task(), id.level(), id.number());

@@ -1,7 +1,5 @@
 //! Outcomes of one configuration under subsets of the axes.
 
-use std::collections::BTreeSet;
-
 use libero_ctrl::{Axis, AxisSet};
 use paired::{Matched, Outcome};
 
@@ -66,20 +64,9 @@ impl Lattice {
         }
     }
 
-    /// Collects the outcomes of a configuration in one replicate: under each axis alone,
-    /// under all axes, and nominally. A nominal rollout without an outcome is skipped,
-    /// because no decision waits for it.
-    ///
-    /// # Errors
-    /// If there are fewer than two axes.
-    pub fn from_matched(matched: &Matched, evidence: Evidence) -> Result<Self, LatticeError> {
-        let full: AxisSet = matched.alone.keys().copied().collect();
-        let mut lattice = Self::new(full, evidence)?;
-        lattice.add_replicate(matched)?;
-        Ok(lattice)
-    }
-
-    /// Adds another replicate of the same configuration.
+    /// Adds the outcomes of one replicate of the explained campaign: under each axis alone, under
+    /// all axes, and nominally. A nominal rollout without an outcome is skipped, because no
+    /// decision waits for it.
     ///
     /// # Errors
     /// If it has other axes.
@@ -182,7 +169,7 @@ impl Lattice {
     /// Returns true if a requested rollout, or one by which the configuration may be selected,
     /// has no result.
     pub(crate) fn is_waiting(&self) -> bool {
-        let mut sets = self.sets().into_iter().filter(|set| !set.is_empty());
+        let mut sets = self.sets().filter(|set| !set.is_empty());
         sets.any(|set| {
             self.verdict(set) == Verdict::Pending
                 || self.evidence != Evidence::Once && self.selecting(set).pending > 0
@@ -206,12 +193,12 @@ impl Lattice {
 
     /// Returns the subsets with evidence or a requested rollout and their tallies, in order.
     pub fn tallies(&self) -> impl Iterator<Item = (AxisSet, Tally)> {
-        let tallies = self.sets().into_iter().map(|set| (set, self.tally(set)));
+        let tallies = self.sets().map(|set| (set, self.tally(set)));
         tallies.filter(|(_, tally)| tally.asked() > 0)
     }
 
     /// Returns the subsets with a requested rollout in either campaign, in order.
-    pub(crate) fn sets(&self) -> BTreeSet<AxisSet> {
+    pub(crate) fn sets(&self) -> impl Iterator<Item = AxisSet> {
         self.outcomes.points()
     }
 

@@ -101,10 +101,7 @@ pub fn next(lattice: &Lattice, strategy: Strategy) -> Decision<Request> {
         Err(Unexplained::AwaitsRepeats) => return Decision::Run(short(lattice, of_transition)),
         Err(_) => return Decision::Done,
     }
-    let further = lattice
-        .sets()
-        .into_iter()
-        .filter(|set| !lattice.is_of_campaign(*set));
+    let further = lattice.sets().filter(|set| !lattice.is_of_campaign(*set));
     let replicates = short(lattice, further);
     if !replicates.is_empty() {
         return Decision::Run(replicates);

@@ -36,55 +36,36 @@ pub fn plan<'a>(
     configurations: &'a BTreeMap<RolloutId, Lattice>,
     sample: &Sample,
 ) -> Vec<(&'a RolloutId, Vec<Request>)> {
-    let mut candidates: Vec<Candidate<'a>> = configurations
-        .iter()
-        .map(|(name, lattice)| Candidate::of(name, lattice, sample.seed))
-        .collect();
+    let mut spent = 0;
+    let candidate = |(name, lattice): (&'a RolloutId, &'a Lattice)| {
+        let requested = lattice.outcomes().requested();
+        spent += requested;
+        (requested == 0, rank(name, sample.seed), name, lattice)
+    };
+    let mut candidates: Vec<_> = configurations.iter().map(candidate).collect();
     // Configurations in progress come first; a new one starts only if it can be finished.
-    candidates.sort_by_key(|candidate| (candidate.spent == 0, candidate.rank, candidate.name));
-    let spent: u32 = candidates.iter().map(|candidate| candidate.spent).sum();
+    candidates.sort_by_key(|&(is_new, rank, name, _)| (is_new, rank, name));
     let mut left = sample.budget.saturating_sub(spent);
     let mut alone = true;
     let mut batches = Vec::new();
-    for candidate in candidates {
-        let is_under_way = candidate.spent > 0;
-        let batch = match next(candidate.lattice, sample.strategy) {
+    for (is_new, _, name, lattice) in candidates {
+        let batch = match next(lattice, sample.strategy) {
             Decision::Run(batch) => batch,
-            Decision::Wait if is_under_way => Vec::new(),
+            Decision::Wait if !is_new => Vec::new(),
             Decision::Wait | Decision::Done => continue,
         };
-        let reserve = candidate.lattice.most_further_rollouts();
+        let reserve = lattice.most_further_rollouts();
         if reserve > left && !alone {
             break;
         }
         let batch = within(left, batch);
         if !batch.is_empty() {
-            batches.push((candidate.name, batch));
+            batches.push((name, batch));
         }
         left = left.saturating_sub(reserve);
         alone = false;
     }
     batches
-}
-
-struct Candidate<'a> {
-    name: &'a RolloutId,
-    lattice: &'a Lattice,
-    /// Position in the random order.
-    rank: u64,
-    /// Rollouts beyond those of the campaign.
-    spent: u32,
-}
-
-impl<'a> Candidate<'a> {
-    fn of(name: &'a RolloutId, lattice: &'a Lattice, seed: u64) -> Self {
-        Self {
-            name,
-            lattice,
-            rank: rank(name, seed),
-            spent: lattice.outcomes().requested(),
-        }
-    }
 }
 
 /// Truncates a batch to the affordable rollouts.

@@ -80,7 +80,7 @@ pub fn outcomes(lattice: &Lattice) -> Vec<SubsetOutcome> {
             interval: looks.and_then(|looks| clopper_pearson(tally.count(), 1.0 - looks.level)),
         }
     };
-    lattice.sets().into_iter().map(outcome).collect()
+    lattice.sets().map(outcome).collect()
 }
 
 /// Frequency of a minimal subset: a bar of an UpSet plot.

@@ -99,11 +99,7 @@ fn search(outcomes: &Outcomes, strategy: Strategy, cut: usize) -> Lattice {
     let mut lattice = campaign(outcomes);
     for _ in 0..=outcomes.len() {
         let Decision::Run(batch) = next(&lattice, strategy) else {
-            assert_eq!(
-                next(&lattice, strategy),
-                Decision::Done,
-                "nothing is pending"
-            );
+            assert_eq!(next(&lattice, strategy), Decision::Done);
             return lattice;
         };
         assert!(!batch.is_empty());
