@@ -15,7 +15,7 @@ mod compare;
 mod configuration;
 mod films;
 mod kept;
-mod known;
+mod lattice_view;
 mod layout;
 mod log_in;
 mod metrics;

@@ -182,17 +182,11 @@ fn digest(texts: &[&str]) -> String {
 }
 
 fn read_record(row: &RecordRow, own: &str) -> Result<Record, UnknownName> {
-    Ok(Record {
-        id: row.rollout_id.parse()?,
-        init_id: row.init_id,
-        replicate: row.replicate,
-        outcome: match row.success {
-            Some(_) if is_of_other_mode(row, own) => Outcome::Missing,
-            Some(success) => Outcome::from(success),
-            None if row.is_quarantined => Outcome::Quarantined,
-            None => Outcome::Missing,
-        },
-    })
+    let mut record = row.job.record()?;
+    if is_of_other_mode(row, own) {
+        record.outcome = Outcome::Missing;
+    }
+    Ok(record)
 }
 
 fn is_of_other_mode(row: &RecordRow, own: &str) -> bool {

@@ -1,6 +1,7 @@
 //! Derived campaigns, whose rollouts follow from the outcomes of another campaign: lookup,
 //! creation and progress, shared by `explain` and `thresholds`.
 
+use std::mem::discriminant;
 use std::time::Duration;
 
 use anyhow::anyhow;
@@ -9,76 +10,31 @@ use coordinator::client::{Client, Service};
 use libero_ctrl::{CampaignSpec, PolicyRoute, Realisation, Record, Rollouts, Wanted};
 use proto::coordinator::campaign_status::State;
 use proto::coordinator::{CampaignStatus, CreateCampaignRequest, GetCampaignRequest};
-use report::Prospect;
+use report::{Prospect, Subject};
 use terminal::counted;
 
-use super::command::{CommandError, failure, usage};
+use super::command::{CommandError, failure, print_line, usage};
 use super::forecast;
 
 /// Interval between two fetches of the findings.
 const LOOK_AGAIN: Duration = Duration::from_secs(2);
 
-/// Returns the rollouts that a campaign's specification defines; `None` if the campaign does not
-/// exist.
-pub(super) async fn rollouts(
-    client: &Client,
-    name: &str,
-) -> Result<Option<Rollouts>, CommandError> {
-    let all = client.list_campaigns().await?;
-    if !all.iter().any(|status| status.campaign == name) {
-        return Ok(None);
-    }
-    Ok(Some(spec(client, name).await?.rollouts))
-}
-
-/// Returns the specification of a campaign.
-pub(super) async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
-    let request = GetCampaignRequest {
-        campaign: name.to_owned(),
-    };
-    let answer = client.call(request, Service::get_campaign).await?;
-    CampaignSpec::from_json(&answer.spec).map_err(usage)
-}
-
-/// Creates a campaign whose rollouts follow from those of `source`, unless it exists with the same
-/// specification.
-pub(super) async fn create(
-    client: &Client,
-    source: &CampaignStatus,
-    name: &str,
-    rollouts: Rollouts,
-    record: Record,
-) -> Result<(), CommandError> {
-    let is_stopped = source.state() == State::Stopped;
-    let execution = self::spec(client, &source.campaign).await?.execution;
-    let spec = CampaignSpec {
-        name: name.to_owned(),
-        policy: PolicyRoute {
-            name: source.policy.clone(),
-            endpoint: source.policy_endpoint.clone(),
-        },
-        rollouts,
-        realisation: Realisation::Matched,
-        replicates: 1,
-        record,
-        wanted: Wanted::default(),
-        stop: None,
-        execution,
-    };
-    spec.check().map_err(usage)?;
-    let request = CreateCampaignRequest {
-        spec: serde_json::to_string(&spec).map_err(anyhow::Error::from)?,
-        priority: source.priority,
-    };
-    client.call(request, Service::create_campaign).await?;
-    let open = source.queued + source.leased;
-    if open > 0 && !is_stopped {
-        eprintln!(
-            "campaign {} has {open} rollouts without an outcome; {name} begins once it is finished",
-            source.campaign
-        );
-    }
-    Ok(())
+/// Campaign whose rollouts follow from those of another, to be shown, proposed or created.
+pub(super) struct Following<'a> {
+    /// Name of the campaign that it follows from.
+    pub(super) source: &'a str,
+    pub(super) name: &'a str,
+    /// Subcommand that creates and shows it.
+    pub(super) command: &'a str,
+    /// Singular noun for a subject of the campaign: `transition` or `threshold`.
+    pub(super) subject: &'a str,
+    pub(super) rollouts: Rollouts,
+    /// `None` if it records as its source does.
+    pub(super) record: Option<Record>,
+    /// True if flags were given that apply only to a campaign to be created.
+    pub(super) has_how_flags: bool,
+    /// True if the campaign must exist unless it is created.
+    pub(super) needs_it: bool,
 }
 
 /// The flags that say whether a campaign is created.
@@ -92,62 +48,102 @@ pub(super) struct CreateFlags {
     dry_run: bool,
 }
 
-/// Action on a derived campaign.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Action {
-    /// Create the campaign, unless it exists with the same specification.
-    Create,
-    /// Print the number of rollouts and the forecast, and create nothing.
-    Propose,
-    /// Show the findings of the existing campaign.
-    Show,
-}
-
-impl CreateFlags {
-    /// Returns the action that the flags request. `has_how_flags` is true if flags were given that
-    /// apply only to a campaign to be created, `needs_it` if the campaign must exist already.
-    pub(super) fn action(
-        self,
-        is_there: bool,
-        has_how_flags: bool,
-        needs_it: bool,
-        command: &str,
-    ) -> Result<Action, CommandError> {
-        match (self.create, self.dry_run) {
-            (true, _) => Ok(Action::Create),
-            (_, true) => Ok(Action::Propose),
-            _ if has_how_flags => Err(usage(anyhow!(
-                "read `{command}`: the flags that say how to run it need --create, or --dry-run to \
-                 see what it would take"
-            ))),
-            _ if is_there => Ok(Action::Show),
-            _ if needs_it => Err(failure(anyhow!(
-                "show the results of `{command}`: there is no such campaign yet; \
-                 `{command} --create` creates it"
-            ))),
-            _ => Ok(Action::Propose),
+impl Following<'_> {
+    /// Creates or proposes the campaign as the flags request; `prospect` computes its size from
+    /// its source. Returns false if there are no findings to show, because it was only proposed.
+    pub(super) async fn begin(
+        &self,
+        client: &Client,
+        flags: CreateFlags,
+        prospect: impl FnOnce(&Subject) -> Result<Prospect, CommandError>,
+    ) -> Result<bool, CommandError> {
+        let is_there = self.is_there(client).await?;
+        let command = format!("coordinator {} {}", self.command, self.source);
+        if !flags.create && !flags.dry_run {
+            if self.has_how_flags {
+                return Err(usage(anyhow!(
+                    "read `{command}`: the flags that say how to run it need --create, or \
+                     --dry-run to see what it would take"
+                )));
+            }
+            if is_there {
+                return Ok(true);
+            }
+            if self.needs_it {
+                return Err(failure(anyhow!(
+                    "show the results of `{command}`: there is no such campaign yet; \
+                     `{command} --create` creates it"
+                )));
+            }
         }
+        let source = client.campaign_status(self.source).await?;
+        let prospect = prospect(&client.report(self.source).await?)?;
+        let proposal = self.proposal(client, &source, &prospect).await;
+        if !flags.create {
+            let created = format!("nothing was created; `{command} --create` does that");
+            print_line(&format!("{proposal}\n{created}"))?;
+            return Ok(false);
+        }
+        self.create(client, &source).await?;
+        if !is_there {
+            eprintln!("{proposal}");
+        }
+        Ok(true)
     }
-}
 
-/// Campaign that may be created, and the rollouts that it would take.
-pub(super) struct Proposal<'a> {
-    pub(super) name: &'a str,
-    pub(super) source: &'a CampaignStatus,
-    /// Singular noun for a subject of the campaign: `transition` or `threshold`.
-    pub(super) subject: &'a str,
-    pub(super) prospect: &'a Prospect,
-}
+    /// Returns true if the campaign exists and follows from its source in the same way.
+    async fn is_there(&self, client: &Client) -> Result<bool, CommandError> {
+        let all = client.list_campaigns().await?;
+        if !all.iter().any(|status| status.campaign == self.name) {
+            return Ok(false);
+        }
+        let there = spec(client, self.name).await?.rollouts;
+        let is_alike = discriminant(&there) == discriminant(&self.rollouts);
+        Ok(is_alike && there.source() == Some(self.source))
+    }
 
-impl Proposal<'_> {
+    /// Creates the campaign, unless it exists with the same specification.
+    async fn create(&self, client: &Client, source: &CampaignStatus) -> Result<(), CommandError> {
+        let CampaignSpec {
+            record, execution, ..
+        } = spec(client, self.source).await?;
+        let spec = CampaignSpec {
+            name: self.name.to_owned(),
+            policy: PolicyRoute {
+                name: source.policy.clone(),
+                endpoint: source.policy_endpoint.clone(),
+            },
+            rollouts: self.rollouts.clone(),
+            realisation: Realisation::Matched,
+            replicates: 1,
+            record: self.record.unwrap_or(record),
+            wanted: Wanted::default(),
+            stop: None,
+            execution,
+        };
+        spec.check().map_err(usage)?;
+        let request = CreateCampaignRequest {
+            spec: serde_json::to_string(&spec).map_err(anyhow::Error::from)?,
+            priority: source.priority,
+        };
+        client.call(request, Service::create_campaign).await?;
+        let open = source.queued + source.leased;
+        if open > 0 && source.state() != State::Stopped {
+            eprintln!(
+                "campaign {} has {open} rollouts without an outcome; {} begins once it is finished",
+                source.campaign, self.name
+            );
+        }
+        Ok(())
+    }
+
     /// Describes the number of rollouts and a forecast of their duration.
-    pub(super) async fn in_words(&self, client: &Client) -> String {
-        let Self {
-            name,
-            source,
-            subject,
-            prospect,
-        } = self;
+    async fn proposal(
+        &self,
+        client: &Client,
+        source: &CampaignStatus,
+        prospect: &Prospect,
+    ) -> String {
         let rollouts = prospect.most_rollouts.iter();
         let rollouts = rollouts.map(|(suite, rollouts)| (suite.name(), *rollouts));
         let forecast = forecast::ask_of(client, &source.policy, rollouts, None).await;
@@ -160,13 +156,23 @@ impl Proposal<'_> {
             ),
         };
         let first = format!(
-            "campaign {name} takes at most {} for {}{open}",
+            "campaign {} takes at most {} for {}{open}",
+            self.name,
             counted(prospect.rollouts(), "rollout"),
-            counted(prospect.subjects, subject)
+            counted(prospect.subjects, self.subject)
         );
         let first = terminal::wrapped("", 2, &first);
         format!("{first}\n{}", forecast::in_words(&forecast, &source.policy))
     }
+}
+
+/// Returns the specification of a campaign.
+async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
+    let request = GetCampaignRequest {
+        campaign: name.to_owned(),
+    };
+    let answer = client.call(request, Service::get_campaign).await?;
+    CampaignSpec::from_json(&answer.spec).map_err(usage)
 }
 
 /// Fetches the findings once or, with `until_complete`, polls until they are complete. Prints the

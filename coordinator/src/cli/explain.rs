@@ -2,14 +2,13 @@
 
 use anyhow::anyhow;
 use clap::Args;
-use coordinator::client::Client;
 use libero_ctrl::{Explanation, Record, Rollouts};
-use report::Findings;
+use report::{Findings, Subject};
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::create::{RECORDS, one_of};
-use super::derived::{self, Action, CreateFlags, Proposal};
+use super::derived::{self, CreateFlags, Following};
 
 /// Most replicates of one subset.
 const MAX_REPEATS: u32 = 1_000;
@@ -65,21 +64,26 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
     let client = arguments.connection.client()?;
     let usual = || format!("{}-explained", arguments.campaign);
     let name = arguments.name.clone().unwrap_or_else(usual);
-    let is_there = is_there(&client, &arguments.campaign, &name).await?;
-    let command = format!("coordinator explain {}", arguments.campaign);
-    let needs_it = arguments.json || arguments.watch;
-    let how = arguments.asks_for_something();
-    let action = arguments.create.action(is_there, how, needs_it, &command)?;
-    if action != Action::Show {
-        let proposal = begin(&client, &arguments, &name, action).await?;
-        match action {
-            Action::Create if !is_there => eprintln!("{proposal}"),
-            Action::Create | Action::Show => {}
-            Action::Propose => {
-                let created = format!("nothing was created; `{command} --create` does that");
-                return Ok(print_line(&format!("{proposal}\n{created}"))?);
-            }
-        }
+    let explanation = Explanation {
+        campaign: arguments.campaign.clone(),
+        budget: arguments.budget,
+        seed: arguments.seed.unwrap_or_default(),
+        exhaustive: arguments.exhaustive,
+        repeats: arguments.repeats,
+    };
+    let following = Following {
+        source: &arguments.campaign,
+        name: &name,
+        command: "explain",
+        subject: "transition",
+        rollouts: Rollouts::Explanation(explanation.clone()),
+        record: arguments.record,
+        has_how_flags: arguments.asks_for_something(),
+        needs_it: arguments.json || arguments.watch,
+    };
+    let prospect = |source: &Subject| Findings::prospect(source, &explanation).map_err(usage);
+    if !following.begin(&client, arguments.create, prospect).await? {
+        return Ok(());
     }
     let found = async || {
         let by = client.report(&name).await?;
@@ -105,47 +109,4 @@ impl ExplainArguments {
             || self.repeats.is_some()
             || self.record.is_some()
     }
-}
-
-/// Returns true if the campaign `name` exists and explains `campaign`.
-async fn is_there(client: &Client, campaign: &str, name: &str) -> Result<bool, CommandError> {
-    let rollouts = derived::rollouts(client, name).await?;
-    Ok(matches!(rollouts, Some(Rollouts::Explanation(there)) if there.campaign == campaign))
-}
-
-/// Creates the campaign if `action` is [`Action::Create`], unless it exists with the same
-/// specification. Returns the rollouts that it takes and a forecast of their time, as text.
-async fn begin(
-    client: &Client,
-    arguments: &ExplainArguments,
-    name: &str,
-    action: Action,
-) -> Result<String, CommandError> {
-    let source = client.campaign_status(&arguments.campaign).await?;
-    let explanation = Explanation {
-        campaign: arguments.campaign.clone(),
-        budget: arguments.budget,
-        seed: arguments.seed.unwrap_or_default(),
-        exhaustive: arguments.exhaustive,
-        repeats: arguments.repeats,
-    };
-    let campaign = client.report(&arguments.campaign).await?;
-    let prospect = Findings::prospect(&campaign, &explanation).map_err(usage)?;
-    let proposal = Proposal {
-        name,
-        source: &source,
-        subject: "transition",
-        prospect: &prospect,
-    };
-    let words = proposal.in_words(client).await;
-    if action != Action::Create {
-        return Ok(words);
-    }
-    let rollouts = Rollouts::Explanation(explanation);
-    let record = match arguments.record {
-        Some(record) => record,
-        None => derived::spec(client, &arguments.campaign).await?.record,
-    };
-    derived::create(client, &source, name, rollouts, record).await?;
-    Ok(words)
 }

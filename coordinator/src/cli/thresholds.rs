@@ -4,13 +4,12 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::Args;
-use coordinator::client::Client;
 use libero_ctrl::{Condition, MAX_RADII, Record, Rollouts, TOLERANCES, Thresholds};
-use report::{HowFar, figures};
+use report::{Subject, ThresholdReport, figures};
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
-use super::derived::{self, Action, CreateFlags, Proposal};
+use super::derived::{self, CreateFlags, Following};
 use super::files::write_figures;
 
 /// Printed below the long help.
@@ -65,29 +64,31 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
     let client = arguments.connection.client()?;
     let usual = || format!("{}-thresholds", arguments.campaign);
     let name = arguments.name.clone().unwrap_or_else(usual);
-    let is_there = is_there(&client, &arguments.campaign, &name).await?;
-    let command = format!("coordinator thresholds {}", arguments.campaign);
-    let needs_it = arguments.json || arguments.watch || arguments.figures.is_some();
-    let how = arguments.asks_for_something();
-    let action = arguments.create.action(is_there, how, needs_it, &command)?;
-    if action != Action::Show {
-        let proposal = begin(&client, &arguments, &name, action).await?;
-        match action {
-            Action::Create if !is_there => eprintln!("{proposal}"),
-            Action::Create | Action::Show => {}
-            Action::Propose => {
-                let created = format!("nothing was created; `{command} --create` does that");
-                return Ok(print_line(&format!("{proposal}\n{created}"))?);
-            }
-        }
+    let thresholds = arguments.thresholds();
+    let following = Following {
+        source: &arguments.campaign,
+        name: &name,
+        command: "thresholds",
+        subject: "threshold",
+        rollouts: Rollouts::Thresholds(thresholds.clone()),
+        record: Some(Record::None),
+        has_how_flags: arguments.asks_for_something(),
+        needs_it: arguments.json || arguments.watch || arguments.figures.is_some(),
+    };
+    let prospect = |source: &Subject| {
+        ThresholdReport::is_affordable(source, &thresholds).map_err(usage)?;
+        Ok(ThresholdReport::prospect(source, &thresholds))
+    };
+    if !following.begin(&client, arguments.create, prospect).await? {
+        return Ok(());
     }
     let found = async || {
-        let found = HowFar::of(&client.report(&name).await?);
+        let found = ThresholdReport::of(&client.report(&name).await?);
         let nothing = || anyhow!("show what `{name}` measures: it measures no thresholds");
         Ok(found.ok_or_else(nothing)?)
     };
-    let is_complete = |found: &HowFar| found.complete;
-    let found = derived::look(arguments.watch, found, is_complete, HowFar::text).await?;
+    let is_complete = |found: &ThresholdReport| found.complete;
+    let found = derived::look(arguments.watch, found, is_complete, ThresholdReport::text).await?;
     if let Some(folder) = &arguments.figures {
         write_figures(&figures::of_thresholds(&found), folder)?;
     }
@@ -104,51 +105,20 @@ impl ThresholdsArguments {
         let measures = self.tolerance.or(self.max_radius).is_some();
         measures || !self.axes.is_empty() || self.budget.is_some() || self.seed.is_some()
     }
-}
 
-/// Returns true if the campaign `name` exists and measures thresholds of `campaign`.
-async fn is_there(client: &Client, campaign: &str, name: &str) -> Result<bool, CommandError> {
-    let rollouts = derived::rollouts(client, name).await?;
-    Ok(matches!(rollouts, Some(Rollouts::Thresholds(there)) if there.campaign == campaign))
-}
-
-/// Creates the campaign if `action` is [`Action::Create`], unless it exists with the same
-/// specification. Returns the rollouts that it takes and a forecast of their time, as text.
-async fn begin(
-    client: &Client,
-    arguments: &ThresholdsArguments,
-    name: &str,
-    action: Action,
-) -> Result<String, CommandError> {
-    let source = client.campaign_status(&arguments.campaign).await?;
-    let mut conditions = arguments.axes.clone();
-    conditions.sort();
-    conditions.dedup();
-    let thresholds = Thresholds {
-        campaign: arguments.campaign.clone(),
-        conditions,
-        tolerance: arguments.tolerance.unwrap_or(Thresholds::DEFAULT_TOLERANCE),
-        max_radius: arguments
-            .max_radius
-            .unwrap_or(Thresholds::DEFAULT_MAX_RADIUS),
-        budget: arguments.budget,
-        seed: arguments.seed.unwrap_or_default(),
-    };
-    let campaign = client.report(&arguments.campaign).await?;
-    HowFar::is_affordable(&campaign, &thresholds).map_err(usage)?;
-    let prospect = HowFar::prospect(&campaign, &thresholds);
-    let proposal = Proposal {
-        name,
-        source: &source,
-        subject: "threshold",
-        prospect: &prospect,
-    };
-    let words = proposal.in_words(client).await;
-    if action == Action::Create {
-        let rollouts = Rollouts::Thresholds(thresholds);
-        derived::create(client, &source, name, rollouts, Record::None).await?;
+    fn thresholds(&self) -> Thresholds {
+        let mut conditions = self.axes.clone();
+        conditions.sort();
+        conditions.dedup();
+        Thresholds {
+            campaign: self.campaign.clone(),
+            conditions,
+            tolerance: self.tolerance.unwrap_or(Thresholds::DEFAULT_TOLERANCE),
+            max_radius: self.max_radius.unwrap_or(Thresholds::DEFAULT_MAX_RADIUS),
+            budget: self.budget,
+            seed: self.seed.unwrap_or_default(),
+        }
     }
-    Ok(words)
 }
 
 fn condition(text: &str) -> Result<Condition, &'static str> {

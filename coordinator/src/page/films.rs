@@ -1,13 +1,13 @@
 //! Explanation of an outcome as text and as films side by side: the minimal subset of axes that
 //! changes it, and the largest proper subsets that do not.
 
-use lattice::{Answer, Explanation, MinimalSubset};
+use adaptive::subsets::{Answer, Explanation, MinimalSubset};
 use libero_ctrl::{AxisSet, RolloutId};
 use maud::{Markup, html};
 use paired::Transition;
 
 use super::card::player;
-use super::known::{Lattice, Source};
+use super::lattice_view::{LatticeView, Source};
 use super::layout::breakable;
 
 /// Rendered films and their number.
@@ -48,7 +48,7 @@ pub(super) fn in_words(answer: &Answer, transition: Transition) -> Markup {
 }
 
 /// Renders the films of each answer's smallest minimal subset, preferring established ones.
-pub(super) fn films(lattice: &Lattice, explanation: &Explanation) -> Films {
+pub(super) fn films(lattice: &LatticeView, explanation: &Explanation) -> Films {
     let mut films = Films::default();
     let mut parts = Vec::new();
     for answer in &explanation.answers {
@@ -74,7 +74,7 @@ struct Film<'a> {
 }
 
 fn side_by_side(
-    lattice: &Lattice,
+    lattice: &LatticeView,
     minimal: &MinimalSubset,
     transition: Transition,
 ) -> (usize, Markup) {
@@ -101,22 +101,22 @@ fn side_by_side(
 }
 
 /// Returns a rollout with the known outcome of a subset, preferably a filmed one.
-fn film(lattice: &Lattice, set: AxisSet) -> Option<Film<'_>> {
-    let success = lattice.known.verdict(set).success()?;
-    let full = lattice.known.full();
+fn film(lattice: &LatticeView, set: AxisSet) -> Option<Film<'_>> {
+    let success = lattice.outcomes.verdict(set).success()?;
+    let full = lattice.outcomes.full();
     let all = lattice.both().flat_map(|source| {
         let rows = source.of(set, full);
         rows.map(move |(id, row)| (source, id, row))
     });
     let mut telling: Vec<_> = all
-        .filter(|(_, _, row)| row.success == Some(success))
+        .filter(|(_, _, row)| row.job.success == Some(success))
         .collect();
-    telling.sort_by_key(|(_, _, row)| (!row.is_filmed, row.replicate));
+    telling.sort_by_key(|(_, _, row)| (!row.is_filmed, row.job.replicate));
     let (source, id, row) = telling.into_iter().next()?;
     Some(Film {
         source,
         id,
-        replicate: row.replicate,
+        replicate: row.job.replicate,
         set,
         success,
         is_filmed: row.is_filmed,
@@ -143,7 +143,7 @@ fn card(film: &Film) -> Markup {
 }
 
 /// Renders the commands that produce the missing films.
-fn remedies(lattice: &Lattice, shown: &[Film]) -> Markup {
+fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
     let mut missing: Vec<&Source> = Vec::new();
     for film in shown.iter().filter(|film| !film.is_filmed) {
         let is_other = |it: &&Source| it.campaign.id != film.source.campaign.id;

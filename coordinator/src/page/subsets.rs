@@ -2,14 +2,14 @@
 //! subsets that change its outcome, and their films.
 
 use ::report::figures;
-use lattice::Explained;
+use adaptive::subsets::Explained;
 use libero_ctrl::RolloutId;
 use maud::{Markup, html};
 use queue::read::{Campaign, View};
 
 use super::campaign::address;
 use super::films;
-use super::known::{Lattice, read};
+use super::lattice_view::{LatticeView, read};
 use super::problem::Problem;
 
 /// Rendered section of a configuration's page.
@@ -36,7 +36,7 @@ pub(super) async fn section(
     let Some(lattice) = read(view, campaign, asked).await? else {
         return Ok(Section::default());
     };
-    let found = Explained::of(lattice.configuration, &lattice.known).ok();
+    let found = Explained::of(lattice.configuration, &lattice.outcomes).ok();
     if !lattice.has_subsets() {
         let name = lattice.measured.campaign.name.as_str();
         let hint = html! {
@@ -52,12 +52,12 @@ pub(super) async fn section(
         };
         return Ok(Section { markup, films: 0 });
     }
-    let outcomes = lattice::outcomes(&lattice.known);
+    let outcomes = adaptive::subsets::outcomes(&lattice.outcomes);
     let explanation = found.as_ref().map(|it| &it.explanation);
     let link = |set| lattice.link(set);
     let picture = figures::lattice(
         lattice.configuration,
-        lattice.known.full(),
+        lattice.outcomes.full(),
         &outcomes,
         explanation,
         &link,
@@ -92,7 +92,7 @@ pub(super) async fn section(
 }
 
 /// Renders a link between the measuring and the explaining campaign, if both exist.
-fn sources(lattice: &Lattice, shown: &Campaign) -> Markup {
+fn sources(lattice: &LatticeView, shown: &Campaign) -> Markup {
     let to = |campaign: &Campaign| {
         let name = campaign.name.as_str();
         html! { a href={ "/campaigns/" (name) } { (name) } }

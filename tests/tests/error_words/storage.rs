@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
+use adaptive::subsets::{IncompleteLattice, LatticeError, Unexplained};
 use coordinator::ServeError;
 use coordinator::archive::ArchiveError;
 use coordinator::client::ClientError;
 use coordinator::reading::ReadError;
 use coordinator::storage::StorageError;
-use lattice::{IncompleteLattice, KnownError, Unexplained};
 use libero_ctrl::{Axis, AxisSet, NotMeasurable, RolloutId, SpecError, Suite};
 use paired::{DuplicateRecord, NotInOrder, Transition};
 use queue::expand::ExpandError;
@@ -280,10 +280,10 @@ fn reports(messages: &mut Messages) {
             set: axes,
         },
     );
-    variants!(messages, KnownError,
-        KnownError::TooFewAxes(_) => KnownError::TooFewAxes(AxisSet::of(Axis::Camera)),
-        KnownError::OtherAxes { .. } => KnownError::OtherAxes { set: axes, full: axes },
-        KnownError::TooFewRepeats { .. } => KnownError::TooFewRepeats {
+    variants!(messages, LatticeError,
+        LatticeError::TooFewAxes(_) => LatticeError::TooFewAxes(AxisSet::of(Axis::Camera)),
+        LatticeError::OtherAxes { .. } => LatticeError::OtherAxes { set: axes, full: axes },
+        LatticeError::TooFewRepeats { .. } => LatticeError::TooFewRepeats {
             axes: 6,
             repeats: 8,
             fewest: 12,
@@ -291,7 +291,7 @@ fn reports(messages: &mut Messages) {
     );
     variants!(messages, NoInteractions,
         NoInteractions::Axes(_) => {
-            NoInteractions::Axes(KnownError::TooFewAxes(AxisSet::of(Axis::Camera)))
+            NoInteractions::Axes(LatticeError::TooFewAxes(AxisSet::of(Axis::Camera)))
         },
         NoInteractions::Empty(_) => NoInteractions::Empty(text()),
         NoInteractions::Incomplete { .. } => NoInteractions::Incomplete {

@@ -8,10 +8,10 @@ use libero_ctrl::{Condition, Level, RolloutId};
 use paired::{Cell, DuplicateRecord, Matched, Options, Outcome, Progress, Record, Records, Report};
 
 use crate::explanation::Findings;
-use crate::how_far::HowFar;
 use crate::interactions::AxisInteractions;
 use crate::sequential::Sequential;
 use crate::subject::Subject;
+use crate::threshold_report::ThresholdReport;
 use crate::warnings;
 
 /// The analysis of one policy.
@@ -36,7 +36,7 @@ pub struct Analysis {
     /// Explanations of another campaign's transitions, if it explains one.
     pub findings: Option<Findings>,
     /// Thresholds of another campaign, if it measures them.
-    pub how_far: Option<HowFar>,
+    pub thresholds: Option<ThresholdReport>,
     /// Interactions of the axes, where configurations have their whole lattice.
     pub interactions: Option<AxisInteractions>,
 }
@@ -90,7 +90,7 @@ impl Analysis {
         Ok(Self {
             label,
             interactions: AxisInteractions::of(&subject).ok(),
-            how_far: HowFar::of(&subject),
+            thresholds: ThresholdReport::of(&subject),
             progress: subject
                 .progress
                 .iter()

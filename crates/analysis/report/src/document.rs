@@ -10,10 +10,10 @@ use serde::Serialize;
 use crate::analysis::Analysis;
 use crate::comparison::{Comparison, Unpairable};
 use crate::explanation::Findings;
-use crate::how_far::HowFar;
 use crate::interactions;
 use crate::sequential::Sequential;
 use crate::subject::{Origin, Quarantined, Subject};
+use crate::threshold_report::ThresholdReport;
 use crate::warnings;
 
 /// Columns of a terminal. Errors are cut there; the JSON form has them whole.
@@ -70,7 +70,7 @@ struct JsonReport<'a> {
     /// Form of `explain --json`.
     explanation: Option<&'a Findings>,
     /// Form of `thresholds --json`.
-    thresholds: Option<&'a HowFar>,
+    thresholds: Option<&'a ThresholdReport>,
     /// Form of `interactions --json`.
     interactions: Option<interactions::JsonForm<'a>>,
 }
@@ -138,7 +138,7 @@ impl Document {
             sequential: analysis.sequential.as_ref(),
             report: &analysis.report,
             explanation: analysis.findings.as_ref(),
-            thresholds: analysis.how_far.as_ref(),
+            thresholds: analysis.thresholds.as_ref(),
             interactions: analysis.interactions.as_ref().map(|it| it.form()),
         });
         let text = serde_json::to_string_pretty(&JsonForm {
@@ -297,7 +297,7 @@ fn push_found(text: &mut String, analysis: &Analysis) {
     if let Some(findings) = &analysis.findings {
         text.push_str(&findings.text());
     }
-    if let Some(far) = &analysis.how_far {
+    if let Some(far) = &analysis.thresholds {
         text.push_str(&far.text());
     }
 }

@@ -1,18 +1,20 @@
 //! Findings of a campaign that explains another, as text for a terminal and as JSON.
-//! The crate `lattice` defines minimal subsets and chooses the subsets to run.
+//! `adaptive::subsets` defines minimal subsets and chooses the subsets to run.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use lattice::{
-    Answer, Decision, Explained, Known, KnownError, Occurrence, Repeats, Sample, Unexplained,
-    Verdict, configurations, next, occurrences, plan, selected,
+use adaptive::Decision;
+use adaptive::subsets::{
+    Answer, Explained, Lattice, LatticeError, Occurrence, Repeats, Sample, Unexplained, Verdict,
+    configurations, next, occurrences, plan, selected,
 };
 use libero_ctrl::{AxisSet, Explanation, JsonError};
 use paired::{Outcome, Record, Transition, push_wrapped};
 use serde::Serialize;
 
 use crate::subject::{Prospect, Subject, things};
+use crate::words::push_name;
 
 /// Width of the column of axis names, in characters.
 const NAMES: usize = 52;
@@ -51,29 +53,32 @@ impl Findings {
     ///
     /// # Errors
     /// If the campaign perturbs only one axis, or so few repeats decide nothing.
-    pub fn prospect(campaign: &Subject, explanation: &Explanation) -> Result<Prospect, KnownError> {
-        let known = configurations(&campaign.counted(), &[], explanation)?;
+    pub fn prospect(
+        campaign: &Subject,
+        explanation: &Explanation,
+    ) -> Result<Prospect, LatticeError> {
+        let lattices = configurations(&campaign.counted(), &[], explanation.repeats)?;
         let mut prospect = Prospect {
             subjects: 0,
             most_rollouts: BTreeMap::new(),
         };
-        for (configuration, known) in &known {
-            let axes = known.full().len();
+        for (configuration, lattice) in &lattices {
+            let axes = lattice.full().len();
             if let Some(repeats) = explanation.repeats
                 && repeats < Repeats::fewest(axes)
             {
                 let fewest = Repeats::fewest(axes);
-                return Err(KnownError::TooFewRepeats {
+                return Err(LatticeError::TooFewRepeats {
                     axes,
                     repeats,
                     fewest,
                 });
             }
-            if selected(known).is_ok() {
+            if selected(lattice).is_ok() {
                 let suite = configuration.task().suite();
                 prospect.subjects += 1;
                 *prospect.most_rollouts.entry(suite).or_default() +=
-                    u64::from(known.most_further_rollouts());
+                    u64::from(lattice.most_further_rollouts());
             }
         }
         if let Some(budget) = explanation.budget {
@@ -87,18 +92,18 @@ impl Findings {
     ///
     /// # Errors
     /// If the explained campaign perturbs only one axis.
-    pub fn of(by: &Subject) -> Result<Option<Self>, KnownError> {
+    pub fn of(by: &Subject) -> Result<Option<Self>, LatticeError> {
         let Some((explanation, records)) = by.explains() else {
             return Ok(None);
         };
-        let known = configurations(records, &by.records, explanation)?;
+        let lattices = configurations(records, &by.records, explanation.repeats)?;
         let sample = Sample::of(explanation);
         let mut findings = Self {
             campaign: explanation.campaign.clone(),
             explained_by: by.origin_name().to_owned(),
             policy: by.policy.clone(),
             // A missing outcome may still turn out to be a transition.
-            complete: records.iter().all(is_settled) && plan(&known, &sample).is_empty(),
+            complete: records.iter().all(is_settled) && plan(&lattices, &sample).is_empty(),
             transitions: 0,
             explained: 0,
             not_confirmed: 0,
@@ -108,8 +113,8 @@ impl Findings {
             subsets: Vec::new(),
             configurations: Vec::new(),
         };
-        for (&configuration, known) in &known {
-            let explained = match Explained::of(configuration, known) {
+        for (&configuration, lattice) in &lattices {
+            let explained = match Explained::of(configuration, lattice) {
                 Ok(explained) => explained,
                 Err(Unexplained::NominalFails) => {
                     findings.nominal_fails += 1;
@@ -118,14 +123,14 @@ impl Findings {
                 Err(why @ (Unexplained::AwaitsRepeats | Unexplained::NotConfirmed)) => {
                     findings.transitions += 1;
                     findings.not_confirmed += u64::from(why == Unexplained::NotConfirmed);
-                    findings.waiting += waiting(known);
+                    findings.waiting += waiting(lattice);
                     continue;
                 }
                 Err(Unexplained::Incomplete | Unexplained::Unchanged(_)) => continue,
             };
             findings.transitions += 1;
-            findings.explained += u64::from(next(known, sample.strategy) == Decision::Done);
-            findings.waiting += waiting(known);
+            findings.explained += u64::from(next(lattice, sample.strategy) == Decision::Done);
+            findings.waiting += waiting(lattice);
             if explained.rollouts > 0 {
                 findings.configurations.push(explained);
             }
@@ -209,8 +214,8 @@ impl Findings {
 }
 
 /// Returns the number of requested rollouts without an outcome.
-fn waiting(known: &Known) -> u64 {
-    known
+fn waiting(lattice: &Lattice) -> u64 {
+    lattice
         .tallies()
         .map(|(_, tally)| u64::from(tally.pending))
         .sum()
@@ -234,11 +239,7 @@ fn push_subsets(text: &mut String, title: &str, occurrences: &[&Occurrence]) {
     for occurrence in occurrences {
         let (found, established) = (occurrence.configurations, occurrence.established);
         let name = subset(occurrence.start, occurrence.set);
-        if name.len() < NAMES {
-            let _ = write!(text, "{name:NAMES$}");
-        } else {
-            let _ = write!(text, "{name}\n{:NAMES$}", "");
-        }
+        push_name(text, &name, NAMES);
         let _ = writeln!(text, "{found:>15}{established:>13}");
     }
 }

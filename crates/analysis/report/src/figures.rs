@@ -28,7 +28,7 @@ use paired::Transition;
 
 use crate::analysis::Analysis;
 use crate::document::Document;
-use crate::how_far::HowFar;
+use crate::threshold_report::ThresholdReport;
 
 pub use self::lattice::{SubsetLink, lattice};
 pub use decomposition::decomposition;
@@ -138,8 +138,8 @@ pub fn levels(document: &Document) -> Vec<Level> {
 }
 
 /// Draws the survival curves of a campaign that measures thresholds.
-pub fn of_thresholds(found: &HowFar) -> Vec<Figure> {
-    found.curves.iter().filter_map(survival).collect()
+pub fn of_thresholds(report: &ThresholdReport) -> Vec<Figure> {
+    report.curves.iter().filter_map(survival).collect()
 }
 
 /// Draws all figures of a document, in the page's order.
@@ -167,7 +167,7 @@ pub fn all(document: &Document) -> Vec<Figure> {
             let transitions = [Transition::Emergent, Transition::Compensated];
             figures.extend(transitions.iter().filter_map(|it| upset(findings, *it)));
         }
-        figures.extend(analysis.how_far.iter().flat_map(of_thresholds));
+        figures.extend(analysis.thresholds.iter().flat_map(of_thresholds));
         for level in analysis.interactions.iter().flat_map(|it| &it.levels) {
             figures.extend([
                 interaction_matrix(analysis, level),

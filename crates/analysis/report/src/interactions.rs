@@ -1,13 +1,13 @@
 //! Interactions of the axes in a campaign by level, over the configurations whose whole
-//! lattice was run, as text for a terminal and as JSON. The crate `lattice` defines the
-//! interactions.
+//! lattice was run, as text for a terminal and as JSON. `adaptive::subsets` defines
+//! the interactions.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use lattice::{
-    CompleteLattice, Estimate, IncompleteLattice, Interactions, Known, KnownError, configurations,
-    own_configurations,
+use adaptive::subsets::{
+    CompleteLattice, Estimate, IncompleteLattice, Interactions, Lattice, LatticeError,
+    configurations, own_configurations,
 };
 use libero_ctrl::{Axis, AxisSet, JsonError, Level, RolloutId};
 use paired::{Bootstrap, push_wrapped};
@@ -53,7 +53,7 @@ pub struct LevelInteractions {
 pub enum NoInteractions {
     /// The campaign perturbs one axis.
     #[error(transparent)]
-    Axes(#[from] KnownError),
+    Axes(#[from] LatticeError),
     /// The campaign has no perturbed configuration.
     #[error("compute the interactions of `{0}`: it perturbs nothing; create it with `--axes`")]
     Empty(String),
@@ -84,8 +84,10 @@ impl AxisInteractions {
     pub fn of(subject: &Subject) -> Result<Self, NoInteractions> {
         let campaign = subject.origin_name();
         let explains = subject.explains();
-        let known = match explains {
-            Some((explanation, records)) => configurations(records, &subject.records, explanation)?,
+        let lattices = match explains {
+            Some((explanation, records)) => {
+                configurations(records, &subject.records, explanation.repeats)?
+            }
             None => own_configurations(&subject.counted())?,
         };
         let mut notes = Vec::new();
@@ -100,8 +102,11 @@ impl AxisInteractions {
         let bootstrap = Bootstrap::default();
         let mut levels: BTreeMap<Level, Vec<Result<CompleteLattice, IncompleteLattice>>> =
             BTreeMap::new();
-        for (id, known) in &known {
-            levels.entry(id.level()).or_default().push(whole(id, known));
+        for (id, lattice) in &lattices {
+            levels
+                .entry(id.level())
+                .or_default()
+                .push(whole(id, lattice));
         }
         let of_level = |(level, lattices): (Level, Vec<Result<_, _>>)| {
             let all = lattices.len() as u64;
@@ -113,9 +118,9 @@ impl AxisInteractions {
             })
         };
         let levels: Vec<LevelInteractions> = levels.into_iter().filter_map(of_level).collect();
-        match known
+        match lattices
             .iter()
-            .find_map(|(id, known)| Some((id, whole(id, known).err()?)))
+            .find_map(|(id, lattice)| Some((id, whole(id, lattice).err()?)))
         {
             _ if !levels.is_empty() => Ok(Self {
                 campaign: campaign.to_owned(),
@@ -127,7 +132,7 @@ impl AxisInteractions {
             None => Err(NoInteractions::Empty(campaign.to_owned())),
             Some((first, gap)) => Err(NoInteractions::Incomplete {
                 campaign: campaign.to_owned(),
-                configurations: known.len(),
+                configurations: lattices.len(),
                 first: *first,
                 gap,
             }),
@@ -184,8 +189,10 @@ impl AxisInteractions {
 ///
 /// # Errors
 /// If an outcome is missing.
-fn whole(id: &RolloutId, known: &Known) -> Result<CompleteLattice, IncompleteLattice> {
-    CompleteLattice::new(id.task(), known.full(), |set| known.verdict(set).success())
+fn whole(id: &RolloutId, lattice: &Lattice) -> Result<CompleteLattice, IncompleteLattice> {
+    CompleteLattice::new(id.task(), lattice.full(), |set| {
+        lattice.verdict(set).success()
+    })
 }
 
 impl LevelInteractions {

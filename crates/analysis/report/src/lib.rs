@@ -13,7 +13,6 @@ mod comparison;
 mod document;
 mod explanation;
 pub mod figures;
-mod how_far;
 mod import;
 mod interactions;
 mod page;
@@ -21,6 +20,7 @@ mod sequential;
 mod sequential_comparison;
 mod subject;
 mod table;
+mod threshold_report;
 mod warnings;
 mod words;
 
@@ -28,7 +28,6 @@ pub use analysis::Analysis;
 pub use comparison::{Comparison, Side, Unpairable};
 pub use document::{Document, DocumentError};
 pub use explanation::Findings;
-pub use how_far::{AtRadius, BudgetTooSmall, HowFar, Kind, Measured};
 pub use import::{BadLine, ImportError, import};
 pub use interactions::{AxisInteractions, LevelInteractions, NoInteractions};
 pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
@@ -39,4 +38,5 @@ pub use subject::{
     counted, rollout_name,
 };
 pub use table::{ResultRow, TableError, write_csv, write_parquet, write_results_parquet};
+pub use threshold_report::{AtRadius, BudgetTooSmall, Kind, Measured, ThresholdReport};
 pub use warnings::fingerprints_in_words;

@@ -4,12 +4,12 @@
 mod differences;
 mod explanation;
 mod findings;
-mod how_far;
 mod inference;
 mod methods;
 mod panels;
 mod sequential;
 mod tables;
+mod thresholds;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -69,7 +69,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
     let paired = document.analyses.iter().any(Analysis::is_paired);
     html! {
         (explanation::findings(document, link))
-        (how_far::sections(document))
+        (thresholds::sections(document))
         (findings::in_words(document))
         @if paired {
             section {
@@ -123,7 +123,7 @@ pub fn comparison(comparison: &Comparison) -> Markup {
 fn title(document: &Document) -> String {
     match document.analyses.as_slice() {
         [one] if one.findings.is_some() => format!("Why outcomes of {} change", one.label),
-        [one] if one.how_far.is_some() => format!("How far {} goes", one.label),
+        [one] if one.thresholds.is_some() => format!("How far {} goes", one.label),
         [one] => format!("Robustness of {}", one.label),
         several => format!("Robustness of {} policies", several.len()),
     }

@@ -56,7 +56,7 @@ fn rows(document: &Document) -> Rows {
         Rows::Configurations
     } else if analyses.iter().all(|it| it.findings.is_some()) {
         Rows::MinimalSubsets
-    } else if analyses.iter().all(|it| it.how_far.is_some()) {
+    } else if analyses.iter().all(|it| it.thresholds.is_some()) {
         Rows::Thresholds
     } else {
         Rows::Configurations

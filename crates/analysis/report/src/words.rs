@@ -2,9 +2,19 @@
 //! typographic minus sign, intervals in brackets.
 
 use std::collections::BTreeSet;
+use std::fmt::Write;
 
+use adaptive::radii::{Curve, HalfSuccess, Point};
 use paired::{Interval, NoInterval};
-use thresholds::{Curve, HalfSuccess, Point};
+
+/// Appends a name in a column of `width` characters; the column begins anew on the next line if
+/// the name fills it.
+pub(crate) fn push_name(text: &mut String, name: &str, width: usize) {
+    let _ = match name.len() < width {
+        true => write!(text, "{name:width$}"),
+        false => write!(text, "{name}\n{:width$}", ""),
+    };
+}
 
 /// Formats a rate or a loss in percent: `87.5`, `−0.3`.
 pub(crate) fn percent(rate: f64) -> String {

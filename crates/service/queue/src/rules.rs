@@ -7,4 +7,3 @@ pub mod lease;
 pub mod merge;
 pub mod outage;
 pub(crate) mod pairing;
-pub(crate) mod thresholds;

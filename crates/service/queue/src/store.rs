@@ -18,6 +18,7 @@ pub(crate) mod halves;
 pub(crate) mod imported;
 pub(crate) mod instants;
 pub(crate) mod jobs;
+pub(crate) mod outcomes;
 pub(crate) mod passages;
 pub(crate) mod policies;
 pub(crate) mod portable;

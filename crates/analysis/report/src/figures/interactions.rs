@@ -1,7 +1,7 @@
 //! Interactions of the axes at one level: a matrix of Shapley values and pair interactions,
 //! and the additive decomposition from nominal to simultaneous success.
 
-use lattice::Estimate;
+use adaptive::subsets::Estimate;
 use libero_ctrl::{Axis, AxisSet};
 use maud::{Markup, html};
 

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use ::lattice::{Explanation, SubsetOutcome, Verdict};
+use adaptive::subsets::{Explanation, SubsetOutcome, Verdict};
 use libero_ctrl::{Axis, AxisSet, RolloutId};
 use maud::{Markup, html};
 

@@ -3,7 +3,7 @@
 //! rows, each minimal subset is a column of dots, and a bar above it counts the
 //! configurations that it was found in.
 
-use lattice::Occurrence;
+use adaptive::subsets::Occurrence;
 use libero_ctrl::{Axis, AxisSet};
 use maud::{Markup, html};
 use paired::Transition;

@@ -1,7 +1,7 @@
 //! Sections on the findings of a campaign that explains another, and on the interactions
 //! of axes in whole lattices.
 
-use lattice::{Answer, Explained, Occurrence};
+use adaptive::subsets::{Answer, Explained, Occurrence};
 use libero_ctrl::RolloutId;
 use maud::{Markup, html};
 use paired::Transition;
@@ -54,7 +54,7 @@ fn in_words(found: &Findings, transition: Transition) -> Markup {
     let all: Vec<&Explained> = found.configurations.iter().filter(of_kind).collect();
     let is_established = |it: &&&Explained| {
         let mut minimal = it.explanation.answers.iter().flat_map(|it| &it.minimal);
-        minimal.all(lattice::MinimalSubset::is_established)
+        minimal.all(adaptive::subsets::MinimalSubset::is_established)
     };
     let established = all.iter().filter(is_established).count();
     let of_kind: Vec<&Occurrence> = found
@@ -224,7 +224,7 @@ pub(super) fn interactions(document: &Document) -> Markup {
 
 fn of_level(analysis: &Analysis, level: &LevelInteractions) -> Markup {
     let found = &level.interactions;
-    let row = |(set, success): (&libero_ctrl::AxisSet, &lattice::Estimate)| {
+    let row = |(set, success): (&libero_ctrl::AxisSet, &adaptive::subsets::Estimate)| {
         let moebius = found.moebius.get(set);
         vec![
             plain(set),

@@ -23,7 +23,7 @@ pub(super) fn subtitle(document: &Document) -> Markup {
             @if document.analyses.iter().all(|it| it.findings.is_some()) {
                 " rollouts under subsets of the axes, of configurations whose outcome changes under \
                 all of them at once."
-            } @else if document.analyses.iter().all(|it| it.how_far.is_some()) {
+            } @else if document.analyses.iter().all(|it| it.thresholds.is_some()) {
                 " rollouts of the same configurations, perturbed at further radii."
             } @else {
                 " rollouts: the same configurations under each axis alone, and under simultaneous \

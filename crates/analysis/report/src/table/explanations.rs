@@ -1,6 +1,6 @@
 //! A row per explained configuration and minimal subset.
 
-use lattice::{Answer, Explained, MinimalSubset};
+use adaptive::subsets::{Answer, Explained, MinimalSubset};
 
 use super::form::{Column, Kind, Table, Value, text};
 use crate::document::Document;

@@ -2,14 +2,14 @@
 
 use super::form::{Column, Kind, Table, Value, text};
 use crate::document::Document;
-use crate::how_far::{HowFar, Measured};
+use crate::threshold_report::{Measured, ThresholdReport};
 
-pub(super) type Row<'a> = (&'a HowFar, &'a Measured);
+pub(super) type Row<'a> = (&'a ThresholdReport, &'a Measured);
 
 pub(super) fn table(document: &Document) -> Table<Row<'_>> {
-    let found = document.analyses.iter();
-    let found = found.filter_map(|analysis| analysis.how_far.as_ref());
-    let rows = found.flat_map(|found| found.thresholds.iter().map(move |it| (found, it)));
+    let reports = document.analyses.iter();
+    let reports = reports.filter_map(|analysis| analysis.thresholds.as_ref());
+    let rows = reports.flat_map(|report| report.thresholds.iter().map(move |it| (report, it)));
     Table {
         of: "thresholds",
         columns: columns().into(),
@@ -20,9 +20,9 @@ pub(super) fn table(document: &Document) -> Table<Row<'_>> {
 fn columns<'a>() -> [Column<Row<'a>>; 12] {
     use Kind::{Bool, Number, Real, Text};
     [
-        ("policy", Text, |(found, _)| text(&found.policy)),
-        ("campaign", Text, |(found, _)| text(&found.campaign)),
-        ("measured_by", Text, |(found, _)| text(&found.measured_by)),
+        ("policy", Text, |(report, _)| text(&report.policy)),
+        ("campaign", Text, |(report, _)| text(&report.campaign)),
+        ("measured_by", Text, |(report, _)| text(&report.measured_by)),
         ("condition", Text, |(_, it)| text(&it.condition.to_string())),
         ("suite", Text, |(_, it)| text(it.task.suite().name())),
         ("task", Number, |(_, it)| {

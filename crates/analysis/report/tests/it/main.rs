@@ -3,9 +3,9 @@
 mod comparisons;
 mod explanations;
 mod forms;
-mod how_far;
 mod import;
 mod stops;
 mod subjects;
 mod tables;
+mod thresholds;
 mod words;

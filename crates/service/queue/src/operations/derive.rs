@@ -10,8 +10,11 @@ use std::panic::resume_unwind;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use libero_ctrl::{CampaignSpec, Explanation, ManifestRow, Rollouts, Thresholds};
-use paired::{CampaignLook, Outcome, Record};
+use adaptive::radii::{Measurement, Ray};
+use libero_ctrl::{
+    CampaignSpec, Explanation, Level, ManifestRow, Rollouts, Thresholds, UnknownName,
+};
+use paired::{CampaignLook, Record};
 use sqlx::SqliteConnection;
 
 use super::context::Context;
@@ -19,10 +22,10 @@ use super::shared::Shared;
 use crate::expand::NewJob;
 use crate::ids::CampaignId;
 use crate::rules::explanation::{self, Wanted};
-use crate::rules::thresholds;
 use crate::store::campaigns;
-use crate::store::derivations::{self, Derived, OutcomeRow, SourceEdition};
+use crate::store::derivations::{self, Derived, SourceEdition};
 use crate::store::failpoint::Step;
+use crate::store::outcomes::OutcomeRow;
 use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, undecodable};
 
@@ -35,23 +38,23 @@ const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
 
 /// Results of earlier passes.
 #[derive(Default)]
-struct Known {
+struct Passes {
     /// Records of completed sources. They are read once, since a source stays the same unless some
     /// of its jobs come back from quarantine.
     sources: BTreeMap<CampaignId, (SourceEdition, Arc<Vec<Record>>)>,
     /// State of each campaign at the last pass that added nothing.
-    complete: BTreeMap<CampaignId, Looked>,
+    complete: BTreeMap<CampaignId, Inputs>,
 }
 
 /// The inputs that the derived jobs of a campaign depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Looked {
+struct Inputs {
     jobs: i64,
     revision: i64,
     source: SourceEdition,
 }
 
-impl Looked {
+impl Inputs {
     fn at(campaign: &Derived) -> Self {
         Self {
             jobs: campaign.jobs,
@@ -70,11 +73,11 @@ pub(super) fn pause_after(cost: Duration) -> Duration {
 /// Adds derived jobs as outcomes arrive.
 pub(crate) async fn run(shared: Arc<Shared>) {
     let mut settled = shared.settled.subscribe();
-    let mut known = Known::default();
+    let mut passes = Passes::default();
     loop {
         let ended = *settled.borrow_and_update();
         let began = Instant::now();
-        if let Err(error) = look(&shared, &mut known).await {
+        if let Err(error) = pass(&shared, &mut passes).await {
             tracing::error!("failed to {}", error.with_cause());
             tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
             continue;
@@ -87,30 +90,30 @@ pub(crate) async fn run(shared: Arc<Shared>) {
 }
 
 /// Adds to every derived campaign the jobs that follow from the current outcomes.
-async fn look(shared: &Shared, known: &mut Known) -> Result<(), StoreError> {
+async fn pass(shared: &Shared, passes: &mut Passes) -> Result<(), StoreError> {
     let mut view = shared.store.read().await?;
-    let mut found = Vec::new();
+    let mut additions = Vec::new();
     let campaigns = derivations::all(&mut view).await?;
     let is_source = |id: &CampaignId| campaigns.iter().any(|it| it.source == *id);
-    known.sources.retain(|id, _| is_source(id));
+    passes.sources.retain(|id, _| is_source(id));
     let is_here = |id: &CampaignId| campaigns.iter().any(|it| it.campaign == *id);
-    known.complete.retain(|id, _| is_here(id));
+    passes.complete.retain(|id, _| is_here(id));
     for campaign in campaigns {
-        let looked = Looked::at(&campaign);
+        let inputs = Inputs::at(&campaign);
         // Transitions and known radii are final only when every rollout of the source that will
         // ever have an outcome has one.
-        if campaign.unsettled > 0 || known.complete.get(&campaign.campaign) == Some(&looked) {
+        if campaign.unsettled > 0 || passes.complete.get(&campaign.campaign) == Some(&inputs) {
             continue;
         }
-        let source = source_records(&mut view, &campaign, &mut known.sources).await?;
+        let source = source_records(&mut view, &campaign, &mut passes.sources).await?;
         let jobs = following(&mut view, &campaign, source).await?;
         match jobs.is_empty() {
-            true => drop(known.complete.insert(campaign.campaign, looked)),
-            false => found.push((campaign, jobs)),
+            true => drop(passes.complete.insert(campaign.campaign, inputs)),
+            false => additions.push((campaign, jobs)),
         }
     }
     drop(view);
-    for (campaign, jobs) in found {
+    for (campaign, jobs) in additions {
         add(shared, &campaign, &jobs).await?;
     }
     Ok(())
@@ -143,9 +146,12 @@ async fn following(
     source: Arc<Vec<Record>>,
 ) -> Result<Vec<NewJob>, StoreError> {
     let spec = specification(&campaign.spec)?;
+    let own = Arc::new(records(tx, campaign.campaign).await?);
     let rollouts = match spec.rollouts {
-        Rollouts::Explanation(explanation) => subsets(tx, campaign, source, explanation).await?,
-        Rollouts::Thresholds(thresholds) => radii(tx, campaign, source, thresholds).await?,
+        Rollouts::Explanation(explanation) => {
+            subsets(tx, campaign, [source, own], explanation).await?
+        }
+        Rollouts::Thresholds(thresholds) => radii(tx, campaign, [source, own], thresholds).await?,
         Rollouts::Design(_) | Rollouts::Manifest(_) => Vec::new(),
     };
     let jobs = (campaign.jobs..).zip(rollouts);
@@ -165,10 +171,9 @@ pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
 async fn subsets(
     tx: &mut SqliteConnection,
     campaign: &Derived,
-    source: Arc<Vec<Record>>,
+    [source, own]: [Arc<Vec<Record>>; 2],
     explanation: Explanation,
 ) -> Result<Vec<Rollout>, StoreError> {
-    let own = records(tx, campaign.campaign).await?;
     let wanted = aside(move || explanation::wanted(&source, &own, &explanation)).await;
     let ids: BTreeSet<String> = wanted
         .iter()
@@ -209,19 +214,23 @@ async fn subsets(
 async fn radii(
     tx: &mut SqliteConnection,
     campaign: &Derived,
-    source: Arc<Vec<Record>>,
+    [source, own]: [Arc<Vec<Record>>; 2],
     thresholds: Thresholds,
 ) -> Result<Vec<Rollout>, StoreError> {
     let spec = campaigns::spec(tx, campaign.source).await?;
     let Rollouts::Design(design) = specification(&spec)?.rollouts else {
         return Ok(Vec::new());
     };
-    let own = records(tx, campaign.campaign).await?;
-    let rows = aside(move || thresholds::wanted(&design, &source, &own, &thresholds)).await;
-    let rows = rows
-        .map_err(undecodable)
-        .doing("perturb at another radius")?;
-    Ok(rows.into_iter().map(|row| (row, 0)).collect())
+    let rollouts = aside(move || {
+        let plan = Measurement::of(&source, &own, &thresholds).plan();
+        let rollout = |(ray, level): (Ray, Level)| {
+            let row = design.row_at(ray.task, ray.condition, level, ray.config);
+            row.map(|row| (row, 0))
+        };
+        plan.into_iter().map(rollout).collect::<Result<_, _>>()
+    });
+    let rollouts = rollouts.await.map_err(undecodable);
+    rollouts.doing("perturb at another radius")
 }
 
 /// Returns the records of a campaign's source, all of whose rollouts are settled. The records are
@@ -264,21 +273,10 @@ pub(super) async fn records(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
 ) -> Result<Vec<Record>, StoreError> {
-    let record = |row: OutcomeRow| {
-        Ok(Record {
-            id: row.rollout_id.parse().map_err(undecodable)?,
-            init_id: row.init_id,
-            replicate: row.replicate,
-            outcome: match (row.success, row.is_quarantined) {
-                (Some(success), _) => Outcome::from(success),
-                (None, true) => Outcome::Quarantined,
-                (None, false) => Outcome::Missing,
-            },
-        })
-    };
     let rows = derivations::outcomes(tx, campaign).await?;
-    let read = move || rows.into_iter().map(record).collect();
-    let records: Result<_, sqlx::Error> = aside(read).await;
+    let read = move || rows.iter().map(OutcomeRow::record).collect();
+    let records: Result<_, UnknownName> = aside(read).await;
+    let records = records.map_err(undecodable);
     records.doing("read the outcomes that a campaign follows from")
 }
 

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use std::time::Instant;
 
 use libero_ctrl::Rollouts;
-use paired::{Outcome, Record, Records, Transition};
+use paired::{Record, Records, Transition};
 use rollout_types::Pin;
 use sqlx::SqliteConnection;
 
@@ -73,7 +73,7 @@ async fn wanting_of_explanation(
             .map(|(id, replicate)| (id.to_string(), replicate))
             .collect();
         let is_telling =
-            |row: &FilmableRow| telling.contains(&(row.rollout_id.clone(), row.replicate));
+            |row: &FilmableRow| telling.contains(&(row.job.rollout_id.clone(), row.job.replicate));
         let wanting = rows.iter().filter(|row| row.is_wanting && is_telling(row));
         wanting.map(|row| row.job_id).collect()
     });
@@ -82,19 +82,8 @@ async fn wanting_of_explanation(
 
 /// Returns the rollouts of changed configurations that have no video yet.
 fn wanting_films(rows: &[FilmableRow]) -> Result<Vec<JobId>, StoreError> {
-    let records = rows.iter().map(|row| {
-        Ok(Record {
-            id: row.rollout_id.parse().map_err(undecodable)?,
-            replicate: row.replicate,
-            init_id: row.init_id,
-            outcome: match row.success {
-                Some(true) => Outcome::Success,
-                Some(false) => Outcome::Failure,
-                None => Outcome::Missing,
-            },
-        })
-    });
-    let records = records.collect::<Result<Vec<_>, sqlx::Error>>();
+    let records: Result<Vec<Record>, _> = rows.iter().map(|row| row.job.record()).collect();
+    let records = records.map_err(undecodable);
     let records = records.doing("look for rollouts to film")?;
     // The schema guarantees one job per rollout and replicate.
     let matched = Records::new(&records).map_err(undecodable);

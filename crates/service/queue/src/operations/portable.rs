@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use libero_ctrl::CampaignSpec;
+use paired::Outcome;
 use sha2::{Digest, Sha256};
 
 use super::artifacts::campaign_folder;
@@ -534,11 +535,11 @@ async fn outcomes_digest(
 ) -> Result<String, StoreError> {
     let mut digest = Sha256::new();
     for row in derivations::outcomes(tx, campaign.id).await? {
-        let outcome = match (row.success, row.is_quarantined) {
-            (Some(true), _) => "success",
-            (Some(false), _) => "failure",
-            (None, true) => "quarantined",
-            (None, false) => "open",
+        let outcome = match row.outcome() {
+            Outcome::Success => "success",
+            Outcome::Failure => "failure",
+            Outcome::Quarantined => "quarantined",
+            Outcome::Missing => "open",
         };
         digest.update(format!("{} {} {outcome}\n", row.rollout_id, row.replicate));
     }

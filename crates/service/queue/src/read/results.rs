@@ -7,6 +7,7 @@ use sqlx::types::Json;
 use super::View;
 use crate::clock::UnixMillis;
 use crate::ids::CampaignId;
+use crate::store::outcomes::OutcomeRow;
 use crate::store::provenance::provenance;
 use crate::store::{Doing, StoreError};
 
@@ -53,16 +54,9 @@ pub struct ExportedRow {
 /// A job for reports.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RecordRow {
-    /// Id of the rollout.
-    pub rollout_id: String,
-    /// Number of the replicate of the rollout.
-    pub replicate: u32,
-    /// Initial state of the rollout.
-    pub init_id: u16,
-    /// True if the job is in quarantine.
-    pub is_quarantined: bool,
-    /// Outcome, true if the goal was reached; `None` until the job is committed.
-    pub success: Option<bool>,
+    /// The job and its outcome.
+    #[sqlx(flatten)]
+    pub job: OutcomeRow,
     /// Realisation mode, once the job is committed.
     pub realisation: Option<String>,
     /// The policy's control steps, once the job is committed.

@@ -1,10 +1,10 @@
-//! Next rollouts of a campaign that explains another. `lattice` decides which subsets of axes to
-//! try; this module turns them into rollouts.
+//! Next rollouts of a campaign that explains another. `adaptive::subsets` decides which
+//! subsets of axes to try; this module turns them into rollouts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use lattice::{Sample, configurations, explain, plan};
+use adaptive::subsets::{Sample, configurations, explain, plan};
 use libero_ctrl::{AxisSet, Condition, Explanation, RolloutId};
 use paired::Record;
 
@@ -27,13 +27,14 @@ pub(crate) fn wanted(
     explanation: &Explanation,
 ) -> Vec<Wanted> {
     // A single axis leaves nothing to explain.
-    let Ok(known) = configurations(explained, own, explanation) else {
+    let Ok(lattices) = configurations(explained, own, explanation.repeats) else {
         return Vec::new();
     };
     let mut all = Vec::new();
-    for (&simultaneous, requests) in plan(&known, &Sample::of(explanation)) {
+    for (&simultaneous, requests) in plan(&lattices, &Sample::of(explanation)) {
         for request in requests {
-            let asked = known[&simultaneous].replicates(request.set);
+            let lattice = &lattices[&simultaneous];
+            let asked = lattice.outcomes().both(request.set).asked();
             all.push(Wanted {
                 simultaneous,
                 axes: request.set,
@@ -52,22 +53,22 @@ pub(crate) fn telling(
     own: &[Record],
     explanation: &Explanation,
 ) -> BTreeSet<(RolloutId, u32)> {
-    let Ok(known) = configurations(explained, own, explanation) else {
+    let Ok(lattices) = configurations(explained, own, explanation.repeats) else {
         return BTreeSet::new();
     };
     let mut verdicts = BTreeMap::new();
-    for (simultaneous, known) in &known {
-        let answers = explain(known).map_or_else(|_| Vec::new(), |found| found.answers);
+    for (simultaneous, lattice) in &lattices {
+        let answers = explain(lattice).map_or_else(|_| Vec::new(), |found| found.answers);
         let minimal = answers.iter().flat_map(|answer| &answer.minimal);
         let sets = minimal.flat_map(|it| it.below.iter().copied().chain([it.set]));
         for set in sets {
             let (task, level) = (simultaneous.task(), simultaneous.level());
-            let condition = match set == known.full() {
+            let condition = match set == lattice.full() {
                 true => Condition::Combination,
                 false => Condition::of(set),
             };
             let id = RolloutId::perturbed(task, condition, level, simultaneous.number());
-            if let (Ok(id), Some(success)) = (id, known.verdict(set).success()) {
+            if let (Ok(id), Some(success)) = (id, lattice.verdict(set).success()) {
                 verdicts.insert(id, success);
             }
         }

@@ -7,6 +7,7 @@ use super::{Doing, StoreError, json};
 use crate::expand::NewJob;
 use crate::ids::{CampaignId, CampaignName};
 use crate::store::campaigns;
+use crate::store::outcomes::OutcomeRow;
 
 /// A campaign that derives from another.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
@@ -34,16 +35,6 @@ pub(crate) struct SourceEdition {
     /// True if the source stopped early, so that only a part of its outcomes counts.
     #[sqlx(rename = "source_has_stopped")]
     has_stopped: bool,
-}
-
-/// A job of the derived campaign or its source.
-#[derive(Clone, Debug, sqlx_macros::FromRow)]
-pub(crate) struct OutcomeRow {
-    pub(crate) rollout_id: String,
-    pub(crate) replicate: u32,
-    pub(crate) init_id: u16,
-    pub(crate) is_quarantined: bool,
-    pub(crate) success: Option<bool>,
 }
 
 /// SQL for the number of jobs of `d`'s source that still lack an outcome; 0 if the source has

@@ -6,6 +6,7 @@ use sqlx::types::Text;
 
 use super::{Doing, StoreError};
 use crate::ids::{CampaignId, CampaignName, JobId};
+use crate::store::outcomes::OutcomeRow;
 
 /// A committed rollout to be filmed.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
@@ -31,11 +32,8 @@ pub struct Film {
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct FilmableRow {
     pub(crate) job_id: JobId,
-    pub(crate) rollout_id: String,
-    pub(crate) replicate: u32,
-    pub(crate) init_id: u16,
-    /// Outcome; `None` until the job is committed.
-    pub(crate) success: Option<bool>,
+    #[sqlx(flatten)]
+    pub(crate) job: OutcomeRow,
     /// True if the rollout has stored actions and no video yet.
     pub(crate) is_wanting: bool,
 }
@@ -78,7 +76,8 @@ pub(crate) async fn filmable(
     campaign: CampaignId,
 ) -> Result<Vec<FilmableRow>, StoreError> {
     sqlx::query_as(
-        "SELECT j.id AS job_id, j.rollout_id, j.replicate, j.init_id, r.success,
+        "SELECT j.id AS job_id, j.rollout_id, j.replicate, j.init_id,
+             j.state = 'quarantined' AS is_quarantined, r.success,
              coalesce(length(m.actions), 0) > 0
                  AND NOT EXISTS (SELECT 1 FROM artifact a
                      WHERE a.attempt_id = r.attempt_id AND a.kind = 'video') AS is_wanting

@@ -1,0 +1,103 @@
+//! Cost and findings of each strategy on planted rules:
+//! `cargo run --release -p adaptive --example planted`.
+//!
+//! Columns per kind of rule: the number of subsets run beyond those of a campaign, and
+//! their share of the 56 others; the numbers of rollouts and batches; the share of rules
+//! explained, and the share of these explained exactly. The last rows are for noisy
+//! policies, which contradict the rule with a given probability, so that the campaign's
+//! first rollouts hide some transitions.
+
+#[path = "../tests/it/subsets/planted.rs"]
+mod planted;
+
+use adaptive::subsets::{Evidence, Repeats, Strategy};
+use planted::{Found, Kind, Rule, search_noisy, search_rule, seeded};
+
+const RULES: usize = 2000;
+const NOISY_RULES: usize = 400;
+/// Number of subsets that an ordinary campaign does not run.
+const FURTHER: f64 = 56.0;
+
+#[derive(Default)]
+struct Mean {
+    subsets: f64,
+    rollouts: f64,
+    batches: f64,
+    explained: f64,
+    /// Share of the explained rules that were explained exactly.
+    exact: f64,
+}
+
+impl Mean {
+    fn of(results: &[(Found, bool)]) -> Self {
+        let n = results.len() as f64;
+        let explained = results
+            .iter()
+            .filter(|(found, _)| found.explanation.is_some());
+        let explained = explained.count() as f64;
+        let mean = |value: &dyn Fn(&Found) -> f64| {
+            results.iter().map(|(found, _)| value(found)).sum::<f64>() / n
+        };
+        Self {
+            subsets: mean(&|found| found.subsets as f64),
+            rollouts: mean(&|found| f64::from(found.rollouts)),
+            batches: mean(&|found| found.batches as f64),
+            explained: explained / n,
+            exact: results.iter().filter(|(_, exact)| *exact).count() as f64 / explained,
+        }
+    }
+
+    fn print(&self, name: &str) {
+        let share = 100.0 * self.subsets / FURTHER;
+        let (explained, exact) = (100.0 * self.explained, 100.0 * self.exact);
+        println!(
+            "{name:<22}{:>8.1}{share:>7.1} %{:>10.1}{:>9.1}{explained:>9.1} %{exact:>7.1} %",
+            self.subsets, self.rollouts, self.batches
+        );
+    }
+}
+
+fn main() {
+    for strategy in Strategy::ALL {
+        println!(
+            "\n{:<22}{:>8}{:>9}{:>10}{:>9}{:>11}{:>9}",
+            strategy.name(),
+            "subsets",
+            "of 56",
+            "rollouts",
+            "batches",
+            "explained",
+            "exact"
+        );
+        let mut mixture = Vec::new();
+        for kind in Kind::MONOTONE.into_iter().chain(Kind::NON_MONOTONE) {
+            let mut rng = seeded(1);
+            let one = |_| {
+                let rule = Rule::draw(kind, &mut rng);
+                let found = search_rule(&rule, strategy);
+                let exact = found.is_exact(&rule);
+                (found, exact)
+            };
+            let mean = Mean::of(&(0..RULES).map(one).collect::<Vec<_>>());
+            mean.print(&format!("{kind:?}"));
+            if Kind::MIXTURE.contains(&kind) {
+                mixture.push(mean.subsets);
+            }
+        }
+        let mean = mixture.iter().sum::<f64>() / mixture.len() as f64;
+        let share = 100.0 * mean / FURTHER;
+        println!("{:<22}{mean:>8.1}{share:>7.1} %", "mean of the first six");
+        for noise in [0.0, 0.02, 0.05, 0.1] {
+            let mut rng = seeded(2);
+            let one = |i: usize| {
+                let rule = Rule::draw(Kind::MONOTONE[i % Kind::MONOTONE.len()], &mut rng);
+                let evidence = Evidence::Repeated(Repeats::default());
+                let found = search_noisy(&rule, strategy, evidence, noise, &mut rng);
+                let exact = found.is_exact(&rule);
+                (found, exact)
+            };
+            let mean = Mean::of(&(0..NOISY_RULES).map(one).collect::<Vec<_>>());
+            mean.print(&format!("monotone, noise {:.0} %", 100.0 * noise));
+        }
+    }
+}

@@ -1,0 +1,22 @@
+//! Decision of a search.
+
+/// Next step of a search whose requests are of the type `R`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Decision<R> {
+    /// Run this batch; it is not empty.
+    Run(Vec<R>),
+    /// Wait for outcomes.
+    Wait,
+    /// The search has no subject, or no rollout is left to run.
+    Done,
+}
+
+impl<R> Decision<R> {
+    /// Returns the decision to run a batch, or [`Self::Done`] if it is empty.
+    pub(crate) fn run(batch: Vec<R>) -> Self {
+        match batch.is_empty() {
+            true => Self::Done,
+            false => Self::Run(batch),
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! Outcomes of one search by point.
+
+use std::collections::BTreeMap;
+
+use paired::{Count, Outcome};
+use serde::{Deserialize, Serialize};
+
+/// Counts of the rollouts at one point of a search: its replicates.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Tally {
+    /// Rollouts that succeeded.
+    pub successes: u32,
+    /// Rollouts that failed.
+    pub failures: u32,
+    /// Requested rollouts without a result.
+    pub pending: u32,
+    /// Quarantined rollouts: without a result, and never run again.
+    pub quarantined: u32,
+}
+
+impl Tally {
+    /// Returns the number of requested rollouts.
+    pub const fn asked(&self) -> u32 {
+        self.successes + self.failures + self.pending + self.quarantined
+    }
+
+    /// Returns the number of rollouts with a result and of successes among them.
+    pub fn count(&self) -> Count {
+        Count {
+            successes: u64::from(self.successes),
+            n: u64::from(self.successes) + u64::from(self.failures),
+        }
+    }
+
+    /// Returns the outcome of the majority of rollouts; `None` for a tie.
+    pub const fn majority(&self) -> Option<bool> {
+        match (self.successes, self.failures) {
+            (successes, failures) if successes > failures => Some(true),
+            (successes, failures) if successes < failures => Some(false),
+            _ => None,
+        }
+    }
+
+    const fn add(&mut self, outcome: Outcome) {
+        match outcome {
+            Outcome::Success => self.successes += 1,
+            Outcome::Failure => self.failures += 1,
+            Outcome::Missing => self.pending += 1,
+            Outcome::Quarantined => self.quarantined += 1,
+        }
+    }
+}
+
+/// Outcomes of one search by point: a subset of the axes, or a radius. Those of the source
+/// campaign and those of the campaign that runs the requests stay apart, because a budget
+/// pays for the latter only, and only they are evidence if the former select what is tested.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Outcomes<P>(BTreeMap<P, Tallies>);
+
+/// Tallies of one point.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Tallies {
+    source: Tally,
+    own: Tally,
+}
+
+impl<P> Default for Outcomes<P> {
+    fn default() -> Self {
+        Self(BTreeMap::new())
+    }
+}
+
+impl<P: Copy + Ord> Outcomes<P> {
+    /// Adds a rollout of the source campaign.
+    pub fn record_source(&mut self, point: P, outcome: Outcome) {
+        self.0.entry(point).or_default().source.add(outcome);
+    }
+
+    /// Adds a requested rollout, with [`Outcome::Missing`] while it has no result.
+    pub fn record(&mut self, point: P, outcome: Outcome) {
+        self.0.entry(point).or_default().own.add(outcome);
+    }
+
+    fn tallies(&self, point: P) -> Tallies {
+        self.0.get(&point).copied().unwrap_or_default()
+    }
+
+    /// Returns the tally of the source campaign's rollouts at a point.
+    pub fn source(&self, point: P) -> Tally {
+        self.tallies(point).source
+    }
+
+    /// Returns the tally of the requested rollouts at a point.
+    pub fn own(&self, point: P) -> Tally {
+        self.tallies(point).own
+    }
+
+    /// Returns the tally of both campaigns' rollouts at a point.
+    pub fn both(&self, point: P) -> Tally {
+        let Tallies { source, own } = self.tallies(point);
+        Tally {
+            successes: source.successes + own.successes,
+            failures: source.failures + own.failures,
+            pending: source.pending + own.pending,
+            quarantined: source.quarantined + own.quarantined,
+        }
+    }
+
+    /// Returns the points with a rollout in either campaign, in order.
+    pub fn points(&self) -> impl DoubleEndedIterator<Item = P> {
+        self.0.keys().copied()
+    }
+
+    /// Returns the number of rollouts requested beyond those of the source campaign.
+    pub fn requested(&self) -> u32 {
+        self.0.values().map(|tallies| tallies.own.asked()).sum()
+    }
+}

@@ -1,0 +1,373 @@
+//! Survival curves: the share of configurations that still succeed at a radius.
+//!
+//! A configuration *survives* up to a radius if it succeeds nominally and at every
+//! smaller radius that was run. The curve starts at the nominal success rate over all
+//! configurations; those that fail nominally survive to no radius. It is therefore
+//! comparable with a report's rates, and equal to them at the levels of the grid if no
+//! configuration recovers from a failure.
+//!
+//! The position of a threshold within its bracket is unknown. The curve assumes a uniform
+//! distribution; the *band* covers every possible position. At a radius that was run for
+//! every configuration, both coincide. A threshold without a known failure is
+//! right-censored at the largest success: beyond it the curve treats the configuration like
+//! the others that survived so far, and the band covers all possibilities.
+//!
+//! Intervals cover the band: from the lower end of an interval of its minimum to the upper
+//! end of an interval of its maximum, over resampled tasks. They hold for any position of
+//! the thresholds in their brackets and are never narrower than the brackets
+//! (J. L. Horowitz, C. F. Manski, Nonparametric analysis of randomized experiments with
+//! missing covariate and outcome data, Journal of the American Statistical Association 95
+//! (2000), 77–84).
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::{Condition, Level, TaskRef};
+use paired::{Bootstrap, Interval, NoInterval, intervals_of_many};
+use serde::Serialize;
+
+use super::search::Search;
+use super::threshold::{Finding, Threshold};
+
+/// One half of all configurations.
+const HALF: f64 = 0.5;
+/// Largest number of iterations of the fixed point for censored configurations.
+const MOST_ROUNDS: u32 = 1_000;
+/// Change of a share below which the iteration has converged.
+const CHANGE: f64 = 1e-12;
+
+/// Survival curve of configurations over the radius, under one condition.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Curve {
+    /// Condition: the perturbed axes.
+    pub condition: Condition,
+    /// Radii that are run for every configuration.
+    pub grid: Vec<f64>,
+    /// Largest radius of the grid, where the curve ends.
+    pub largest_radius: f64,
+    /// True if radii between those of the grid are run, that is, if language is not
+    /// perturbed.
+    pub is_bisected: bool,
+    /// Number of configurations in the curve: those with outcomes on the whole grid, and
+    /// those that fail nominally.
+    pub n: u64,
+    /// Number of their tasks.
+    pub tasks: usize,
+    /// Number of excluded configurations: outcomes of the grid are missing, or the nominal
+    /// rollout is quarantined.
+    pub left_out: u64,
+    /// Configurations that fail nominally.
+    pub nominal_fails: u64,
+    /// Configurations that survive up to the largest radius, where their threshold is
+    /// censored.
+    pub beyond: u64,
+    /// Configurations that are censored below the largest radius because its outcome is
+    /// quarantined.
+    pub censored: u64,
+    /// Configurations that succeed again at a radius beyond a failure.
+    pub not_monotone: u64,
+    /// Points of the curve from radius 0 on, with linear interpolation between them. Empty
+    /// without a configuration.
+    pub points: Vec<Point>,
+    /// Radius at which half of the configurations survive.
+    pub half_success: HalfSuccess,
+}
+
+/// A point of a curve. Shares are fractions of the configurations.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Point {
+    /// The radius.
+    pub radius: f64,
+    /// The protocol's name of that radius, if it has one.
+    pub level: Option<Level>,
+    /// The share that survives.
+    pub survival: f64,
+    /// The smallest and the largest share that the brackets allow.
+    pub band: [f64; 2],
+    /// Interval of `survival` by resampling tasks, valid for any position of the thresholds
+    /// in their brackets; absent if resampling cannot give one.
+    pub ci95: Option<Interval>,
+}
+
+/// The radius up to which half of all configurations survive.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct HalfSuccess {
+    /// Radius at which the curve crosses one half; `None` if fewer than half succeed
+    /// nominally, more than half survive up to the largest radius, or brackets are not
+    /// narrowed there.
+    pub radius: Option<f64>,
+    /// Range of the radius for these configurations over all positions of the thresholds in
+    /// their brackets; `None` without a configuration.
+    pub bounds: Option<Interval>,
+    /// Interval by resampling tasks, including the uncertainty of brackets. An end at 0 means
+    /// that less than half succeed nominally; an end at the largest radius, that half or more
+    /// survive there.
+    pub ci95: Option<Interval>,
+    /// Reason why there is no interval.
+    pub no_interval: Option<NoInterval>,
+}
+
+/// The threshold of one configuration.
+#[derive(Clone, Copy, Debug)]
+enum Survives {
+    /// The configuration fails nominally.
+    Never,
+    /// The configuration survives up to a radius in this bracket.
+    Until([f64; 2]),
+    /// The configuration survives up to the largest radius.
+    Throughout,
+    /// The configuration survives up to this radius; outcomes beyond are unknown.
+    AtLeast(f64),
+}
+
+impl Survives {
+    fn of(finding: &Finding) -> Option<Self> {
+        let survives = match finding.threshold {
+            Threshold::NominalFails => Some(Self::Never),
+            Threshold::Between {
+                succeeds_at,
+                fails_at,
+            } => Some(Self::Until([succeeds_at.radius(), fails_at.radius()])),
+            Threshold::Beyond => Some(Self::Throughout),
+            Threshold::Open { succeeds_at } => Some(Self::AtLeast(succeeds_at.radius())),
+            Threshold::NominalUnknown => None,
+        };
+        survives.filter(|_| finding.is_on_grid)
+    }
+
+    /// Returns the probability of survival up to a radius for a threshold that is uniform in
+    /// its bracket. Beyond censoring, it is the conditional probability of `others` that
+    /// survive as far.
+    fn expected(self, radius: f64, others: impl Fn(f64) -> f64) -> f64 {
+        match self {
+            Self::Never => 0.0,
+            Self::Until([low, high]) => ((high - radius) / (high - low)).clamp(0.0, 1.0),
+            Self::Throughout => 1.0,
+            Self::AtLeast(known) if radius <= known => 1.0,
+            Self::AtLeast(known) => match others(known) {
+                share if share > 0.0 => others(radius) / share,
+                _ => 0.0,
+            },
+        }
+    }
+
+    /// Returns whether the configuration certainly, and possibly, survives up to a radius.
+    fn bounds(self, radius: f64) -> [bool; 2] {
+        match self {
+            Self::Never => [false; 2],
+            Self::Until([low, high]) => [radius <= low, radius < high],
+            Self::Throughout => [true; 2],
+            Self::AtLeast(known) => [radius <= known, true],
+        }
+    }
+
+    fn ends(self) -> impl Iterator<Item = f64> {
+        let ends = match self {
+            Self::Until(ends) => [Some(ends[0]), Some(ends[1])],
+            Self::AtLeast(known) => [Some(known), None],
+            Self::Never | Self::Throughout => [None; 2],
+        };
+        ends.into_iter().flatten()
+    }
+}
+
+impl Curve {
+    /// Computes the curve of a condition from the thresholds found along its rays.
+    pub(crate) fn of(
+        condition: Condition,
+        search: &Search,
+        findings: &[(TaskRef, Finding)],
+        bootstrap: &Bootstrap,
+    ) -> Self {
+        let known = findings.iter();
+        let known = known.filter_map(|(task, finding)| Some((*task, Survives::of(finding)?)));
+        let known: Vec<(TaskRef, Survives)> = known.collect();
+        let count = |is: fn(&Survives) -> bool| known.iter().filter(|(_, it)| is(it)).count();
+        let recovers = |(_, finding): &&(TaskRef, Finding)| !finding.recovers_at.is_empty();
+        let largest_radius = search.largest().map_or(0.0, Level::radius);
+        let clusters = Clusters::of(&known, search);
+        let (points, mut half_success) = clusters.points(&known, bootstrap);
+        half_success.radius = half_success.radius.filter(|_| search.tolerance.is_some());
+        Self {
+            condition,
+            grid: search.grid.iter().map(|level| level.radius()).collect(),
+            largest_radius,
+            is_bisected: search.tolerance.is_some(),
+            n: known.len() as u64,
+            tasks: clusters.tasks.len(),
+            left_out: (findings.len() - known.len()) as u64,
+            nominal_fails: count(|it| matches!(it, Survives::Never)) as u64,
+            beyond: count(|it| matches!(it, Survives::Throughout)) as u64,
+            censored: count(|it| matches!(it, Survives::AtLeast(_))) as u64,
+            not_monotone: findings.iter().filter(recovers).count() as u64,
+            points,
+            half_success,
+        }
+    }
+
+    /// Returns the point at a radius of the grid.
+    pub fn at(&self, radius: f64) -> Option<&Point> {
+        self.points.iter().find(|point| point.radius == radius)
+    }
+}
+
+/// The configurations grouped by task, which is the unit of resampling.
+struct Clusters {
+    /// Radii at which the slope of the curve can change.
+    radii: Vec<f64>,
+    tasks: Vec<Task>,
+}
+
+/// The configurations of one task.
+struct Task {
+    n: f64,
+    /// Smallest, then largest number of configurations that survive up to each radius.
+    survive: [Vec<f64>; 2],
+}
+
+impl Clusters {
+    fn of(known: &[(TaskRef, Survives)], search: &Search) -> Self {
+        let mut radii: Vec<f64> = search.grid.iter().map(|level| level.radius()).collect();
+        radii.push(0.0);
+        radii.extend(known.iter().flat_map(|(_, survives)| survives.ends()));
+        radii.sort_by(f64::total_cmp);
+        radii.dedup();
+        let mut tasks: BTreeMap<TaskRef, Task> = BTreeMap::new();
+        for (task, survives) in known {
+            let task = tasks.entry(*task).or_insert_with(|| Task {
+                n: 0.0,
+                survive: [vec![0.0; radii.len()], vec![0.0; radii.len()]],
+            });
+            task.n += 1.0;
+            for (k, &radius) in radii.iter().enumerate() {
+                for (sum, survives) in task.survive.iter_mut().zip(survives.bounds(radius)) {
+                    sum[k] += f64::from(survives);
+                }
+            }
+        }
+        Self {
+            radii,
+            tasks: tasks.into_values().collect(),
+        }
+    }
+
+    /// Computes the curve's points and the radius at which it crosses one half.
+    fn points(
+        &self,
+        known: &[(TaskRef, Survives)],
+        bootstrap: &Bootstrap,
+    ) -> (Vec<Point>, HalfSuccess) {
+        if known.is_empty() {
+            let nothing = HalfSuccess {
+                radius: None,
+                bounds: None,
+                ci95: None,
+                no_interval: Some(NoInterval::TooFewTasks),
+            };
+            return (Vec::new(), nothing);
+        }
+        let (tasks, count) = (self.tasks.len(), 2 * (self.radii.len() + 1));
+        let mut values = vec![0.0; count];
+        self.statistics(&vec![1; tasks], &mut values);
+        let statistics = |draws: &[u32], values: &mut [f64]| self.statistics(draws, values);
+        let intervals = intervals_of_many(bootstrap, tasks, count, statistics);
+        let interval = |k: usize| {
+            let ends = [2 * k, 2 * k + 1].map(|place| match intervals[place] {
+                // An end that is the same in all resamplings is exact.
+                Err(NoInterval::NoSpread) => Ok([values[place]; 2]),
+                ends => ends,
+            });
+            let [[low, _], [_, high]] = [ends[0]?, ends[1]?];
+            match high > low {
+                true => Ok([low, high]),
+                false => Err(NoInterval::NoSpread),
+            }
+        };
+        let survival = self.survival(known);
+        let of_curve = self.radii.iter().zip(&survival).enumerate();
+        let points = of_curve.map(|(k, (&radius, &survival))| Point {
+            radius,
+            level: Level::of_radius(radius).filter(|level| level.is_named()),
+            survival,
+            band: [values[2 * k], values[2 * k + 1]],
+            ci95: interval(k).ok(),
+        });
+        let crosses = survival.first().is_some_and(|it| *it >= HALF)
+            && survival.last().is_some_and(|it| *it <= HALF);
+        let of_half = interval(self.radii.len());
+        let half = HalfSuccess {
+            radius: crosses.then(|| self.crossing(&survival)),
+            bounds: Some([values[count - 2], values[count - 1]]),
+            ci95: of_half.ok(),
+            no_interval: of_half.err(),
+        };
+        (points.collect(), half)
+    }
+
+    /// Computes the curve at each radius as Efron's self-consistent estimate: censored
+    /// configurations survive with the curve's own conditional probability, which is
+    /// iterated to a fixed point (B. Efron, The two sample problem with censored data,
+    /// Proceedings of the Fifth Berkeley Symposium 4 (1967), 831–853).
+    fn survival(&self, known: &[(TaskRef, Survives)]) -> Vec<f64> {
+        let mut survival = vec![1.0; self.radii.len()];
+        for _ in 0..MOST_ROUNDS {
+            let others = |radius: f64| {
+                let place = self.radii.partition_point(|it| *it < radius);
+                survival[place]
+            };
+            let share = |&radius: &f64| {
+                let expected = known.iter().map(|(_, it)| it.expected(radius, others));
+                expected.sum::<f64>() / known.len() as f64
+            };
+            let next: Vec<f64> = self.radii.iter().map(share).collect();
+            let pairs = next.iter().zip(&survival);
+            let change = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            survival = next;
+            if change < CHANGE {
+                break;
+            }
+        }
+        survival
+    }
+
+    /// Writes the least and the greatest survival at each radius, alternating, over tasks
+    /// weighted by `draws`; then the radii between which survival crosses one half.
+    fn statistics(&self, draws: &[u32], values: &mut [f64]) {
+        values.fill(0.0);
+        let mut n = 0.0;
+        for (task, &drawn) in self.tasks.iter().zip(draws) {
+            let drawn = f64::from(drawn);
+            n += drawn * task.n;
+            for k in 0..self.radii.len() {
+                values[2 * k] += drawn * task.survive[0][k];
+                values[2 * k + 1] += drawn * task.survive[1][k];
+            }
+        }
+        for sum in values.iter_mut() {
+            *sum /= n;
+        }
+        let at = |k: usize, end: usize| values[2 * k + end];
+        let places = 0..self.radii.len();
+        // The median of the brackets' lower ends, and that of their upper ends.
+        let low = places.clone().rev().find(|&k| at(k, 0) > HALF);
+        let high = places.clone().find(|&k| at(k, 1) < HALF);
+        let low = low.map_or(0.0, |k| self.radii[k]);
+        let last = self.radii.last().copied().unwrap_or_default();
+        let high = high.map_or(last, |k| self.radii[k]);
+        values[2 * self.radii.len()] = low;
+        values[2 * self.radii.len() + 1] = high;
+    }
+
+    /// Returns the radius at which a curve crosses one half, by linear interpolation.
+    fn crossing(&self, survival: &[f64]) -> f64 {
+        let below = survival.iter().position(|share| *share <= HALF);
+        match below {
+            None => self.radii.last().copied().unwrap_or_default(),
+            Some(0) => 0.0,
+            Some(k) => {
+                let [before, after] = [survival[k - 1], survival[k]];
+                let share = (before - HALF) / (before - after);
+                self.radii[k - 1] + share * (self.radii[k] - self.radii[k - 1])
+            }
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! Ray of one configuration under one condition, and the outcomes along it.
+
+use libero_ctrl::{Condition, Level, TaskRef};
+use paired::Outcome;
+
+use crate::outcomes::Outcomes;
+
+/// Direction of one configuration under one condition; radii are positions on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Ray {
+    /// Condition: the perturbed axes.
+    pub condition: Condition,
+    /// The task.
+    pub task: TaskRef,
+    /// The configuration's number.
+    pub config: u16,
+}
+
+/// The outcomes along a ray by radius; the nominal rollout is at [`Level::L0`].
+impl Outcomes<Level> {
+    /// Creates the outcomes of a ray from that of its nominal rollout.
+    pub fn from_nominal(nominal: Outcome) -> Self {
+        let mut outcomes = Self::default();
+        outcomes.record_source(Level::L0, nominal);
+        outcomes
+    }
+
+    /// Returns the outcome of the nominal rollout.
+    pub fn nominal(&self) -> Outcome {
+        self.at(Level::L0).unwrap_or_default()
+    }
+
+    /// Returns the outcome at a radius, quarantined if results contradict each other; `None` if
+    /// no rollout was requested.
+    pub fn at(&self, level: Level) -> Option<Outcome> {
+        let tally = self.both(level);
+        match tally.majority() {
+            _ if tally.asked() == 0 => None,
+            Some(success) => Some(Outcome::from(success)),
+            None if tally.pending > 0 => Some(Outcome::Missing),
+            None => Some(Outcome::Quarantined),
+        }
+    }
+
+    /// Returns the radii beyond 0 with a requested rollout and their outcomes, in ascending
+    /// order.
+    pub fn perturbed(&self) -> impl DoubleEndedIterator<Item = (Level, Outcome)> {
+        let perturbed = self.points().filter(|level| *level != Level::L0);
+        perturbed.filter_map(|level| Some((level, self.at(level)?)))
+    }
+
+    /// Returns the radii beyond 0 whose outcome is known to be a success, or a failure, in
+    /// ascending order.
+    pub(crate) fn levels(&self, success: bool) -> impl DoubleEndedIterator<Item = Level> {
+        let is_such = move |outcome: Outcome| outcome.success() == Some(success);
+        self.perturbed()
+            .filter_map(move |(level, outcome)| is_such(outcome).then_some(level))
+    }
+}

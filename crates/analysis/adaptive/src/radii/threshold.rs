@@ -1,0 +1,98 @@
+//! Threshold of one ray, derived from its known outcomes.
+
+use libero_ctrl::Level;
+use paired::Outcome;
+
+use super::search::Search;
+use crate::outcomes::Outcomes;
+
+/// Radius at which success turns to failure, as far as known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Threshold {
+    /// The nominal rollout fails, so that there is no threshold.
+    NominalFails,
+    /// The nominal rollout has no outcome.
+    NominalUnknown,
+    /// The threshold lies between the smallest failing radius and the largest successful
+    /// radius below it.
+    Between {
+        /// Largest successful radius below `fails_at`; L0 is the nominal rollout.
+        succeeds_at: Level,
+        /// Smallest failing radius.
+        fails_at: Level,
+    },
+    /// The largest radius succeeds and no radius fails: the threshold is right-censored
+    /// there.
+    Beyond,
+    /// No radius is known to fail, and the largest has no outcome: the threshold is
+    /// right-censored at the largest radius that is known to succeed.
+    Open {
+        /// Largest radius at which it succeeds; L0 is the nominal rollout.
+        succeeds_at: Level,
+    },
+}
+
+/// Threshold of a ray, as far as its outcomes determine it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// The first radius at which success turns to failure.
+    pub threshold: Threshold,
+    /// Radii beyond the threshold that succeed, so that the ray is not monotone.
+    pub recovers_at: Vec<Level>,
+    /// True if no outcome of the grid is missing. Otherwise, failures may still appear at
+    /// smaller radii.
+    pub is_on_grid: bool,
+}
+
+impl Finding {
+    /// Derives a ray's threshold from the outcomes along it.
+    pub fn new(outcomes: &Outcomes<Level>, search: &Search) -> Self {
+        let largest = search.largest().unwrap_or(Level::L0);
+        let fails_at = outcomes.levels(false).find(|level| *level <= largest);
+        let threshold = match (outcomes.nominal(), fails_at) {
+            (Outcome::Failure, _) => Threshold::NominalFails,
+            (Outcome::Missing | Outcome::Quarantined, _) => Threshold::NominalUnknown,
+            (Outcome::Success, Some(fails_at)) => {
+                let mut below = outcomes
+                    .levels(true)
+                    .rev()
+                    .filter(|level| *level < fails_at);
+                Threshold::Between {
+                    succeeds_at: below.next().unwrap_or(Level::L0),
+                    fails_at,
+                }
+            }
+            (Outcome::Success, None) => {
+                match search.largest().and_then(|it| outcomes.at(it)?.success()) {
+                    Some(_) => Threshold::Beyond,
+                    None => Threshold::Open {
+                        succeeds_at: outcomes
+                            .levels(true)
+                            .rfind(|level| *level <= largest)
+                            .unwrap_or(Level::L0),
+                    },
+                }
+            }
+        };
+        let first_failure = match threshold {
+            Threshold::NominalFails => Some(Level::L0),
+            Threshold::Between { fails_at, .. } => Some(fails_at),
+            _ => None,
+        };
+        let recovers_at = first_failure.map(|failure| {
+            let levels = outcomes.levels(true).filter(|level| *level <= largest);
+            levels.filter(|level| *level > failure).collect()
+        });
+        let is_missing =
+            |level: &Level| outcomes.at(*level).unwrap_or_default() == Outcome::Missing;
+        Self {
+            threshold,
+            recovers_at: recovers_at.unwrap_or_default(),
+            is_on_grid: match threshold {
+                Threshold::NominalFails => true,
+                Threshold::NominalUnknown => false,
+                _ => !search.grid.iter().any(is_missing),
+            },
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! Joins the records of two campaigns, the explained and the explaining one, into the
+//! lattice of each configuration.
+
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+
+use libero_ctrl::{Condition, Explanation, Level, RolloutId, TaskRef};
+use paired::{Record, Records};
+
+use super::evidence::{Evidence, Repeats};
+use super::lattice::{Lattice, LatticeError};
+use super::next::Strategy;
+use super::plan::Sample;
+use crate::source::decisive;
+
+/// Returns the lattice of each configuration of a campaign, by its simultaneous rollout.
+/// `explained` are the records of that campaign, `own` those of the campaign that explains it. A
+/// rollout that is recorded twice counts as unknown.
+///
+/// Without repeats, the rollout of replicate 0 alone decides. With repeats, for policies that
+/// sample, all replicates of the explained campaign select configurations, and only those of
+/// the campaign that explains it decide.
+///
+/// # Errors
+/// If the campaign perturbs only one axis.
+pub fn configurations(
+    explained: &[Record],
+    own: &[Record],
+    repeats: Option<u32>,
+) -> Result<BTreeMap<RolloutId, Lattice>, LatticeError> {
+    let evidence = match repeats {
+        None => Evidence::Once,
+        Some(most) => Evidence::Repeated(Repeats::up_to(most)),
+    };
+    let explained = decisive(explained, repeats.is_some());
+    let records = Records::new(&explained).unwrap_or_default();
+    let full = records.axes().collect();
+    let mut lattices = BTreeMap::new();
+    for matched in records.configurations() {
+        let id = simultaneous(matched.task, matched.level, matched.config);
+        let Some(id) = id else { continue };
+        let lattice = match lattices.entry(id) {
+            Entry::Vacant(new) => new.insert(Lattice::new(full, evidence)?),
+            Entry::Occupied(there) => there.into_mut(),
+        };
+        lattice.add_replicate(matched)?;
+    }
+    for &Record { id, outcome, .. } in own {
+        let name = simultaneous(id.task(), id.level(), id.number());
+        if let Some(lattice) = name.and_then(|name| lattices.get_mut(&name)) {
+            let axes = id.condition().axes(lattice.full());
+            lattice.record(axes, outcome)?;
+        }
+    }
+    Ok(lattices)
+}
+
+fn simultaneous(task: TaskRef, level: Level, config: u16) -> Option<RolloutId> {
+    RolloutId::perturbed(task, Condition::Combination, level, config).ok()
+}
+
+/// Returns the lattice of replicate 0 of each configuration of a campaign that runs subsets of
+/// the axes itself.
+///
+/// # Errors
+/// If the campaign perturbs only one axis.
+pub fn own_configurations(
+    records: &[Record],
+) -> Result<BTreeMap<RolloutId, Lattice>, LatticeError> {
+    let is_subset = |record: &Record| matches!(record.id.condition(), Condition::Subset(_));
+    let records = decisive(records, false).into_iter();
+    let (subsets, others): (Vec<Record>, Vec<Record>) = records.partition(is_subset);
+    configurations(&others, &subsets, None)
+}
+
+impl Sample {
+    /// Returns the sampling settings of a campaign that explains another one.
+    pub fn of(explanation: &Explanation) -> Self {
+        Self {
+            budget: explanation.budget.unwrap_or(u32::MAX),
+            seed: explanation.seed,
+            strategy: match explanation.exhaustive {
+                true => Strategy::Exhaustive,
+                false => Strategy::Adaptive,
+            },
+        }
+    }
+}

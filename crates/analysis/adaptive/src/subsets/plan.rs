@@ -1,0 +1,246 @@
+//! Planning: spends a budget of rollouts on many configurations.
+
+use std::collections::BTreeMap;
+
+use libero_ctrl::RolloutId;
+use serde::{Deserialize, Serialize};
+
+use super::lattice::Lattice;
+use super::next::{Request, Strategy, next};
+use crate::decision::Decision;
+use crate::source::rank;
+
+/// Settings of the random sample of transitions that a budget explains.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sample {
+    /// Total number of rollouts to spend beyond those of the campaign.
+    pub budget: u32,
+    /// Seed of the random order in which configurations are started.
+    pub seed: u64,
+    /// Strategy for each configuration.
+    pub strategy: Strategy,
+}
+
+/// Decides which subsets to run next for all configurations, each identified by its
+/// simultaneous rollout.
+///
+/// Configurations are started in a random order that depends on the seed and
+/// their ids alone. A configuration is started only if the budget covers its whole
+/// lattice in addition to the possible needs of those in progress, so that each one
+/// started can be finished. At the end, when none is in progress, the rest of the
+/// budget goes to one configuration after the other, and the last may remain unfinished.
+///
+/// Spending is counted from the requested rollouts: pass every configuration of the sample each
+/// time, including explained ones.
+pub fn plan<'a>(
+    configurations: &'a BTreeMap<RolloutId, Lattice>,
+    sample: &Sample,
+) -> Vec<(&'a RolloutId, Vec<Request>)> {
+    let mut spent = 0;
+    let candidate = |(name, lattice): (&'a RolloutId, &'a Lattice)| {
+        let requested = lattice.outcomes().requested();
+        spent += requested;
+        (requested == 0, rank(name, sample.seed), name, lattice)
+    };
+    let mut candidates: Vec<_> = configurations.iter().map(candidate).collect();
+    // Configurations in progress come first; a new one starts only if it can be finished.
+    candidates.sort_by_key(|&(is_new, rank, name, _)| (is_new, rank, name));
+    let mut left = sample.budget.saturating_sub(spent);
+    let mut alone = true;
+    let mut batches = Vec::new();
+    for (is_new, _, name, lattice) in candidates {
+        let batch = match next(lattice, sample.strategy) {
+            Decision::Run(batch) => batch,
+            Decision::Wait if !is_new => Vec::new(),
+            Decision::Wait | Decision::Done => continue,
+        };
+        let reserve = lattice.most_further_rollouts();
+        if reserve > left && !alone {
+            break;
+        }
+        let batch = within(left, batch);
+        if !batch.is_empty() {
+            batches.push((name, batch));
+        }
+        left = left.saturating_sub(reserve);
+        alone = false;
+    }
+    batches
+}
+
+/// Truncates a batch to the affordable rollouts.
+fn within(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
+    let cut = |request: Request| {
+        let rollouts = request.rollouts.min(left);
+        left -= rollouts;
+        (rollouts > 0).then_some(Request {
+            rollouts,
+            ..request
+        })
+    };
+    batch.into_iter().map_while(cut).collect()
+}
+
+impl Lattice {
+    /// Returns the largest number of rollouts that may still be requested.
+    pub fn most_further_rollouts(&self) -> u32 {
+        let sets = self
+            .full()
+            .subsets()
+            .into_iter()
+            .filter(|set| !set.is_empty());
+        sets.map(|set| self.evidence().remaining(&self.tally(set), self.role(set)))
+            .sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use libero_ctrl::{AxisSet, Condition, Level, TaskRef};
+    use paired::Outcome;
+
+    use crate::subsets::evidence::Evidence;
+
+    /// Returns configurations in which only the pair of the first two axes and the full set
+    /// are known to fail.
+    fn transitions(count: usize) -> BTreeMap<RolloutId, Lattice> {
+        let named = |task| RolloutId::perturbed(task, Condition::Combination, Level::L2, 3);
+        let names = TaskRef::all().map(|task| named(task).expect("a perturbed level"));
+        let begun = |name| {
+            let mut lattice = Lattice::new(AxisSet::ALL, Evidence::Once).expect("six axes");
+            let campaign = lattice.singles().chain([AxisSet::EMPTY, AxisSet::ALL]);
+            for set in campaign.collect::<Vec<_>>() {
+                let result = lattice.record_source(set, outcome(set));
+                result.expect("a subset");
+            }
+            (name, lattice)
+        };
+        names.take(count).map(begun).collect()
+    }
+
+    fn outcome(set: AxisSet) -> Outcome {
+        let pair: AxisSet = "camera+lighting".parse().expect("a set");
+        Outcome::from(!pair.is_subset(set))
+    }
+
+    fn sample(budget: u32, seed: u64) -> Sample {
+        Sample {
+            budget,
+            seed,
+            strategy: Strategy::Adaptive,
+        }
+    }
+
+    /// Runs planned batches until none is left, and returns the largest number of
+    /// configurations in progress at once.
+    fn spend(all: &mut BTreeMap<RolloutId, Lattice>, sample: &Sample) -> usize {
+        let mut widest = 0;
+        loop {
+            let batches: Vec<_> = plan(all, sample)
+                .into_iter()
+                .map(|(name, batch)| (*name, batch))
+                .collect();
+            if batches.is_empty() {
+                return widest;
+            }
+            widest = widest.max(batches.len());
+            for (name, batch) in batches {
+                let lattice = all.get_mut(&name).expect("it was passed");
+                for Request { set, rollouts } in batch {
+                    for _ in 0..rollouts {
+                        lattice.record(set, outcome(set)).expect("a subset");
+                    }
+                }
+            }
+        }
+    }
+
+    fn finished(all: &BTreeMap<RolloutId, Lattice>) -> Vec<RolloutId> {
+        let done = |lattice: &Lattice| next(lattice, Strategy::Adaptive) == Decision::Done;
+        let done = all.iter().filter(|(_, lattice)| done(lattice));
+        done.map(|(name, _)| *name).collect()
+    }
+
+    #[test]
+    fn what_is_begun_is_finished_and_the_budget_is_kept() {
+        // One explanation takes 17 rollouts.
+        for budget in [0, 1, 16, 17, 40, 100, 300, 1000] {
+            let mut all = transitions(30);
+            let widest = spend(&mut all, &sample(budget, 7));
+            let spent: u32 = all.values().map(Lattice::further_rollouts).sum();
+            assert_eq!(spent, budget.min(30 * 17));
+            let expected = (budget / 17).min(30) as usize;
+            assert_eq!(finished(&all).len(), expected, "budget {budget}");
+            assert!(budget < 300 || widest >= 5, "they run side by side");
+        }
+    }
+
+    #[test]
+    fn a_larger_budget_and_further_configurations_keep_what_was_begun() {
+        let mut small = transitions(30);
+        spend(&mut small, &sample(170, 7));
+        let mut large = transitions(30);
+        spend(&mut large, &sample(340, 7));
+        let (small_done, large_done) = (finished(&small), finished(&large));
+        assert!(small_done.iter().all(|name| large_done.contains(name)));
+        for (name, lattice) in transitions(40) {
+            small.entry(name).or_insert(lattice);
+        }
+        spend(&mut small, &sample(340, 7));
+        let extended = finished(&small);
+        assert_eq!(extended.len(), 20);
+        assert!(small_done.iter().all(|name| extended.contains(name)));
+    }
+
+    #[test]
+    fn what_is_under_way_is_finished_before_later_transitions_are_begun() {
+        for seed in 0..10 {
+            let sample = sample(60, seed);
+            let mut all = transitions(1);
+            let (name, batch) = plan(&all, &sample).remove(0);
+            let name = *name;
+            for Request { set, .. } in batch {
+                let lattice = all.get_mut(&name).expect("it was passed");
+                lattice.record(set, outcome(set)).expect("a subset");
+            }
+            for (later, lattice) in transitions(30) {
+                all.entry(later).or_insert(lattice);
+            }
+            let planned = plan(&all, &sample);
+            assert_eq!(planned.len(), 1, "45 rollouts are left, and 41 reserved");
+            assert_eq!(planned[0].0, &name, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn another_seed_picks_other_configurations() {
+        let picked = |seed| {
+            let mut all = transitions(30);
+            spend(&mut all, &sample(170, seed));
+            finished(&all)
+        };
+        assert_eq!(picked(1), picked(1));
+        assert_ne!(picked(1), picked(2));
+    }
+
+    #[test]
+    fn while_a_batch_is_pending_nothing_is_asked_in_its_stead() {
+        let mut all = transitions(30);
+        let sample = sample(120, 7);
+        let first: Vec<_> = plan(&all, &sample)
+            .into_iter()
+            .map(|(name, batch)| (*name, batch))
+            .collect();
+        for (name, batch) in &first {
+            for request in batch {
+                let lattice = all.get_mut(name).expect("it was passed");
+                lattice
+                    .record(request.set, Outcome::Missing)
+                    .expect("a subset");
+            }
+        }
+        assert_eq!(first.len(), 2, "of 120 rollouts, 56 are reserved for each");
+        assert_eq!(plan(&all, &sample), []);
+    }
+}

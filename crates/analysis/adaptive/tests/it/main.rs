@@ -1,0 +1,4 @@
+//! Tests of both searches.
+
+mod radii;
+mod subsets;

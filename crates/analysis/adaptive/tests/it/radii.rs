@@ -1,0 +1,53 @@
+mod coverage;
+mod curves;
+mod one_ray;
+
+use std::collections::BTreeSet;
+
+use adaptive::radii::Measurement;
+use libero_ctrl::{RolloutId, Thresholds};
+use paired::{Outcome, Record};
+
+/// Thresholds of all conditions and configurations.
+fn thresholds(tolerance: f64, max_radius: f64) -> Thresholds {
+    Thresholds {
+        campaign: "first".to_owned(),
+        conditions: Vec::new(),
+        tolerance,
+        max_radius,
+        budget: None,
+        seed: 0,
+    }
+}
+
+/// Configuration j begins at initial state j.
+fn record(id: RolloutId, outcome: Outcome) -> Record {
+    Record {
+        id,
+        init_id: id.number(),
+        replicate: 0,
+        outcome,
+    }
+}
+
+/// Runs the planned rollouts until none is left.
+fn measure(
+    source: &[Record],
+    thresholds: &Thresholds,
+    outcome: impl Fn(RolloutId) -> Outcome,
+) -> Vec<Record> {
+    let mut ids: BTreeSet<RolloutId> = source.iter().map(|record| record.id).collect();
+    let mut own: Vec<Record> = Vec::new();
+    loop {
+        let plan = Measurement::of(source, &own, thresholds).plan();
+        if plan.is_empty() {
+            return own;
+        }
+        for (ray, level) in plan {
+            let id = RolloutId::perturbed(ray.task, ray.condition, level, ray.config);
+            let id = id.expect("a perturbed level");
+            assert!(ids.insert(id), "{id} twice");
+            own.push(record(id, outcome(id)));
+        }
+    }
+}

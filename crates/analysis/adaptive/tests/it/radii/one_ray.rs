@@ -1,0 +1,258 @@
+//! Tests of the search along one ray: it finds the threshold in as few rollouts as
+//! halving needs, in whatever order outcomes come.
+
+use std::collections::BTreeMap;
+
+use adaptive::radii::{Finding, Search, Threshold, next};
+use adaptive::{Decision, Outcomes};
+use libero_ctrl::{Axis, AxisSet, Condition, Level};
+use paired::Outcome;
+use proptest::prelude::*;
+
+use super::thresholds;
+
+fn level(radius: f64) -> Level {
+    Level::of_radius(radius).expect("a radius")
+}
+
+fn search(tolerance: f64, max_radius: f64) -> Search {
+    let camera = Condition::Single(Axis::Camera);
+    Search::of(&thresholds(tolerance, max_radius), camera, AxisSet::ALL)
+}
+
+/// Runs the requested rollouts until none is left.
+fn run(search: &Search, outcome: impl Fn(Level) -> Outcome) -> Outcomes<Level> {
+    let mut outcomes = Outcomes::from_nominal(Outcome::Success);
+    while let Decision::Run(levels) = next(&outcomes, search) {
+        assert!(!levels.is_empty());
+        for level in levels {
+            assert_eq!(outcomes.at(level), None, "{level} was asked for twice");
+            outcomes.record(level, outcome(level));
+        }
+    }
+    assert_eq!(next(&outcomes, search), Decision::Done);
+    outcomes
+}
+
+/// Returns an outcome that is unrelated to the radius: of 16, `failing` fail and `quarantined` are
+/// in quarantine.
+fn any(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outcome {
+    let mut bits = seed ^ (level.radius() * 1e6) as u64;
+    for _ in 0..3 {
+        bits = (bits ^ (bits >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    }
+    match (bits >> 32) % 16 {
+        draw if draw < failing => Outcome::Failure,
+        draw if draw < failing + quarantined => Outcome::Quarantined,
+        _ => Outcome::Success,
+    }
+}
+
+/// Returns the first failure and all successes beyond it, without the code under test.
+fn by_hand(outcomes: &Outcomes<Level>) -> (Option<Level>, Vec<Level>) {
+    let fails = outcomes.perturbed().find(|(_, it)| *it == Outcome::Failure);
+    let fails = fails.map(|(level, _)| level);
+    let succeeds = outcomes
+        .perturbed()
+        .filter(|(_, it)| *it == Outcome::Success);
+    let beyond = succeeds.map(|(level, _)| level);
+    let beyond = beyond.filter(|it| fails.is_some_and(|fails| *it > fails));
+    (fails, beyond.collect())
+}
+
+proptest! {
+    #[test]
+    fn a_planted_threshold_is_found_within_the_tolerance(
+        at in 0.001_f64..40.0, tolerance in 0.01_f64..3.0, max_radius in 2.0_f64..40.0,
+    ) {
+        let search = search(tolerance, max_radius);
+        let outcomes = run(&search, |level| Outcome::from(level.radius() < at));
+        let finding = Finding::new(&outcomes, &search);
+        prop_assert!(finding.recovers_at.is_empty());
+        let mut halvings = 0.0;
+        match finding.threshold {
+            Threshold::Beyond => prop_assert!(search.largest().expect("a grid").radius() < at),
+            Threshold::Between { succeeds_at, fails_at } => {
+                let [low, high] = [succeeds_at.radius(), fails_at.radius()];
+                prop_assert!(low < at && at <= high);
+                prop_assert!(high - low <= tolerance + 1e-5);
+                let grid = || search.grid.iter().map(|it| it.radius());
+                let below = grid().filter(|it| *it < at).fold(0.0, f64::max);
+                let above = grid().find(|it| *it >= at).expect("it fails in the grid");
+                halvings = ((above - below) / (tolerance + 1e-5)).log2().ceil().max(0.0);
+            }
+            other => prop_assert!(false, "{other:?}"),
+        }
+        let rollouts = search.grid.len() as u32 + halvings as u32;
+        prop_assert_eq!(outcomes.requested(), rollouts);
+        prop_assert!(rollouts <= search.most_rollouts(|_| false));
+    }
+
+    #[test]
+    fn whatever_the_outcomes_are_the_first_failure_and_every_recovery_are_named(
+        seed: u64, failing in 0_u64..16, quarantined in 0_u64..6, tolerance in 0.05_f64..3.0,
+    ) {
+        let search = search(tolerance, 16.0);
+        let outcomes = run(&search, |level| any(seed, level, failing, quarantined));
+        prop_assert!(outcomes.requested() <= search.most_rollouts(|_| false));
+        let (fails, beyond) = by_hand(&outcomes);
+        let finding = Finding::new(&outcomes, &search);
+        prop_assert_eq!(finding.recovers_at, beyond);
+        match finding.threshold {
+            Threshold::Between { succeeds_at, fails_at } => {
+                prop_assert_eq!(Some(fails_at), fails);
+                let there = outcomes.at(succeeds_at);
+                prop_assert!(there == Some(Outcome::Success) || succeeds_at == Level::L0);
+                // The bracket is wider than the tolerance only if its middle is quarantined.
+                let width = fails_at.radius() - succeeds_at.radius();
+                let middle = level(succeeds_at.radius() + width / 2.0);
+                prop_assert!(
+                    width <= tolerance + 1e-5 || outcomes.at(middle) == Some(Outcome::Quarantined)
+                );
+            }
+            Threshold::Beyond => prop_assert_eq!(fails, None),
+            Threshold::Open { .. } => {
+                prop_assert_eq!(fails, None);
+                prop_assert_eq!(outcomes.at(level(16.0)), Some(Outcome::Quarantined));
+            }
+            other => prop_assert!(false, "{other:?}"),
+        }
+    }
+
+    #[test]
+    fn what_is_asked_for_depends_on_outcomes_and_on_no_order(
+        seed: u64, failing in 0_u64..16, order: u64,
+    ) {
+        let search = search(0.25, 16.0);
+        let outcome = |level| any(seed, level, failing, 2);
+        let together = run(&search, outcome);
+        // Settles one outcome at a time in another order, with a new decision after each.
+        let mut settled: BTreeMap<Level, Outcome> = BTreeMap::new();
+        let mut draw = order;
+        loop {
+            let mut outcomes = Outcomes::from_nominal(Outcome::Success);
+            for (&level, &outcome) in &settled {
+                outcomes.record(level, outcome);
+            }
+            if let Decision::Run(levels) = next(&outcomes, &search) {
+                for level in levels {
+                    prop_assert_eq!(settled.insert(level, Outcome::Missing), None);
+                }
+            }
+            let waiting = settled.iter().filter(|(_, it)| **it == Outcome::Missing);
+            let waiting: Vec<Level> = waiting.map(|(&level, _)| level).collect();
+            if waiting.is_empty() {
+                break;
+            }
+            draw = draw.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            let level = waiting[(draw >> 33) as usize % waiting.len()];
+            settled.insert(level, outcome(level));
+        }
+        prop_assert!(together.perturbed().eq(settled.into_iter()));
+    }
+
+    #[test]
+    fn outcomes_that_are_supplied_are_not_asked_for(at in 0.001_f64..20.0, tolerance in 0.05_f64..3.0) {
+        let search = search(tolerance, 16.0);
+        let outcome = |level: Level| Outcome::from(level.radius() < at);
+        let alone = run(&search, outcome);
+        let mut outcomes = Outcomes::from_nominal(Outcome::Success);
+        for level in Level::PERTURBED {
+            outcomes.record_source(level, outcome(level));
+        }
+        while let Decision::Run(levels) = next(&outcomes, &search) {
+            for level in levels {
+                prop_assert!(!Level::PERTURBED.contains(&level));
+                outcomes.record(level, outcome(level));
+            }
+        }
+        prop_assert!(outcomes.perturbed().eq(alone.perturbed()));
+        prop_assert_eq!(outcomes.requested() + 3, alone.requested());
+        prop_assert!(outcomes.requested() <= search.most_rollouts(|level| level.is_named()));
+    }
+}
+
+/// A policy is late by whole steps: radii of 2, 4, 6, …
+#[test]
+fn a_delay_is_found_to_the_control_step() {
+    for (max_radius, grid) in [
+        (16.0, "L1 L2 L3 r16"),
+        (15.0, "L1 L2 L3 r14"),
+        (14.0, "L1 L2 L3 r14"),
+        (5.5, "L1 L2"),
+    ] {
+        let measured = thresholds(0.5, max_radius);
+        let search = Search::of(&measured, Condition::Latency, AxisSet::ALL);
+        let radii: Vec<String> = search.grid.iter().map(Level::to_string).collect();
+        assert_eq!(radii.join(" "), grid);
+        for bears in 0..=7_u16 {
+            let radius = 2.0 * f64::from(bears);
+            let outcome = |level: Level| Outcome::from(level.radius() <= radius);
+            let outcomes = run(&search, outcome);
+            let steps = |level: Level| level.radius() / 2.0;
+            assert!(
+                outcomes
+                    .perturbed()
+                    .all(|(level, _)| steps(level).fract() == 0.0)
+            );
+            let largest = search.largest().expect("a radius");
+            let expected = match radius >= largest.radius() {
+                true => Threshold::Beyond,
+                false => Threshold::Between {
+                    succeeds_at: match bears {
+                        0 => Level::L0,
+                        _ => level(radius),
+                    },
+                    fails_at: level(radius + 2.0),
+                },
+            };
+            assert_eq!(
+                Finding::new(&outcomes, &search).threshold,
+                expected,
+                "{bears} steps"
+            );
+        }
+    }
+}
+
+#[test]
+fn what_fails_nominally_is_not_perturbed_further() {
+    let search = search(0.5, 16.0);
+    let mut outcomes = Outcomes::from_nominal(Outcome::Failure);
+    assert_eq!(next(&outcomes, &search), Decision::Done);
+    assert_eq!(
+        Finding::new(&outcomes, &search).threshold,
+        Threshold::NominalFails
+    );
+    // A rollout that was run before may contradict this; its level is then reported.
+    outcomes.record_source(Level::L2, Outcome::Success);
+    let finding = Finding::new(&outcomes, &search);
+    assert_eq!(finding.threshold, Threshold::NominalFails);
+    assert_eq!(finding.recovers_at, [Level::L2]);
+    let missing = Outcomes::from_nominal(Outcome::Missing);
+    assert_eq!(next(&missing, &search), Decision::Wait);
+    let quarantined = Outcomes::from_nominal(Outcome::Quarantined);
+    assert_eq!(next(&quarantined, &search), Decision::Done);
+    let unknown = Finding::new(&quarantined, &search).threshold;
+    assert_eq!(unknown, Threshold::NominalUnknown);
+}
+
+#[test]
+fn language_is_measured_at_the_levels_that_it_has_wordings_at() {
+    let with_language = [Condition::Single(Axis::Language), Condition::Combination];
+    for condition in with_language {
+        let search = Search::of(&thresholds(0.5, 16.0), condition, AxisSet::ALL);
+        let outcomes = run(&search, |level| Outcome::from(level < Level::L3));
+        let radii: Vec<Level> = outcomes.perturbed().map(|(level, _)| level).collect();
+        assert_eq!(radii, Level::PERTURBED);
+        let threshold = Finding::new(&outcomes, &search).threshold;
+        let expected = Threshold::Between {
+            succeeds_at: Level::L2,
+            fails_at: Level::L3,
+        };
+        assert_eq!(threshold, expected);
+    }
+    let metric = AxisSet::from_iter(Axis::METRIC);
+    let search = Search::of(&thresholds(0.5, 16.0), Condition::Combination, metric);
+    assert_eq!(search.tolerance, Some(0.5));
+}

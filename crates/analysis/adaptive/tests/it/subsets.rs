@@ -1,0 +1,12 @@
+mod decisions;
+mod interactions;
+mod planted;
+mod planted_rules;
+mod repeats;
+
+use libero_ctrl::{Axis, AxisSet};
+
+/// The first `axes` axes.
+fn full(axes: usize) -> AxisSet {
+    Axis::ALL.into_iter().take(axes).collect()
+}

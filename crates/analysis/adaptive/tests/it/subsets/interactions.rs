@@ -1,0 +1,162 @@
+//! Interactions add up exactly and agree with their definitions.
+
+use adaptive::subsets::{CompleteLattice, Estimate, Interactions};
+use libero_ctrl::{Axis, AxisSet, TaskRef};
+use paired::{Bootstrap, NoInterval};
+use proptest::prelude::*;
+
+use super::full;
+
+const FEW: Bootstrap = Bootstrap {
+    replicates: 50,
+    seed: 7,
+};
+
+fn lattice(task: usize, full: AxisSet, success: impl Fn(AxisSet) -> bool) -> CompleteLattice {
+    let task = TaskRef::all().nth(task).expect("a task");
+    CompleteLattice::new(task, full, |set| Some(success(set))).expect("all outcomes")
+}
+
+fn sum<'a>(estimates: impl IntoIterator<Item = &'a Estimate>) -> i64 {
+    estimates
+        .into_iter()
+        .map(|estimate| estimate.numerator)
+        .sum()
+}
+
+/// Configurations of 2 to 6 axes: the bits of a number are the outcomes.
+fn any_configurations() -> impl Strategy<Value = (usize, Vec<CompleteLattice>)> {
+    let configurations = prop::collection::vec((0..12_usize, any::<u64>()), 1..30);
+    (2..=6_usize, configurations).prop_map(|(axes, configurations)| {
+        let full = full(axes);
+        let subsets = full.subsets();
+        let one = |(task, bits): (usize, u64)| {
+            lattice(task, full, |set| {
+                let index = subsets.iter().position(|other| *other == set);
+                bits >> index.expect("a subset") & 1 == 1
+            })
+        };
+        (axes, configurations.into_iter().map(one).collect())
+    })
+}
+
+fn factorial(n: usize) -> i64 {
+    (1..=n as i64).product()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn interactions_add_up_exactly((axes, configurations) in any_configurations()) {
+        let all = Interactions::of(&configurations, &FEW).expect("configurations");
+        let (full, nominal) = (&all.success[&full(axes)], &all.success[&AxisSet::EMPTY]);
+        prop_assert_eq!(nominal.numerator + sum(all.moebius.values()), full.numerator);
+        prop_assert_eq!(nominal.numerator + sum(all.sizes.values()), full.numerator);
+        let shapley = sum(all.shapley.values());
+        prop_assert_eq!(shapley, 60 * (full.numerator - nominal.numerator));
+        let n = configurations.len() as i64;
+        prop_assert!(all.success.values().chain(all.moebius.values()).all(|e| e.denominator == n));
+        prop_assert!(all.shapley.values().chain(all.pairs.values()).all(|e| e.denominator == 60 * n));
+        prop_assert_eq!((all.success.len(), all.moebius.len()), (1 << axes, (1 << axes) - 1));
+        prop_assert_eq!((all.shapley.len(), all.pairs.len()), (axes, axes * (axes - 1) / 2));
+        // Every v(A) is the sum of m over the subsets of A.
+        for (set, success) in &all.success {
+            let below = all.moebius.iter().filter(|(below, _)| below.is_subset(*set));
+            prop_assert_eq!(nominal.numerator + sum(below.map(|(_, m)| m)), success.numerator);
+        }
+    }
+
+    /// Definitions by marginal contributions, each weighted by the number of orders of the axes in
+    /// which it occurs.
+    #[test]
+    fn shapley_values_and_pair_indices_are_averages_over_orders((axes, configurations) in any_configurations()) {
+        let all = Interactions::of(&configurations, &FEW).expect("configurations");
+        let v = |set: AxisSet| all.success[&set].numerator;
+        for (&axis, shapley) in &all.shapley {
+            let alone = AxisSet::of(axis);
+            let others = full(axes).without(alone).subsets().into_iter();
+            let marginal = others.map(|others| {
+                let orders = factorial(others.len()) * factorial(axes - 1 - others.len());
+                orders * (v(others.union(alone)) - v(others))
+            });
+            prop_assert_eq!(60 * marginal.sum::<i64>(), shapley.numerator * factorial(axes));
+        }
+        for (&pair, index) in &all.pairs {
+            let [i, j] = pair.axes().map(AxisSet::of).collect::<Vec<_>>()[..] else { panic!("a pair") };
+            let others = full(axes).without(pair).subsets().into_iter();
+            let change = others.map(|others| {
+                let orders = factorial(others.len()) * factorial(axes - 2 - others.len());
+                orders * (v(others.union(pair)) - v(others.union(i)) - v(others.union(j)) + v(others))
+            });
+            prop_assert_eq!(60 * change.sum::<i64>(), index.numerator * factorial(axes - 1));
+        }
+    }
+
+    #[test]
+    fn the_order_of_configurations_changes_nothing((_, configurations) in any_configurations()) {
+        let forwards = Interactions::of(&configurations, &FEW);
+        let reversed: Vec<_> = configurations.into_iter().rev().collect();
+        prop_assert_eq!(forwards, Interactions::of(&reversed, &FEW));
+    }
+}
+
+/// Ten tasks; the pair of the first two axes fails in the even ones.
+fn pair_fails_in_half(tasks: usize) -> Vec<CompleteLattice> {
+    let pair = full(2);
+    let one = |task| {
+        lattice(task, AxisSet::ALL, |set| {
+            task % 2 == 1 || !pair.is_subset(set)
+        })
+    };
+    (0..tasks).map(one).collect()
+}
+
+#[test]
+fn a_failing_pair_is_one_coefficient_shared_by_its_axes() {
+    let all = Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("some");
+    for (set, m) in &all.moebius {
+        let expected = if *set == full(2) { -0.5 } else { 0.0 };
+        assert_eq!(m.value, expected, "{set}");
+    }
+    assert_eq!(all.shapley[&Axis::Camera].value, -0.25);
+    assert_eq!(all.shapley[&Axis::Robot].value, 0.0);
+    assert_eq!(all.pairs[&full(2)].value, -0.5);
+}
+
+#[test]
+fn intervals_contain_their_values_and_are_withheld_where_they_mislead() {
+    let ten = Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("some");
+    let m = ten.moebius[&full(2)];
+    let [low, high] = m.ci95.expect("ten tasks");
+    assert!(low < m.value && m.value < high, "{low} {high}");
+    // The mean of ten halves: √(0.25 / 10) is its standard deviation.
+    assert!(
+        (high - low - 2.0 * 1.96 * 0.025_f64.sqrt()).abs() < 0.1,
+        "{low} {high}"
+    );
+    let constant = ten.shapley[&Axis::Robot];
+    assert_eq!(
+        (constant.ci95, constant.no_interval),
+        (None, Some(NoInterval::NoSpread))
+    );
+    let nine = Interactions::of(&pair_fails_in_half(9), &Bootstrap::default()).expect("some");
+    let m = nine.moebius[&full(2)];
+    assert_eq!(
+        (m.ci95, m.no_interval),
+        (None, Some(NoInterval::TooFewTasks))
+    );
+}
+
+#[test]
+fn without_configurations_there_are_no_interactions_and_a_gap_is_named() {
+    assert_eq!(Interactions::of(&[], &FEW), None);
+    let task = TaskRef::all().next().expect("a task");
+    let hole: AxisSet = "camera+robot".parse().expect("a set");
+    let error = CompleteLattice::new(task, full(3), |set| (set != hole).then_some(true));
+    let error = error.expect_err("a hole").to_string();
+    assert_eq!(
+        error,
+        "axes camera+lighting+robot: camera+robot has no outcome"
+    );
+}

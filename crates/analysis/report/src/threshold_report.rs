@@ -1,0 +1,409 @@
+//! Report of a campaign that measures another campaign's thresholds, as text for a terminal
+//! and as JSON. `adaptive::radii` defines thresholds and chooses the radii to run.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use adaptive::radii::{Curve, Measurement, Ray, Threshold};
+use adaptive::{Decision, Outcomes};
+use libero_ctrl::{CONTROL_HZ, Condition, JsonError, Level, STEPS_PER_RADIUS, TaskRef, Thresholds};
+use paired::{Bootstrap, Outcome, Record, push_wrapped};
+use serde::Serialize;
+
+use crate::subject::{Prospect, Subject, things};
+use crate::words;
+
+/// Width of the column of condition names, in characters.
+const NAMES: usize = 14;
+
+/// Measured thresholds of a campaign.
+#[derive(Clone, Debug, Serialize)]
+pub struct ThresholdReport {
+    /// The campaign whose thresholds are measured.
+    pub campaign: String,
+    /// The campaign that runs further radii.
+    pub measured_by: String,
+    /// The policy.
+    pub policy: String,
+    /// Largest width of a finished bracket, in units of radius.
+    pub tolerance: f64,
+    /// The largest radius that is run.
+    pub max_radius: f64,
+    /// True if nothing remains to be run.
+    pub complete: bool,
+    /// Number of thresholds searched for: one per configuration and condition.
+    pub looked_for: u64,
+    /// Number of thresholds whose search is finished.
+    pub found: u64,
+    /// Number of thresholds not searched for because the budget does not suffice.
+    pub beyond_budget: u64,
+    /// Rollouts of the measuring campaign, finished or waiting.
+    pub rollouts: u64,
+    /// Rollouts among them without an outcome yet.
+    pub waiting: u64,
+    /// Curves of configurations that still succeed at each radius, by condition.
+    pub curves: Vec<Curve>,
+    /// Each threshold that is searched for.
+    pub thresholds: Vec<Measured>,
+}
+
+/// The threshold of one configuration under one condition.
+#[derive(Clone, Debug, Serialize)]
+pub struct Measured {
+    /// Condition: the perturbed axes.
+    pub condition: Condition,
+    /// The task.
+    pub task: TaskRef,
+    /// The configuration's number.
+    pub config: u16,
+    /// Kind of the threshold, as far as known.
+    pub threshold: Kind,
+    /// Largest radius below `fails_at` at which the configuration succeeds, 0 for the nominal
+    /// rollout; without a failure, the largest successful radius.
+    pub succeeds_at: Option<f64>,
+    /// Smallest radius at which the configuration fails, 0 for the nominal rollout.
+    pub fails_at: Option<f64>,
+    /// Radii above `fails_at` at which the configuration succeeds again, so that success is
+    /// not monotone.
+    pub recovers_at: Vec<f64>,
+    /// True if nothing remains to be run.
+    pub is_found: bool,
+    /// Outcome at every requested radius in ascending order, the nominal rollout first.
+    pub outcomes: Vec<AtRadius>,
+}
+
+/// Kind of a threshold, as far as known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// The nominal rollout fails.
+    NominalFails,
+    /// The nominal rollout has no outcome.
+    NominalUnknown,
+    /// The threshold is between two radii.
+    Between,
+    /// The threshold is beyond the largest radius.
+    Beyond,
+    /// No failure so far, and the largest radius has no outcome.
+    Open,
+}
+
+impl Kind {
+    /// Name in JSON and tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::NominalFails => "nominal_fails",
+            Self::NominalUnknown => "nominal_unknown",
+            Self::Between => "between",
+            Self::Beyond => "beyond",
+            Self::Open => "open",
+        }
+    }
+}
+
+/// Outcome of the rollout at a radius.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct AtRadius {
+    /// The radius.
+    pub radius: f64,
+    /// Outcome of the rollout.
+    pub outcome: Outcome,
+}
+
+/// Error: the budget is too small to measure one configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "measure thresholds with a budget of {budget}: one configuration may take {most} rollouts, give \
+     as many or more"
+)]
+pub struct BudgetTooSmall {
+    /// The budget.
+    pub budget: u32,
+    /// Largest number of rollouts that a configuration may take.
+    pub most: u32,
+}
+
+impl ThresholdReport {
+    /// Checks that the budget suffices for at least one configuration of the campaign.
+    ///
+    /// # Errors
+    /// If the budget is smaller than one configuration may take.
+    pub fn is_affordable(
+        campaign: &Subject,
+        thresholds: &Thresholds,
+    ) -> Result<(), BudgetTooSmall> {
+        let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
+        let is_empty = measurement.rays().next().is_none() && measurement.of_rays() > 0;
+        match thresholds.budget {
+            Some(budget) if is_empty => Err(BudgetTooSmall {
+                budget,
+                most: measurement.most_rollouts_of_one(),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Returns the number of thresholds to measure and of rollouts that this would take.
+    pub fn prospect(campaign: &Subject, thresholds: &Thresholds) -> Prospect {
+        let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
+        let mut prospect = Prospect {
+            subjects: measurement.rays().count() as u64,
+            most_rollouts: BTreeMap::new(),
+        };
+        for (task, most) in measurement.most_rollouts() {
+            *prospect.most_rollouts.entry(task.suite()).or_default() += u64::from(most);
+        }
+        prospect
+    }
+
+    /// Combines the outcomes of the measuring campaign `by` with those of the measured one;
+    /// `None` if `by` measures no thresholds.
+    pub fn of(by: &Subject) -> Option<Self> {
+        let (thresholds, records) = by.measures()?;
+        let measurement = Measurement::of(records, &by.records, thresholds);
+        let is_settled = |record: &Record| record.outcome != Outcome::Missing;
+        let waiting = by.records.iter().filter(|it| !is_settled(it)).count();
+        let rays = measurement.rays();
+        let measured: Vec<Measured> = rays
+            .map(|(ray, outcomes)| Measured::of(&measurement, ray, outcomes))
+            .collect();
+        Some(Self {
+            campaign: thresholds.campaign.clone(),
+            measured_by: by.origin_name().to_owned(),
+            policy: by.policy.clone(),
+            tolerance: thresholds.tolerance,
+            max_radius: thresholds.max_radius,
+            complete: records.iter().all(is_settled)
+                && waiting == 0
+                && measurement.plan().is_empty(),
+            looked_for: measured.len() as u64,
+            found: measured.iter().filter(|it| it.is_found).count() as u64,
+            beyond_budget: (measurement.of_rays() - measured.len()) as u64,
+            rollouts: by.records.len() as u64,
+            waiting: waiting as u64,
+            curves: measurement.curves(&Bootstrap::default()),
+            thresholds: measured,
+        })
+    }
+
+    /// Writes the measurement as JSON, several lines.
+    ///
+    /// # Errors
+    /// If serde cannot write it, which is a defect.
+    pub fn json(&self) -> Result<String, JsonError> {
+        Ok(serde_json::to_string_pretty(self)?)
+    }
+
+    /// Writes the measurement as text for a terminal of 80 columns.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        push_wrapped(
+            &mut text,
+            "",
+            &format!("{} {}", self.measured_by, self.standing()),
+        );
+        let curves: Vec<&Curve> = self.curves.iter().filter(|it| it.n > 0).collect();
+        if !curves.is_empty() {
+            push_survival(&mut text, &curves);
+            push_half_success(&mut text, &curves);
+        }
+        let not_monotone = self.thresholds.iter();
+        let not_monotone: Vec<&Measured> = not_monotone
+            .filter(|it| !it.recovers_at.is_empty())
+            .collect();
+        if !not_monotone.is_empty() {
+            text.push_str("\nnot monotone: they succeed again beyond a failure\n");
+        }
+        for measured in not_monotone {
+            push_not_monotone(&mut text, measured);
+        }
+        text
+    }
+
+    /// Returns the progress of the measurement: a sentence without subject and full stop.
+    pub(crate) fn standing(&self) -> String {
+        let mut words = format!(
+            "measures thresholds of {}: {} of {} found in {}",
+            self.campaign,
+            self.found,
+            self.looked_for,
+            things(self.rollouts, "rollout")
+        );
+        if self.waiting > 0 {
+            let _ = write!(words, ", of which {} have no outcome yet", self.waiting);
+        }
+        if self.beyond_budget > 0 {
+            let _ = write!(
+                words,
+                "; the budget leaves {} others out",
+                self.beyond_budget
+            );
+        }
+        words
+    }
+}
+
+impl Measured {
+    fn of(measurement: &Measurement, ray: Ray, outcomes: &Outcomes<Level>) -> Self {
+        let finding = measurement.finding(ray, outcomes);
+        let (threshold, succeeds_at, fails_at) = match finding.threshold {
+            Threshold::NominalFails => (Kind::NominalFails, None, Some(Level::L0)),
+            Threshold::NominalUnknown => (Kind::NominalUnknown, None, None),
+            Threshold::Between {
+                succeeds_at,
+                fails_at,
+            } => (Kind::Between, Some(succeeds_at), Some(fails_at)),
+            Threshold::Beyond => (Kind::Beyond, largest_success(outcomes), None),
+            Threshold::Open { succeeds_at } => (Kind::Open, Some(succeeds_at), None),
+        };
+        let nominal = [(Level::L0, outcomes.nominal())].into_iter();
+        let points = nominal.chain(outcomes.perturbed());
+        Self {
+            condition: ray.condition,
+            task: ray.task,
+            config: ray.config,
+            threshold,
+            succeeds_at: succeeds_at.map(Level::radius),
+            fails_at: fails_at.map(Level::radius),
+            recovers_at: finding.recovers_at.into_iter().map(Level::radius).collect(),
+            is_found: measurement.decision(ray, outcomes) == Decision::Done,
+            outcomes: points
+                .map(|(level, outcome)| AtRadius {
+                    radius: level.radius(),
+                    outcome,
+                })
+                .collect(),
+        }
+    }
+
+    /// Lists the radii whose outcome is known to be a success, or a failure.
+    pub(crate) fn radii(&self, success: bool) -> String {
+        let such = self.outcomes.iter();
+        let such = such.filter(|it| it.outcome.success() == Some(success));
+        let radii: Vec<String> = such.map(|it| it.radius.to_string()).collect();
+        radii.join(", ")
+    }
+}
+
+/// Returns the largest radius that succeeds, [`Level::L0`] if no perturbed rollout does.
+fn largest_success(outcomes: &Outcomes<Level>) -> Option<Level> {
+    let succeeds = outcomes
+        .perturbed()
+        .filter(|(_, it)| *it == Outcome::Success);
+    Some(succeeds.map(|(level, _)| level).max().unwrap_or(Level::L0))
+}
+
+/// Appends the survival table: a row per condition, a column per radius of the grid.
+fn push_survival(text: &mut String, curves: &[&Curve]) {
+    text.push_str("\nconfigurations that still succeed, %, by radius\n");
+    // Conditions that perturb the language axis have a shorter grid.
+    let longest = curves
+        .iter()
+        .max_by(|a, b| a.largest_radius.total_cmp(&b.largest_radius));
+    let grid = longest
+        .map(|curve| curve.grid.as_slice())
+        .unwrap_or_default();
+    let radii: Vec<f64> = [0.0].into_iter().chain(grid.iter().copied()).collect();
+    let _ = write!(text, "{:NAMES$}{:>6}", "", "n");
+    for radius in &radii {
+        let level = Level::of_radius(*radius).filter(|level| level.is_named());
+        let name = match level {
+            Some(level) => level.to_string(),
+            None => radius.to_string(),
+        };
+        let _ = write!(text, "{name:>6}");
+    }
+    text.push('\n');
+    for curve in curves {
+        words::push_name(text, curve.condition.label(), NAMES);
+        let _ = write!(text, "{:>6}", curve.n);
+        for radius in &radii {
+            let share = match curve.at(*radius) {
+                Some(point) => words::percent(point.survival),
+                None => "-".to_owned(),
+            };
+            let _ = write!(text, "{share:>6}");
+        }
+        text.push('\n');
+    }
+}
+
+/// Appends the table of median radii: a row per condition with the radius at which half of
+/// the configurations survive and the number of configurations behind the curve.
+fn push_half_success(text: &mut String, curves: &[&Curve]) {
+    text.push_str("\nradius at which half of the configurations still succeed\n");
+    let _ = writeln!(
+        text,
+        "{:NAMES$}{:>8}  {:<14}{:>14}{:>8}{:>14}",
+        "", "radius", "95 %", "nominal fails", "beyond", "not monotone"
+    );
+    for curve in curves {
+        words::push_name(text, curve.condition.label(), NAMES);
+        let _ = writeln!(
+            text,
+            "{:>8}  {:<14}{:>14}{:>8}{:>14}",
+            words::half_success(curve),
+            words::half_success_interval(&curve.half_success),
+            curve.nominal_fails,
+            curve.beyond,
+            curve.not_monotone
+        );
+    }
+    let left_out: u64 = curves.iter().map(|curve| curve.left_out).sum();
+    if left_out > 0 {
+        let words = format!(
+            "{left_out} thresholds are in no figure, because outcomes are missing or in quarantine"
+        );
+        push_wrapped(text, "", &words);
+    }
+    let late = curves
+        .iter()
+        .find(|curve| curve.condition == Condition::Latency);
+    if let Some(words) = late.map(|curve| bears(curve)) {
+        push_wrapped(text, "", &words);
+    }
+    if curves.iter().any(|curve| !curve.is_bisected) {
+        let words = "where language is perturbed, there are wordings at L1, L2 and L3 and at no \
+                     radius between or beyond";
+        push_wrapped(text, "", words);
+    }
+}
+
+/// Says the delay up to which half of the configurations succeed, in whole control steps.
+pub(crate) fn bears(curve: &Curve) -> String {
+    let delay = |radius: f64| {
+        let steps = (radius * STEPS_PER_RADIUS).floor();
+        let milliseconds = steps * 1000.0 / f64::from(CONTROL_HZ);
+        let steps = things(steps as u64, "control step");
+        format!("{steps}, {milliseconds} ms")
+    };
+    match curve.half_success.radius {
+        Some(radius) => format!(
+            "latency: half of the configurations bear {}; a radius of 2 is one step",
+            delay(radius)
+        ),
+        None if curve.beyond * 2 > curve.n => format!(
+            "latency: more than half of the configurations bear {}, the longest delay that was run",
+            delay(curve.largest_radius)
+        ),
+        None => "latency: fewer than half of the configurations succeed without a delay, or it is \
+                 not known how many bear one"
+            .to_owned(),
+    }
+}
+
+fn push_not_monotone(text: &mut String, measured: &Measured) {
+    let Measured {
+        condition,
+        task,
+        config,
+        ..
+    } = measured;
+    let [succeeds, fails] = [true, false].map(|success| measured.radii(success));
+    let words = format!("succeeds at {succeeds}; fails at {fails}");
+    push_wrapped(
+        text,
+        "  ",
+        &format!("{task} {} c{config:02}: {words}", condition.label()),
+    );
+}

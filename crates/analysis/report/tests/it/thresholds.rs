@@ -1,0 +1,210 @@
+//! Tests of reports on measured thresholds: on a terminal, as JSON and as figures.
+
+use std::collections::BTreeSet;
+
+use libero_ctrl::{Condition, Level, RolloutId, Thresholds};
+use paired::{Outcome, Record};
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::record::RowAccessor;
+use report::{Derived, Purpose, Subject, ThresholdReport, figures, page, write_csv, write_parquet};
+use serde_json::Value;
+
+use crate::subjects::{document, example};
+
+/// Returns the example's outcomes, which include no nominal ones, as if every nominal rollout had
+/// succeeded.
+fn nominal() -> Subject {
+    let mut subject = example();
+    let states = subject.records.iter().map(|it| (it.id.task(), it.init_id));
+    let states: BTreeSet<_> = states.collect();
+    subject
+        .records
+        .retain(|it| it.id.condition() != Condition::Clean);
+    let clean = |(task, init_id)| Record {
+        id: RolloutId::clean(task, init_id),
+        init_id,
+        replicate: 0,
+        outcome: Outcome::Success,
+    };
+    subject.records.extend(states.into_iter().map(clean));
+    subject
+}
+
+fn thresholds(max_radius: f64) -> Thresholds {
+    Thresholds {
+        campaign: "first".to_owned(),
+        conditions: Vec::new(),
+        tolerance: 0.5,
+        max_radius,
+        budget: None,
+        seed: 0,
+    }
+}
+
+/// A campaign with these outcomes that measures the thresholds of a source.
+fn measuring(source: &Subject, by: Vec<Record>, max_radius: f64) -> Subject {
+    Subject {
+        records: by,
+        derived: Some(Derived {
+            purpose: Purpose::Thresholds(thresholds(max_radius)),
+            records: source.records.clone(),
+        }),
+        published_nominal: None,
+        published_by_suite: Vec::new(),
+        directions: libero_ctrl::Directions::default(),
+        reported_nominal: None,
+        ..source.clone()
+    }
+}
+
+fn found(source: &Subject, by: Vec<Record>, max_radius: f64) -> ThresholdReport {
+    ThresholdReport::of(&measuring(source, by, max_radius)).expect("it measures thresholds")
+}
+
+/// Measurement with the published levels alone.
+fn at_levels() -> ThresholdReport {
+    found(&nominal(), Vec::new(), 8.0)
+}
+
+#[test]
+fn a_curve_is_the_reports_rate_less_those_that_recover() {
+    let found = at_levels();
+    let document = document(vec![nominal()]);
+    assert_eq!(found.curves.len(), 7);
+    assert!(
+        !found.complete,
+        "brackets are as wide as the levels are apart"
+    );
+    for curve in &found.curves {
+        assert_eq!((curve.n, curve.tasks), (400, 40));
+        for level in Level::PERTURBED {
+            let survival = curve.at(level.radius()).expect("a point").survival;
+            let cell = document.analyses[0].cell(level).expect("a level");
+            let rate = match curve.condition {
+                Condition::Single(axis) => cell.alone[&axis].count.rate(),
+                _ => cell.simultaneous.and_then(|count| count.rate()),
+            };
+            let rate = rate.expect("outcomes");
+            let recovers = |it: &&report::Measured| {
+                it.condition == curve.condition && it.recovers_at.contains(&level.radius())
+            };
+            let recover = found.thresholds.iter().filter(recovers).count() as f64;
+            let expected = rate - recover / 400.0;
+            assert!(
+                (survival - expected).abs() < 1e-12,
+                "{level}: {survival} {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_text_fits_a_terminal_and_says_what_is_left() {
+    let text = at_levels().text();
+    for line in text.lines() {
+        assert!(line.chars().count() <= 80, "{line}");
+    }
+    assert!(
+        text.contains("there are wordings at L1, L2 and L3"),
+        "{text}"
+    );
+    assert!(text.contains("not monotone: they succeed again beyond a failure"));
+    let far = found(&nominal(), nominal().records, 100.0).text();
+    for line in far.lines() {
+        assert!(line.chars().count() <= 80, "{line}");
+    }
+}
+
+#[test]
+fn every_condition_has_a_figure_that_stands_alone() {
+    let found = at_levels();
+    let figures = figures::of_thresholds(&found);
+    let names: Vec<&str> = figures.iter().map(|it| it.name.as_str()).collect();
+    assert_eq!(names.len(), 7);
+    assert_eq!(
+        (names[0], names[6]),
+        ("survival-camera", "survival-simultaneous")
+    );
+    for figure in &figures {
+        let svg = figure.standalone();
+        let parsed = roxmltree::Document::parse(&svg).expect("XML");
+        let texts = parsed.descendants().filter(|it| it.has_tag_name("text"));
+        let texts: Vec<&str> = texts.filter_map(|it| it.text()).collect();
+        for text in ["L1", "L2", "L3", "100 %", "radius of the perturbation"] {
+            assert!(texts.contains(&text), "{}: {texts:?}", figure.name);
+        }
+        let says = |end: &str| texts.iter().any(|text| text.ends_with(end));
+        assert!(says(", n = 400"), "{}: {texts:?}", figure.name);
+        assert!(
+            !svg.contains("NaN") && !svg.contains("inf"),
+            "{}",
+            figure.name
+        );
+    }
+    let json: Value = serde_json::from_str(&found.json().expect("written")).expect("JSON");
+    assert_eq!(json["curves"][0]["points"][1]["level"], "L1");
+    assert_eq!(json["thresholds"].as_array().map(Vec::len), Some(2800));
+}
+
+#[test]
+fn without_outcomes_there_is_no_curve() {
+    let mut subject = nominal();
+    for record in &mut subject.records {
+        record.outcome = Outcome::Missing;
+    }
+    let found = found(&subject, subject.records.clone(), 16.0);
+    assert!(figures::of_thresholds(&found).is_empty() && !found.complete);
+    assert_eq!(found.text().lines().count(), 2);
+    assert!(!found.json().expect("written").contains("NaN"));
+}
+
+#[test]
+fn the_report_of_a_measuring_campaign_is_what_it_found() {
+    let document = document(vec![measuring(&nominal(), Vec::new(), 8.0)]);
+    let html = page(&document);
+    for said in [
+        "How far OpenVLA-OFT goes",
+        "class=\"curve\"",
+        "Half-success radius",
+    ] {
+        assert!(html.contains(said), "{said}");
+    }
+    for absent in ["Paired outcomes", "Nominal success and single axes", "NaN"] {
+        assert!(!html.contains(absent), "{absent}");
+    }
+    let text = document.text();
+    assert!(text.contains(&at_levels().text()), "{text}");
+    let json: Value = serde_json::from_str(&document.json().expect("written")).expect("JSON");
+    let expected = at_levels().json().expect("written");
+    let expected: Value = serde_json::from_str(&expected).expect("JSON");
+    assert_eq!(json["reports"][0]["thresholds"], expected);
+    let names = figures::all(&document).into_iter().map(|it| it.name);
+    assert_eq!(names.filter(|it| it.starts_with("survival-")).count(), 7);
+}
+
+#[test]
+fn the_table_of_thresholds_has_a_row_for_each() {
+    let document = document(vec![measuring(&nominal(), Vec::new(), 8.0)]);
+    let mut bytes = Vec::new();
+    write_csv(&document, &mut bytes).expect("written");
+    let mut csv = csv::Reader::from_reader(bytes.as_slice());
+    let header = csv.headers().expect("names").clone();
+    let rows: Vec<csv::StringRecord> = csv.records().collect::<Result<_, _>>().expect("rows");
+    let found = at_levels();
+    assert_eq!(rows.len(), found.thresholds.len());
+    let column = |name: &str| header.iter().position(|it| it == name).expect("a column");
+    let (kind, fails_at) = (column("threshold"), column("fails_at"));
+    let number = |text: &str| (!text.is_empty()).then(|| text.parse::<f64>().expect("a radius"));
+    for (row, measured) in rows.iter().zip(&found.thresholds) {
+        assert_eq!(&row[kind], measured.threshold.name());
+        assert_eq!(number(&row[fails_at]), measured.fails_at);
+    }
+    let mut file = tempfile::tempfile().expect("a temporary file");
+    write_parquet(&document, &mut file).expect("written");
+    let file = SerializedFileReader::new(file).expect("Parquet");
+    let read = file.get_row_iter(None).expect("rows");
+    for (row, measured) in read.zip(&found.thresholds) {
+        let row = row.expect("a row");
+        assert_eq!(row.get_double(fails_at).ok(), measured.fails_at);
+    }
+}
