@@ -146,7 +146,7 @@ async fn following(
     let rollouts = match spec.rollouts {
         Rollouts::Explanation(explanation) => subsets(tx, campaign, source, explanation).await?,
         Rollouts::Thresholds(thresholds) => radii(tx, campaign, source, thresholds).await?,
-        Rollouts::Design(_) | Rollouts::Manifest(_) => Vec::new(),
+        Rollouts::Design(_) | Rollouts::Manifest(_) | Rollouts::Variants(_) => Vec::new(),
     };
     let jobs = (campaign.jobs..).zip(rollouts);
     let jobs = jobs.map(|(place, (row, replicate))| {
