@@ -30,6 +30,7 @@ mod status;
 mod stopping;
 mod thresholds;
 mod up;
+mod variant_flags;
 mod watch;
 mod why;
 mod workers;

@@ -16,8 +16,8 @@ use crate::reading::ReadError;
 const PAGE_ROWS: u32 = 1_000;
 
 /// Exported row: the reference's columns in its order, then optional columns: the replicate unless
-/// it is the first, the radius of a placebo, the execution model unless it is `wait`, and the
-/// goal's progress if the worker reported it.
+/// it is the first, the radius of a placebo, the execution model unless it is `wait`, the
+/// protocol of a variant of LIBERO's family, and the goal's progress if the worker reported it.
 #[derive(Serialize)]
 struct ExportRow<'a> {
     rollout_id: RolloutId,
@@ -39,6 +39,8 @@ struct ExportRow<'a> {
     placebo_radius: Option<f64>,
     #[serde(skip_serializing_if = "Execution::is_wait")]
     execution: Execution,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    protocol: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     goal_predicates: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -102,6 +104,7 @@ fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
         replicate: (result.replicate > 0).then_some(result.replicate),
         placebo_radius: row.placebo_radius.map(Level::radius),
         execution: row.execution,
+        protocol: row.protocol,
         goal_predicates: result.goal_predicates,
         goal_at_end: result.goal_at_end,
         goal_at_most: result.goal_at_most,

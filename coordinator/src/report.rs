@@ -41,7 +41,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
     });
     let design = match &spec.rollouts {
         Rollouts::Design(design) => Some(design),
-        Rollouts::Manifest(_) | Rollouts::Explanation(_) | Rollouts::Thresholds(_) => None,
+        _ => None,
     };
     let placebo = design.filter(|design| design.levels.contains(&Level::L0));
     let mut provenances = view.provenances(campaign.id).await?;
@@ -83,6 +83,10 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         published_by_suite: Vec::new(),
         reported_nominal: None,
         setups: Setups::default(),
+        protocol: match &spec.rollouts {
+            Rollouts::Variants(variants) => Some(variants.protocol.clone()),
+            _ => None,
+        },
         derived: derived(view, campaign, spec.rollouts).await?,
         early_stop: early_stop(view, campaign).await?,
     })
@@ -98,7 +102,7 @@ async fn derived(
     let purpose = match rollouts {
         Rollouts::Explanation(explanation) => Purpose::Explanation(explanation),
         Rollouts::Thresholds(thresholds) => Purpose::Thresholds(thresholds),
-        Rollouts::Design(_) | Rollouts::Manifest(_) => return Ok(None),
+        Rollouts::Design(_) | Rollouts::Manifest(_) | Rollouts::Variants(_) => return Ok(None),
     };
     let Some(source) = view.source(campaign.id).await? else {
         return Ok(None);

@@ -10,13 +10,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use assets::{Bar, Deadlines, FileFacts, Origin, Report, Table, size_in_words};
-use libero_ctrl::TaskRef;
+use libero_ctrl::{ManifestRow, TaskRef};
+use libero_family::Case;
 use libero_family::protocol::Benchmark;
 use scene::pack::{LIBERO, PRIMITIVES, digest_of_folder};
 use scene::{AssetPack, Sources, TaskFiles};
 use terminal::counted;
 
 use crate::args::{AssetsArguments, AssetsCommand, FetchArguments, TaskChoice};
+use crate::variants;
 
 pub use coverage::Coverage;
 pub use error::PackError;
@@ -72,8 +74,7 @@ pub fn provide(
     Ok(())
 }
 
-/// Fetches the files of a job's task before the job starts, for a worker that serves a
-/// coordinator.
+/// Provides the files of a job before it starts, for a worker that serves a coordinator.
 #[derive(Clone, Debug)]
 pub struct Provider {
     pack: AssetPack,
@@ -82,20 +83,31 @@ pub struct Provider {
 }
 
 impl Provider {
-    /// Returns a provider for a pack whose files are fetched on demand, None for any other pack.
-    pub fn new(pack: &AssetPack, sources: &Sources) -> Option<Self> {
-        pack.is_managed().then(|| Self {
+    /// Creates the provider of a pack.
+    pub fn new(pack: &AssetPack, sources: &Sources) -> Self {
+        Self {
             pack: pack.clone(),
             sources: sources.clone(),
             ended: Arc::default(),
-        })
+        }
     }
 
-    /// Fetches a task's missing or altered files, with progress in the log.
+    /// Returns true if a row's files may have to be fetched, or may be missing.
+    pub fn is_needed(&self, row: &ManifestRow) -> bool {
+        self.pack.is_managed() || row.id.variant().is_some()
+    }
+
+    /// Fetches a row's missing or altered assets, with progress in the log.
     ///
     /// # Errors
-    /// If the files cannot be fetched. The message reads after "failed to …".
-    pub fn provide(&self, task: TaskRef) -> Result<(), String> {
+    /// If the assets cannot be fetched, or those of a variant are in no index, or its task files
+    /// are missing. The message reads after "failed to …".
+    pub fn provide(&self, row: &ManifestRow) -> Result<(), String> {
+        let task = row.id.task();
+        let files = match row.id.variant() {
+            None => TaskFiles::of_task(&self.sources, task),
+            Some(_) => self.files_of_variant(row)?,
+        };
         let mut last = None;
         let mut report = |report| {
             let news = match report {
@@ -116,14 +128,25 @@ impl Provider {
                 false => ControlFlow::Continue(()),
             }
         };
-        let files = [TaskFiles::of_task(&self.sources, task)];
-        let provided = self.pack.provide(&files, &mut report);
+        let provided = self.pack.provide(&[files], &mut report);
         let fetched = provided.map_err(|error| transport::chain(&error))?;
         if fetched.replaced > 0 {
             let replaced = counted(fetched.replaced as u64, "altered file");
             tracing::warn!("{task}: {replaced} of LIBERO's assets replaced");
         }
         Ok(())
+    }
+
+    /// Returns the files of a variant's task, if the variant lacks none but LIBERO's assets.
+    fn files_of_variant(&self, row: &ManifestRow) -> Result<TaskFiles, String> {
+        let id = row.id;
+        let of_row = Case::of_row(row).map_err(|error| transport::chain(&error));
+        let (case, _) = of_row?;
+        let lack = variants::lack(&case, &self.pack, &self.sources);
+        match lack.map_err(|error| transport::chain(&error))? {
+            None => Ok(variants::files(&case, &self.sources)),
+            Some(lack) => Err(format!("run {id}: this worker lacks {lack}")),
+        }
     }
 
     /// Cancels running fetches, and any later one.

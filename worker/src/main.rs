@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use libero_ctrl::{Condition, ManifestRow, Realisation, TaskRef};
+use libero_family::Case;
 use libero_family::protocol::Benchmark;
 use scene::pack::LIBERO;
 use scene::{AssetPack, Sources, TaskFiles};
@@ -301,14 +302,16 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
 
 fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let VariantsArguments { choice, manner, .. } = &arguments;
-    let protocol = manner.protocol_of(choice.benchmark())?;
+    let selection = choice.selection();
+    let benchmark = selection.benchmark();
+    let protocol = manner.protocol_of(benchmark)?;
     let mut simulator = open(&arguments.simulator)?;
     let is_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
-    if choice.benchmark() == Benchmark::Pro && is_folder {
+    if benchmark == Benchmark::Pro && is_folder {
         // Besides LIBERO's own files, LIBERO-PRO also uses further files in the folder.
         simulator.pack = AssetPack::open_whole(simulator.pack.dir())?;
     }
-    let audit = variants::Audit::new(choice.cases()?, &simulator.pack, &simulator.sources)?;
+    let audit = variants::Audit::new(selection.cases()?, &simulator.pack, &simulator.sources)?;
     let print = |text: &str| terminal::print(text).context("print to standard output");
     let (Some(endpoint), Some(output)) = (&arguments.endpoint, &arguments.output) else {
         return match manner.list {
@@ -331,7 +334,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
         }),
         ..of_no_campaign(row, 0, Realisation::Matched)
     };
-    let mut cases = variants::Case::unperturbed(&audit.runnable);
+    let mut cases = Case::unperturbed(&audit.runnable);
     cases.extend(audit.runnable);
     let run = variants::Run {
         protocol,
@@ -483,7 +486,7 @@ fn run_worker(
         identity,
         slots: slots.get(),
         slot_program: slot_program(program, &simulator_arguments, client, &simulator),
-        provider: Provider::new(&simulator.pack, &simulator.sources),
+        provider: Some(Provider::new(&simulator.pack, &simulator.sources)),
         lacking_tasks,
         policy_endpoint: arguments.policy_endpoint,
         drain: arguments.drain_secs.map(Duration::from_secs_f64),

@@ -15,11 +15,12 @@ use transport::{Access, chain};
 
 use crate::actor::PolicyError;
 use crate::filming::film;
-use crate::message::{Assignment, RolloutEvent, SlotCommand, SlotEvent};
+use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand, SlotEvent};
 use crate::parent::{FromParent, Parent};
 use crate::policy::{OF_A_CAMPAIGN, PolicyClient};
 use crate::rollout::{self, RolloutError, Watcher};
 use crate::stage::Stage;
+use crate::variants::{Prepared, VariantsError};
 
 /// Capacity of the queue of assignments: the parent never sends a second one ahead.
 const ASSIGNMENT_QUEUE: usize = 1;
@@ -119,7 +120,24 @@ fn work(
     assignment: &Assignment,
     reporter: &mut Reporter<'_>,
 ) {
-    let mut stage = Stage::of_the_protocol(simulator);
+    let prepared = match prepare(assignment, simulator) {
+        Ok(prepared) => prepared,
+        Err(error) => {
+            let failure = Failure {
+                kind: FailureKind::Machine,
+                error: format!("failed to {}", chain(&error)),
+            };
+            return reporter.tell(RolloutEvent::Failed(failure));
+        }
+    };
+    let (mut stage, assignment) = match &prepared {
+        None => (Stage::of_the_protocol(simulator), assignment),
+        Some((of_family, completed)) => {
+            let stage = Stage::of_files(simulator, of_family.files.clone());
+            let stage = stage.with_variant(Some(of_family.start.clone()));
+            (stage, completed)
+        }
+    };
     let simulated = client(policy, &assignment.policy_endpoint, access)
         .map_err(RolloutError::from)
         .and_then(|policy| rollout::run(&mut stage, policy, assignment, reporter));
@@ -137,6 +155,22 @@ fn work(
         Ok(Some(_)) => reporter.tell(RolloutEvent::Filmed),
         Err(error) => reporter.tell(RolloutEvent::NotFilmed(chain(&error))),
     }
+}
+
+/// Prepares a rollout of LIBERO's family, and completes its row; `None` for any other.
+fn prepare(
+    assignment: &Assignment,
+    simulator: &Simulator,
+) -> Result<Option<(Prepared, Assignment)>, VariantsError> {
+    if assignment.row.id.variant().is_none() {
+        return Ok(None);
+    }
+    let prepared = Prepared::new(&assignment.row, simulator.sources())?;
+    let completed = Assignment {
+        row: prepared.row.clone(),
+        ..assignment.clone()
+    };
+    Ok(Some((prepared, completed)))
 }
 
 /// Returns the client of an endpoint, reusing the last one if the endpoint is the same.

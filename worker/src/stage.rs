@@ -101,6 +101,7 @@ impl<'a> Stage<'a> {
     pub(crate) fn title(&self, row: &ManifestRow) -> String {
         match &self.files {
             None => row.id.to_string(),
+            Some(_) if self.variant.is_some() => row.id.to_string(),
             Some(files) => format!("{} from state {}", files.bddl.display(), row.init_id),
         }
     }

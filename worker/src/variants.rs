@@ -11,6 +11,7 @@ mod results;
 use std::path::{Path, PathBuf};
 
 use libero_ctrl::ManifestRow;
+use libero_family::Case;
 use libero_family::protocol::Protocol;
 use scene::{AssetPack, Sources};
 use sim::{Simulator, SimulatorConfig};
@@ -19,8 +20,8 @@ use crate::actor::Actor;
 use crate::message::Assignment;
 use crate::single;
 
-pub use audit::{Audit, Lack};
-pub use case::{Case, Subject};
+pub use audit::{Audit, lack};
+pub use case::{Prepared, files};
 pub use choice::{Choice, Manner};
 pub use error::VariantsError;
 use results::Results;
@@ -79,15 +80,14 @@ impl Run<'_> {
         simulator: &mut Simulator,
         actor: &mut dyn Actor,
     ) -> Result<Row, VariantsError> {
-        let files = case.files(sources);
-        pack.provide_with_bar(std::slice::from_ref(&files))?;
-        let row = case.row(&files, &self.protocol)?;
+        pack.provide_with_bar(&[files(case, sources)])?;
+        let Prepared { files, start, row } = Prepared::new(&case.row(&self.protocol), sources)?;
         let output: PathBuf = self.output.join(case.name());
         let assignment = (self.assign)(row, &output);
         let request = single::Request {
             assignment: &assignment,
             files: Some(files),
-            variant: Some(case.start(&self.protocol)),
+            variant: Some(start),
             draw: self.video,
             output: &output,
         };

@@ -25,18 +25,20 @@ use terminal::{counted, decimal, number, number_from, wrapped};
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
 use super::planning::{self, Planning};
+use super::variant_flags::VariantFlags;
 use super::{forecast, horizon, stopping};
 
 /// Flags that conflict with `--manifest` (the first list) and with `--spec` (both lists).
 #[rustfmt::skip]
-const DESIGN_FLAGS: [&str; 9] = [
+pub(super) const DESIGN_FLAGS: [&str; 9] = [
     "axes", "subsets", "levels", "configs", "nominal", "design_seed", "directions",
     "placebo_radius", "placebo_configs",
 ];
 #[rustfmt::skip]
-const SPEC_FLAGS: [&str; 13] = [
+const SPEC_FLAGS: [&str; 21] = [
     "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
-    "renderer", "stop", "stop_seed", "stop_strata", "execution",
+    "renderer", "stop", "stop_seed", "stop_strata", "execution", "suite", "protocol", "variants",
+    "suites", "dimensions", "difficulties", "trials", "runnable",
 ];
 /// Valid values of `--record`, `--nominal`, `--renderer`, `--directions` and `--stop-strata`.
 pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
@@ -59,6 +61,9 @@ Examples:
     coordinator campaign create --name floor --policy student \\
         --endpoint http://127.0.0.1:7412 --tasks all --axes all --levels L0,L2 \\
         --placebo-configs 0-1
+  The variants of LIBERO-Plus that LIBERO's own assets show, as its table counts them:
+    coordinator campaign create --name plus --policy student \\
+        --endpoint http://127.0.0.1:7412 --suite libero-plus --runnable
   The specification as a file, to be edited and used:
     coordinator campaign create --name first --policy student \\
         --endpoint http://127.0.0.1:7412 --tasks libero_goal --print-spec > first.json
@@ -67,7 +72,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_long_help = EXAMPLES)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
-#[command(group = ArgGroup::new("rollouts").args(["tasks", "manifest"]))]
+#[command(group = ArgGroup::new("rollouts").args(["tasks", "manifest", "suite"]))]
 pub(super) struct CreateArguments {
     /// File of a specification in JSON; `-` reads standard input.
     #[arg(long, value_name = "FILE")]
@@ -80,6 +85,8 @@ pub(super) struct CreateArguments {
     flags: SpecFlags,
     #[command(flatten)]
     design: DesignFlags,
+    #[command(flatten)]
+    variants: VariantFlags,
     #[command(flatten)]
     stop: StopFlags,
     /// The higher, the earlier its rollouts are leased, from -100 to 100; campaigns
@@ -280,6 +287,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         }
         let total = counted(campaign.jobs.len() as u64, "rollout");
         print_line(&format!("campaign {name} would have {total}"))?;
+        tell_left_out(&spec)?;
         tell_placebo(&campaign)?;
         tell_stop(&spec, &campaign)?;
         tell_execution(&spec, unasked.as_deref())?;
@@ -301,6 +309,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     };
     let total = counted(created.jobs_total, "rollout");
     print_line(&format!("campaign {name} {happened}: {total}"))?;
+    tell_left_out(&spec)?;
     tell_stop(&spec, &campaign)?;
     tell_execution(&spec, unasked.as_deref())?;
     if created.priority != arguments.priority {
@@ -329,6 +338,21 @@ fn tell_execution(spec: &CampaignSpec, unasked: Option<&str>) -> Result<(), Comm
     print_line(&format!(
         "execution model {execution}: an answer takes effect after {late}"
     ))?;
+    Ok(())
+}
+
+/// Prints the variants that the campaign leaves out.
+fn tell_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
+    let Rollouts::Variants(variants) = &spec.rollouts else {
+        return Ok(());
+    };
+    let lacking = libero_family::left_out(variants).map_err(usage)?;
+    if lacking.count() > 0 {
+        let count = counted(lacking.count() as u64, "variant");
+        print_line(&format!(
+            "it leaves out {count}, whose files are missing:\n{lacking}"
+        ))?;
+    }
     Ok(())
 }
 
@@ -363,9 +387,10 @@ fn tell_size(campaign: &NewCampaign) -> Result<(), CommandError> {
 }
 
 fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandError> {
-    let rollouts = match &arguments.flags.manifest {
-        Some(path) => Rollouts::Manifest(read_manifest(path)?),
-        None => Rollouts::Design(design_of_flags(arguments).map_err(usage)?),
+    let rollouts = match (&arguments.flags.manifest, arguments.variants.selection()) {
+        (Some(path), _) => Rollouts::Manifest(read_manifest(path)?),
+        (None, Some(variants)) => Rollouts::Variants(variants),
+        (None, None) => Rollouts::Design(design_of_flags(arguments).map_err(usage)?),
     };
     let execution = match &arguments.flags.execution {
         Some(text) => execution(text).map_err(usage)?,

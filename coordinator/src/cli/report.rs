@@ -81,6 +81,20 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
         subjects.push(report::import(path).map_err(usage)?);
     }
     add_published(&mut subjects, &arguments.published).map_err(usage)?;
+    let unfit = [
+        ("--figures", arguments.figures.is_some()),
+        ("--table", !arguments.table.is_empty()),
+        ("--published", !arguments.published.is_empty()),
+    ];
+    let unfit = unfit.into_iter().find(|(_, is_given)| *is_given);
+    if let (Some((flag, _)), Some(protocol)) =
+        (unfit, subjects.iter().find_map(|it| it.protocol.as_deref()))
+    {
+        return Err(usage(anyhow!(
+            "use {flag} for a campaign under {protocol}: it is of LIBERO-CTRL's measures, which \
+             LIBERO's family does not have; leave it out, or use --json"
+        )));
+    }
     // Thousands of bootstrap resamplings block this thread, but no other task of the command runs.
     let document = Document::new(subjects).map_err(anyhow::Error::from)?;
     for (path, form) in &arguments.table {

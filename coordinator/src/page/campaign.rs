@@ -29,7 +29,11 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let of = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
     let link = |id: RolloutId, replicate: u32| address(of, id, replicate);
     let is_paired = document.analyses.iter().all(|it| it.is_paired());
-    let progress_by_condition = by_condition(records, name.as_str());
+    // The table of a campaign of LIBERO's family has its dimensions instead.
+    let progress_by_condition = match &document.family {
+        Some(_) => Markup::default(),
+        None => by_condition(records, name.as_str()),
+    };
     let main = html! {
         p.crumbs { a href="/" { "Campaigns" } }
         h1 { (name) }

@@ -134,7 +134,9 @@ fn perturbed(shown: &Shown) -> Markup {
     combined.extend(shown.row.variant_id.is_some().then_some(Axis::Language));
     let axes = shown.id.condition().axes(combined.into_iter().collect());
     let axes: Vec<Axis> = axes.axes().collect();
-    let is_told = shown.row.instruction != shown.id.task().instruction();
+    // Instructions that only a variant's BDDL file has are not known here.
+    let told = &shown.row.instruction;
+    let is_told = !told.is_empty() && *told != shown.id.task().instruction();
     let values = |axis| {
         let lines = perturbation::lines(&shown.row, axis);
         html! { ul.values { @for line in lines { li { (line) } } } }
@@ -143,8 +145,13 @@ fn perturbed(shown: &Shown) -> Markup {
         @if !shown.row.execution.is_wait() {
             p.muted { "Execution model " code { (shown.row.execution) } }
         }
-        @if is_told { p.instruction { "Instruction: “" (shown.row.instruction) "”" } }
+        @if is_told { p.instruction { "Instruction: “" (told) "”" } }
         @match axes.as_slice() {
+            [] if shown.id.variant().is_some() => {
+                @if let Some(variant) = shown.id.variant() {
+                    p.muted { (variant.benchmark()) ", change " code { (variant.change()) } }
+                }
+            }
             [] if shown.id.condition() == Condition::Latency => {
                 p.muted { "The policy is late, and nothing else perturbed." }
             }

@@ -217,7 +217,10 @@ fn heading(asked: RolloutId) -> String {
             format!("configuration {config} at L0, the placebo level")
         }
         Some(config) => format!("configuration {config} at {}", asked.level()),
-        None => format!("nominal from initial state {}", asked.number()),
+        None => match asked.variant() {
+            Some(variant) => format!("{variant} from initial state {}", asked.number()),
+            None => format!("nominal from initial state {}", asked.number()),
+        },
     };
     format!("{}, task {}, {which}", task.suite().name(), task.index())
 }

@@ -103,7 +103,10 @@ async fn explanation(view: &mut View, campaign: &Campaign) -> Result<Option<Expl
     })?;
     Ok(match spec.rollouts {
         Rollouts::Explanation(explanation) => Some(explanation),
-        Rollouts::Design(_) | Rollouts::Manifest(_) | Rollouts::Thresholds(_) => None,
+        Rollouts::Design(_)
+        | Rollouts::Manifest(_)
+        | Rollouts::Thresholds(_)
+        | Rollouts::Variants(_) => None,
     })
 }
 

@@ -3,8 +3,10 @@
 use assets::AssetsError;
 use libero_ctrl::numpy::LegacyRng;
 use libero_ctrl::{Delays, Execution, NoSuchRow, TooLate};
+use libero_family::SelectionError;
 use libero_family::corruption::{Corruption, Picture, UnsuitedPicture};
 use libero_family::plus::{ProblemClass, UnknownVariant};
+use libero_family::protocol::Protocol;
 use policy_protocol::{ActionFault, DescriptionFault};
 use raster::{DrawError, ModelError};
 use scene::SceneError;
@@ -210,20 +212,32 @@ fn rollouts(messages: &mut Messages) {
         RolloutError::Policy(_) => RolloutError::Policy(no_policy()),
         RolloutError::Abandoned => RolloutError::Abandoned,
     );
-    variants!(messages, VariantsError,
-        VariantsError::Nothing => VariantsError::Nothing,
-        VariantsError::Foreign { .. } => VariantsError::Foreign {
+    variants!(messages, SelectionError,
+        SelectionError::Nothing => SelectionError::Nothing,
+        SelectionError::Foreign { .. } => SelectionError::Foreign {
             protocol: "plus-rlinf", benchmark: "libero-pro",
         },
-        VariantsError::Unused { .. } => VariantsError::Unused { name: text() },
-        VariantsError::Lacking { .. } => VariantsError::Lacking {
+        SelectionError::Unused { .. } => SelectionError::Unused { name: text() },
+        SelectionError::Filter { .. } => SelectionError::Filter {
+            benchmark: "libero-pro", filter: "dimensions",
+        },
+        SelectionError::Range { .. } => SelectionError::Range {
+            field: "trials", given: 51, valid: [1, 50],
+        },
+        SelectionError::Id { .. } => SelectionError::Id {
+            id: "goal/t8/plus:noise_51/i00".parse().expect("an id"),
+        },
+        SelectionError::Lacking { .. } => SelectionError::Lacking {
             lacking: 3, chosen: 5, report: text(),
         },
+        SelectionError::Variant(_) => SelectionError::Variant(UnknownVariant::Empty),
+        SelectionError::Name(_) => {
+            SelectionError::Name("plus".parse::<Protocol>().expect_err("no protocol"))
+        },
+    );
+    variants!(messages, VariantsError,
+        VariantsError::Selection(_) => VariantsError::Selection(SelectionError::Nothing),
         VariantsError::Task(_) => VariantsError::Task(no_scene()),
-        VariantsError::Row(_) => VariantsError::Row(NoSuchRow {
-            id: "object/t0/clean/i03".parse().expect("an id"),
-            problem: "there are 50 initial states".to_owned(),
-        }),
         VariantsError::Single(_) => VariantsError::Single(SingleError::Rollout(
             RolloutError::Abandoned,
         )),

@@ -9,6 +9,8 @@ use coordinator::client::ClientError;
 use coordinator::reading::ReadError;
 use coordinator::storage::StorageError;
 use libero_ctrl::{Axis, AxisSet, NotMeasurable, RolloutId, SpecError, Suite};
+use libero_family::SelectionError;
+use libero_family::protocol::Protocol;
 use paired::{DuplicateRecord, NotInOrder, Transition};
 use queue::expand::ExpandError;
 use queue::ids::{CampaignName, JobId, JobName, NameError, WorkerId};
@@ -18,8 +20,8 @@ use queue::{
     RowProblem, RowsError, StoreError, WorkerProblem,
 };
 use report::{
-    BadLine, BudgetTooSmall, DocumentError, ImportError, NoCommonOrder, NoInteractions, TableError,
-    Unpairable,
+    BadLine, BudgetTooSmall, DocumentError, FamilyError, ImportError, NoCommonOrder,
+    NoInteractions, TableError, Unpairable,
 };
 use transport::{AccessError, EndpointError, Found, SecurityError, ServerKind, Settings, Trouble};
 
@@ -321,10 +323,24 @@ fn reports(messages: &mut Messages) {
         Unexplained::AwaitsRepeats => Unexplained::AwaitsRepeats,
         Unexplained::NotConfirmed => Unexplained::NotConfirmed,
     );
+    variants!(messages, FamilyError,
+        FamilyError::Rollout { .. } => FamilyError::Rollout {
+            campaign: text(), source: SelectionError::Nothing,
+        },
+        FamilyError::Protocol { .. } => FamilyError::Protocol {
+            campaign: text(),
+            source: "plus".parse::<Protocol>().expect_err("no protocol"),
+        },
+    );
     variants!(messages, DocumentError,
         DocumentError::Duplicate { .. } => DocumentError::Duplicate {
             policy: text(), source: twice,
         },
+        DocumentError::Family(_) => DocumentError::Family(FamilyError::Rollout {
+            campaign: text(),
+            source: SelectionError::Nothing,
+        }),
+        DocumentError::Pooled { .. } => DocumentError::Pooled { policy: text() },
         DocumentError::Json(_) => DocumentError::Json(json_error()),
     );
     messages.add(

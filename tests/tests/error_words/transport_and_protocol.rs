@@ -3,7 +3,7 @@
 use libero_ctrl::manifest::{LineProblem, ManifestErrors};
 use libero_ctrl::{
     AxisSet, Condition, DesignError, Level, NoSuchRow, PerturbError, RolloutId, RowError,
-    SpecError, StopError, UnknownName,
+    SpecError, StopError, UnknownName, VariantsError,
 };
 use transport::{
     AccessError, CertificateFault, EndpointError, Found, SecurityError, ServerKind, Settings,
@@ -126,6 +126,11 @@ fn protocol(messages: &mut Messages) {
             given: "hold:2".parse().expect("a model"),
         },
         SpecError::Stop(_) => SpecError::Stop(StopError::NotSimultaneous),
+        SpecError::Variants(_) => SpecError::Variants(VariantsError {
+            field: "stop", problem: "leave it out",
+        }),
+        SpecError::Selection { .. } => SpecError::Selection { problem: text() },
+        SpecError::VariantRow { .. } => SpecError::VariantRow { id: id() },
         SpecError::Design(_) => SpecError::Design(no_design()),
         SpecError::Manifest(_) => SpecError::Manifest(ManifestErrors::clone(&refused)),
     );
@@ -180,6 +185,7 @@ fn protocol(messages: &mut Messages) {
             id: id(), column: "suite", given: text(), expected: "libero_object".to_owned(),
         },
         RowError::InitState { .. } => RowError::InitState { id: id(), given: 50 },
+        RowError::Protocol { .. } => RowError::Protocol { id: id(), given: None },
         RowError::Placebo { .. } => RowError::Placebo { id: id(), given: None },
         RowError::Latency { .. } => RowError::Latency {
             id: id(),

@@ -1,61 +1,24 @@
 //! Checks before a run which of the chosen variants have all their files.
 
 use std::collections::BTreeMap;
-use std::fmt::{self, Write};
+use std::fmt::Write;
 
 use assets::Table;
 use libero_family::plus::{Assets, Entry};
 use libero_family::protocol::Benchmark;
+use libero_family::{Case, Further, Lack, Lacking, SelectionError, Subject};
 use scene::catalog::category;
 use scene::{AssetPack, Sources};
 
-use super::case::{Case, Subject};
+use super::case::files;
 use super::error::VariantsError;
-
-/// Rollouts that a report names per reason; the others are counted.
-const MAX_NAMED: usize = 3;
-
-/// Reason why a variant cannot run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Lack {
-    /// The BDDL file or the initial states are missing.
-    TaskFiles(Benchmark),
-    /// Files of LIBERO-Plus' archive are missing.
-    Assets(Assets),
-    /// Models of LIBERO-PRO are missing.
-    Models,
-}
-
-impl fmt::Display for Lack {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::TaskFiles(benchmark) => write!(
-                f,
-                "task files; run `worker assets fetch --suite {}`",
-                benchmark.name()
-            ),
-            Self::Models => write!(
-                f,
-                "models of LIBERO-PRO; give --assets the folder of the unpacked wheels, which \
-                 docs/FAMILY.md tells how to make"
-            ),
-            Self::Assets(assets @ Assets::Lights) => {
-                write!(f, "{assets}, whose shadows are not drawn yet")
-            }
-            Self::Assets(assets @ Assets::NewObjects) => {
-                write!(f, "{assets}, which the catalogue does not have yet")
-            }
-            Self::Assets(assets) => write!(f, "{assets}, which no package index has"),
-        }
-    }
-}
 
 /// Chosen rollouts, grouped by their missing files.
 pub struct Audit {
     /// Rollouts with all their files.
     pub runnable: Vec<Case>,
     /// Rollouts with missing files, by reason.
-    pub lacking: Vec<(Lack, Vec<Case>)>,
+    pub lacking: Lacking,
 }
 
 impl Audit {
@@ -70,23 +33,19 @@ impl Audit {
     ) -> Result<Self, VariantsError> {
         let mut audit = Self {
             runnable: Vec::new(),
-            lacking: Vec::new(),
+            lacking: Lacking::default(),
         };
         // All trials of a task need the same files.
         let mut last: Option<(Case, Option<Lack>)> = None;
         for case in cases {
             let lack = match &last {
-                Some((known, lack)) if case.trial > 0 && known.files_are_of(&case) => *lack,
+                Some((known, lack)) if case.trial > 0 && have_the_same_files(known, &case) => *lack,
                 _ => lack(&case, pack, sources)?,
             };
             last = Some((case, lack));
-            let Some(lack) = lack else {
-                audit.runnable.push(case);
-                continue;
-            };
-            match audit.lacking.iter_mut().find(|(known, _)| *known == lack) {
-                Some((_, cases)) => cases.push(case),
-                None => audit.lacking.push((lack, vec![case])),
+            match lack {
+                None => audit.runnable.push(case),
+                Some(lack) => audit.lacking.add(lack, case),
             }
         }
         Ok(audit)
@@ -94,7 +53,7 @@ impl Audit {
 
     /// Returns the number of rollouts.
     pub fn count(&self) -> usize {
-        self.runnable.len() + self.lacking.iter().map(|(_, it)| it.len()).sum::<usize>()
+        self.runnable.len() + self.lacking.count()
     }
 
     /// Checks that no rollout lacks files.
@@ -102,30 +61,14 @@ impl Audit {
     /// # Errors
     /// If any rollout lacks files.
     pub fn require_all(&self) -> Result<(), VariantsError> {
-        match self.lacking.is_empty() {
-            true => Ok(()),
-            false => Err(VariantsError::Lacking {
-                lacking: self.count() - self.runnable.len(),
+        match self.lacking.count() {
+            0 => Ok(()),
+            lacking => Err(VariantsError::Selection(SelectionError::Lacking {
+                lacking,
                 chosen: self.count(),
-                report: self.reasons(),
-            }),
+                report: self.lacking.to_string(),
+            })),
         }
-    }
-
-    /// Lists the missing files, with the rollouts that need them.
-    fn reasons(&self) -> String {
-        let mut text = String::new();
-        for (lack, cases) in &self.lacking {
-            let named = cases.iter().take(MAX_NAMED).map(Case::name);
-            let named: Vec<String> = named.collect();
-            let more = match cases.len() - named.len() {
-                0 => String::new(),
-                more => format!(" and {more} more"),
-            };
-            let named = named.join(", ");
-            let _ = writeln!(text, "{:>6}  {lack}: {named}{more}", cases.len());
-        }
-        text.trim_end().to_owned()
     }
 
     /// Formats a table of dimensions or suites, followed by the missing files.
@@ -139,7 +82,7 @@ impl Audit {
             }
         };
         count(&self.runnable, 1);
-        for (_, cases) in &self.lacking {
+        for (_, cases) in &self.lacking.0 {
             count(cases, 0);
         }
         let mut text = format!("{:<22}{:>9}{:>9}\n", "", "rollouts", "can run");
@@ -150,8 +93,8 @@ impl Audit {
             line(&group, counts);
         }
         line("all", [self.count(), self.runnable.len()]);
-        if !self.lacking.is_empty() {
-            let _ = write!(text, "Missing:\n{}\n", self.reasons());
+        if self.lacking.count() > 0 {
+            let _ = write!(text, "Missing:\n{}\n", self.lacking);
         }
         text
     }
@@ -161,7 +104,7 @@ impl Audit {
     pub fn list(&self) -> String {
         let mut text = String::new();
         let all = [(None, &self.runnable)];
-        let lacking = self.lacking.iter().map(|(lack, it)| (Some(lack), it));
+        let lacking = self.lacking.0.iter().map(|(lack, it)| (Some(lack), it));
         for (lack, cases) in all.into_iter().chain(lacking) {
             for case in cases {
                 let difficulty = case.difficulty().map(|it| it.to_string());
@@ -198,8 +141,20 @@ fn needs(case: &Case) -> String {
     files.collect::<Vec<_>>().join(" ")
 }
 
+/// Returns true if two cases are of the same LIBERO-PRO suite and task, and so have the same files.
+fn have_the_same_files(one: &Case, other: &Case) -> bool {
+    one.task == other.task && one.subject == other.subject && matches!(one.subject, Subject::Pro(_))
+}
+
 /// Returns the reason why a rollout cannot run; `None` if all its files exist.
-fn lack(case: &Case, pack: &AssetPack, sources: &Sources) -> Result<Option<Lack>, VariantsError> {
+///
+/// # Errors
+/// If an existing BDDL file cannot be read.
+pub fn lack(
+    case: &Case,
+    pack: &AssetPack,
+    sources: &Sources,
+) -> Result<Option<Lack>, VariantsError> {
     let lack = match case.subject {
         Subject::Plus(entry) => assets_lack(entry, pack),
         Subject::Pro(_) | Subject::Unperturbed => None,
@@ -207,7 +162,7 @@ fn lack(case: &Case, pack: &AssetPack, sources: &Sources) -> Result<Option<Lack>
     if lack.is_some() {
         return Ok(lack);
     }
-    let files = case.files(sources);
+    let files = files(case, sources);
     match case.benchmark() {
         Some(benchmark) if !(files.bddl.is_file() && files.init.is_file()) => {
             Ok(Some(Lack::TaskFiles(benchmark)))
@@ -220,7 +175,8 @@ fn lack(case: &Case, pack: &AssetPack, sources: &Sources) -> Result<Option<Lack>
                 (pack.is_managed() && Table::libero().get(file).is_some())
                     || pack.dir().join(file).is_file()
             };
-            Ok((!models.all(|model| is_there(model.file))).then_some(Lack::Models))
+            Ok((!models.all(|model| is_there(model.file)))
+                .then_some(Lack::Further(Further::Models)))
         }
         _ => Ok(None),
     }
@@ -239,5 +195,5 @@ fn assets_lack(entry: &Entry, pack: &AssetPack) -> Option<Lack> {
         (Assets::Scenes, Some(class)) => class.scene.as_deref().is_some_and(is_in_pack),
         (Assets::Lights | Assets::NewObjects, _) | (_, None) => false,
     };
-    (!is_there).then_some(Lack::Assets(assets))
+    (!is_there).then_some(Lack::Further(Further::Assets(assets)))
 }

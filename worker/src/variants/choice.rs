@@ -2,13 +2,11 @@
 
 use clap::Args;
 use libero_ctrl::Suite;
-use libero_family::plus::{Dimension, Entry, Variant, entry, inventory};
+use libero_family::plus::{Dimension, Variant};
 use libero_family::pro::{ProSuite, STATES};
 use libero_family::protocol::{Benchmark, Protocol};
+use libero_family::{PlusFilters, ProFilters, Selection, SelectionError};
 use terminal::number;
-
-use super::case::{Case, Subject};
-use super::error::VariantsError;
 
 /// A choice of variants: those of LIBERO-Plus that match every given filter, or suites of
 /// LIBERO-PRO.
@@ -57,59 +55,19 @@ pub struct Manner {
 }
 
 impl Choice {
-    /// Returns the benchmark of the chosen variants.
-    pub fn benchmark(&self) -> Benchmark {
+    /// Returns the selection of the options.
+    pub fn selection(&self) -> Selection {
         match self.pro.is_empty() {
-            true => Benchmark::Plus,
-            false => Benchmark::Pro,
-        }
-    }
-
-    /// Returns the chosen rollouts, in the benchmark's order.
-    ///
-    /// # Errors
-    /// If nothing matches, or a named variant does not exist.
-    pub fn cases(&self) -> Result<Vec<Case>, VariantsError> {
-        if self.benchmark() == Benchmark::Pro {
-            let trials = self.trials.unwrap_or(STATES);
-            let suites = ProSuite::all().filter(|suite| self.pro.contains(suite));
-            let cases = suites.flat_map(|suite| {
-                let tasks = suite.suite.tasks();
-                tasks.flat_map(move |task| {
-                    (0..trials).map(move |trial| Case {
-                        subject: Subject::Pro(suite),
-                        task,
-                        trial,
-                    })
-                })
-            });
-            return Ok(cases.collect());
-        }
-        let cases = self.entries()?.into_iter().map(|entry| Case {
-            subject: Subject::Plus(entry),
-            task: entry.variant.task,
-            trial: 0,
-        });
-        Ok(cases.collect())
-    }
-
-    /// Returns the chosen variants of LIBERO-Plus.
-    fn entries(&self) -> Result<Vec<&'static Entry>, VariantsError> {
-        if let Some(unused) = self.variants.iter().find(|it| entry(it).is_none()) {
-            return Err(VariantsError::Unused {
-                name: unused.to_string(),
-            });
-        }
-        let chosen = inventory().iter().filter(|entry| {
-            is_of(&self.variants, &entry.variant)
-                && is_of(&self.suites, &entry.variant.task.suite())
-                && is_of(&self.dimensions, &entry.dimension())
-                && is_of(&self.difficulties, &entry.difficulty.unwrap_or(0))
-        });
-        let chosen: Vec<_> = chosen.collect();
-        match chosen.is_empty() {
-            true => Err(VariantsError::Nothing),
-            false => Ok(chosen),
+            true => Selection::Plus(PlusFilters {
+                variants: self.variants.clone(),
+                suites: self.suites.clone(),
+                dimensions: self.dimensions.clone(),
+                difficulties: self.difficulties.clone(),
+            }),
+            false => Selection::Pro(ProFilters {
+                suites: self.pro.clone(),
+                trials: self.trials.unwrap_or(STATES),
+            }),
         }
     }
 }
@@ -119,54 +77,46 @@ impl Manner {
     ///
     /// # Errors
     /// If the chosen protocol belongs to another benchmark.
-    pub fn protocol_of(&self, benchmark: Benchmark) -> Result<Protocol, VariantsError> {
-        let protocol = self.protocol.unwrap_or(match benchmark {
-            Benchmark::Plus => Protocol::PLUS_OFFICIAL,
-            Benchmark::Pro => Protocol::PRO_OFFICIAL,
-        });
-        match protocol.benchmark == benchmark {
-            true => Ok(protocol),
-            false => Err(VariantsError::Foreign {
-                protocol: protocol.name,
-                benchmark: benchmark.name(),
-            }),
-        }
+    pub fn protocol_of(&self, benchmark: Benchmark) -> Result<Protocol, SelectionError> {
+        let protocol = self.protocol.unwrap_or(Protocol::official(benchmark));
+        protocol.check(benchmark)?;
+        Ok(protocol)
     }
-}
-
-/// Returns true if the filter is empty or contains the value.
-fn is_of<T: PartialEq>(asked: &[T], found: &T) -> bool {
-    asked.is_empty() || asked.contains(found)
 }
 
 #[cfg(test)]
 mod tests {
+    use libero_family::Case;
+
     use super::*;
 
     #[test]
     fn filters_are_met_all_at_once() {
         let all = Choice::default();
-        assert_eq!(all.entries().unwrap().len(), 10_030);
+        assert_eq!(all.selection().cases().unwrap().len(), 10_030);
         let some = Choice {
             suites: vec![Suite::Goal],
             dimensions: vec![Dimension::Light],
             difficulties: vec![0],
             ..Choice::default()
         };
-        assert_eq!(some.entries().unwrap().len(), 121);
+        assert_eq!(some.selection().cases().unwrap().len(), 121);
         let none = Choice {
             suites: vec![Suite::Spatial],
             ..some
         };
-        assert!(matches!(none.entries(), Err(VariantsError::Nothing)));
+        assert!(matches!(
+            none.selection().cases(),
+            Err(SelectionError::Nothing)
+        ));
         let unused = "turn_on_the_stove_table_19".parse().unwrap();
         let unused = Choice {
             variants: vec![unused],
             ..Choice::default()
         };
         assert!(matches!(
-            unused.entries(),
-            Err(VariantsError::Unused { .. })
+            unused.selection().cases(),
+            Err(SelectionError::Unused { .. })
         ));
     }
 
@@ -176,7 +126,7 @@ mod tests {
             pro: vec!["libero_goal_swap".parse().unwrap()],
             ..Choice::default()
         };
-        let cases = pro.cases().unwrap();
+        let cases = pro.selection().cases().unwrap();
         assert_eq!((cases.len(), Case::unperturbed(&cases).len()), (500, 500));
         assert_eq!(
             cases[1].name(),
@@ -194,7 +144,7 @@ mod tests {
         manner.protocol = Some("plus-rlinf".parse().unwrap());
         assert!(matches!(
             of(&manner, Benchmark::Pro),
-            Err(VariantsError::Foreign { .. })
+            Err(SelectionError::Foreign { .. })
         ));
     }
 }

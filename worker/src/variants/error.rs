@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use libero_ctrl::NoSuchRow;
+use libero_family::SelectionError;
 use scene::SceneError;
 
 use crate::single::SingleError;
@@ -11,48 +11,12 @@ use crate::single::SingleError;
 /// Reason why variants were not run.
 #[derive(Debug, thiserror::Error)]
 pub enum VariantsError {
-    /// No variant matches all filters.
-    #[error("choose variants: none is of all that was asked for; leave a filter out")]
-    Nothing,
-    /// The protocol belongs to another benchmark.
-    #[error(
-        "run {benchmark} under protocol `{protocol}`: it is another benchmark's; docs/FAMILY.md \
-         lists the protocols of each"
-    )]
-    Foreign {
-        /// The protocol.
-        protocol: &'static str,
-        /// The benchmark.
-        benchmark: &'static str,
-    },
-    /// LIBERO-Plus' task map lacks the variant.
-    #[error(
-        "choose variant `{name}`: its name is well-formed, and LIBERO-Plus' task map does not \
-         have it; `worker variants --list` names those that it has"
-    )]
-    Unused {
-        /// Name of the variant.
-        name: String,
-    },
-    /// Files of some rollouts are missing.
-    #[error(
-        "run {lacking} of the {chosen} chosen rollouts, whose files are missing:\n{report}\nGive \
-         --runnable to run the others without them"
-    )]
-    Lacking {
-        /// Number of rollouts with missing files.
-        lacking: usize,
-        /// Number of chosen rollouts.
-        chosen: usize,
-        /// Missing files, with the rollouts that need them.
-        report: String,
-    },
+    /// The choice of variants is invalid, or files of some are missing.
+    #[error(transparent)]
+    Selection(#[from] SelectionError),
     /// A task file is missing or wrong.
     #[error(transparent)]
     Task(#[from] SceneError),
-    /// The protocol has no such row.
-    #[error(transparent)]
-    Row(#[from] NoSuchRow),
     /// A rollout has no result.
     #[error(transparent)]
     Single(#[from] SingleError),

@@ -8,12 +8,12 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use libero_ctrl::{JsonError, ManifestRow, TaskRef};
+use libero_family::Case;
 use libero_family::protocol::Protocol;
 use scene::AssetPack;
 use serde::{Deserialize, Serialize};
 use sim::Simulator;
 
-use super::case::Case;
 use super::error::VariantsError;
 use crate::message::Finished;
 

@@ -201,6 +201,8 @@ impl Matched {
             Condition::Latency => self.latency.unwrap_or_default(),
             Condition::Subset(axes) => self.subsets.get(&axes).copied().unwrap_or_default(),
             Condition::Combination => self.simultaneous,
+            // Variants are in no configuration.
+            Condition::Variant => Outcome::Missing,
         }
     }
 }
@@ -230,7 +232,7 @@ impl Records {
                 return Err(DuplicateRecord { id, replicate });
             }
             match id.condition() {
-                Condition::Clean | Condition::Subset(_) => {}
+                Condition::Clean | Condition::Subset(_) | Condition::Variant => {}
                 Condition::Single(axis) => {
                     matching.axes.insert(axis);
                 }
@@ -304,7 +306,7 @@ impl Records {
                 }
                 Condition::Latency => entry.latency = Some(outcome),
                 Condition::Combination => entry.simultaneous = outcome,
-                Condition::Clean => {}
+                Condition::Clean | Condition::Variant => {}
             }
         }
         matched.into_values().collect()

@@ -77,6 +77,13 @@ impl Comparison {
         let (mut reasons, mut warnings) = (Vec::new(), Vec::new());
         let subjects = [&a.subject, &b.subject];
         for (subject, side) in subjects.into_iter().zip(&sides) {
+            if let Some(protocol) = &subject.protocol {
+                reasons.push(format!(
+                    "`{}` is a campaign of LIBERO's family, under {protocol}: its report has its \
+                     losses against the unperturbed rollouts",
+                    side.label
+                ));
+            }
             warnings.extend(unknown(subject, side));
         }
         reasons.extend(

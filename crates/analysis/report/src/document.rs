@@ -10,6 +10,7 @@ use serde::Serialize;
 use crate::analysis::Analysis;
 use crate::comparison::{Comparison, Unpairable};
 use crate::explanation::Findings;
+use crate::family::{Family, FamilyError};
 use crate::interactions;
 use crate::sequential::Sequential;
 use crate::subject::{Origin, Quarantined, Subject};
@@ -26,6 +27,9 @@ pub struct Document {
     pub warnings: Vec<String>,
     /// Analyses, one per subject, in the given order.
     pub analyses: Vec<Analysis>,
+    /// Results by dimension or suite, of a campaign of LIBERO's family; they take the place of the
+    /// measures of LIBERO-CTRL.
+    pub family: Option<Family>,
 }
 
 /// Failure to build or write a report.
@@ -38,6 +42,18 @@ pub enum DocumentError {
         policy: String,
         /// The duplicate rollout.
         source: DuplicateRecord,
+    },
+    /// A campaign of LIBERO's family has a variant or protocol that this program does not know.
+    #[error(transparent)]
+    Family(#[from] FamilyError),
+    /// Rollouts of LIBERO's family beside others, or without their protocol.
+    #[error(
+        "report on policy `{policy}`: its rollouts are of LIBERO-Plus or LIBERO-PRO, which are \
+         never pooled with others: report on its campaign alone, at its coordinator"
+    )]
+    Pooled {
+        /// Name of the policy.
+        policy: String,
     },
     /// The report cannot be written as JSON.
     #[error("write the report as JSON")]
@@ -75,12 +91,35 @@ struct JsonReport<'a> {
     interactions: Option<interactions::JsonForm<'a>>,
 }
 
+/// The JSON form of a campaign of LIBERO's family.
+#[derive(Serialize)]
+struct FamilyForm<'a> {
+    warnings: &'a [String],
+    origin: &'a Origin,
+    errors: &'a [Quarantined],
+    family: &'a Family,
+}
+
 impl Document {
     /// Analyses the subjects.
     ///
     /// # Errors
-    /// If a subject holds the same rollout and replicate twice.
+    /// If a subject holds the same rollout and replicate twice, or rollouts of LIBERO's family
+    /// stand beside another subject.
     pub fn new(subjects: Vec<Subject>) -> Result<Self, DocumentError> {
+        let is_pooled = |subject: &&Subject| {
+            let mut records = subject.records.iter();
+            let is_of_family = records.any(|record| record.id.variant().is_some());
+            is_of_family && (subjects.len() > 1 || subject.protocol.is_none())
+        };
+        if let Some(subject) = subjects.iter().find(is_pooled) {
+            let policy = subject.policy.clone();
+            return Err(DocumentError::Pooled { policy });
+        }
+        let family = match subjects.first() {
+            Some(subject) => Family::of(subject)?,
+            None => None,
+        };
         let warnings = warnings::of_comparison(&subjects);
         let labels = labels(&subjects);
         let analyses = labels.into_iter().zip(subjects);
@@ -94,6 +133,7 @@ impl Document {
         Ok(Self {
             warnings,
             analyses: analyses.collect::<Result<_, _>>()?,
+            family,
         })
     }
 
@@ -121,6 +161,15 @@ impl Document {
     /// # Errors
     /// If serde cannot write it, which is a defect.
     pub fn json(&self) -> Result<String, DocumentError> {
+        if let (Some(family), [analysis]) = (&self.family, self.analyses.as_slice()) {
+            let text = serde_json::to_string_pretty(&FamilyForm {
+                warnings: &self.warnings,
+                origin: &analysis.subject.origin,
+                errors: &analysis.subject.errors,
+                family,
+            });
+            return Ok(text.map_err(JsonError::from)?);
+        }
         let paired = self.analyses.iter().map(|analysis| {
             let levels = analysis
                 .cells()
@@ -152,6 +201,9 @@ impl Document {
     /// Writes a short report for a terminal of 80 columns: success by condition, and
     /// findings as sentences.
     pub fn brief(&self) -> String {
+        if let Some(family) = &self.family {
+            return family.text(false);
+        }
         let mut text = String::new();
         for warning in &self.warnings {
             push_wrapped(&mut text, "! ", warning);
@@ -190,6 +242,11 @@ impl Document {
             }
             text.push_str(&head(&analysis.subject));
             text.push('\n');
+            if let Some(family) = &self.family {
+                text.push_str(&family.text(true));
+                text.push_str(&tail(&analysis.subject));
+                return text;
+            }
             match analysis.is_paired() {
                 true => text.push_str(&paired::table(&analysis.report)),
                 false => push_found(&mut text, analysis),

@@ -215,6 +215,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         reported_nominal: about.nominal,
         setups: Setups::default(),
         derived: None,
+        protocol: None,
         early_stop: None,
     })
 }

@@ -3,6 +3,7 @@
 
 mod differences;
 mod explanation;
+mod family;
 mod findings;
 mod inference;
 mod methods;
@@ -41,7 +42,7 @@ pub fn page(document: &Document) -> String {
             }
             body {
                 header {
-                    p.kicker { "LIBERO-CTRL paired report" }
+                    p.kicker { (kicker(document)) }
                     h1 { (title) }
                     (findings::subtitle(document))
                 }
@@ -50,6 +51,14 @@ pub fn page(document: &Document) -> String {
         }
     };
     page.into_string()
+}
+
+/// Returns the name of the benchmark's report.
+fn kicker(document: &Document) -> String {
+    match &document.family {
+        Some(family) => format!("{} report", family.benchmark),
+        None => "LIBERO-CTRL paired report".to_owned(),
+    }
 }
 
 /// Renders the warnings, for another page that includes [`STYLE`].
@@ -61,6 +70,9 @@ pub fn warnings(document: &Document) -> Markup {
 /// [`STYLE`]. The squares of the outcome matrices are linked to the URLs that
 /// `link` returns.
 pub fn sections(document: &Document, link: Option<Link>) -> Markup {
+    if let Some(family) = &document.family {
+        return family::sections(family);
+    }
     let levels = levels(document);
     let per_level = |panel: fn(&Document, libero_ctrl::Level) -> Option<Figure>| {
         let panels = levels.iter().filter_map(|&level| panel(document, level));

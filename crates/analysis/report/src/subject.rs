@@ -61,6 +61,9 @@ pub struct Subject {
     /// Purpose of the campaign, if it follows from another.
     #[serde(default)]
     pub derived: Option<Derived>,
+    /// Protocol of a campaign of LIBERO's family; `None` for all others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub protocol: Option<String>,
     /// Early-stop rule of the campaign, and whether it applied; `None` if the campaign always
     /// runs to its end.
     #[serde(default, skip_serializing_if = "Option::is_none")]

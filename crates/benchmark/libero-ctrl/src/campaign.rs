@@ -16,11 +16,14 @@ use crate::level::Level;
 use crate::manifest::{self, ManifestErrors};
 use crate::names::UnknownName;
 use crate::placebo::Placebo;
+use crate::policy_route::{PolicyRoute, Record};
 use crate::presets::PRESETS;
+use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
 use crate::stop::{self, Stop, StopError};
 use crate::suite::TaskRef;
 use crate::thresholds::Thresholds;
+use crate::variants::{Variants, VariantsError};
 use crate::wanted::{MIN_DIGEST_DIGITS, RendererKind, Wanted};
 use crate::wording::JsonError;
 
@@ -31,8 +34,8 @@ pub const MAX_REPLICATES: u32 = 100;
 ///
 /// The fields of [`Rollouts`] are flattened into the specification: `tasks`, `axes`, `levels`
 /// and optionally `subsets`, `configs`, `nominal`, `design_seed`, `directions`,
-/// `placebo_radius` and `placebo_configs`; or, instead of all these, `manifest`, `explains` or
-/// `thresholds`. Tasks are written as `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
+/// `placebo_radius` and `placebo_configs`; or, instead of all these, `manifest`, `explains`,
+/// `thresholds` or `variants`. Tasks are written as `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SpecText", into = "SpecText")]
 pub struct CampaignSpec {
@@ -68,13 +71,15 @@ pub enum Rollouts {
     Explanation(Explanation),
     /// Further radii that follow from the outcomes of another campaign.
     Thresholds(Thresholds),
+    /// Variants of a benchmark of LIBERO's family, which `libero-family` expands.
+    Variants(Variants),
 }
 
 impl Rollouts {
     /// Returns the name of the campaign whose outcomes determine the rollouts, if any.
     pub fn source(&self) -> Option<&str> {
         match self {
-            Self::Design(_) | Self::Manifest(_) => None,
+            Self::Design(_) | Self::Manifest(_) | Self::Variants(_) => None,
             Self::Explanation(Explanation { campaign, .. })
             | Self::Thresholds(Thresholds { campaign, .. }) => Some(campaign),
         }
@@ -89,45 +94,18 @@ impl Rollouts {
                 let other = others.find(|row| row.id.condition() != Condition::Latency);
                 other.map_or(Execution::Wait, |row| row.execution.clone())
             }
-            Self::Design(_) | Self::Explanation(_) | Self::Thresholds(_) => Execution::Wait,
+            _ => Execution::Wait,
         }
     }
 
     /// Sets the name of the campaign whose outcomes determine the rollouts.
     pub fn set_source(&mut self, name: &str) {
         match self {
-            Self::Design(_) | Self::Manifest(_) => {}
+            Self::Design(_) | Self::Manifest(_) | Self::Variants(_) => {}
             Self::Explanation(Explanation { campaign, .. })
             | Self::Thresholds(Thresholds { campaign, .. }) => name.clone_into(campaign),
         }
     }
-}
-
-/// A policy and its endpoint.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PolicyRoute {
-    /// Name of the policy at the endpoint.
-    pub name: String,
-    /// URL of the gateway, or of the policy itself.
-    pub endpoint: String,
-}
-
-/// Selection of the rollouts to record on video.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Record {
-    /// No rollout.
-    #[default]
-    None,
-    /// Rollouts that fail.
-    Failures,
-    /// Rollouts of configurations whose outcome changes under simultaneous perturbation,
-    /// and their nominal rollouts; replayed afterwards from the actions stored with every
-    /// rollout.
-    Transitions,
-    /// Every rollout.
-    All,
 }
 
 /// Error in a specification.
@@ -221,6 +199,24 @@ pub enum SpecError {
     /// The design is invalid.
     #[error("read campaign specification: {0}")]
     Design(DesignError),
+    /// The variants exclude another field.
+    #[error("read campaign specification: {0}")]
+    Variants(VariantsError),
+    /// The selection of variants is invalid.
+    #[error("read campaign specification: {problem}")]
+    Selection {
+        /// Problem and remedy, in the words of `libero-family`.
+        problem: String,
+    },
+    /// A row of LIBERO's family in a manifest.
+    #[error(
+        "read campaign specification: row {id} of its manifest is of LIBERO's family, whose \
+         campaigns are specified with `variants`: take it out"
+    )]
+    VariantRow {
+        /// The row's id.
+        id: RolloutId,
+    },
     /// Some imported rows are invalid. Line numbers refer to a manifest with one row per line.
     #[error(transparent)]
     Manifest(#[from] ManifestErrors),
@@ -230,6 +226,12 @@ pub enum SpecError {
 impl From<StopError> for SpecError {
     fn from(error: StopError) -> Self {
         Self::Stop(error)
+    }
+}
+
+impl From<VariantsError> for SpecError {
+    fn from(error: VariantsError) -> Self {
+        Self::Variants(error)
     }
 }
 
@@ -286,6 +288,9 @@ impl CampaignSpec {
             }
             Rollouts::Manifest(rows) => {
                 manifest::check(rows)?;
+                if let Some(row) = rows.iter().find(|row| row.id.variant().is_some()) {
+                    return Err(SpecError::VariantRow { id: row.id });
+                }
                 let of_rows = self.rollouts.execution();
                 if !of_rows.is_wait() && of_rows != self.execution {
                     let given = self.execution.clone();
@@ -298,6 +303,7 @@ impl CampaignSpec {
                     return Err(SpecError::Latency { given });
                 }
             }
+            Rollouts::Variants(variants) => variants.check(self)?,
             Rollouts::Explanation(explanation) => {
                 if explanation.campaign.is_empty() {
                     return empty("explains.campaign", "name the campaign to explain");
@@ -325,7 +331,7 @@ impl CampaignSpec {
                 Rollouts::Design(design) if design.axes.len() < 2 => {
                     return Err(StopError::NotSimultaneous.into());
                 }
-                Rollouts::Design(_) => {}
+                Rollouts::Design(_) | Rollouts::Variants(_) => {}
                 Rollouts::Manifest(rows) => stop::check_rows(rows)?,
                 Rollouts::Explanation(_) => return Err(follows("explains").into()),
                 Rollouts::Thresholds(_) => return Err(follows("thresholds").into()),
@@ -348,6 +354,7 @@ impl CampaignSpec {
             Rollouts::Manifest(rows) => DesignVersion::of_rows(rows),
             Rollouts::Explanation(explanation) => DesignVersion::of_explanation(explanation),
             Rollouts::Thresholds(thresholds) => DesignVersion::of_thresholds(thresholds),
+            Rollouts::Variants(variants) => DesignVersion::of_variants(variants),
         };
         version.under(&self.execution)
     }
@@ -385,6 +392,8 @@ struct SpecText {
     explains: Option<Explanation>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     thresholds: Option<Thresholds>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    variants: Option<Variants>,
     #[serde(default)]
     realisation: Realisation,
     #[serde(default = "one")]
@@ -406,7 +415,7 @@ struct SpecText {
 enum TextError {
     #[error(
         "the field `{0}` is not there: a campaign has `tasks`, `axes` and `levels`, or a \
-         `manifest`, or `explains` another, or measures `thresholds` of another"
+         `manifest`, or `explains` another, or measures `thresholds` of another, or has `variants`"
     )]
     Missing(&'static str),
     #[error("`{other}` beside `{field}`, which says what is run by itself: take one of them out")]
@@ -431,6 +440,8 @@ impl TryFrom<SpecText> for CampaignSpec {
             Rollouts::Explanation(explanation)
         } else if let Some(thresholds) = text.thresholds.take() {
             Rollouts::Thresholds(thresholds)
+        } else if let Some(variants) = text.variants.take() {
+            Rollouts::Variants(variants)
         } else {
             Rollouts::Design(design(&mut text)?)
         };
@@ -469,6 +480,7 @@ impl From<CampaignSpec> for SpecText {
             manifest: None,
             explains: None,
             thresholds: None,
+            variants: None,
             realisation: spec.realisation,
             replicates: spec.replicates,
             record: spec.record,
@@ -481,6 +493,7 @@ impl From<CampaignSpec> for SpecText {
             Rollouts::Manifest(rows) => text.manifest = Some(rows),
             Rollouts::Explanation(explanation) => text.explains = Some(explanation),
             Rollouts::Thresholds(thresholds) => text.thresholds = Some(thresholds),
+            Rollouts::Variants(variants) => text.variants = Some(variants),
             Rollouts::Design(design) => {
                 text.axes = Some(design.any_axes());
                 if design.has_placebo() {
@@ -506,6 +519,7 @@ fn no_two_sources(text: &SpecText) -> Result<(), TextError> {
         ("manifest", text.manifest.is_some()),
         ("explains", text.explains.is_some()),
         ("thresholds", text.thresholds.is_some()),
+        ("variants", text.variants.is_some()),
         ("tasks", text.tasks.is_some()),
         ("axes", text.axes.is_some()),
         ("subsets", text.subsets.is_some()),
@@ -517,7 +531,7 @@ fn no_two_sources(text: &SpecText) -> Result<(), TextError> {
         ("placebo_radius", text.placebo_radius.is_some()),
         ("placebo_configs", text.placebo_configs.is_some()),
     ];
-    let by_themselves = &written[..3];
+    let by_themselves = &written[..4];
     let Some(&(field, _)) = by_themselves.iter().find(|(_, written)| *written) else {
         return Ok(());
     };

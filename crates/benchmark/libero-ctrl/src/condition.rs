@@ -8,6 +8,9 @@ use crate::axis::{Axis, LATENCY};
 use crate::axis_set::AxisSet;
 use crate::names::{UnknownName, serde_as_text};
 
+/// Name of the condition of LIBERO's family.
+const VARIANT: &str = "variant";
+
 /// Perturbed axes of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Condition {
@@ -22,6 +25,8 @@ pub enum Condition {
     /// Simultaneous: all axes of the campaign at once. Rollout ids use the published name
     /// `combination`.
     Combination,
+    /// A rollout of LIBERO's family, perturbed or not: its id names the change.
+    Variant,
 }
 
 impl Condition {
@@ -41,7 +46,7 @@ impl Condition {
     /// axes.
     pub const fn axes(self, campaign: AxisSet) -> AxisSet {
         match self {
-            Self::Clean | Self::Latency => AxisSet::EMPTY,
+            Self::Clean | Self::Latency | Self::Variant => AxisSet::EMPTY,
             Self::Single(axis) => AxisSet::of(axis),
             Self::Subset(axes) => axes,
             Self::Combination => campaign,
@@ -57,6 +62,7 @@ impl Condition {
             Self::Latency => LATENCY,
             Self::Subset(axes) => axes.name(),
             Self::Combination => "combination",
+            Self::Variant => VARIANT,
         }
     }
 
@@ -68,6 +74,7 @@ impl Condition {
             Self::Latency => LATENCY,
             Self::Subset(axes) => axes.name(),
             Self::Combination => "simultaneous",
+            Self::Variant => VARIANT,
         }
     }
 }
@@ -87,6 +94,7 @@ impl FromStr for Condition {
             "nominal" | "clean" => Ok(Self::Clean),
             "simultaneous" | "combination" => Ok(Self::Combination),
             LATENCY => Ok(Self::Latency),
+            VARIANT => Ok(Self::Variant),
             axes => match axes.parse() {
                 Ok(axes) if axes != AxisSet::EMPTY => Ok(Self::of(axes)),
                 _ => {

@@ -6,16 +6,19 @@ use crate::execution::Execution;
 use crate::explanation::Explanation;
 use crate::names::{UnknownName, serde_as_text};
 use crate::thresholds::Thresholds;
+use crate::variants::Variants;
 
 const V0_1: &str = "v0.1";
 const CUSTOM: &str = "custom-";
 const MANIFEST: &str = "manifest-";
 const EXPLAINS: &str = "explains-";
 const THRESHOLDS: &str = "thresholds-";
+const VARIANTS: &str = "variants-";
 
 /// Identifier of the design that results belong to: `v0.1` for exactly LIBERO-CTRL v0.1,
 /// otherwise `custom-` and a checksum of the design, `manifest-` and a checksum of the
-/// imported rows, or `explains-` or `thresholds-` and a checksum of that specification.
+/// imported rows, or `explains-`, `thresholds-` or `variants-` and a checksum of that
+/// specification.
 /// Results of different designs are never pooled.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DesignVersion(String);
@@ -49,13 +52,18 @@ impl DesignVersion {
         Self::of_derived(THRESHOLDS, thresholds)
     }
 
+    /// Returns the version of a campaign of LIBERO's family.
+    pub(crate) fn of_variants(variants: &Variants) -> Self {
+        Self::of_derived(VARIANTS, variants)
+    }
+
     /// Returns the version of the same rollouts under an execution model, which differs for every
     /// model except `wait`.
     pub(crate) fn under(self, execution: &Execution) -> Self {
         if execution.is_wait() {
             return self;
         }
-        let prefixes = [MANIFEST, EXPLAINS, THRESHOLDS];
+        let prefixes = [MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS];
         let prefix = prefixes.into_iter().find(|it| self.0.starts_with(it));
         let text = format!("{} {execution}", self.0);
         Self(format!(
@@ -86,7 +94,7 @@ impl std::str::FromStr for DesignVersion {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        let prefixes = [CUSTOM, MANIFEST, EXPLAINS, THRESHOLDS];
+        let prefixes = [CUSTOM, MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS];
         match text == V0_1 || prefixes.iter().any(|prefix| text.starts_with(prefix)) {
             true => Ok(Self(text.to_owned())),
             false => {
@@ -96,6 +104,7 @@ impl std::str::FromStr for DesignVersion {
                     "manifest-CHECKSUM",
                     "explains-CHECKSUM",
                     "thresholds-CHECKSUM",
+                    "variants-CHECKSUM",
                 ];
                 Err(UnknownName::new("design", text, &valid))
             }

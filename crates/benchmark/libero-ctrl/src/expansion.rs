@@ -29,8 +29,11 @@ impl CampaignSpec {
         let rows = match &self.rollouts {
             Rollouts::Design(design) => design.expand()?,
             Rollouts::Manifest(rows) => paired_units_first(rows.clone()),
-            // These rows are planned from outcomes at run time.
-            Rollouts::Explanation(_) | Rollouts::Thresholds(_) => Vec::new(),
+            // Explanations and thresholds are planned from outcomes at run time;
+            // `libero_family::expand` makes the rows of variants.
+            Rollouts::Explanation(_) | Rollouts::Thresholds(_) | Rollouts::Variants(_) => {
+                Vec::new()
+            }
         };
         let rows = rows.into_iter().map(|row| row.under(&self.execution));
         Ok(rows.collect())

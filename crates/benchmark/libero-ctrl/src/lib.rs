@@ -13,6 +13,7 @@ pub mod streams;
 
 mod axis;
 mod axis_set;
+mod benchmark;
 mod campaign;
 mod condition;
 mod design;
@@ -29,6 +30,7 @@ mod names;
 mod paraphrase;
 mod perturbation;
 mod placebo;
+mod policy_route;
 mod privileged;
 mod rollout_id;
 mod row;
@@ -39,12 +41,15 @@ mod stop_rule;
 mod suite;
 mod tasks;
 mod thresholds;
+mod variant_name;
+mod variants;
 mod wanted;
 mod wording;
 
 pub use axis::Axis;
 pub use axis_set::AxisSet;
-pub use campaign::{CampaignSpec, MAX_REPLICATES, PolicyRoute, Record, Rollouts, SpecError};
+pub use benchmark::Benchmark;
+pub use campaign::{CampaignSpec, MAX_REPLICATES, Rollouts, SpecError};
 pub use condition::{Condition, Realisation};
 pub use design::{Design, DesignError, Nominal, select_tasks};
 pub use design_version::DesignVersion;
@@ -63,6 +68,7 @@ pub use perturbation::{
     SensorCorruption,
 };
 pub use placebo::{PLACEBO_RADII, Placebo};
+pub use policy_route::{PolicyRoute, Record};
 pub use privileged::{Entity, EntityKind, Predicate, Privileged};
 pub use rollout_id::RolloutId;
 pub use row::{MAX_ROWS, ManifestRow, RowError};
@@ -72,5 +78,7 @@ pub use stop::{Stop, StopError, Strata};
 pub use stop_rule::{Clause, Measure, StopRule};
 pub use suite::{INIT_STATES_PER_TASK, Suite, TASKS_PER_SUITE, TaskRef};
 pub use thresholds::{MAX_RADII, TOLERANCES, Thresholds};
+pub use variant_name::VariantName;
+pub use variants::{Variants, VariantsError};
 pub use wanted::{RendererKind, Wanted};
 pub use wording::{JsonError, plain_words};

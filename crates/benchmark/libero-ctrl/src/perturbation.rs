@@ -207,7 +207,8 @@ impl Perturbation {
             Condition::Clean
             | Condition::Latency
             | Condition::Subset(_)
-            | Condition::Combination => nested,
+            | Condition::Combination
+            | Condition::Variant => nested,
         }
     }
 
@@ -220,12 +221,13 @@ impl Perturbation {
         perturb: Map<String, Value>,
     ) -> Result<Self, PerturbError> {
         let nested = match condition {
-            Condition::Clean | Condition::Latency | Condition::Single(Axis::Language)
-                if !perturb.is_empty() =>
-            {
-                return Err(PerturbError::NotEmpty { condition });
-            }
-            Condition::Clean | Condition::Latency | Condition::Single(Axis::Language) => Map::new(),
+            Condition::Clean
+            | Condition::Latency
+            | Condition::Variant
+            | Condition::Single(Axis::Language) => match perturb.is_empty() {
+                true => perturb,
+                false => return Err(PerturbError::NotEmpty { condition }),
+            },
             Condition::Single(axis) => {
                 Map::from_iter([(axis.name().to_owned(), Value::Object(perturb))])
             }

@@ -8,9 +8,11 @@ use crate::condition::Condition;
 use crate::level::Level;
 use crate::names::{UnknownName, serde_as_text};
 use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
+use crate::variant_name::VariantName;
 
 const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN, for example spatial/t0/camera/L2/c00 or \
-                       spatial/t0/simultaneous/L2/c00, or SUITE/tN/nominal/iNN for initial state NN";
+                       spatial/t0/simultaneous/L2/c00, or SUITE/tN/nominal/iNN for initial state NN, or \
+                       SUITE/tN/BENCHMARK:CHANGE/iNN, for example goal/t8/plus:noise_30/i00";
 
 /// Identifies one rollout: `spatial/t0/camera/L2/c00`.
 ///
@@ -18,12 +20,17 @@ const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN, for example spatial/t0/came
 /// `spatial/t0/clean/i07`, as in the reference's files; the text must match theirs because
 /// seeds are derived from it. The parser also accepts `spatial/t0/clean/L0/c07` and the
 /// paper's terms, as in `spatial/t0/nominal/i07` and `spatial/t0/simultaneous/L2/c00`.
+///
+/// A rollout of LIBERO's family has the benchmark's name of the change and an initial state:
+/// `goal/t8/plus:noise_30/i00`, `goal/t3/pro:swap/i07`, `goal/t8/plus:unperturbed/i00`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RolloutId {
     task: TaskRef,
     condition: Condition,
     level: Level,
     number: u16,
+    /// Name of a rollout of LIBERO's family; `None` for one of LIBERO-CTRL.
+    variant: Option<VariantName>,
 }
 
 impl RolloutId {
@@ -34,13 +41,25 @@ impl RolloutId {
             condition: Condition::Clean,
             level: Level::L0,
             number: init_id,
+            variant: None,
+        }
+    }
+
+    /// Creates the id of a rollout of LIBERO's family from initial state `init_id`.
+    pub const fn of_variant(task: TaskRef, variant: VariantName, init_id: u16) -> Self {
+        Self {
+            task,
+            condition: Condition::Variant,
+            level: Level::L0,
+            number: init_id,
+            variant: Some(variant),
         }
     }
 
     /// Creates the id of a perturbed rollout.
     ///
     /// # Errors
-    /// If the condition is clean, see [`Self::clean`].
+    /// If the condition is clean, see [`Self::clean`], or that of LIBERO's family.
     pub fn perturbed(
         task: TaskRef,
         condition: Condition,
@@ -52,8 +71,9 @@ impl RolloutId {
             condition,
             level,
             number: config,
+            variant: None,
         };
-        if condition == Condition::Clean {
+        if !has_config(condition) {
             return Err(unknown(&id.to_string()));
         }
         Ok(id)
@@ -78,16 +98,21 @@ impl RolloutId {
     /// Returns true if the rollout is at the placebo level, perturbed too little to affect any
     /// policy.
     pub fn is_placebo(&self) -> bool {
-        self.level == Level::L0 && self.condition != Condition::Clean
+        self.level == Level::L0 && has_config(self.condition)
     }
 
-    /// Returns the configuration; `None` for a clean rollout.
+    /// Returns the configuration; `None` for a clean rollout and those of LIBERO's family.
     pub fn config(&self) -> Option<u16> {
-        (self.condition != Condition::Clean).then_some(self.number)
+        has_config(self.condition).then_some(self.number)
+    }
+
+    /// Returns the name of a rollout of LIBERO's family; `None` for one of LIBERO-CTRL.
+    pub const fn variant(&self) -> Option<VariantName> {
+        self.variant
     }
 
     /// Returns the last number of the id: the configuration, or the initial state of a clean
-    /// rollout.
+    /// rollout or one of LIBERO's family.
     pub const fn number(&self) -> u16 {
         self.number
     }
@@ -97,6 +122,9 @@ impl fmt::Display for RolloutId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (suite, task) = (self.task.suite().short_name(), self.task.index());
         let (condition, number) = (self.condition, self.number);
+        if let Some(variant) = self.variant {
+            return write!(f, "{suite}/t{task}/{variant}/i{number:02}");
+        }
         match condition {
             Condition::Clean => write!(f, "{suite}/t{task}/{condition}/i{number:02}"),
             _ => {
@@ -117,6 +145,13 @@ impl FromStr for RolloutId {
             _ => return Err(unknown(text)),
         };
         let task = TaskRef::new(suite, u32::from(task.ok_or_else(|| unknown(text))?))?;
+        if let [name, state] = rest
+            && name.contains(':')
+        {
+            let state = number(state, "i").filter(|state| *state < INIT_STATES_PER_TASK);
+            let state = state.ok_or_else(|| unknown(text))?;
+            return Ok(Self::of_variant(task, name.parse()?, state));
+        }
         let (condition, level, number) = match rest {
             ["clean" | "nominal", state] => (Condition::Clean, Level::L0, number(state, "i")),
             [condition, level, config] => (condition.parse()?, level.parse()?, number(config, "c")),
@@ -136,6 +171,11 @@ impl FromStr for RolloutId {
 
 serde_as_text!(RolloutId);
 
+/// Returns true if the last number of an id is a configuration.
+fn has_config(condition: Condition) -> bool {
+    !matches!(condition, Condition::Clean | Condition::Variant)
+}
+
 fn number(text: &str, prefix: &str) -> Option<u16> {
     let digits = text.strip_prefix(prefix)?;
     let all_digits = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
@@ -150,6 +190,7 @@ fn unknown(given: &str) -> UnknownName {
 mod tests {
     use super::*;
     use crate::axis::Axis;
+    use crate::benchmark::Benchmark;
 
     fn check(text: &str, canonical: &str) {
         let id: RolloutId = text.parse().expect("an id");
@@ -177,6 +218,35 @@ mod tests {
     }
 
     #[test]
+    fn ids_of_variants_read_back_and_sort_by_task() {
+        let texts = [
+            "goal/t3/pro:swap/i07",
+            "goal/t8/plus:level5_sample2/i00",
+            "goal/t8/plus:noise_30/i00",
+            "goal/t8/plus:unperturbed/i00",
+            "goal/t8/pro:unperturbed/i00",
+            "long/t0/plus:view_0_0_100_0_0/i00",
+        ];
+        let mut ids: Vec<RolloutId> = Vec::new();
+        for text in texts {
+            check(text, text);
+            let id: RolloutId = text.parse().expect("an id");
+            assert_eq!(id.condition(), Condition::Variant);
+            assert!(id.config().is_none() && !id.is_placebo(), "{text}");
+            ids.push(id);
+        }
+        let name = ids[2].variant().expect("a variant");
+        assert_eq!(
+            (name.benchmark(), name.change()),
+            (Benchmark::Plus, "noise_30")
+        );
+        assert!(!name.is_unperturbed() && ids[3].variant().is_some_and(|it| it.is_unperturbed()));
+        assert!(ids.is_sorted());
+        let clean: RolloutId = "goal/t8/clean/i00".parse().expect("an id");
+        assert!(!ids.contains(&clean) && clean.variant().is_none());
+    }
+
+    #[test]
     fn malformed_ids_are_refused() {
         for text in [
             "",
@@ -190,6 +260,14 @@ mod tests {
             "spatial/t0/camera/r0/c00",
             "spatial/t10/camera/L2/c00",
             "spatial/t0/camera/L2/c00/r1",
+            "goal/t8/para:noise_30/i00",
+            "goal/t8/plus:/i00",
+            "goal/t8/plus:noise-31/i00",
+            "goal/t8/plus:noise_30/i50",
+            "goal/t8/plus:noise_30/c00",
+            "goal/t8/plus:noise_30/L1/c00",
+            "goal/t8/variant/L1/c00",
+            "goal/t8/plus:a_change_of_more_than_31_characters/i00",
         ] {
             assert!(text.parse::<RolloutId>().is_err(), "{text}");
         }

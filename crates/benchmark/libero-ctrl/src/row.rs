@@ -50,6 +50,9 @@ pub struct ManifestRow {
     pub placebo_radius: Option<Level>,
     /// Behaviour of the robot while a response of its policy is pending.
     pub execution: Execution,
+    /// Name of the protocol of a row of LIBERO's family; `None` for all other rows. Its
+    /// instruction is empty if only the BDDL file has it.
+    pub protocol: Option<String>,
 }
 
 impl ManifestRow {
@@ -66,6 +69,7 @@ impl ManifestRow {
             perturbation,
             placebo_radius: None,
             execution: Execution::Wait,
+            protocol: None,
         }
     }
 
@@ -173,6 +177,17 @@ pub enum RowError {
         /// The row's policy seed.
         given: u64,
     },
+    /// A row of LIBERO's family lacks its protocol, or another row has one.
+    #[error(
+        "read row {id}: `protocol` is {}; rows of LIBERO-Plus and LIBERO-PRO have one, and no others",
+        given.as_deref().unwrap_or("not there")
+    )]
+    Protocol {
+        /// The row's id.
+        id: RolloutId,
+        /// The row's protocol.
+        given: Option<String>,
+    },
     /// The parameters do not match the row's condition.
     #[error("read row {id}: {problem}")]
     Perturb {
@@ -207,6 +222,8 @@ struct FlatRow {
     placebo_radius: Option<f64>,
     #[serde(default, skip_serializing_if = "Execution::is_wait")]
     execution: Execution,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    protocol: Option<String>,
     #[serde(default)]
     perturb: Map<String, Value>,
 }
@@ -217,7 +234,8 @@ fn split(condition: Condition) -> &'static str {
         Condition::Single(_)
         | Condition::Latency
         | Condition::Subset(_)
-        | Condition::Combination => "eval",
+        | Condition::Combination
+        | Condition::Variant => "eval",
     }
 }
 
@@ -241,6 +259,7 @@ impl From<ManifestRow> for FlatRow {
             policy_seed: 0,
             placebo_radius: row.placebo_radius.map(Level::radius),
             execution: row.execution,
+            protocol: row.protocol,
             perturb: row.perturbation.to_manifest(id.condition()),
         }
     }
@@ -259,10 +278,10 @@ impl TryFrom<FlatRow> for ManifestRow {
         agree(id, "level", flat.level, id.level())?;
         match flat.config {
             Some(given) => agree(id, "config", given, id.number())?,
-            None if condition == Condition::Clean => {}
+            None if id.config().is_none() => {}
             None => agree(id, "config", "null".to_owned(), id.number().to_string())?,
         }
-        if condition == Condition::Clean {
+        if id.config().is_none() {
             agree(id, "init_id", flat.init_id, id.number())?;
         }
         if flat.init_id >= INIT_STATES_PER_TASK {
@@ -272,6 +291,10 @@ impl TryFrom<FlatRow> for ManifestRow {
         if flat.policy_seed != 0 {
             let given = flat.policy_seed;
             return Err(RowError::PolicySeed { id, given });
+        }
+        if flat.protocol.is_some() != id.variant().is_some() {
+            let given = flat.protocol;
+            return Err(RowError::Protocol { id, given });
         }
         if condition == Condition::Latency {
             let (given, expected) = (flat.execution.clone(), execution_at(id.level()));
@@ -305,6 +328,7 @@ impl TryFrom<FlatRow> for ManifestRow {
             perturbation,
             placebo_radius,
             execution: flat.execution,
+            protocol: flat.protocol,
         })
     }
 }

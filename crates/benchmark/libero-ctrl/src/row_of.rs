@@ -27,6 +27,10 @@ pub struct NoSuchRow {
 /// If there is no such configuration or initial state.
 pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
     let problem = |problem: String| NoSuchRow { id, problem };
+    if id.variant().is_some() {
+        let remedy = "it is a rollout of LIBERO's family, which `worker variants` runs";
+        return Err(problem(remedy.to_owned()));
+    }
     let Some(config) = id.config() else {
         return match id.number() {
             state if state < INIT_STATES_PER_TASK => Ok(clean_row(id.task(), state)),

@@ -11,8 +11,15 @@ pub fn rollout_seed(id: &RolloutId) -> u32 {
 }
 
 /// Returns the seed passed to the policy at Reset: for replicate 0 the rollout's seed, for
-/// replicate k ≥ 1 the CRC-32 of `{id}#r{k}`. Replicates differ in nothing else.
+/// replicate k ≥ 1 the CRC-32 of `{id}#r{k}`. Replicates differ in nothing else. A variant of
+/// LIBERO's family has the seed of its task's nominal rollout, so that a policy that samples meets
+/// both with the same draws.
 pub fn policy_seed(id: &RolloutId, replicate: u32) -> u64 {
+    let id = match id.variant() {
+        Some(_) => RolloutId::clean(id.task(), id.number()),
+        None => *id,
+    };
+    let id = &id;
     u64::from(match replicate {
         0 => rollout_seed(id),
         k => crc32fast::hash(format!("{id}#r{k}").as_bytes()),
@@ -27,7 +34,7 @@ pub fn reference_seed(id: &RolloutId, axis: Axis) -> u64 {
         Condition::Subset(_) | Condition::Combination => {
             Axis::METRIC.iter().position(|&other| other == axis)
         }
-        Condition::Clean | Condition::Single(_) | Condition::Latency => None,
+        Condition::Clean | Condition::Single(_) | Condition::Latency | Condition::Variant => None,
     };
     u64::from(rollout_seed(id)) + 1000 * part.unwrap_or(0) as u64
 }

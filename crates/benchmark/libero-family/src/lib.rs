@@ -7,8 +7,16 @@
 
 #![forbid(unsafe_code)]
 
+mod case;
+mod lack;
+mod selection;
+
 pub mod corruption;
 pub mod para;
 pub mod plus;
 pub mod pro;
 pub mod protocol;
+
+pub use case::{Case, Further, Subject};
+pub use lack::{Lack, Lacking};
+pub use selection::{PlusFilters, ProFilters, Selection, SelectionError, expand, left_out};

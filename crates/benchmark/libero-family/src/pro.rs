@@ -26,8 +26,8 @@ impl Kind {
     /// All of them.
     pub const ALL: [Self; 4] = [Self::Language, Self::Object, Self::Position, Self::Task];
 
-    /// End of the suite's name.
-    const fn ending(self) -> &'static str {
+    /// End of the suite's name, also used in rollout ids.
+    pub(crate) const fn ending(self) -> &'static str {
         match self {
             Self::Language => "lan",
             Self::Object => "object",

@@ -4,9 +4,11 @@
 use std::fmt;
 use std::str::FromStr;
 
+pub use libero_ctrl::Benchmark;
 use libero_ctrl::{Suite, UnknownName};
 
 use crate::plus::Prompt;
+use crate::selection::SelectionError;
 
 /// State of the environment at the start of a rollout, before the waiting steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -24,40 +26,6 @@ impl Beginning {
             Self::InitialState => "initial-state",
             Self::Reset => "reset",
         }
-    }
-}
-
-/// A benchmark of LIBERO's family.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Benchmark {
-    /// LIBERO-Plus.
-    Plus,
-    /// LIBERO-PRO.
-    Pro,
-}
-
-impl Benchmark {
-    /// Name in results, and of the folder of its task files.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Plus => "libero-plus",
-            Self::Pro => "libero-pro",
-        }
-    }
-}
-
-impl FromStr for Benchmark {
-    type Err = UnknownName;
-
-    fn from_str(text: &str) -> Result<Self, UnknownName> {
-        [Self::Plus, Self::Pro]
-            .into_iter()
-            .find(|benchmark| benchmark.name() == text)
-            .ok_or_else(|| UnknownName {
-                kind: "benchmark",
-                given: text.to_owned(),
-                valid: "libero-plus, libero-pro".to_owned(),
-            })
     }
 }
 
@@ -174,6 +142,28 @@ impl Protocol {
     pub const PLUS_OFFICIAL: Self = PROTOCOLS[0];
     /// Protocol of LIBERO-PRO's published table.
     pub const PRO_OFFICIAL: Self = PROTOCOLS[5];
+
+    /// Returns the protocol of a benchmark's published table.
+    pub const fn official(benchmark: Benchmark) -> Self {
+        match benchmark {
+            Benchmark::Plus => Self::PLUS_OFFICIAL,
+            Benchmark::Pro => Self::PRO_OFFICIAL,
+        }
+    }
+
+    /// Checks that the protocol is of a benchmark.
+    ///
+    /// # Errors
+    /// If it belongs to another.
+    pub fn check(&self, benchmark: Benchmark) -> Result<(), SelectionError> {
+        match self.benchmark == benchmark {
+            true => Ok(()),
+            false => Err(SelectionError::Foreign {
+                protocol: self.name,
+                benchmark: benchmark.name(),
+            }),
+        }
+    }
 
     /// Returns the step budget of the policy in a suite.
     pub const fn budget(&self, suite: Suite) -> u32 {

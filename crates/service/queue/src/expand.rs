@@ -126,7 +126,7 @@ impl NewCampaign {
     /// If the specification is invalid; the message names the fault and its remedy.
     pub fn from_spec(spec: &CampaignSpec) -> Result<NewCampaign, ExpandError> {
         let name = CampaignName::parse(&spec.name)?;
-        let mut rows = spec.expand()?;
+        let mut rows = libero_family::expand(spec)?;
         let stops_among = spec.stop.as_ref().map(|stop| draw(&mut rows, stop));
         let budgets = rows.iter().map(|row| u64::from(row.max_steps));
         let step_budget = budgets.sum::<u64>() * u64::from(spec.replicates);
@@ -147,7 +147,7 @@ impl NewCampaign {
             execution: spec.execution.to_string(),
             wanted: spec.wanted.clone(),
             derived: match &spec.rollouts {
-                Rollouts::Design(_) | Rollouts::Manifest(_) => None,
+                Rollouts::Design(_) | Rollouts::Manifest(_) | Rollouts::Variants(_) => None,
                 derived => Some(derived.clone()),
             },
             stops_among,

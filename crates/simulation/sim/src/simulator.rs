@@ -49,6 +49,11 @@ impl Simulator {
         }
     }
 
+    /// Returns the folder of robot models, BDDL files and initial states.
+    pub fn sources(&self) -> &Sources {
+        &self.config.sources
+    }
+
     /// Returns the library's version, for example `3.3.7`.
     pub fn mujoco_version() -> String {
         mujoco::version()

@@ -1,5 +1,6 @@
 //! Claims jobs for idle slots and starts their rollouts.
 
+use libero_ctrl::RolloutId;
 use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
 use rollout_types::AttemptId;
 use tokio::time::Instant;
@@ -95,10 +96,13 @@ impl Supervisor {
 
     /// Fetches the files of a job's task before the job starts.
     fn prepare(&mut self, slot: usize, assignment: Assignment, campaign: String, now: Instant) {
-        let task = assignment.row.id.task();
+        // Variants of a task have files of their own.
+        let files = |id: RolloutId| (id.task(), id.variant());
+        let row = assignment.row.clone();
         let last = self.slots[slot].assignment.as_ref();
-        let is_warm = last.is_some_and(|last| last.row.id.task() == task);
-        let Some(provider) = self.config.provider.clone().filter(|_| !is_warm) else {
+        let is_warm = last.is_some_and(|last| files(last.row.id) == files(row.id));
+        let provider = self.config.provider.clone();
+        let Some(provider) = provider.filter(|it| !is_warm && it.is_needed(&row)) else {
             return self.begin(slot, assignment, campaign, now);
         };
         let attempt = assignment.attempt;
@@ -107,7 +111,7 @@ impl Supervisor {
         self.has_news = true;
         let events = self.events.clone();
         self.calls.spawn_blocking(move || {
-            let outcome = provider.provide(task);
+            let outcome = provider.provide(&row);
             let _ = events.blocking_send(Event::Provided {
                 slot,
                 attempt,
@@ -143,7 +147,7 @@ impl Supervisor {
                 let wait = self.fetches.next_wait();
                 self.claims_from = now + wait;
                 let secs = wait.as_secs_f64();
-                tracing::warn!("no job is claimed for {secs:.0} s: assets cannot be fetched");
+                tracing::warn!("no job is claimed for {secs:.0} s: failed to {error}");
                 error
             }
         };

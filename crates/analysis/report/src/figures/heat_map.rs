@@ -87,7 +87,7 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
 /// Returns the results under a condition; `None` if the campaign does not run it.
 fn count(cell: &Cell, condition: Condition) -> Option<Count> {
     match condition {
-        Condition::Clean | Condition::Subset(_) => None,
+        Condition::Clean | Condition::Subset(_) | Condition::Variant => None,
         Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
         Condition::Latency => cell.latency.as_ref().map(|late| late.count),
         Condition::Combination => cell.simultaneous,

@@ -2,6 +2,7 @@
 
 mod comparisons;
 mod explanations;
+mod family;
 mod forms;
 mod import;
 mod stops;

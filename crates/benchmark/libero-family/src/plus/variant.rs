@@ -134,6 +134,43 @@ impl Change {
         }
     }
 
+    /// Returns the change as rollout ids have it: the part of the name that differs from LIBERO's,
+    /// such as `noise_30`, `view_0_0_181_0_0` or `level5_sample2`.
+    pub fn label(self) -> String {
+        match self {
+            Self::Camera(view) => format!("view_{view}"),
+            Self::Robot(robot) => format!("initstate_{robot}"),
+            Self::Noise(noise) => format!("noise_{noise}"),
+            Self::Language(sentence) => format!("language_{sentence}"),
+            Self::Light(number) => format!("light_{number}"),
+            Self::Table(number) => format!("table_{number}"),
+            Self::TableAndBackground(number) => format!("tb_{number}"),
+            Self::Added(number) => format!("add_{number}"),
+            Self::Level { level, sample } => format!("level{level}_sample{sample}"),
+        }
+    }
+
+    /// Parses the text of [`Self::label`].
+    pub fn of_label(label: &str) -> Option<Self> {
+        let small = |text: &str| u8::try_from(number(text)?).ok();
+        let (kind, rest) = label.split_once('_')?;
+        let change = match kind {
+            "view" => {
+                let numbers = rest.split('_').map(number).collect::<Option<Vec<u16>>>();
+                Self::Camera(View::from_numbers(&numbers?)?)
+            }
+            "initstate" => Self::Robot(number(rest)?),
+            "noise" => Self::Noise(small(rest)?),
+            "language" => Self::Language(small(rest)?),
+            "light" => Self::Light(small(rest)?),
+            "table" => Self::Table(small(rest)?),
+            "tb" => Self::TableAndBackground(small(rest)?),
+            "add" => Self::Added(small(rest)?),
+            _ => return level(label),
+        };
+        change.is_in_range().then_some(change)
+    }
+
     /// Parses the part of a name after the task and an underscore.
     fn parse(suffix: &str, suite: Suite) -> Option<Self> {
         let numbers = |text: &str| text.split('_').map(number).collect::<Option<Vec<u16>>>();

@@ -222,10 +222,20 @@ impl Context<'_> {
                 ),
             });
         }
+        let spec = campaigns::spec(&mut self.tx, source.id).await?;
+        let spec = CampaignSpec::from_json(&spec).map_err(undecodable);
+        let spec = spec.doing("read what the campaign follows from")?;
+        if let Rollouts::Variants(variants) = &spec.rollouts {
+            return Err(QueueError::Unspecified {
+                campaign: new.name.clone(),
+                problem: format!(
+                    "campaign `{}` that it follows from is of {}, which has no axes to explain \
+                     and no thresholds: name one of LIBERO-CTRL",
+                    source.name, variants.benchmark
+                ),
+            });
+        }
         if let Rollouts::Thresholds(thresholds) = derived {
-            let spec = campaigns::spec(&mut self.tx, source.id).await?;
-            let spec = CampaignSpec::from_json(&spec).map_err(undecodable);
-            let spec = spec.doing("read what the campaign follows from")?;
             let possible = thresholds.can_be_of(&spec.rollouts);
             possible.map_err(|problem| QueueError::NoThresholds {
                 campaign: source.name,

@@ -149,7 +149,9 @@ fn expand(spec: &str) -> Result<Expansion, SpecError> {
     if let Rollouts::Explanation(_) | Rollouts::Thresholds(_) = spec.rollouts {
         return Ok(None);
     }
-    let rows = spec.expand()?.into_iter().map(|row| (row.id, row));
+    let rows = libero_family::expand(&spec)?
+        .into_iter()
+        .map(|row| (row.id, row));
     Ok(Some((rows.collect(), spec.replicates)))
 }
 

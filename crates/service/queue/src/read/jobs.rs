@@ -131,9 +131,11 @@ impl View {
             " AND j.id > ?2 AND (?3 IS NULL OR j.state = ?3)
              AND (?5 IS NULL OR r.success = ?5)
              AND (?6 IS NULL OR j.task = ?6 OR substr(j.task, 1, length(?6) + 1) = ?6 || '/')
-             AND (?7 IS NULL OR instr(j.rollout_id, '/' || ?7 || '/') > 0)
+             AND (?7 IS NULL OR instr(j.rollout_id, '/' || ?7 || '/') > 0
+                 OR ?7 = 'variant' AND instr(j.rollout_id, ':') > 0)
              AND (?8 IS NULL OR instr(j.rollout_id, '/' || ?8 || '/') > 0
-                 OR ?8 = 'L0' AND instr(j.rollout_id, '/clean/') > 0)
+                 OR ?8 = 'L0' AND (instr(j.rollout_id, '/clean/') > 0
+                     OR instr(j.rollout_id, ':') > 0))
              ORDER BY j.id LIMIT ?4"
         ))
         .bind(campaign.id)
@@ -143,7 +145,7 @@ impl View {
         .bind(filter.success)
         .bind(filter.task)
         .bind(filter.condition.map(Condition::name))
-        // Nominal rollouts have level L0, but their ids do not contain it.
+        // Nominal rollouts and variants have level L0, but their ids do not contain it.
         .bind(filter.level.as_ref().map(Level::to_string))
         .fetch_all(self.tx())
         .await

@@ -64,9 +64,13 @@ pub(crate) fn difference(
     siblings: &[Sibling],
     result: &Sibling,
 ) -> Option<String> {
-    from_the_campaign(demand, &result.origin)
-        .or_else(|| from_the_row(demand.row, &result.realised))
-        .or_else(|| from_the_scene(siblings, &result.digests))
+    let own = from_the_campaign(demand, &result.origin)
+        .or_else(|| from_the_row(demand.row, &result.realised));
+    // Variants of a task have scenes, initial states and pictures of their own.
+    if demand.row.id.variant().is_some() {
+        return own;
+    }
+    own.or_else(|| from_the_scene(siblings, &result.digests))
         .or_else(|| from_the_perturbation(demand, siblings, &result.realised))
         .or_else(|| from_the_first_frame(siblings, result))
 }

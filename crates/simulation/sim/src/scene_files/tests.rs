@@ -25,9 +25,14 @@ const OTHER: Name = [b'b'; NAME_DIGITS];
 const KILLED_IN: &str = "ROLLOUT_TEST_KILLED_IN";
 const KILLED_AT: &str = "ROLLOUT_TEST_KILLED_AT";
 
-unsafe extern "C" {
-    /// Sets the user as whom the calling thread accesses files (Linux).
-    fn setfsuid(user: u32) -> i32;
+/// Sets the user as whom the calling thread accesses files.
+#[allow(unsafe_code, reason = "a call of the C library")]
+fn access_files_as(user: u32) {
+    unsafe extern "C" {
+        fn setfsuid(user: u32) -> i32;
+    }
+    // SAFETY: the call has no preconditions and concerns this thread only.
+    unsafe { setfsuid(user) };
 }
 
 /// A file on a simulated disk that fills up, or whose writer is killed instead.
@@ -378,8 +383,7 @@ fn a_read_only_folder_gives_its_scenes_and_takes_none() {
         let reader = scope.spawn(|| {
             if fixture.folder.user == 0 {
                 // Root may write everywhere. The test as a whole stays root.
-                // SAFETY: the call has no preconditions and concerns this thread only.
-                unsafe { setfsuid(12_345) };
+                access_files_as(12_345);
             }
             assert_eq!(fixture.obtain(), (false, true));
             let other = fixture.folder.obtain(&OTHER, || compile(0.1));

@@ -1,0 +1,79 @@
+//! The flags of `coordinator campaign create` for campaigns of LIBERO's family.
+
+use clap::Args;
+use libero_ctrl::{Benchmark, Variants};
+use libero_family::pro::STATES;
+use libero_family::protocol::Protocol;
+use terminal::number;
+
+/// The flags that take the place of a design.
+#[derive(Args, Debug)]
+#[command(next_help_heading = "LIBERO-Plus and LIBERO-PRO")]
+pub(super) struct VariantFlags {
+    /// Variants of a benchmark instead of a design: `libero-plus` or `libero-pro`, with the
+    /// unperturbed rollouts of their tasks.
+    #[arg(long, value_name = "BENCHMARK", hide_short_help = true,
+        conflicts_with_all = super::create::DESIGN_FLAGS)]
+    suite: Option<Benchmark>,
+    /// The protocol, which docs/FAMILY.md tells apart. Without it, that of the benchmark's
+    /// published table: `plus-official` or `pro-official`.
+    #[arg(long, value_name = "NAME", requires = "suite", hide_short_help = true)]
+    protocol: Option<Protocol>,
+    /// Variants of LIBERO-Plus, by the benchmark's names.
+    #[arg(
+        long = "variant",
+        value_name = "NAME,...",
+        value_delimiter = ',',
+        requires = "suite",
+        hide_short_help = true
+    )]
+    variants: Vec<String>,
+    /// Those of suites: `libero_goal` of LIBERO-Plus, `libero_goal_swap` of LIBERO-PRO.
+    #[arg(
+        long,
+        value_name = "SUITE,...",
+        value_delimiter = ',',
+        requires = "suite",
+        hide_short_help = true
+    )]
+    suites: Vec<String>,
+    /// Those of dimensions of LIBERO-Plus: background, robot, camera, language, noise,
+    /// layout, light.
+    #[arg(
+        long = "dimension",
+        value_name = "NAME,...",
+        value_delimiter = ',',
+        requires = "suite",
+        hide_short_help = true
+    )]
+    dimensions: Vec<String>,
+    /// Those of difficulties of LIBERO-Plus, 1 to 5; 0: those that have none.
+    #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', requires = "suite",
+        hide_short_help = true, value_parser = number(0..=5_u8, ""))]
+    difficulties: Vec<u8>,
+    /// Trials of each task of LIBERO-PRO; without it, 50.
+    #[arg(long, value_name = "N", requires = "suite", hide_short_help = true,
+        value_parser = number(1..=STATES, "trials"))]
+    trials: Option<u16>,
+    /// Leaves out the variants whose files no package index has.
+    #[arg(long, requires = "suite", hide_short_help = true)]
+    runnable: bool,
+}
+
+impl VariantFlags {
+    /// Returns the selection; `None` if no benchmark is named.
+    pub(super) fn selection(&self) -> Option<Variants> {
+        let benchmark = self.suite?;
+        let protocol = self.protocol.unwrap_or(Protocol::official(benchmark));
+        Some(Variants {
+            benchmark,
+            protocol: protocol.name.to_owned(),
+            variants: self.variants.clone(),
+            suites: self.suites.clone(),
+            dimensions: self.dimensions.clone(),
+            difficulties: self.difficulties.clone(),
+            trials: self.trials,
+            runnable: self.runnable,
+        })
+    }
+}

@@ -1,0 +1,412 @@
+//! Report of a campaign of LIBERO's family: successes by dimension or suite and by difficulty, and
+//! the losses against the unperturbed rollouts of the same tasks and initial states.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use libero_ctrl::{Benchmark, TaskRef, UnknownName};
+use libero_family::plus::Dimension;
+use libero_family::pro::ProSuite;
+use libero_family::protocol::Protocol;
+use libero_family::{Case, SelectionError, Subject as CaseSubject};
+use paired::{Bootstrap, Interval, NoInterval, Outcome, intervals_of_many, push_wrapped};
+use serde::Serialize;
+
+use crate::subject::Subject;
+
+/// Results of a campaign of LIBERO's family under one protocol.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Family {
+    /// Name of the campaign.
+    pub campaign: String,
+    /// Name of the policy.
+    pub policy: String,
+    /// The benchmark.
+    pub benchmark: Benchmark,
+    /// Name of the protocol.
+    pub protocol: String,
+    /// Rollouts of the campaign without an outcome so far, the unperturbed ones included.
+    pub missing: u64,
+    /// Rollouts given up after too many failed attempts, which are in no figure.
+    pub quarantined: u64,
+    /// The unperturbed rollouts.
+    pub unperturbed: Line,
+    /// Dimensions of LIBERO-Plus or suites of LIBERO-PRO, in the benchmark's order.
+    pub groups: Vec<Line>,
+    /// Difficulties of LIBERO-Plus; the last line is of variants without one.
+    pub difficulties: Vec<Line>,
+    /// Difficulties within each dimension.
+    pub cells: Vec<Line>,
+    /// All variants together, as the benchmark's total counts them.
+    pub all: Line,
+}
+
+/// A row of the tables.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Line {
+    /// Dimension, suite or difficulty.
+    pub name: String,
+    /// Tasks with an outcome.
+    pub tasks: u64,
+    /// Rollouts with an outcome.
+    pub rollouts: u64,
+    /// Successful ones.
+    pub successes: u64,
+    /// Successes over rollouts, per cent, as the benchmark's table has it.
+    pub percent: Option<f64>,
+    /// 95 % interval of `percent`: a bootstrap of the tasks.
+    pub interval: Option<Interval>,
+    /// Reason why `interval` is withheld.
+    pub no_interval: Option<NoInterval>,
+    /// Rollouts whose unperturbed rollout has an outcome, too.
+    pub pairs: u64,
+    /// Failed rollouts whose unperturbed rollout succeeds.
+    pub broken: u64,
+    /// Successful rollouts whose unperturbed rollout fails.
+    pub gained: u64,
+    /// `broken` less `gained`, per cent of the pairs.
+    pub loss: Option<f64>,
+    /// 95 % interval of `loss`.
+    pub loss_interval: Option<Interval>,
+    /// Reason why `loss_interval` is withheld.
+    pub no_loss_interval: Option<NoInterval>,
+}
+
+impl Line {
+    /// Returns the cells of the table of successes.
+    pub(crate) fn counts(&self) -> [String; 5] {
+        [
+            self.name.clone(),
+            self.rollouts.to_string(),
+            self.successes.to_string(),
+            number(self.percent),
+            interval(self.interval, self.no_interval),
+        ]
+    }
+
+    /// Returns the cells of the table of losses.
+    pub(crate) fn losses(&self) -> [String; 6] {
+        [
+            self.name.clone(),
+            self.pairs.to_string(),
+            self.broken.to_string(),
+            self.gained.to_string(),
+            number(self.loss),
+            interval(self.loss_interval, self.no_loss_interval),
+        ]
+    }
+}
+
+/// Failure to report on a campaign of LIBERO's family.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FamilyError {
+    /// A rollout is of no variant.
+    #[error("report on campaign `{campaign}`")]
+    Rollout {
+        /// The campaign.
+        campaign: String,
+        /// The rollout.
+        #[source]
+        source: SelectionError,
+    },
+    /// The protocol is unknown to this program.
+    #[error("report on campaign `{campaign}`")]
+    Protocol {
+        /// The campaign.
+        campaign: String,
+        /// The protocol.
+        #[source]
+        source: UnknownName,
+    },
+}
+
+/// A rollout with an outcome.
+struct Counted {
+    case: Case,
+    success: bool,
+    /// Success of the unperturbed rollout from the same state, if it has an outcome.
+    beside: Option<bool>,
+}
+
+/// Sums over the rollouts of a task.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    rollouts: u64,
+    successes: u64,
+    pairs: u64,
+    broken: u64,
+    gained: u64,
+}
+
+impl Sums {
+    fn add(&mut self, of: &Counted) {
+        self.rollouts += 1;
+        self.successes += u64::from(of.success);
+        self.pairs += u64::from(of.beside.is_some());
+        self.broken += u64::from(!of.success && of.beside == Some(true));
+        self.gained += u64::from(of.success && of.beside == Some(false));
+    }
+
+    /// Returns the sums with each task counted as often as it was drawn.
+    fn of(tasks: &[Self], draws: impl Fn(usize) -> u64) -> Self {
+        let mut sum = Self::default();
+        for (place, task) in tasks.iter().enumerate() {
+            let draws = draws(place);
+            sum.rollouts += draws * task.rollouts;
+            sum.successes += draws * task.successes;
+            sum.pairs += draws * task.pairs;
+            sum.broken += draws * task.broken;
+            sum.gained += draws * task.gained;
+        }
+        sum
+    }
+
+    fn percent(&self) -> Option<f64> {
+        let percent = || 100.0 * self.successes as f64 / self.rollouts as f64;
+        (self.rollouts > 0).then(percent)
+    }
+
+    fn loss(&self) -> Option<f64> {
+        let net = self.broken as f64 - self.gained as f64;
+        (self.pairs > 0).then(|| 100.0 * net / self.pairs as f64)
+    }
+}
+
+impl Line {
+    fn new<'a>(name: &str, counted: impl Iterator<Item = &'a Counted>) -> Self {
+        let mut by_task: BTreeMap<TaskRef, Sums> = BTreeMap::new();
+        for of in counted {
+            by_task.entry(of.case.task).or_default().add(of);
+        }
+        let tasks: Vec<Sums> = by_task.into_values().collect();
+        let sum = Sums::of(&tasks, |_| 1);
+        let bootstrap = Bootstrap::default();
+        let each = intervals_of_many(&bootstrap, tasks.len(), 2, |draws, values| {
+            let drawn = Sums::of(&tasks, |place| u64::from(draws[place]));
+            values[0] = drawn.percent().unwrap_or_default();
+            values[1] = drawn.loss().unwrap_or_default();
+        });
+        let (of_percent, of_loss) = (each[0], each[1]);
+        let has_pairs = sum.pairs > 0;
+        Self {
+            name: name.to_owned(),
+            tasks: tasks.len() as u64,
+            rollouts: sum.rollouts,
+            successes: sum.successes,
+            percent: sum.percent(),
+            interval: of_percent.ok(),
+            no_interval: of_percent.err(),
+            pairs: sum.pairs,
+            broken: sum.broken,
+            gained: sum.gained,
+            loss: sum.loss(),
+            loss_interval: of_loss.ok().filter(|_| has_pairs),
+            no_loss_interval: of_loss.err().filter(|_| has_pairs),
+        }
+    }
+}
+
+impl Family {
+    /// Meaning of the columns.
+    pub(crate) const LEGEND: [&str; 3] = [
+        "percent: successes over rollouts, as in the benchmark's table; the last line counts all \
+         variants together.",
+        "broken: failed, and the unperturbed rollout of its task from the same initial state \
+         succeeds; gained: the reverse; loss: broken less gained, per cent of the pairs.",
+        "Intervals resample whole tasks.",
+    ];
+
+    /// Reports on a campaign; `None` if it is not of LIBERO's family.
+    ///
+    /// # Errors
+    /// If this program does not know its protocol or one of its variants.
+    pub fn of(subject: &Subject) -> Result<Option<Self>, FamilyError> {
+        let Some(protocol) = &subject.protocol else {
+            return Ok(None);
+        };
+        let campaign = subject.origin_name().to_owned();
+        let known: Result<Protocol, UnknownName> = protocol.parse();
+        let protocol = known.map_err(|source| FamilyError::Protocol {
+            campaign: campaign.clone(),
+            source,
+        })?;
+        let mut cases = Vec::new();
+        for record in &subject.records {
+            let case = Case::of_id(record.id).map_err(|source| FamilyError::Rollout {
+                campaign: campaign.clone(),
+                source,
+            })?;
+            cases.push((case, record.outcome));
+        }
+        let count = |wanted| {
+            cases
+                .iter()
+                .filter(|(_, outcome)| *outcome == wanted)
+                .count() as u64
+        };
+        let of_state: BTreeMap<(TaskRef, u16), bool> = cases
+            .iter()
+            .filter(|(case, _)| case.subject == CaseSubject::Unperturbed)
+            .filter_map(|(case, outcome)| Some(((case.task, case.trial), outcome.success()?)))
+            .collect();
+        let counted = cases.iter().filter_map(|(case, outcome)| {
+            Some(Counted {
+                case: *case,
+                success: outcome.success()?,
+                beside: of_state.get(&(case.task, case.trial)).copied(),
+            })
+        });
+        let (unperturbed, variants): (Vec<Counted>, Vec<Counted>) =
+            counted.partition(|it| it.case.subject == CaseSubject::Unperturbed);
+        let mut groups: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
+        let mut difficulties: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
+        let mut cells: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
+        for variant in &variants {
+            let (place, group) = group(&variant.case);
+            groups
+                .entry((place, group.clone()))
+                .or_default()
+                .push(variant);
+            if protocol.benchmark == Benchmark::Plus {
+                // Those without a difficulty come last.
+                let difficulty = variant.case.difficulty().unwrap_or(u8::MAX);
+                difficulties.entry(difficulty).or_default().push(variant);
+                let cell = cells.entry((place, difficulty, group)).or_default();
+                cell.push(variant);
+            }
+        }
+        let line = |name: &str, of: &[&Counted]| Line::new(name, of.iter().copied());
+        Ok(Some(Self {
+            campaign,
+            policy: subject.policy.clone(),
+            benchmark: protocol.benchmark,
+            protocol: protocol.name.to_owned(),
+            missing: count(Outcome::Missing),
+            quarantined: count(Outcome::Quarantined),
+            unperturbed: Line::new("unperturbed", unperturbed.iter()),
+            groups: groups
+                .iter()
+                .map(|((_, name), of)| line(name, of))
+                .collect(),
+            difficulties: difficulties
+                .iter()
+                .map(|(difficulty, of)| line(&in_words(*difficulty), of))
+                .collect(),
+            cells: cells
+                .iter()
+                .map(|((_, difficulty, group), of)| {
+                    line(&format!("{group} {}", in_words(*difficulty)), of)
+                })
+                .collect(),
+            all: Line::new("all", variants.iter()),
+        }))
+    }
+
+    /// Writes the report for a terminal; `full` adds the difficulties within each dimension.
+    pub fn text(&self, full: bool) -> String {
+        let mut text = format!(
+            "Campaign {} of policy {}: {} under protocol {}\n",
+            self.campaign, self.policy, self.benchmark, self.protocol
+        );
+        for sentence in self.caveats() {
+            push_wrapped(&mut text, "", &sentence);
+        }
+        text.push('\n');
+        let lines = self.lines(full);
+        let heads = [
+            "Successes",
+            "rollouts",
+            "successes",
+            "percent",
+            "95 % interval",
+        ];
+        let counts = [&self.unperturbed].into_iter().chain(lines.iter().copied());
+        let counts = counts.map(Line::counts);
+        for [name, rollouts, successes, percent, interval] in
+            [heads.map(str::to_owned)].into_iter().chain(counts)
+        {
+            let _ = writeln!(
+                text,
+                "{name:<30}{rollouts:>9}{successes:>10}{percent:>9}  {interval}"
+            );
+        }
+        text.push('\n');
+        let heads = [
+            "Against the unperturbed",
+            "pairs",
+            "broken",
+            "gained",
+            "loss",
+            "95 % interval",
+        ];
+        let losses = lines.iter().map(|line| line.losses());
+        for [name, pairs, broken, gained, loss, interval] in
+            [heads.map(str::to_owned)].into_iter().chain(losses)
+        {
+            let _ = writeln!(
+                text,
+                "{name:<30}{pairs:>7}{broken:>7}{gained:>7}{loss:>7}  {interval}"
+            );
+        }
+        text.push('\n');
+        for sentence in Self::LEGEND {
+            push_wrapped(&mut text, "", sentence);
+        }
+        text
+    }
+
+    /// Returns the rows of variants, the total last.
+    pub(crate) fn lines(&self, full: bool) -> Vec<&Line> {
+        let cells = self.cells.iter().filter(|_| full);
+        let lines = self.groups.iter().chain(&self.difficulties).chain(cells);
+        lines.chain([&self.all]).collect()
+    }
+
+    /// Returns sentences about rollouts that are in no figure.
+    pub(crate) fn caveats(&self) -> Vec<String> {
+        let mut sentences = Vec::new();
+        if self.missing > 0 {
+            let missing = self.missing;
+            sentences.push(format!("{missing} of its rollouts have no outcome so far."));
+        }
+        if self.quarantined > 0 {
+            sentences.push(format!(
+                "{} of its rollouts were given up and are in no figure; `coordinator jobs list` \
+                 names them.",
+                self.quarantined
+            ));
+        }
+        sentences
+    }
+}
+
+/// Returns the group of a variant, and its place in the benchmark's order.
+fn group(case: &Case) -> (usize, String) {
+    let place = match case.subject {
+        CaseSubject::Unperturbed => None,
+        CaseSubject::Plus(entry) => Dimension::ALL
+            .into_iter()
+            .position(|it| it == entry.dimension()),
+        CaseSubject::Pro(suite) => ProSuite::all().position(|it| it == suite),
+    };
+    (place.unwrap_or_default(), case.group().unwrap_or_default())
+}
+
+fn in_words(difficulty: u8) -> String {
+    match difficulty {
+        u8::MAX => "difficulty not given".to_owned(),
+        given => format!("difficulty {given}"),
+    }
+}
+
+fn number(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}"))
+}
+
+fn interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
+    match (interval, why) {
+        (Some([low, high]), _) => format!("{low:.1} to {high:.1}"),
+        (None, Some(why)) => why.to_string(),
+        (None, None) => "-".to_owned(),
+    }
+}

@@ -1,0 +1,38 @@
+//! Tables of a campaign of LIBERO's family.
+
+use maud::{Markup, html};
+
+use super::tables::table;
+use crate::family::Family;
+
+/// Renders the tables as sections of a page.
+pub(super) fn sections(family: &Family) -> Markup {
+    let lines = family.lines(true);
+    let losses = lines.iter().map(|line| markup(&line.losses())).collect();
+    let successes = [&family.unperturbed].into_iter().chain(lines);
+    let successes = successes.map(|line| markup(&line.counts())).collect();
+    html! {
+        section {
+            h2 { (family.benchmark) " under protocol " (family.protocol) }
+            @for sentence in family.caveats() { p { (sentence) } }
+            (table(
+                "Successes",
+                &["variants.", "rollouts", "successes", "percent", "95 % interval"],
+                successes,
+            ))
+        }
+        section {
+            h2 { "Against the unperturbed rollouts" }
+            (table(
+                "Losses",
+                &["variants.", "pairs", "broken", "gained", "loss", "95 % interval"],
+                losses,
+            ))
+            @for sentence in Family::LEGEND { p { (sentence) } }
+        }
+    }
+}
+
+fn markup(cells: &[String]) -> Vec<Markup> {
+    cells.iter().map(|cell| html! { (cell) }).collect()
+}

@@ -1,0 +1,151 @@
+//! Reports of campaigns of LIBERO's family.
+
+use libero_ctrl::Suite;
+use libero_family::plus::Dimension;
+use libero_family::protocol::Protocol;
+use libero_family::{Case, PlusFilters, Selection};
+use paired::{NoInterval, Outcome, Record};
+use report::{Document, DocumentError, Family, Origin, Subject, page};
+
+use crate::subjects::{document, example};
+
+/// Returns a campaign of noise and light variants in which `outcome` decides each rollout.
+fn subject(suites: Vec<Suite>, outcome: impl Fn(&Case) -> Outcome) -> Subject {
+    let selection = Selection::Plus(PlusFilters {
+        suites,
+        dimensions: vec![Dimension::Noise, Dimension::Robot],
+        ..PlusFilters::default()
+    });
+    let variants = selection.cases().expect("variants");
+    let cases = Case::unperturbed(&variants).into_iter().chain(variants);
+    let records = cases.map(|case| Record {
+        id: case.row(&Protocol::PLUS_OFFICIAL).id,
+        init_id: 0,
+        replicate: 0,
+        outcome: outcome(&case),
+    });
+    Subject {
+        origin: Origin::Campaign {
+            name: "plus".to_owned(),
+            endpoint: "http://127.0.0.1:1".to_owned(),
+            design: "variants-00000000".to_owned(),
+        },
+        protocol: Some("plus-official".to_owned()),
+        records: records.collect(),
+        progress: Vec::new(),
+        errors: Vec::new(),
+        ..example()
+    }
+}
+
+/// Unperturbed rollouts succeed in tasks of even number, robot variants everywhere, and noise
+/// nowhere.
+fn by_dimension(case: &Case) -> Outcome {
+    match case.group().as_deref() {
+        None => Outcome::from(case.task.index().is_multiple_of(2)),
+        Some("robot") => Outcome::Success,
+        Some(_) => Outcome::Failure,
+    }
+}
+
+fn family(subject: Subject) -> Family {
+    document(vec![subject]).family.expect("of LIBERO's family")
+}
+
+#[test]
+fn variants_are_counted_by_dimension_and_paired_with_the_unperturbed_rollout() {
+    let found = family(subject(Suite::ALL.to_vec(), by_dimension));
+    let names: Vec<&str> = found.groups.iter().map(|line| line.name.as_str()).collect();
+    // In the order of the benchmark's table.
+    assert_eq!(names, ["robot", "noise"]);
+    let [robot, noise] = found.groups.as_slice() else {
+        panic!("{names:?}");
+    };
+    assert_eq!(
+        (robot.rollouts, robot.successes, robot.pairs),
+        (1550, 1550, 1550)
+    );
+    assert_eq!(
+        (noise.rollouts, noise.successes, noise.tasks),
+        (1601, 0, 40)
+    );
+    assert_eq!((robot.broken, noise.gained), (0, 0));
+    assert!(robot.gained > 0 && robot.gained < 1550);
+    assert_eq!(noise.loss, Some(100.0 * noise.broken as f64 / 1601.0));
+    // Every resampling has the same per cent, but not the same loss.
+    assert_eq!(robot.no_interval, Some(NoInterval::NoSpread));
+    let [low, high] = noise.loss_interval.expect("an interval");
+    assert!(low < noise.loss.expect("pairs") && noise.loss.expect("pairs") < high);
+    let all = &found.all;
+    assert_eq!((all.rollouts, all.successes), (3151, 1550));
+    let [low, high] = all.interval.expect("an interval");
+    assert!(
+        low < 49.2 && 49.2 < high && high - low < 10.0,
+        "{low} {high}"
+    );
+    let of_difficulties: u64 = found.difficulties.iter().map(|line| line.rollouts).sum();
+    let of_cells: u64 = found.cells.iter().map(|line| line.rollouts).sum();
+    assert_eq!((of_difficulties, of_cells), (3151, 3151));
+    assert_eq!(
+        (found.unperturbed.rollouts, found.unperturbed.successes),
+        (40, 20)
+    );
+}
+
+#[test]
+fn rollouts_without_an_outcome_are_told_and_in_no_figure() {
+    let found = family(subject(vec![Suite::Goal], |case| match case.task.index() {
+        0 => Outcome::Missing,
+        1 => Outcome::Quarantined,
+        _ => by_dimension(case),
+    }));
+    assert!(found.missing > 10 && found.quarantined > 10);
+    assert_eq!(found.unperturbed.rollouts, 8);
+    assert_eq!(found.all.pairs, found.all.rollouts);
+    // Eight tasks are too few.
+    assert_eq!(found.all.no_interval, Some(NoInterval::TooFewTasks));
+    let text = found.text(true);
+    assert!(text.contains("have no outcome so far"), "{text}");
+    assert!(text.contains("were given up"), "{text}");
+    assert!(
+        text.lines().all(|line| line.chars().count() <= 80),
+        "{text}"
+    );
+}
+
+#[test]
+fn every_form_has_the_dimensions_and_none_the_measures_of_libero_ctrl() {
+    let document = document(vec![subject(Suite::ALL.to_vec(), by_dimension)]);
+    let json = document.json().expect("JSON");
+    for form in [&document.brief(), &document.text(), &page(&document), &json] {
+        assert!(
+            form.contains("noise") && form.contains("plus-official"),
+            "{form}"
+        );
+        assert!(!form.contains("R_e") && !form.contains("S_sim"), "{form}");
+    }
+    assert!(document.text().contains("noise difficulty 1"));
+}
+
+#[test]
+fn the_family_is_never_pooled_with_other_rollouts() {
+    let plus = || subject(vec![Suite::Goal], by_dimension);
+    let exported = Subject {
+        protocol: None,
+        ..plus()
+    };
+    for subjects in [
+        vec![plus(), plus()],
+        vec![example(), plus()],
+        vec![exported],
+    ] {
+        let error = Document::new(subjects).expect_err("pooled");
+        assert!(matches!(error, DocumentError::Pooled { .. }), "{error}");
+    }
+    let unknown = Subject {
+        protocol: Some("plus-unheard-of".to_owned()),
+        ..plus()
+    };
+    let error = Document::new(vec![unknown]).expect_err("no such protocol");
+    assert!(matches!(error, DocumentError::Family(_)), "{error}");
+}

@@ -1,0 +1,60 @@
+//! Benchmarks of LIBERO's family, whose variants a campaign can run. `libero-family` knows what
+//! the variants are.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::names::{UnknownName, serde_as_text};
+
+/// A benchmark of LIBERO's family.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Benchmark {
+    /// LIBERO-Plus.
+    Plus,
+    /// LIBERO-PRO.
+    Pro,
+}
+
+impl Benchmark {
+    const ALL: [Self; 2] = [Self::Plus, Self::Pro];
+
+    /// Name in results, and of the folder of its task files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Plus => "libero-plus",
+            Self::Pro => "libero-pro",
+        }
+    }
+
+    /// Name in rollout ids.
+    pub const fn tag(self) -> &'static str {
+        match self {
+            Self::Plus => "plus",
+            Self::Pro => "pro",
+        }
+    }
+
+    /// Returns the benchmark of a name in rollout ids.
+    pub(crate) fn of_tag(tag: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|it| it.tag() == tag)
+    }
+}
+
+impl fmt::Display for Benchmark {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for Benchmark {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        Self::ALL
+            .into_iter()
+            .find(|benchmark| benchmark.name() == text)
+            .ok_or_else(|| UnknownName::new("benchmark", text, &Self::ALL.map(Self::name)))
+    }
+}
+
+serde_as_text!(Benchmark);

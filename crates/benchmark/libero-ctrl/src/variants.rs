@@ -1,0 +1,85 @@
+//! Specification of a campaign of LIBERO's family: the selection of variants, by name. The names
+//! are checked by `libero-family`, which expands them into rows.
+
+use serde::{Deserialize, Serialize};
+
+use crate::benchmark::Benchmark;
+use crate::campaign::CampaignSpec;
+use crate::condition::Realisation;
+use crate::policy_route::Record;
+
+/// Variants of a benchmark under one protocol, each with the unperturbed rollout of its task. A
+/// variant must match all filters that are given.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Variants {
+    /// The benchmark.
+    pub benchmark: Benchmark,
+    /// Name of the protocol. Rollouts of two protocols are never pooled.
+    pub protocol: String,
+    /// Names of variants of LIBERO-Plus; empty for all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub variants: Vec<String>,
+    /// Suites: LIBERO's for LIBERO-Plus, LIBERO-PRO's own for LIBERO-PRO; empty for all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub suites: Vec<String>,
+    /// Dimensions of LIBERO-Plus; empty for all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub dimensions: Vec<String>,
+    /// Difficulties of LIBERO-Plus, 1 to 5, and 0 for those without; empty for all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub difficulties: Vec<u8>,
+    /// Trials of each task of LIBERO-PRO.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trials: Option<u16>,
+    /// True if variants that no worker could run are left out.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub runnable: bool,
+}
+
+/// A field of a specification that its variants exclude.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{field}` beside `variants`: {problem}")]
+pub struct VariantsError {
+    /// The field.
+    pub field: &'static str,
+    /// Reason and remedy.
+    pub problem: &'static str,
+}
+
+impl Variants {
+    /// Checks that the rest of the specification asks for nothing that variants do not have.
+    pub(crate) fn check(&self, spec: &CampaignSpec) -> Result<(), VariantsError> {
+        let refused = [
+            (
+                "realisation",
+                spec.realisation != Realisation::Matched,
+                "variants have no random elements of LIBERO-CTRL's axes; write matched",
+            ),
+            (
+                "replicates",
+                spec.replicates > 1,
+                "each variant runs once, as its benchmark counts it; write 1",
+            ),
+            (
+                "record",
+                spec.record == Record::Transitions,
+                "variants have no simultaneous perturbation; write none, failures or all",
+            ),
+            (
+                "stop",
+                spec.stop.is_some(),
+                "the rules for stopping are about LIBERO-CTRL's measures; leave it out",
+            ),
+            (
+                "execution",
+                !spec.execution.is_wait(),
+                "the benchmarks' protocols wait for the policy; leave it out",
+            ),
+        ];
+        match refused.into_iter().find(|(_, is_refused, _)| *is_refused) {
+            Some((field, _, problem)) => Err(VariantsError { field, problem }),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,265 @@
+//! One rollout of a benchmark: a variant of LIBERO-Plus, a task of LIBERO-PRO, or an unmodified
+//! task of LIBERO beside them, from one of its initial states.
+
+use libero_ctrl::{ManifestRow, Perturbation, RolloutId, TaskRef, VariantName};
+
+use crate::plus::{Assets, Change, Entry, Prompt, Variant, entry};
+use crate::pro::{Kind, ProSuite};
+use crate::protocol::{Benchmark, Protocol};
+use crate::selection::SelectionError;
+
+/// Origin of a rollout's task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Subject {
+    /// An unmodified task of LIBERO.
+    Unperturbed,
+    /// A variant of LIBERO-Plus.
+    Plus(&'static Entry),
+    /// A task of LIBERO-PRO.
+    Pro(ProSuite),
+}
+
+/// One rollout under a protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Case {
+    /// Origin of the task.
+    pub subject: Subject,
+    /// LIBERO's task.
+    pub task: TaskRef,
+    /// Number of the trial, from 0, which is also the index of its initial state.
+    pub trial: u16,
+}
+
+impl Case {
+    /// Returns the unperturbed rollouts of the cases' tasks and trials, to compare with.
+    pub fn unperturbed(cases: &[Self]) -> Vec<Self> {
+        let mut beside: Vec<_> = cases.iter().map(|case| (case.task, case.trial)).collect();
+        beside.sort();
+        beside.dedup();
+        let unperturbed = beside.into_iter().map(|(task, trial)| Self {
+            subject: Subject::Unperturbed,
+            task,
+            trial,
+        });
+        unperturbed.collect()
+    }
+
+    /// Returns the case that a rollout id names.
+    ///
+    /// # Errors
+    /// If the id is not of LIBERO's family, or its benchmark has no such change of the task.
+    pub fn of_id(id: RolloutId) -> Result<Self, SelectionError> {
+        let task = id.task();
+        let known = id.variant().and_then(|name| subject(task, name));
+        Ok(Self {
+            subject: known.ok_or(SelectionError::Id { id })?,
+            task,
+            trial: id.number(),
+        })
+    }
+
+    /// Returns the case of a manifest row, and its protocol.
+    ///
+    /// # Errors
+    /// If the row's id names no case, or its protocol is unknown or another benchmark's.
+    pub fn of_row(row: &ManifestRow) -> Result<(Self, Protocol), SelectionError> {
+        let case = Self::of_id(row.id)?;
+        let protocol: Protocol = row.protocol.as_deref().unwrap_or_default().parse()?;
+        match row.id.variant().map(|name| name.benchmark()) {
+            Some(benchmark) => protocol.check(benchmark)?,
+            None => return Err(SelectionError::Id { id: row.id }),
+        }
+        Ok((case, protocol))
+    }
+
+    /// Returns the benchmark; `None` for an unperturbed rollout.
+    pub fn benchmark(&self) -> Option<Benchmark> {
+        match self.subject {
+            Subject::Unperturbed => None,
+            Subject::Plus(_) => Some(Benchmark::Plus),
+            Subject::Pro(_) => Some(Benchmark::Pro),
+        }
+    }
+
+    /// Returns the name used in results and for the output folder: the benchmark's own, with the
+    /// trial's number if there are several.
+    pub fn name(&self) -> String {
+        let (task, trial) = (self.task.name(), self.trial);
+        match self.subject {
+            Subject::Plus(entry) => entry.variant.to_string(),
+            Subject::Pro(suite) => format!("{suite}/{task}/e{trial:02}"),
+            Subject::Unperturbed => format!("{}/{task}/e{trial:02}", self.task.suite()),
+        }
+    }
+
+    /// Returns the rollout's id among those of a benchmark.
+    pub fn id(&self, benchmark: Benchmark) -> RolloutId {
+        let change = match self.subject {
+            Subject::Plus(entry) => entry.variant.change.label(),
+            Subject::Pro(suite) => suite.kind.ending().to_owned(),
+            Subject::Unperturbed => VariantName::UNPERTURBED.to_owned(),
+        };
+        let name = VariantName::new(benchmark, &change).expect("tests write every change");
+        RolloutId::of_variant(self.task, name, self.trial)
+    }
+
+    /// Returns the row of the result tables in which the case counts: a dimension of LIBERO-Plus
+    /// or a suite of LIBERO-PRO; `None` for an unperturbed rollout.
+    pub fn group(&self) -> Option<String> {
+        match self.subject {
+            Subject::Unperturbed => None,
+            Subject::Plus(entry) => Some(entry.dimension().name().to_owned()),
+            Subject::Pro(suite) => Some(suite.to_string()),
+        }
+    }
+
+    /// Returns the difficulty, 1 to 5, if LIBERO-Plus gives one.
+    pub fn difficulty(&self) -> Option<u8> {
+        match self.subject {
+            Subject::Plus(entry) => entry.difficulty,
+            _ => None,
+        }
+    }
+
+    /// Returns the policy's prompt. `sentence` is that of the BDDL file, in lower case; without
+    /// it, prompts that consist of it are `None`.
+    pub fn prompt(&self, protocol: &Protocol, sentence: Option<&str>) -> Option<String> {
+        let is_of_the_file = match self.subject {
+            Subject::Plus(entry) => matches!(entry.variant.change, Change::Language(_)),
+            _ => false,
+        };
+        if (is_of_the_file || protocol.prompt == Prompt::Bddl) && sentence.is_none() {
+            return None;
+        }
+        let sentence = sentence.unwrap_or_default();
+        Some(match self.subject {
+            Subject::Plus(entry) => protocol.prompt.of(&entry.variant, sentence),
+            _ => protocol.prompt.of_task(self.task, sentence),
+        })
+    }
+
+    /// Returns the manifest row of the rollout, with the trial's initial state and the protocol's
+    /// waits and step budget. The instruction is empty if only the BDDL file has it.
+    pub fn row(&self, protocol: &Protocol) -> ManifestRow {
+        let id = self.id(protocol.benchmark);
+        let row = ManifestRow::new(id, self.trial, self.trial, Perturbation::default());
+        ManifestRow {
+            instruction: self.prompt(protocol, None).unwrap_or_default(),
+            settle_steps: protocol.waits,
+            max_steps: protocol.budget(self.task.suite()),
+            protocol: Some(protocol.name.to_owned()),
+            ..row
+        }
+    }
+
+    /// Returns the files beyond LIBERO's and the benchmark's task files that no package index
+    /// has; `None` if the case needs none.
+    pub fn further_assets(&self) -> Option<Further> {
+        match self.subject {
+            Subject::Unperturbed => None,
+            Subject::Pro(suite) => (suite.kind == Kind::Object).then_some(Further::Models),
+            Subject::Plus(entry) => match entry.assets() {
+                Assets::Libero => None,
+                Assets::FloorTextures if entry.uses_liberos_styles() => None,
+                assets => Some(Further::Assets(assets)),
+            },
+        }
+    }
+}
+
+/// Files that a worker has only if a person gives it a folder with them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Further {
+    /// Files of LIBERO-Plus' archive.
+    Assets(Assets),
+    /// Models of LIBERO-PRO.
+    Models,
+}
+
+/// Returns the origin that a name stands for in a task.
+fn subject(task: TaskRef, name: VariantName) -> Option<Subject> {
+    if name.is_unperturbed() {
+        return Some(Subject::Unperturbed);
+    }
+    match name.benchmark() {
+        Benchmark::Plus => {
+            let change = Change::of_label(name.change())?;
+            Some(Subject::Plus(entry(&Variant { task, change })?))
+        }
+        Benchmark::Pro => {
+            let kind = Kind::ALL
+                .into_iter()
+                .find(|it| it.ending() == name.change())?;
+            let suite = task.suite();
+            Some(Subject::Pro(ProSuite { suite, kind }))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::pro::STATES;
+    use crate::selection::{PlusFilters, ProFilters, Selection};
+
+    #[test]
+    fn every_rollout_of_both_benchmarks_has_an_id_of_its_own_that_reads_back() {
+        let plus = Selection::Plus(PlusFilters::default());
+        let pro = Selection::Pro(ProFilters {
+            suites: ProSuite::all().collect(),
+            trials: STATES,
+        });
+        for (selection, protocol, rollouts) in [
+            (plus, Protocol::PLUS_OFFICIAL, 10_030 + 40),
+            (pro, Protocol::PRO_OFFICIAL, 160 * 50 + 40 * 50),
+        ] {
+            let mut cases = selection.cases().expect("cases");
+            cases.extend(Case::unperturbed(&cases));
+            let mut ids = BTreeSet::new();
+            for case in &cases {
+                let row = case.row(&protocol);
+                let text = row.id.to_string();
+                assert_eq!(text.parse(), Ok(row.id));
+                let read = Case::of_row(&row).expect("a case");
+                assert_eq!(read, (*case, protocol), "{text}");
+                ids.insert(row.id);
+            }
+            assert_eq!((cases.len(), ids.len()), (rollouts, rollouts));
+        }
+    }
+
+    #[test]
+    fn ids_that_are_well_formed_and_name_nothing_are_refused() {
+        for text in [
+            "goal/t8/plus:noise_51/i00",
+            "goal/t8/plus:swap/i00",
+            "goal/t8/pro:env/i00",
+            "goal/t8/clean/i00",
+        ] {
+            let id = text.parse().expect("well-formed");
+            assert!(Case::of_id(id).is_err(), "{text}");
+        }
+        let case = Case::of_id("goal/t8/pro:swap/i07".parse().expect("an id")).expect("a case");
+        let mut row = case.row(&Protocol::PRO_OFFICIAL);
+        row.protocol = Some("plus-official".to_owned());
+        let error = Case::of_row(&row).expect_err("another benchmark's protocol");
+        assert!(matches!(error, SelectionError::Foreign { .. }), "{error}");
+    }
+
+    #[test]
+    fn prompts_of_files_are_left_to_those_who_have_them() {
+        let case = |text: &str| Case::of_id(text.parse().expect("an id")).expect("a case");
+        let official = Protocol::PLUS_OFFICIAL;
+        let noise = case("goal/t8/plus:noise_30/i00");
+        let text = "put the bowl on the plate view 0 0 100 0 0 initstate 0 noise 30";
+        assert_eq!(noise.row(&official).instruction, text);
+        let spoken = case("goal/t8/plus:language_1/i00");
+        assert_eq!(spoken.row(&official).instruction, "");
+        let prompt = spoken.prompt(&official, Some("set the bowl down"));
+        assert_eq!(prompt.as_deref(), Some("set the bowl down"));
+        let told: Protocol = "pro-bddl".parse().expect("a protocol");
+        assert_eq!(case("goal/t8/pro:lan/i00").prompt(&told, None), None);
+    }
+}

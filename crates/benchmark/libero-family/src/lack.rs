@@ -1,0 +1,81 @@
+//! Reasons why a variant cannot run, in words.
+
+use std::fmt;
+
+use crate::case::{Case, Further};
+use crate::plus::Assets;
+use crate::protocol::Benchmark;
+
+/// Rollouts that a report names per reason; the others are counted.
+const MAX_NAMED: usize = 3;
+
+/// Reason why a variant cannot run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lack {
+    /// The BDDL file or the initial states are missing.
+    TaskFiles(Benchmark),
+    /// Files that no package index has are missing.
+    Further(Further),
+}
+
+impl fmt::Display for Lack {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TaskFiles(benchmark) => write!(
+                f,
+                "task files; run `worker assets fetch --suite {}`",
+                benchmark.name()
+            ),
+            Self::Further(Further::Models) => write!(
+                f,
+                "models of LIBERO-PRO; `worker variants` runs them with --assets and the folder of the \
+                 unpacked wheels, which docs/FAMILY.md tells how to make"
+            ),
+            Self::Further(Further::Assets(assets @ Assets::Lights)) => {
+                write!(f, "{assets}, whose shadows are not drawn yet")
+            }
+            Self::Further(Further::Assets(assets @ Assets::NewObjects)) => {
+                write!(f, "{assets}, which the catalogue does not have yet")
+            }
+            Self::Further(Further::Assets(assets)) => {
+                write!(f, "{assets}, which no package index has")
+            }
+        }
+    }
+}
+
+/// Rollouts that cannot run, by reason.
+#[derive(Clone, Debug, Default)]
+pub struct Lacking(pub Vec<(Lack, Vec<Case>)>);
+
+impl Lacking {
+    /// Adds a rollout.
+    pub fn add(&mut self, lack: Lack, case: Case) {
+        match self.0.iter_mut().find(|(known, _)| *known == lack) {
+            Some((_, cases)) => cases.push(case),
+            None => self.0.push((lack, vec![case])),
+        }
+    }
+
+    /// Returns the number of rollouts.
+    pub fn count(&self) -> usize {
+        self.0.iter().map(|(_, cases)| cases.len()).sum()
+    }
+}
+
+impl fmt::Display for Lacking {
+    /// Lists the missing files, a line for each kind, with the rollouts that need them.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (place, (lack, cases)) in self.0.iter().enumerate() {
+            let named: Vec<String> = cases.iter().take(MAX_NAMED).map(Case::name).collect();
+            let between = if place == 0 { "" } else { "\n" };
+            let names = named.join(", ");
+            write!(f, "{between}{:>6}  {lack}: {names}", cases.len())?;
+            match cases.len() - named.len() {
+                0 => {}
+                more => write!(f, " and {more} more")?,
+            }
+        }
+        Ok(())
+    }
+}

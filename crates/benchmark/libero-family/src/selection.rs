@@ -1,0 +1,406 @@
+//! Selection of variants, and the rows of a campaign that runs them.
+
+use libero_ctrl::{
+    CampaignSpec, ManifestRow, RolloutId, Rollouts, SpecError, Suite, UnknownName, Variants,
+};
+
+use crate::case::{Case, Subject};
+use crate::lack::{Lack, Lacking};
+use crate::plus::{Dimension, Entry, UnknownVariant, Variant, entry, inventory};
+use crate::pro::{ProSuite, STATES};
+use crate::protocol::{Benchmark, Protocol};
+
+/// A selection of rollouts of one benchmark.
+#[derive(Clone, Debug)]
+pub enum Selection {
+    /// Variants of LIBERO-Plus.
+    Plus(PlusFilters),
+    /// Suites of LIBERO-PRO.
+    Pro(ProFilters),
+}
+
+/// Filters of LIBERO-Plus' variants, which must match all that are not empty.
+#[derive(Clone, Debug, Default)]
+pub struct PlusFilters {
+    /// The variants themselves.
+    pub variants: Vec<Variant>,
+    /// LIBERO's suites.
+    pub suites: Vec<Suite>,
+    /// Dimensions.
+    pub dimensions: Vec<Dimension>,
+    /// Difficulties, 1 to 5; 0 for variants without.
+    pub difficulties: Vec<u8>,
+}
+
+/// Suites of LIBERO-PRO.
+#[derive(Clone, Debug)]
+pub struct ProFilters {
+    /// The suites.
+    pub suites: Vec<ProSuite>,
+    /// Trials of each task, from the first initial states.
+    pub trials: u16,
+}
+
+/// Error in a selection of variants.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SelectionError {
+    /// No variant matches all filters.
+    #[error("choose variants: none is of all that was asked for; leave a filter out")]
+    Nothing,
+    /// The protocol belongs to another benchmark.
+    #[error(
+        "run {benchmark} under protocol `{protocol}`: it is another benchmark's; docs/FAMILY.md \
+         lists the protocols of each"
+    )]
+    Foreign {
+        /// The protocol.
+        protocol: &'static str,
+        /// The benchmark.
+        benchmark: &'static str,
+    },
+    /// LIBERO-Plus' task map lacks the variant.
+    #[error(
+        "choose variant `{name}`: its name is well-formed, and LIBERO-Plus' task map does not \
+         have it; `worker variants --list` names those that it has"
+    )]
+    Unused {
+        /// Name of the variant.
+        name: String,
+    },
+    /// A filter that the benchmark does not have.
+    #[error(
+        "choose variants of {benchmark} by `{filter}`: it is the other benchmark's; leave it out"
+    )]
+    Filter {
+        /// The benchmark.
+        benchmark: &'static str,
+        /// The filter.
+        filter: &'static str,
+    },
+    /// A difficulty or a number of trials outside its range.
+    #[error("choose variants: `{field}` has {given}, valid are {} to {}", valid[0], valid[1])]
+    Range {
+        /// The field.
+        field: &'static str,
+        /// The number given.
+        given: u16,
+        /// The valid range.
+        valid: [u16; 2],
+    },
+    /// The id names no rollout of LIBERO's family.
+    #[error(
+        "read rollout {id}: neither LIBERO-Plus nor LIBERO-PRO has it; `coordinator manifest \
+         expand` prints the ids of a specification"
+    )]
+    Id {
+        /// The id.
+        id: RolloutId,
+    },
+    /// Some of the chosen variants cannot run.
+    #[error(
+        "run {lacking} of the {chosen} chosen rollouts, whose files are missing:\n{report}\nGive \
+         --runnable to run the others without them"
+    )]
+    Lacking {
+        /// Number of rollouts that cannot run.
+        lacking: usize,
+        /// Number of chosen rollouts.
+        chosen: usize,
+        /// Missing files, with the rollouts that need them.
+        report: String,
+    },
+    /// The name is no variant's.
+    #[error(transparent)]
+    Variant(#[from] UnknownVariant),
+    /// A suite, dimension or protocol is unknown.
+    #[error(transparent)]
+    Name(#[from] UnknownName),
+}
+
+impl Selection {
+    /// Reads the selection of a specification.
+    ///
+    /// # Errors
+    /// If a name is unknown, a number out of range, or a filter the other benchmark's.
+    pub fn of_spec(spec: &Variants) -> Result<Self, SelectionError> {
+        let filter = |filter, is_given: bool| match is_given {
+            true => Err(SelectionError::Filter {
+                benchmark: spec.benchmark.name(),
+                filter,
+            }),
+            false => Ok(()),
+        };
+        match spec.benchmark {
+            Benchmark::Plus => {
+                filter("trials", spec.trials.is_some())?;
+                if let Some(&given) = spec.difficulties.iter().find(|it| **it > 5) {
+                    let (field, given) = ("difficulties", given.into());
+                    let valid = [0, 5];
+                    return Err(SelectionError::Range {
+                        field,
+                        given,
+                        valid,
+                    });
+                }
+                let variants = spec.variants.iter().map(|name| name.parse());
+                Ok(Self::Plus(PlusFilters {
+                    variants: variants.collect::<Result<_, UnknownVariant>>()?,
+                    suites: read(&spec.suites)?,
+                    dimensions: read(&spec.dimensions)?,
+                    difficulties: spec.difficulties.clone(),
+                }))
+            }
+            Benchmark::Pro => {
+                filter("variants", !spec.variants.is_empty())?;
+                filter("dimensions", !spec.dimensions.is_empty())?;
+                filter("difficulties", !spec.difficulties.is_empty())?;
+                let trials = spec.trials.unwrap_or(STATES);
+                if !(1..=STATES).contains(&trials) {
+                    let (field, given, valid) = ("trials", trials, [1, STATES]);
+                    return Err(SelectionError::Range {
+                        field,
+                        given,
+                        valid,
+                    });
+                }
+                let suites: Vec<ProSuite> = read(&spec.suites)?;
+                Ok(Self::Pro(ProFilters {
+                    suites: match suites.is_empty() {
+                        true => ProSuite::all().collect(),
+                        false => suites,
+                    },
+                    trials,
+                }))
+            }
+        }
+    }
+
+    /// Returns the benchmark of the selected rollouts.
+    pub fn benchmark(&self) -> Benchmark {
+        match self {
+            Self::Plus(_) => Benchmark::Plus,
+            Self::Pro(_) => Benchmark::Pro,
+        }
+    }
+
+    /// Returns the selected rollouts, in the benchmark's order.
+    ///
+    /// # Errors
+    /// If nothing matches, or a named variant does not exist.
+    pub fn cases(&self) -> Result<Vec<Case>, SelectionError> {
+        let cases = match self {
+            Self::Plus(filters) => filters.cases()?,
+            Self::Pro(filters) => filters.cases(),
+        };
+        match cases.is_empty() {
+            true => Err(SelectionError::Nothing),
+            false => Ok(cases),
+        }
+    }
+}
+
+impl PlusFilters {
+    fn cases(&self) -> Result<Vec<Case>, SelectionError> {
+        if let Some(unused) = self.variants.iter().find(|it| entry(it).is_none()) {
+            return Err(SelectionError::Unused {
+                name: unused.to_string(),
+            });
+        }
+        let chosen = inventory().iter().filter(|entry| {
+            is_of(&self.variants, &entry.variant)
+                && is_of(&self.suites, &entry.variant.task.suite())
+                && is_of(&self.dimensions, &entry.dimension())
+                && is_of(&self.difficulties, &entry.difficulty.unwrap_or(0))
+        });
+        let case = |entry: &'static Entry| Case {
+            subject: Subject::Plus(entry),
+            task: entry.variant.task,
+            trial: 0,
+        };
+        Ok(chosen.map(case).collect())
+    }
+}
+
+impl ProFilters {
+    fn cases(&self) -> Vec<Case> {
+        let suites = ProSuite::all().filter(|suite| self.suites.contains(suite));
+        let cases = suites.flat_map(|suite| {
+            let tasks = suite.suite.tasks();
+            tasks.flat_map(move |task| {
+                (0..self.trials).map(move |trial| Case {
+                    subject: Subject::Pro(suite),
+                    task,
+                    trial,
+                })
+            })
+        });
+        cases.collect()
+    }
+}
+
+/// Returns the rows of a campaign of any kind; see [`CampaignSpec::expand`]. Those of a campaign of
+/// LIBERO's family are the unperturbed rollouts, followed by the variants in the benchmark's order.
+///
+/// # Errors
+/// If the specification is invalid, or variants are chosen that no worker could run and that it
+/// does not leave out with `runnable`.
+pub fn expand(spec: &CampaignSpec) -> Result<Vec<ManifestRow>, SpecError> {
+    let Rollouts::Variants(variants) = &spec.rollouts else {
+        return spec.expand();
+    };
+    spec.check()?;
+    rows(variants).map_err(|error| SpecError::Selection {
+        problem: error.to_string(),
+    })
+}
+
+fn rows(variants: &Variants) -> Result<Vec<ManifestRow>, SelectionError> {
+    let protocol: Protocol = variants.protocol.parse()?;
+    protocol.check(variants.benchmark)?;
+    let chosen = Selection::of_spec(variants)?.cases()?;
+    let (runnable, lacking) = audit(chosen);
+    if lacking.count() > 0 && !(variants.runnable && !runnable.is_empty()) {
+        return Err(SelectionError::Lacking {
+            lacking: lacking.count(),
+            chosen: lacking.count() + runnable.len(),
+            report: lacking.to_string(),
+        });
+    }
+    let mut cases = Case::unperturbed(&runnable);
+    cases.extend(runnable);
+    Ok(cases.iter().map(|case| case.row(&protocol)).collect())
+}
+
+/// Returns the chosen variants that a campaign leaves out because no worker could run them.
+///
+/// # Errors
+/// If the selection is invalid.
+pub fn left_out(variants: &Variants) -> Result<Lacking, SelectionError> {
+    let chosen = Selection::of_spec(variants)?.cases()?;
+    Ok(audit(chosen).1)
+}
+
+/// Separates the rollouts whose files are LIBERO's or in a package index from the others. A
+/// campaign's workers run the former only: its results are pinned to one asset pack.
+fn audit(chosen: Vec<Case>) -> (Vec<Case>, Lacking) {
+    let (mut runnable, mut lacking) = (Vec::new(), Lacking::default());
+    for case in chosen {
+        match case.further_assets() {
+            Some(further) => lacking.add(Lack::Further(further), case),
+            None => runnable.push(case),
+        }
+    }
+    (runnable, lacking)
+}
+
+/// Returns true if the filter is empty or contains the value.
+fn is_of<T: PartialEq>(asked: &[T], found: &T) -> bool {
+    asked.is_empty() || asked.contains(found)
+}
+
+fn read<T: std::str::FromStr<Err = UnknownName>>(names: &[String]) -> Result<Vec<T>, UnknownName> {
+    names.iter().map(|name| name.parse()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spec(variants: &str) -> CampaignSpec {
+        let text = format!(
+            r#"{{"name":"family","policy":{{"name":"noop","endpoint":"http://localhost:1"}},
+                "variants":{variants}}}"#
+        );
+        CampaignSpec::from_json(&text).expect("a specification")
+    }
+
+    fn count(variants: &str) -> usize {
+        expand(&spec(variants)).expect("rows").len()
+    }
+
+    #[track_caller]
+    fn check_refused(variants: &str, expected: &str) {
+        let error = expand(&spec(variants)).expect_err(variants).to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+
+    #[test]
+    fn a_selection_expands_to_its_variants_and_their_unperturbed_rollouts() {
+        let plus = r#""benchmark":"libero-plus","protocol":"plus-official""#;
+        assert_eq!(count(&format!("{{{plus},\"runnable\":true}}")), 7_045 + 40);
+        let noise = format!("{{{plus},\"dimensions\":[\"noise\"],\"suites\":[\"libero_goal\"]}}");
+        let rows = expand(&spec(&noise)).expect("rows");
+        assert_eq!(rows[0].id.to_string(), "goal/t0/plus:unperturbed/i00");
+        assert!(
+            rows[10..]
+                .iter()
+                .all(|row| row.id.to_string().contains("plus:noise_"))
+        );
+        let text = libero_ctrl::manifest::to_text(&rows[..1]);
+        assert!(text.contains("\"protocol\":\"plus-official\""), "{text}");
+        let one = "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30";
+        assert_eq!(count(&format!("{{{plus},\"variants\":[\"{one}\"]}}")), 2);
+        let pro = r#"{"benchmark":"libero-pro","protocol":"pro-bddl","suites":["libero_goal_swap",
+                     "libero_goal_lan"],"trials":3}"#;
+        assert_eq!(count(pro), 2 * 10 * 3 + 10 * 3);
+    }
+
+    #[test]
+    fn what_no_worker_could_run_is_named_and_left_out_only_if_told() {
+        let lights = r#"{"benchmark":"libero-plus","protocol":"plus-official",
+                        "dimensions":["light","camera"]}"#;
+        check_refused(lights, "whose shadows are not drawn yet: ");
+        check_refused(lights, "--runnable");
+        let left = r#"{"benchmark":"libero-plus","protocol":"plus-official","runnable":true}"#;
+        let Rollouts::Variants(variants) = spec(left).rollouts else {
+            panic!("variants");
+        };
+        assert_eq!(
+            left_out(&variants).expect("a selection").count(),
+            10_030 - 7_045
+        );
+        let none = r#"{"benchmark":"libero-plus","protocol":"plus-official",
+                      "dimensions":["light"],"runnable":true}"#;
+        check_refused(none, "run 1142 of the 1142 chosen rollouts");
+        let objects = r#"{"benchmark":"libero-pro","protocol":"pro-official",
+                         "suites":["libero_goal_object"],"trials":1}"#;
+        check_refused(objects, "models of LIBERO-PRO");
+    }
+
+    #[test]
+    fn malformed_selections_are_refused_with_the_remedy() {
+        let plus = |rest: &str| {
+            format!(r#"{{"benchmark":"libero-plus","protocol":"plus-official",{rest}}}"#)
+        };
+        let pro = |rest: &str| {
+            format!(r#"{{"benchmark":"libero-pro","protocol":"pro-official",{rest}}}"#)
+        };
+        check_refused(
+            r#"{"benchmark":"libero-plus","protocol":"plus"}"#,
+            "read protocol `plus`: valid are plus-official",
+        );
+        check_refused(
+            r#"{"benchmark":"libero-pro","protocol":"plus-official"}"#,
+            "it is another benchmark's",
+        );
+        check_refused(&plus(r#""dimensions":["sound"]"#), "valid are background");
+        check_refused(&plus(r#""difficulties":[6]"#), "valid are 0 to 5");
+        check_refused(&plus(r#""trials":3"#), "leave it out");
+        check_refused(&plus(r#""suites":["libero_goal_swap"]"#), "libero_goal");
+        check_refused(
+            &plus(r#""variants":["turn_on_the_stove"]"#),
+            "without a change",
+        );
+        check_refused(
+            &plus(r#""variants":["turn_on_the_stove_table_19"]"#),
+            "`worker variants --list`",
+        );
+        check_refused(
+            &plus(r#""dimensions":["noise"],"difficulties":[0]"#),
+            "leave a filter out",
+        );
+        check_refused(&pro(r#""trials":51"#), "valid are 1 to 50");
+        check_refused(&pro(r#""dimensions":["noise"]"#), "leave it out");
+        check_refused(&pro(r#""suites":["libero_goal_env"]"#), "_swap");
+    }
+}

@@ -1,0 +1,270 @@
+//! A campaign of LIBERO's family through real processes, held against `worker variants`.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use libero_ctrl::Benchmark;
+use scene::Sources;
+use serde_json::Value;
+use sqlx::Connection;
+use tests::programs::{Campaigns, Process, program};
+
+/// One variant of each dimension that needs LIBERO's own files only, and another of the camera.
+const VARIANTS: [&str; 4] = [
+    "put_the_bowl_on_the_plate_view_0_0_181_0_0_initstate_0",
+    "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_19",
+    "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30",
+    "put_the_bowl_on_the_plate_view_0_0_190_0_0_initstate_0",
+];
+const IDS: [&str; 5] = [
+    "goal/t8/plus:initstate_19/i00",
+    "goal/t8/plus:noise_30/i00",
+    "goal/t8/plus:unperturbed/i00",
+    "goal/t8/plus:view_0_0_181_0_0/i00",
+    "goal/t8/plus:view_0_0_190_0_0/i00",
+];
+
+/// What must be the same of a rollout, whoever runs it.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Outcome {
+    success: bool,
+    steps: i64,
+    /// Digests of the scene, the initial state and the policy's first frames.
+    digests: [String; 3],
+}
+
+/// Outcomes by rollout id.
+type Outcomes = BTreeMap<String, Outcome>;
+
+/// Returns the arguments that create a campaign of LIBERO-Plus.
+fn creation<'a>(campaigns: &'a Campaigns, policy: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    let endpoint = campaigns.gateway.url.as_str();
+    let mut arguments = vec!["campaign", "create", "--name", "plus", "--policy", policy];
+    arguments.extend(["--endpoint", endpoint, "--suite", "libero-plus"]);
+    arguments.extend(more);
+    arguments
+}
+
+/// Reads the outcomes that a coordinator has stored.
+async fn stored(data: &Path) -> Outcomes {
+    let path = data.join("coordinator.sqlite");
+    let options = sqlx::sqlite::SqliteConnectOptions::new()
+        .filename(path)
+        .read_only(true);
+    let mut database = sqlx::SqliteConnection::connect_with(&options)
+        .await
+        .expect("a database");
+    let rows: Vec<(String, bool, i64, String, String, String)> = sqlx::query_as(
+        "SELECT j.rollout_id, r.success, r.steps, r.scene_digest, r.init_state_digest,
+             r.first_frame_digest
+         FROM result r JOIN job j ON j.id = r.job_id",
+    )
+    .fetch_all(&mut database)
+    .await
+    .expect("results");
+    let rows = rows
+        .into_iter()
+        .map(|(id, success, steps, scene, state, frame)| {
+            let digests = [scene, state, frame];
+            (
+                id,
+                Outcome {
+                    success,
+                    steps,
+                    digests,
+                },
+            )
+        });
+    rows.collect()
+}
+
+/// Runs the variants with `worker variants`; returns the outcomes by the campaign's ids.
+fn run_alone(campaigns: &Campaigns, output: &Path) -> Outcomes {
+    let mut command = Command::new(program("worker"));
+    command.args(["variants", "--variant", &VARIANTS.join(",")]);
+    command.args(["--assets", "primitives", "--policy", "student"]);
+    command.args(["--endpoint", &campaigns.gateway.url, "--output"]);
+    let run = command.arg(output).output().expect("the worker runs");
+    let complaint = String::from_utf8_lossy(&run.stderr);
+    assert!(run.status.success(), "{complaint}");
+    let text = std::fs::read_to_string(output.join("results.jsonl")).expect("results");
+    let rows = text
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("JSON"));
+    let id = |row: &Value| {
+        let name = row["variant"].as_str().expect("a name").to_owned();
+        let path = output.join(&name).join("result.json");
+        let result = std::fs::read_to_string(path).expect("a result");
+        let result: Value = serde_json::from_str(&result).expect("JSON");
+        let id = &result["assignment"]["row"]["rollout_id"];
+        id.as_str().expect("an id").to_owned()
+    };
+    let outcome = |row: &Value| Outcome {
+        success: row["success"].as_bool().expect("a truth value"),
+        steps: row["steps"].as_i64().expect("a number"),
+        digests: ["scene_digest", "init_state_digest", "first_frame_digest"]
+            .map(|name| row[name].as_str().expect("a digest").to_owned()),
+    };
+    rows.map(|row| (id(&row), outcome(&row))).collect()
+}
+
+#[tokio::test]
+async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let campaigns = Campaigns::start(&data);
+    let variants = VARIANTS.join(",");
+    let created = campaigns.succeed(&creation(&campaigns, "student", &["--variant", &variants]));
+    assert!(created.contains("5 rollouts"), "{created}");
+    let _worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
+    campaigns.wait_for_commits("plus", None);
+    let export = campaigns.succeed(&["export", "plus", "--format", "jsonl"]);
+    for line in export.lines() {
+        let row: Value = serde_json::from_str(line).expect("JSON");
+        assert_eq!(row["protocol"], "plus-official");
+        assert_eq!(row["axis"], "variant");
+    }
+    let outcomes = stored(&data).await;
+    assert!(outcomes.keys().eq(IDS.iter()), "{outcomes:?}");
+    assert_eq!(
+        outcomes,
+        run_alone(&campaigns, &folder.path().join("alone"))
+    );
+    // The changes reached the simulator: no two variants have the same first frames.
+    let frames: BTreeSet<&String> = outcomes.values().map(|it| &it.digests[2]).collect();
+    assert_eq!(frames.len(), IDS.len(), "{outcomes:?}");
+
+    let report = campaigns.succeed(&["report", "plus"]);
+    for word in [
+        "under protocol plus-official",
+        "unperturbed",
+        "camera",
+        "robot",
+        "noise",
+    ] {
+        assert!(
+            report.contains(word),
+            "no `{word}` in the report:\n{report}"
+        );
+    }
+    assert!(
+        report.lines().all(|line| line.chars().count() <= 80),
+        "{report}"
+    );
+    assert!(!report.contains("R_e"), "{report}");
+    let json = campaigns.succeed(&["report", "plus", "--json"]);
+    let json: Value = serde_json::from_str(&json).expect("JSON");
+    let all = &json["family"]["all"];
+    assert_eq!((&all["rollouts"], &all["pairs"]), (&4.into(), &4.into()));
+    let variants = outcomes
+        .iter()
+        .filter(|(id, _)| !id.contains("unperturbed"));
+    let successes = variants.filter(|(_, outcome)| outcome.success).count();
+    assert_eq!(all["successes"], successes);
+    assert_eq!(json["family"]["groups"].as_array().map(Vec::len), Some(3));
+
+    let twice = campaigns.call(&["report", "plus", "plus"]);
+    let complaint = String::from_utf8_lossy(&twice.stderr);
+    assert!(complaint.contains("never pooled"), "{complaint}");
+    let checked = campaigns.succeed(&["campaign", "status", "plus"]);
+    assert!(checked.contains("finished"), "{checked}");
+}
+
+/// Returns a copy of the folder of sources, in links, without LIBERO-Plus' task files.
+fn sources_without_plus(folder: &Path) {
+    let own = tests::files::sources();
+    let plus = Sources::family(own.dir(), Benchmark::Plus);
+    std::fs::create_dir(folder).expect("a folder");
+    for entry in std::fs::read_dir(own.dir()).expect("the sources") {
+        let entry = entry.expect("an entry");
+        if !plus.starts_with(entry.path()) {
+            let link = folder.join(entry.file_name());
+            std::os::unix::fs::symlink(entry.path(), link).expect("a link");
+        }
+    }
+}
+
+#[test]
+fn a_worker_without_the_task_files_gives_rollouts_back_and_says_how_to_get_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let campaigns = Campaigns::start(&folder.path().join("data"));
+    let layout = "put_the_bowl_on_the_plate_moved_level1_sample1";
+    campaigns.succeed(&creation(&campaigns, "noop", &["--variant", layout]));
+    let (log, sources) = (folder.path().join("log"), folder.path().join("sources"));
+    sources_without_plus(&sources);
+    let mut command = Command::new(program("worker"));
+    command.args(["--connect", &campaigns.coordinator.url, "--slots", "1"]);
+    command
+        .args(["--assets", "primitives", "--sources"])
+        .arg(&sources);
+    let said = std::fs::File::create(&log).expect("a file");
+    let _worker = Process::start(command.stderr(said));
+    let remedy = "worker assets fetch --suite libero-plus";
+    let start = Instant::now();
+    while !std::fs::read_to_string(&log)
+        .expect("the log")
+        .contains(remedy)
+    {
+        assert!(
+            start.elapsed() < Duration::from_secs(120),
+            "no remedy in the log"
+        );
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    // The unperturbed rollout needs LIBERO's files only.
+    campaigns.wait_for_commits("plus", Some(1));
+    let report = campaigns.succeed(&["report", "plus", "--json"]);
+    let report: Value = serde_json::from_str(&report).expect("JSON");
+    let counts = ["missing", "quarantined"].map(|name| report["family"][name].clone());
+    assert_eq!(counts, [1, 0].map(Value::from));
+    assert_eq!(report["family"]["unperturbed"]["rollouts"], 1);
+}
+
+#[test]
+fn campaigns_that_cannot_run_or_mean_nothing_are_refused_with_the_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    let campaigns = Campaigns::start(&folder.path().join("data"));
+    for (more, expected) in [
+        (&["--dimension", "light"][..], "Give --runnable"),
+        (&["--protocol", "pro-official"], "another benchmark's"),
+        (&["--protocol", "plus"], "valid are plus-official"),
+        (&["--dimension", "sound"], "valid are background"),
+        (&["--dimension", "noise", "--trials", "3"], "leave it out"),
+        (&["--dimension", "noise", "--replicates", "2"], "write 1"),
+        (
+            &["--dimension", "noise", "--execution", "hold:2"],
+            "leave it out",
+        ),
+        (
+            &["--dimension", "noise", "--record", "transitions"],
+            "write none, failures or all",
+        ),
+        (
+            &["--dimension", "noise", "--stop", "I excludes 0"],
+            "leave it out",
+        ),
+    ] {
+        let refused = campaigns.call(&creation(&campaigns, "noop", more));
+        let complaint = String::from_utf8_lossy(&refused.stderr);
+        assert!(!refused.status.success(), "{more:?}");
+        assert!(complaint.contains(expected), "{more:?}: {complaint}");
+    }
+    let noise = ["--dimension", "noise", "--suites", "libero_goal"];
+    campaigns.succeed(&creation(&campaigns, "noop", &noise));
+    for arguments in [
+        &["explain", "plus", "--create"][..],
+        &["report", "plus", "--table", "table.csv"],
+    ] {
+        let refused = campaigns.call(arguments);
+        let complaint = String::from_utf8_lossy(&refused.stderr);
+        assert!(!refused.status.success(), "{arguments:?}");
+        assert!(
+            complaint.contains("LIBERO-CTRL"),
+            "{arguments:?}: {complaint}"
+        );
+    }
+    let refused = campaigns.call(&["thresholds", "plus", "--create"]);
+    assert!(!refused.status.success(), "thresholds of variants");
+}
