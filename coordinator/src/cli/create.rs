@@ -25,15 +25,10 @@ use terminal::{counted, decimal, number, number_from, wrapped};
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
 use super::planning::{self, Planning};
-use super::variant_flags::VariantFlags;
+use super::variant_flags::{DESIGN_FLAGS, VariantFlags};
 use super::{forecast, horizon, stopping};
 
-/// Flags that conflict with `--manifest` (the first list) and with `--spec` (both lists).
-#[rustfmt::skip]
-pub(super) const DESIGN_FLAGS: [&str; 9] = [
-    "axes", "subsets", "levels", "configs", "nominal", "design_seed", "directions",
-    "placebo_radius", "placebo_configs",
-];
+/// Further flags that conflict with `--spec`.
 #[rustfmt::skip]
 const SPEC_FLAGS: [&str; 21] = [
     "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",

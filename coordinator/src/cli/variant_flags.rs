@@ -6,6 +6,13 @@ use libero_family::pro::STATES;
 use libero_family::protocol::Protocol;
 use terminal::number;
 
+/// Flags of a design, which conflict with `--suite`, `--manifest` and `--spec`.
+#[rustfmt::skip]
+pub(super) const DESIGN_FLAGS: [&str; 9] = [
+    "axes", "subsets", "levels", "configs", "nominal", "design_seed", "directions",
+    "placebo_radius", "placebo_configs",
+];
+
 /// The flags that take the place of a design.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "LIBERO-Plus and LIBERO-PRO")]
@@ -13,7 +20,7 @@ pub(super) struct VariantFlags {
     /// Variants of a benchmark instead of a design: `libero-plus` or `libero-pro`, with the
     /// unperturbed rollouts of their tasks.
     #[arg(long, value_name = "BENCHMARK", hide_short_help = true,
-        conflicts_with_all = super::create::DESIGN_FLAGS)]
+        conflicts_with_all = DESIGN_FLAGS)]
     suite: Option<Benchmark>,
     /// The protocol, which docs/FAMILY.md tells apart. Without it, that of the benchmark's
     /// published table: `plus-official` or `pro-official`.

@@ -303,7 +303,15 @@ impl CampaignSpec {
                     return Err(SpecError::Latency { given });
                 }
             }
-            Rollouts::Variants(variants) => variants.check(self)?,
+            Rollouts::Variants(_) => {
+                let (execution, stops) = (&self.execution, self.stop.is_some());
+                let (realisation, replicates) = (self.realisation, self.replicates);
+                let excluded =
+                    VariantsError::of(realisation, replicates, self.record, execution, stops);
+                if let Some(error) = excluded {
+                    return Err(error.into());
+                }
+            }
             Rollouts::Explanation(explanation) => {
                 if explanation.campaign.is_empty() {
                     return empty("explains.campaign", "name the campaign to explain");

@@ -4,8 +4,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::benchmark::Benchmark;
-use crate::campaign::CampaignSpec;
 use crate::condition::Realisation;
+use crate::execution::Execution;
 use crate::policy_route::Record;
 
 /// Variants of a benchmark under one protocol, each with the unperturbed rollout of its task. A
@@ -47,39 +47,44 @@ pub struct VariantsError {
     pub problem: &'static str,
 }
 
-impl Variants {
-    /// Checks that the rest of the specification asks for nothing that variants do not have.
-    pub(crate) fn check(&self, spec: &CampaignSpec) -> Result<(), VariantsError> {
+impl VariantsError {
+    /// Returns the first field of a specification that variants exclude, if there is any.
+    pub(crate) fn of(
+        realisation: Realisation,
+        replicates: u32,
+        record: Record,
+        execution: &Execution,
+        stops: bool,
+    ) -> Option<Self> {
         let refused = [
             (
                 "realisation",
-                spec.realisation != Realisation::Matched,
+                realisation != Realisation::Matched,
                 "variants have no random elements of LIBERO-CTRL's axes; write matched",
             ),
             (
                 "replicates",
-                spec.replicates > 1,
+                replicates > 1,
                 "each variant runs once, as its benchmark counts it; write 1",
             ),
             (
                 "record",
-                spec.record == Record::Transitions,
+                record == Record::Transitions,
                 "variants have no simultaneous perturbation; write none, failures or all",
             ),
             (
                 "stop",
-                spec.stop.is_some(),
+                stops,
                 "the rules for stopping are about LIBERO-CTRL's measures; leave it out",
             ),
             (
                 "execution",
-                !spec.execution.is_wait(),
+                !execution.is_wait(),
                 "the benchmarks' protocols wait for the policy; leave it out",
             ),
         ];
-        match refused.into_iter().find(|(_, is_refused, _)| *is_refused) {
-            Some((field, _, problem)) => Err(VariantsError { field, problem }),
-            None => Ok(()),
-        }
+        let mut refused = refused.into_iter();
+        let (field, _, problem) = refused.find(|(_, is_refused, _)| *is_refused)?;
+        Some(Self { field, problem })
     }
 }

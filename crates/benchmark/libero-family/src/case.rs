@@ -6,7 +6,7 @@ use libero_ctrl::{ManifestRow, Perturbation, RolloutId, TaskRef, VariantName};
 use crate::plus::{Assets, Change, Entry, Prompt, Variant, entry};
 use crate::pro::{Kind, ProSuite};
 use crate::protocol::{Benchmark, Protocol};
-use crate::selection::SelectionError;
+use crate::selection_error::SelectionError;
 
 /// Origin of a rollout's task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -198,37 +198,7 @@ fn subject(task: TaskRef, name: VariantName) -> Option<Subject> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
-
     use super::*;
-    use crate::pro::STATES;
-    use crate::selection::{PlusFilters, ProFilters, Selection};
-
-    #[test]
-    fn every_rollout_of_both_benchmarks_has_an_id_of_its_own_that_reads_back() {
-        let plus = Selection::Plus(PlusFilters::default());
-        let pro = Selection::Pro(ProFilters {
-            suites: ProSuite::all().collect(),
-            trials: STATES,
-        });
-        for (selection, protocol, rollouts) in [
-            (plus, Protocol::PLUS_OFFICIAL, 10_030 + 40),
-            (pro, Protocol::PRO_OFFICIAL, 160 * 50 + 40 * 50),
-        ] {
-            let mut cases = selection.cases().expect("cases");
-            cases.extend(Case::unperturbed(&cases));
-            let mut ids = BTreeSet::new();
-            for case in &cases {
-                let row = case.row(&protocol);
-                let text = row.id.to_string();
-                assert_eq!(text.parse(), Ok(row.id));
-                let read = Case::of_row(&row).expect("a case");
-                assert_eq!(read, (*case, protocol), "{text}");
-                ids.insert(row.id);
-            }
-            assert_eq!((cases.len(), ids.len()), (rollouts, rollouts));
-        }
-    }
 
     #[test]
     fn ids_that_are_well_formed_and_name_nothing_are_refused() {

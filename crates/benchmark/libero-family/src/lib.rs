@@ -10,6 +10,7 @@
 mod case;
 mod lack;
 mod selection;
+mod selection_error;
 
 pub mod corruption;
 pub mod para;
@@ -19,4 +20,5 @@ pub mod protocol;
 
 pub use case::{Case, Further, Subject};
 pub use lack::{Lack, Lacking};
-pub use selection::{PlusFilters, ProFilters, Selection, SelectionError, expand, left_out};
+pub use selection::{PlusFilters, ProFilters, Selection, expand, left_out};
+pub use selection_error::SelectionError;

@@ -8,7 +8,7 @@ pub use libero_ctrl::Benchmark;
 use libero_ctrl::{Suite, UnknownName};
 
 use crate::plus::Prompt;
-use crate::selection::SelectionError;
+use crate::selection_error::SelectionError;
 
 /// State of the environment at the start of a rollout, before the waiting steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -1,14 +1,13 @@
 //! Selection of variants, and the rows of a campaign that runs them.
 
-use libero_ctrl::{
-    CampaignSpec, ManifestRow, RolloutId, Rollouts, SpecError, Suite, UnknownName, Variants,
-};
+use libero_ctrl::{CampaignSpec, ManifestRow, Rollouts, SpecError, Suite, UnknownName, Variants};
 
 use crate::case::{Case, Subject};
 use crate::lack::{Lack, Lacking};
 use crate::plus::{Dimension, Entry, UnknownVariant, Variant, entry, inventory};
 use crate::pro::{ProSuite, STATES};
 use crate::protocol::{Benchmark, Protocol};
+use crate::selection_error::SelectionError;
 
 /// A selection of rollouts of one benchmark.
 #[derive(Clone, Debug)]
@@ -39,82 +38,6 @@ pub struct ProFilters {
     pub suites: Vec<ProSuite>,
     /// Trials of each task, from the first initial states.
     pub trials: u16,
-}
-
-/// Error in a selection of variants.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum SelectionError {
-    /// No variant matches all filters.
-    #[error("choose variants: none is of all that was asked for; leave a filter out")]
-    Nothing,
-    /// The protocol belongs to another benchmark.
-    #[error(
-        "run {benchmark} under protocol `{protocol}`: it is another benchmark's; docs/FAMILY.md \
-         lists the protocols of each"
-    )]
-    Foreign {
-        /// The protocol.
-        protocol: &'static str,
-        /// The benchmark.
-        benchmark: &'static str,
-    },
-    /// LIBERO-Plus' task map lacks the variant.
-    #[error(
-        "choose variant `{name}`: its name is well-formed, and LIBERO-Plus' task map does not \
-         have it; `worker variants --list` names those that it has"
-    )]
-    Unused {
-        /// Name of the variant.
-        name: String,
-    },
-    /// A filter that the benchmark does not have.
-    #[error(
-        "choose variants of {benchmark} by `{filter}`: it is the other benchmark's; leave it out"
-    )]
-    Filter {
-        /// The benchmark.
-        benchmark: &'static str,
-        /// The filter.
-        filter: &'static str,
-    },
-    /// A difficulty or a number of trials outside its range.
-    #[error("choose variants: `{field}` has {given}, valid are {} to {}", valid[0], valid[1])]
-    Range {
-        /// The field.
-        field: &'static str,
-        /// The number given.
-        given: u16,
-        /// The valid range.
-        valid: [u16; 2],
-    },
-    /// The id names no rollout of LIBERO's family.
-    #[error(
-        "read rollout {id}: neither LIBERO-Plus nor LIBERO-PRO has it; `coordinator manifest \
-         expand` prints the ids of a specification"
-    )]
-    Id {
-        /// The id.
-        id: RolloutId,
-    },
-    /// Some of the chosen variants cannot run.
-    #[error(
-        "run {lacking} of the {chosen} chosen rollouts, whose files are missing:\n{report}\nGive \
-         --runnable to run the others without them"
-    )]
-    Lacking {
-        /// Number of rollouts that cannot run.
-        lacking: usize,
-        /// Number of chosen rollouts.
-        chosen: usize,
-        /// Missing files, with the rollouts that need them.
-        report: String,
-    },
-    /// The name is no variant's.
-    #[error(transparent)]
-    Variant(#[from] UnknownVariant),
-    /// A suite, dimension or protocol is unknown.
-    #[error(transparent)]
-    Name(#[from] UnknownName),
 }
 
 impl Selection {
@@ -259,7 +182,8 @@ fn rows(variants: &Variants) -> Result<Vec<ManifestRow>, SelectionError> {
     protocol.check(variants.benchmark)?;
     let chosen = Selection::of_spec(variants)?.cases()?;
     let (runnable, lacking) = audit(chosen);
-    if lacking.count() > 0 && !(variants.runnable && !runnable.is_empty()) {
+    let leaves_some = variants.runnable && !runnable.is_empty();
+    if lacking.count() > 0 && !leaves_some {
         return Err(SelectionError::Lacking {
             lacking: lacking.count(),
             chosen: lacking.count() + runnable.len(),
@@ -304,6 +228,8 @@ fn read<T: std::str::FromStr<Err = UnknownName>>(names: &[String]) -> Result<Vec
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     fn spec(variants: &str) -> CampaignSpec {
@@ -322,6 +248,32 @@ mod tests {
     fn check_refused(variants: &str, expected: &str) {
         let error = expand(&spec(variants)).expect_err(variants).to_string();
         assert!(error.contains(expected), "{error}");
+    }
+
+    #[test]
+    fn every_rollout_of_both_benchmarks_has_an_id_of_its_own_that_reads_back() {
+        let plus = Selection::Plus(PlusFilters::default());
+        let pro = Selection::Pro(ProFilters {
+            suites: ProSuite::all().collect(),
+            trials: STATES,
+        });
+        for (selection, protocol, rollouts) in [
+            (plus, Protocol::PLUS_OFFICIAL, 10_030 + 40),
+            (pro, Protocol::PRO_OFFICIAL, 160 * 50 + 40 * 50),
+        ] {
+            let mut cases = selection.cases().expect("cases");
+            cases.extend(Case::unperturbed(&cases));
+            let mut ids = BTreeSet::new();
+            for case in &cases {
+                let row = case.row(&protocol);
+                let text = row.id.to_string();
+                assert_eq!(text.parse(), Ok(row.id));
+                let read = Case::of_row(&row).expect("a case");
+                assert_eq!(read, (*case, protocol), "{text}");
+                ids.insert(row.id);
+            }
+            assert_eq!((cases.len(), ids.len()), (rollouts, rollouts));
+        }
     }
 
     #[test]
