@@ -31,15 +31,11 @@ pub struct Document {
 /// Failure to build or write a report.
 #[derive(Debug, thiserror::Error)]
 pub enum DocumentError {
-    /// A subject holds the same rollout and replicate twice.
     #[error("measure policy `{policy}`")]
     Duplicate {
-        /// Name of the policy.
         policy: String,
-        /// The duplicate rollout.
         source: DuplicateRecord,
     },
-    /// The report cannot be written as JSON.
     #[error("write the report as JSON")]
     Json(#[from] JsonError),
 }

@@ -9,13 +9,10 @@ use crate::store::{Doing, StoreError, derivations, json};
 /// One rollout of a configuration, with the fields that explaining it needs.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SubsetRow {
-    /// Id of the rollout.
     pub rollout_id: String,
-    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// Initial state of the rollout.
     pub init_id: u16,
-    /// True if the job is in quarantine.
     pub is_quarantined: bool,
     /// Outcome, true if the goal was reached; `None` until the job is committed.
     pub success: Option<bool>,

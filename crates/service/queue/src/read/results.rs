@@ -28,9 +28,7 @@ pub struct Edition {
 /// A committed rollout for exports.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ExportedRow {
-    /// Id of the rollout.
     pub rollout_id: String,
-    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,
@@ -38,7 +36,6 @@ pub struct ExportedRow {
     pub success: bool,
     /// The policy's control steps.
     pub steps: u32,
-    /// Duration of the rollout.
     pub wall_secs: f64,
     /// Residual of the inverse kinematics, mm.
     pub ik_residual_mm: Option<f64>,
@@ -53,13 +50,10 @@ pub struct ExportedRow {
 /// A job for reports.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RecordRow {
-    /// Id of the rollout.
     pub rollout_id: String,
-    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// Initial state of the rollout.
     pub init_id: u16,
-    /// True if the job is in quarantine.
     pub is_quarantined: bool,
     /// Outcome, true if the goal was reached; `None` until the job is committed.
     pub success: Option<bool>,
@@ -78,7 +72,6 @@ pub struct RecordRow {
 /// Manifest row and scene of a rollout.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SetupRow {
-    /// Id of the rollout.
     pub rollout_id: String,
     /// Manifest row, JSON.
     pub manifest_row: String,
@@ -100,7 +93,6 @@ impl RecordRow {
 }
 
 impl Edition {
-    /// Returns true if both editions are of the same campaign.
     pub fn is_of_same_campaign(&self, other: &Edition) -> bool {
         (self.id, self.created_ms) == (other.id, other.created_ms)
     }
