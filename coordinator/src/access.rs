@@ -6,7 +6,6 @@ use transport::{Allowed, Resource, Role};
 
 /// Roles that may read everything.
 pub(crate) const READERS: [Role; 2] = [Role::Viewer, Role::Operator];
-/// Path of the login page.
 pub(crate) const LOG_IN: &str = "/login";
 
 /// Path prefix of the calls for workers.

@@ -35,16 +35,13 @@ const LIST: &str = "archive.json";
 /// Prefix of temporary folders for campaigns being exported or imported.
 pub const MOVING_PREFIX: &str = queue::MOVING_PREFIX;
 
-/// Table of contents of an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Contents {
-    /// Version of the archive format.
     pub format: u32,
     /// Name and version of the program that wrote the archive.
     pub program: String,
     /// Version of the database's schema.
     pub schema: i64,
-    /// Name of the campaign.
     pub campaign: String,
     /// SHA-256 of the specification, hex.
     pub spec_digest: String,
@@ -61,7 +58,6 @@ pub struct Contents {
 /// Archive that was merged into another one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Half {
-    /// Name of the archive's campaign.
     pub campaign: String,
     /// Name and version of the program that wrote the archive.
     pub program: String,
@@ -69,10 +65,8 @@ pub struct Half {
     pub database: String,
 }
 
-/// File in an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Member {
-    /// Path in the archive.
     pub name: String,
     /// Size, bytes.
     pub bytes: u64,
@@ -83,124 +77,70 @@ pub struct Member {
 /// Error of writing or reading an archive. `archive` names its file.
 #[derive(Debug, thiserror::Error)]
 pub enum ArchiveError {
-    /// The file cannot be read.
     #[error("read archive {archive}: is it there, and may this user read it?")]
-    Read {
-        /// The file.
-        archive: String,
-        /// Error of the system.
-        source: io::Error,
-    },
-    /// The file is not an archive of a campaign.
+    Read { archive: String, source: io::Error },
     #[error(
         "read archive {archive}: it is no archive of a campaign ({problem}); make one with `coordinator campaign archive`"
     )]
-    Foreign {
-        /// The file.
-        archive: String,
-        /// Evidence that the file is not an archive.
-        problem: String,
-    },
-    /// A newer program wrote the archive.
+    Foreign { archive: String, problem: String },
     #[error(
         "read archive {archive}: {program} wrote it, with {what} {found}, and this program knows up to {known}; use a release as new as that one"
     )]
     Newer {
-        /// The file.
         archive: String,
-        /// The program that wrote it.
         program: String,
         /// Kind of version: `form` or `schema version`.
         what: &'static str,
-        /// Version of the archive.
         found: i64,
-        /// Newest version that this program supports.
         known: i64,
     },
-    /// The archive is truncated or its compression is damaged.
     #[error("read archive {archive}: it is cut off or damaged in member {member}; copy it again")]
-    Damaged {
-        /// The file.
-        archive: String,
-        /// The damaged member.
-        member: String,
-    },
-    /// A member does not match the table of contents.
+    Damaged { archive: String, member: String },
     #[error(
         "read archive {archive}: member {member} is not what {LIST} says ({problem}); copy it again, or archive the campaign again"
     )]
     Altered {
-        /// The file.
         archive: String,
-        /// The altered member.
         member: String,
-        /// The difference.
         problem: String,
     },
     /// The database cannot be opened, violates an invariant or does not hold exactly one campaign.
     #[error("use member {member} of archive {archive}: archive the campaign again")]
     Content {
-        /// The file.
         archive: String,
-        /// The member.
         member: &'static str,
-        /// Error of the database.
         source: Box<PortableError>,
     },
-    /// A member that is derived from the database differs from the archived one.
     #[error(
         "use archive {archive}: {member}, made from its rows, differs from the archived one at {place}; import it with {program}, which wrote it"
     )]
     Differs {
-        /// The file.
         archive: String,
-        /// The member that differs.
         member: &'static str,
         /// JSON path of the first difference, such as `.a[1].b`.
         place: String,
-        /// The program that wrote it.
         program: String,
     },
-    /// The results cannot be read.
     #[error(transparent)]
     Results(#[from] ReadError),
-    /// The report cannot be computed.
     #[error(transparent)]
     Report(#[from] DocumentError),
-    /// A member cannot be serialized as JSON.
     #[error("write {member} of the archive")]
     Json {
-        /// The member.
         member: &'static str,
-        /// Error of the serialization.
         source: JsonError,
     },
-    /// A file cannot be written.
     #[error("write {}: is there room on the disk, and may this user write there?", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Error of the system.
-        source: io::Error,
-    },
-    /// A file to be archived cannot be read or has changed since it was listed.
+    Write { path: PathBuf, source: io::Error },
     #[error("archive {}: it changed or cannot be read; archive the campaign again", path.display())]
-    Input {
-        /// The file.
-        path: PathBuf,
-        /// Error of the system.
-        source: io::Error,
-    },
-    /// The disk lacks space for the contents declared by the archive.
+    Input { path: PathBuf, source: io::Error },
     #[error(
         "unpack archive {archive}: that takes {needed_mib} MiB and the disk of {} has {free_mib} \
          left; make room",
         folder.display()
     )]
     NoRoom {
-        /// The file.
         archive: String,
-        /// Target folder.
         folder: PathBuf,
         /// Space that the archive needs, with the reserve that must stay free, MiB.
         needed_mib: u64,
@@ -209,10 +149,7 @@ pub enum ArchiveError {
     },
     /// A packing, unpacking or computing thread panicked.
     #[error("go on with archive {archive}: a thread panicked; the log says where")]
-    Panicked {
-        /// Name of the archive's file or of its campaign.
-        archive: String,
-    },
+    Panicked { archive: String },
 }
 
 impl From<StoreError> for ArchiveError {

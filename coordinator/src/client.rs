@@ -45,32 +45,17 @@ pub struct Client {
 /// Error of a request to the coordinator.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// Not a URL.
     #[error(transparent)]
     Url(#[from] EndpointError),
     /// TLS access cannot be set up, for example because the URL's host is no valid TLS name.
     #[error(transparent)]
     Access(#[from] AccessError),
-    /// No coordinator answers.
     #[error("reach the coordinator at {url}: {trouble}")]
-    Unreachable {
-        /// URL of the coordinator.
-        url: String,
-        /// Problem found at the last attempt.
-        trouble: Box<Trouble>,
-    },
-    /// The coordinator rejected the request as invalid.
+    Unreachable { url: String, trouble: Box<Trouble> },
     #[error("{message}")]
-    Invalid {
-        /// Message of the coordinator.
-        message: String,
-    },
-    /// The coordinator could not fulfil the request.
+    Invalid { message: String },
     #[error("{message}")]
-    Refused {
-        /// Message of the coordinator.
-        message: String,
-    },
+    Refused { message: String },
 }
 
 impl Client {

@@ -11,7 +11,6 @@ use crate::words::duration_text;
 /// Share of waiting in a rollout's time from which the text explains it, percent.
 const MUCH_WAITING: f64 = 20.0;
 
-/// Converts a forecast to its message.
 pub fn message(forecast: Forecast) -> ForecastResponse {
     ForecastResponse {
         workers: forecast.workers,

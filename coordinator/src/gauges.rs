@@ -19,7 +19,6 @@ impl Gauges {
         ClaimInFlight(self)
     }
 
-    /// Returns the number of claims in progress.
     pub(crate) fn claims(&self) -> usize {
         self.claims.load(Ordering::Relaxed)
     }

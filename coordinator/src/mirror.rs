@@ -77,7 +77,6 @@ async fn look(queue: &Queue, storage: &Storage) -> Result<(), String> {
     failed.pop().map_or(Ok(()), |it| Err(it.into_words()))
 }
 
-/// Error of moving a film.
 enum MoveError {
     /// The film's file failed; other films can still be moved.
     File(String),

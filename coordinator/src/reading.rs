@@ -10,23 +10,16 @@ pub enum ReadError {
     /// The campaign does not exist, or the database failed.
     #[error(transparent)]
     Queue(#[from] QueueError),
-    /// The stored specification cannot be parsed.
     #[error("read the stored specification of campaign `{campaign}`")]
     Spec {
-        /// The campaign.
         campaign: CampaignName,
-        /// Error of the specification.
         source: SpecError,
     },
-    /// A stored rollout id or realisation cannot be parsed.
     #[error("read a stored name of a result")]
     Name(#[from] UnknownName),
-    /// A stored manifest row cannot be parsed.
     #[error("read the stored manifest row of `{rollout_id}`")]
     Row {
-        /// Id of the rollout.
         rollout_id: String,
-        /// Error of the row.
         source: JsonError,
     },
 }

@@ -32,9 +32,7 @@ const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 /// would stall 16 times per chunk.
 const STREAM_WINDOW_BYTES: u32 = 4 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
-/// Configuration of a coordinator.
 pub struct Config {
-    /// The data folder.
     pub data: PathBuf,
     /// Durations of leases, heartbeats and timeouts.
     pub timing: Timing,
@@ -53,35 +51,18 @@ pub struct Config {
 /// Error that stops a coordinator or keeps it from starting.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// The data folder cannot be used.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The listening socket failed.
     #[error("go on serving: the listening socket failed ({problem})")]
-    Socket {
-        /// Error of the system.
-        problem: String,
-    },
-    /// The certificate or key is invalid.
+    Socket { problem: String },
     #[error(transparent)]
     Security(#[from] SecurityError),
-    /// A background task ended.
     #[error("go on serving: {what} panicked (the log says where); start the coordinator again")]
-    Panicked {
-        /// The task that ended.
-        what: &'static str,
-    },
-    /// Partial files of an earlier run cannot be removed from the data folder.
+    Panicked { what: &'static str },
     #[error("tidy the artifacts in {}", folder.display())]
-    Tidy {
-        /// The data folder.
-        folder: PathBuf,
-        /// Error of the system.
-        source: io::Error,
-    },
+    Tidy { folder: PathBuf, source: io::Error },
 }
 
 /// An open coordinator that does not listen yet.

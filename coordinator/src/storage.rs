@@ -45,7 +45,6 @@ pub struct Piece {
     pub range: Range<u64>,
     /// Size of the whole object, bytes.
     pub size_bytes: u64,
-    /// The bytes of the range.
     pub bytes: BoxedBytes,
 }
 
@@ -58,45 +57,24 @@ impl std::fmt::Debug for BoxedBytes {
     }
 }
 
-/// Error of the artifact storage.
 #[derive(Debug, thiserror::Error)]
 pub enum StorageError {
-    /// Not a valid storage address.
     #[error(
         "use storage {location}: write a folder, or s3://BUCKET/FOLDER with the bucket's region and credentials in AWS_REGION, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for a server of one's own"
     )]
-    Location {
-        /// The given address.
-        location: String,
-    },
-    /// The folder cannot be created.
+    Location { location: String },
     #[error("make folder {}: may this user write there?", path.display())]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// Error of the system.
-        source: io::Error,
-    },
-    /// The storage does not respond or refuses the request.
+    Folder { path: PathBuf, source: io::Error },
     #[error("{doing} {key} at storage {location}: {problem}")]
     Remote {
         /// Verb of the failed action, such as `fetch`.
         doing: &'static str,
-        /// Key of the object.
         key: String,
-        /// Address of the storage.
         location: String,
-        /// Error message of the storage.
         problem: String,
     },
-    /// A local file cannot be read or written.
     #[error("copy {}: is there room on the disk, and may this user read and write there?", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// Error of the system.
-        source: io::Error,
-    },
+    File { path: PathBuf, source: io::Error },
 }
 
 impl Storage {

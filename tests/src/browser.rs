@@ -19,7 +19,6 @@ const PATIENCE: Duration = Duration::from_secs(120);
 /// Polling interval of the page.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// A browser with one page.
 pub struct Browser {
     child: Child,
     orders: ChildStdin,

@@ -16,7 +16,6 @@ pub use findings::{ContactFindings, Findings, Limits, Worst};
 pub use frames::{CLOSE_LEVELS, FrameFindings, FrameLimits, Kinship, Least};
 pub use reference::{Array, ReferenceTask, find_tasks, read_npz};
 
-/// Compares one task.
 pub fn compare(
     task: &ReferenceTask,
     sources: &Sources,

@@ -59,9 +59,7 @@ impl Clock {
 pub struct Spread {
     /// Median; for an even number, the mean of the two in the middle.
     pub median: f64,
-    /// Minimum.
     pub least: f64,
-    /// Maximum.
     pub most: f64,
 }
 

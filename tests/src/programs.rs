@@ -86,7 +86,6 @@ impl Process {
         }
     }
 
-    /// Process id.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
@@ -126,7 +125,6 @@ impl Drop for Process {
 
 /// A coordinator and a gateway, with an operator's commands.
 pub struct Campaigns {
-    /// The coordinator.
     pub coordinator: Process,
     /// The gateway, with routes `expert`, `noop` and `student`, which was trained on the
     /// built-in boxes.

@@ -41,7 +41,6 @@ pub struct Cluster {
 pub struct Job {
     /// `RUNNING`, `PENDING`, …
     pub state: String,
-    /// Node that the job runs on.
     pub node: String,
     /// Number of times that the job was requeued.
     pub restarts: u32,
@@ -177,7 +176,6 @@ impl Cluster {
         self.daemons.push(daemon);
     }
 
-    /// Returns the path of a file of the cluster.
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }

@@ -52,7 +52,6 @@ const NOMINAL_IN_VIEW: &str = "(() => { const box = document.querySelector('.cen
     const [at, view] = [words, box].map(e => e.getBoundingClientRect());
     return at.left >= view.left && at.right <= view.right; })()";
 
-/// Creates a campaign of two suites.
 fn create(campaigns: &Campaigns, name: &str, levels: &str) {
     let endpoint = &campaigns.gateway.url;
     #[rustfmt::skip]

@@ -16,13 +16,10 @@ pub type Action = [f64; ACTION_WIDTH];
 /// beside its rollout, so it names neither rollout nor session.
 #[derive(Debug, thiserror::Error)]
 pub enum PolicyError {
-    /// The endpoint is not a valid URL.
     #[error("a policy cannot be called: failed to {0}")]
     Endpoint(#[source] EndpointError),
-    /// The endpoint cannot be called over TLS.
     #[error("a policy cannot be called: failed to {0}")]
     Access(#[source] AccessError),
-    /// The asynchronous runtime of the client cannot be started.
     #[error("a policy cannot be called: failed to start the client ({0})")]
     Runtime(#[source] std::io::Error),
     /// The policy did not answer, or answered that it is unavailable for now.
@@ -30,35 +27,25 @@ pub enum PolicyError {
     Unavailable {
         /// The call: "Describe", "Reset", "query 3".
         call: String,
-        /// The policy's name at the endpoint.
         policy: String,
-        /// The campaign's endpoint.
         endpoint: String,
-        /// Sentence that says what happened and what to do.
         problem: String,
         /// Number of queries that the policy answered in this session before it disappeared;
         /// `None` if it never answered one, or is overloaded.
         answered: Option<u32>,
     },
-    /// The policy's description of itself fits no rollout.
     #[error("{} at {endpoint} cannot be used: {fault}", named(policy))]
     Description {
-        /// The policy's name at the endpoint.
         policy: String,
-        /// The campaign's endpoint.
         endpoint: String,
-        /// Fault of the description.
         fault: DescriptionFault,
     },
-    /// The policy's answers are so short and so late that none would be executed.
     #[error("{} cannot be run so: {problem}", named(policy))]
     TooLate {
-        /// The policy's name at the endpoint.
         policy: String,
         /// Length and delay of the answers. Within the message, as campaigns show one sentence.
         problem: TooLate,
     },
-    /// The policy's answer is not an executable chunk of actions.
     #[error(
         "{} at {endpoint} answered {call} with what is no chunk of actions: {fault}; \
          `policy-gateway doctor` looks for the cause",
@@ -67,33 +54,20 @@ pub enum PolicyError {
     Nonsense {
         /// The call: "query 3".
         call: String,
-        /// The policy's name at the endpoint.
         policy: String,
-        /// The campaign's endpoint.
         endpoint: String,
-        /// The fault of the answer.
         fault: ActionFault,
     },
-    /// The policy answered with an error.
     #[error("{}", sentence(policy, endpoint, "failed at", call, problem))]
     Failed {
         /// The call: "Reset", "query 3".
         call: String,
-        /// The policy's name at the endpoint.
         policy: String,
-        /// The campaign's endpoint.
         endpoint: String,
-        /// The policy's error message.
         problem: String,
     },
-    /// The recording has no more actions.
     #[error("the recording {} ends after {actions} actions, and the rollout goes on", path.display())]
-    Ended {
-        /// Path of the recording.
-        path: PathBuf,
-        /// Number of actions in the recording.
-        actions: usize,
-    },
+    Ended { path: PathBuf, actions: usize },
 }
 
 /// Returns a policy's name for use in a sentence; a server's only policy has no name.
@@ -133,7 +107,6 @@ pub struct Description {
 pub struct PolicySession<'a> {
     /// The policy's name at the endpoint.
     pub policy: &'a str,
-    /// The session's name.
     pub session: &'a str,
     /// The rollout's suite; a policy may have a separate checkpoint for each suite.
     pub suite: &'a str,

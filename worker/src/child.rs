@@ -16,7 +16,6 @@ use crate::memory::Verdict;
 pub struct SlotProgram {
     /// Path of the program; by default, the running one.
     pub program: PathBuf,
-    /// Arguments of the program.
     pub arguments: Vec<OsString>,
 }
 

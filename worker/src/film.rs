@@ -27,9 +27,7 @@ use crate::supervise::link::Link;
 pub struct Config {
     /// URL of the coordinator.
     pub coordinator: String,
-    /// Credentials for the coordinator.
     pub access: Access,
-    /// The asset pack's digest.
     pub asset_pack_digest: String,
     /// Number of rollouts that are filmed in parallel.
     pub at_a_time: NonZeroUsize,
@@ -49,23 +47,14 @@ pub struct Filmed {
 /// Reason why filming stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
-    /// The runtime or the scratch folder cannot be created.
     #[error("make room for videos")]
     Room(#[source] io::Error),
-    /// The coordinator cannot be called.
     #[error(transparent)]
     Link(#[from] SuperviseError),
-    /// The request for the next rollout failed.
     #[error("ask the coordinator at {url} what to film: {}", answer(status))]
-    Refused {
-        /// URL of the coordinator.
-        url: String,
-        /// Answer of the coordinator.
-        status: Box<Status>,
-    },
+    Refused { url: String, status: Box<Status> },
 }
 
-/// A rollout to film.
 struct Filmable {
     attempt: AttemptId,
     /// Name of the rollout in messages.

@@ -20,25 +20,18 @@ use crate::video::{PANE_SIDE, VideoEncoder, VideoError};
 /// Reason why a rollout has no video.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum FilmingError {
-    /// The simulator or its renderer failed.
     #[error(transparent)]
     Simulator(#[from] SimError),
-    /// The frames could not be encoded.
     #[error(transparent)]
     Video(#[from] VideoError),
-    /// The file cannot be written.
     #[error("write {}", path.display())]
     Write {
-        /// Path of the file.
         path: PathBuf,
-        /// Error of the system.
         #[source]
         source: io::Error,
     },
-    /// The second simulation had another outcome than the first.
     #[error("simulate the rollout again: its goal held at another step; this is a defect")]
     Differs,
-    /// The video is no longer wanted.
     #[error("finish the video: it was abandoned")]
     Abandoned,
 }

@@ -7,6 +7,7 @@
 //! a machine runs best.
 
 #![forbid(unsafe_code)]
+#![allow(missing_docs, reason = "names and messages say it")]
 
 pub mod actor;
 pub mod args;

@@ -27,46 +27,27 @@ use crate::rollout::RolloutError;
 /// Reason why the measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum MeasureError {
-    /// The number of usable cores is unknown.
     #[error("count the cores that this process may use")]
     Cores(#[source] io::Error),
-    /// The kernel's memory statistics lack a field.
     #[error("find `{field}` in {}", file.display())]
-    Memory {
-        /// Field that is missing.
-        field: &'static str,
-        /// File without the field.
-        file: PathBuf,
-    },
-    /// A slot's process cannot be started.
+    Memory { field: &'static str, file: PathBuf },
     #[error("start {} as a slot to measure with", program.display())]
     Start {
-        /// Path of the program.
         program: PathBuf,
-        /// Error of the system.
         #[source]
         source: io::Error,
     },
-    /// A slot's process ended before it reported its count.
     #[error("measure with slot {slot}: its process {end}; what it complained about is above")]
     Ended {
         /// Number of the slot, from 0.
         slot: usize,
-        /// Description of the process's end.
         end: String,
     },
-    /// A slot sent no message for too long.
     #[error("measure with {slots} slots: one of them said nothing for {secs:.0} s")]
-    Silent {
-        /// Number of slots measured.
-        slots: usize,
-        /// Seconds waited.
-        secs: f64,
-    },
+    Silent { slots: usize, secs: f64 },
     /// The connection between parent and slot failed, or the table cannot be printed.
     #[error("read or write what is measured")]
     Talk(#[from] io::Error),
-    /// The measured task cannot be simulated or drawn.
     #[error(transparent)]
     Rollout(#[from] RolloutError),
 }

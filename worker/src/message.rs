@@ -28,7 +28,6 @@ pub const MAX_LINE_BYTES: u64 = 1 << 20;
 pub struct Session(String);
 
 impl Session {
-    /// The session of one attempt at one replicate.
     pub fn new(id: &RolloutId, replicate: u32, attempt: AttemptId) -> Self {
         Self(format!("{id}#r{replicate}#{attempt}"))
     }
@@ -45,11 +44,9 @@ impl fmt::Display for Session {
     }
 }
 
-/// Command of the parent to a slot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SlotCommand {
-    /// Runs a rollout.
     Run(Box<Assignment>),
     /// Stops work on an attempt whose result or video is no longer wanted.
     Abandon(AttemptId),
@@ -58,9 +55,7 @@ pub enum SlotCommand {
 /// Rollout for a slot to run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Assignment {
-    /// Identifier of this attempt.
     pub attempt: AttemptId,
-    /// Row to simulate.
     pub row: ManifestRow,
     /// Source of the perturbation's random elements.
     pub realisation: Realisation,
@@ -80,12 +75,9 @@ pub struct Assignment {
     pub keep_actions: bool,
 }
 
-/// Request for a video.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VideoRequest {
-    /// Path of the file to write.
     pub file: PathBuf,
-    /// Rollouts to film.
     pub of: VideoOf,
 }
 
@@ -93,9 +85,7 @@ pub struct VideoRequest {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VideoOf {
-    /// All rollouts.
     Everything,
-    /// Failed rollouts.
     Failures,
 }
 
@@ -130,11 +120,8 @@ pub enum SlotEvent {
         /// See [`sim::fingerprint`].
         fingerprint: String,
     },
-    /// Event of the current rollout.
     Rollout {
-        /// Identifier of the attempt.
         attempt: AttemptId,
-        /// Event of the rollout.
         event: RolloutEvent,
     },
 }
@@ -162,7 +149,6 @@ pub enum RolloutEvent {
 /// Result of a rollout, with its provenance as far as the slot knows it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finished {
-    /// Result of the rollout.
     pub result: RolloutResult,
     /// Simulator, scene and policy that produced it.
     pub evidence: Evidence,

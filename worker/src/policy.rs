@@ -86,7 +86,6 @@ impl PolicyClient {
         })
     }
 
-    /// Returns the endpoint as given.
     pub fn endpoint(&self) -> &str {
         &self.endpoint
     }

@@ -15,7 +15,6 @@ pub use request::Request;
 use request::{LEVELS, MOTION_STEPS, motion, row};
 use sheet::Sheet;
 
-/// Presets of an axis.
 const PRESETS: u16 = 10;
 /// Cells per row of a sheet of presets.
 const PRESETS_PER_ROW: usize = 5;
@@ -25,13 +24,10 @@ const FRAME: u32 = 256;
 /// Reason why the preview failed.
 #[derive(Debug, thiserror::Error)]
 pub enum PreviewError {
-    /// The scene could not be simulated or drawn.
     #[error(transparent)]
     Simulate(#[from] SimError),
-    /// A picture could not be written.
     #[error("write {}: {problem}", path.display())]
     Write {
-        /// Path of the picture.
         path: PathBuf,
         /// Reason of the failure, in words.
         problem: String,

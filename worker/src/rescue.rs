@@ -39,24 +39,14 @@ pub enum RescueError {
         "rescue {id}: it succeeds here after {steps} control steps; name a rollout that fails, \
          with the policy and the assets with which it does"
     )]
-    Succeeds {
-        /// The rollout.
-        id: RolloutId,
-        /// Step at which the goal held.
-        steps: u32,
-    },
-    /// A rollout has no outcome.
+    Succeeds { id: RolloutId, steps: u32 },
     #[error(transparent)]
     Rollout(#[from] RolloutError),
-    /// The video cannot be made.
     #[error("film the rescue")]
     Film(#[source] Box<dyn std::error::Error + Send + Sync>),
-    /// A file cannot be written.
     #[error("write {}", path.display())]
     Write {
-        /// Path of the file.
         path: PathBuf,
-        /// Error of the system.
         #[source]
         source: std::io::Error,
     },
@@ -90,7 +80,6 @@ pub struct Rescue {
     pub nudge_m: f64,
 }
 
-/// One trial of the search.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Tried {
     /// Step at which the perturbations were lifted.

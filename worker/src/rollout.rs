@@ -51,19 +51,14 @@ pub trait Watcher {
 /// Reason why a rollout has no result.
 #[derive(Debug, thiserror::Error)]
 pub enum RolloutError {
-    /// The simulator failed.
     #[error("simulate {title}")]
     Simulator {
-        /// Name of the rollout.
         title: String,
-        /// Error of the simulator.
         #[source]
         source: SimError,
     },
-    /// The policy failed.
     #[error("finish the rollout: {0}")]
     Policy(#[from] PolicyError),
-    /// The watcher abandoned the rollout.
     #[error("finish the rollout: it was abandoned")]
     Abandoned,
 }
@@ -90,10 +85,8 @@ const REAL_TIME_CHUNKING: &str = "real-time chunking";
 /// Batch mode if no gateway reports one: each query is answered alone.
 const UNBATCHED: &str = "single";
 
-/// Completed rollout.
 #[derive(Clone, Debug)]
 pub struct Simulated {
-    /// Result of the rollout.
     pub finished: Finished,
     /// Commands to the robot, from which the rollout can be simulated again.
     pub actions: Vec<Action>,
@@ -117,7 +110,6 @@ pub fn run(
 pub(crate) struct Resumed<'a> {
     /// Commands to the robot up to that step.
     pub(crate) after: &'a [Action],
-    /// The change.
     pub(crate) change: Change,
 }
 

@@ -41,7 +41,6 @@ pub struct Request<'a> {
     pub variant: Option<VariantStart>,
     /// True if the first and the last frame of both cameras are rendered.
     pub draw: bool,
-    /// Output folder.
     pub output: &'a Path,
 }
 

@@ -34,13 +34,10 @@ const PROGRESS_EVERY: u32 = 10;
 /// Reason why a slot's process ended on its own.
 #[derive(Debug, thiserror::Error)]
 pub enum SlotError {
-    /// The signal handlers cannot be installed.
     #[error("leave signals to the parent process")]
     Signals(#[source] io::Error),
-    /// The renderer or the fingerprint's simulation failed.
     #[error("simulate and draw the fixed motion that a slot begins with")]
     Simulator(#[from] SimError),
-    /// The connection to the parent failed.
     #[error("talk to the parent process")]
     Parent(#[source] io::Error),
 }

@@ -27,7 +27,6 @@ const KEYFRAME_EVERY: u32 = 40;
 /// Reason why a video could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    /// A frame does not have the size of a pane.
     #[error("add a picture of {given} bytes to a video of {PANE_BYTES} bytes per camera")]
     PaneSize {
         /// Size of the given frame, bytes.
@@ -35,10 +34,7 @@ pub enum VideoError {
     },
     /// The H.264 encoder failed.
     #[error("encode a video: OpenH264 fails with code {code}")]
-    Encode {
-        /// Error number of the library.
-        code: i64,
-    },
+    Encode { code: i64 },
     /// The MP4 writer failed.
     #[error("write a video as MP4")]
     Mux(#[from] MuxerError),

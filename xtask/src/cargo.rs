@@ -7,7 +7,6 @@ use anyhow::Result;
 
 use crate::process::run;
 
-/// Creates a cargo command in the workspace.
 pub(crate) fn cargo(root: &Path) -> Command {
     let program = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut cargo = Command::new(program);
@@ -15,7 +14,6 @@ pub(crate) fn cargo(root: &Path) -> Command {
     cargo
 }
 
-/// Builds all programs and returns their folder.
 pub(crate) fn build_programs(root: &Path) -> Result<PathBuf> {
     println!("Building the programs");
     build(root, &["--bins"])

@@ -34,7 +34,6 @@ const ORIGINAL: [&str; 2] = ["robosuite==1.4.0", "hf-libero==0.1.4"];
 /// Written into a complete environment; holds the list of its packages.
 const STAMP: &str = "installed.txt";
 
-/// Installed original LIBERO.
 pub(crate) struct Original {
     python: PathBuf,
     /// Folder of the reference data's scripts.

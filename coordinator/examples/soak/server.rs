@@ -31,7 +31,6 @@ pub(crate) struct Reached {
     pub(crate) worker: Access,
     pub(crate) operator: Access,
     pub(crate) viewer: Access,
-    /// The data folder.
     pub(crate) data: PathBuf,
 }
 

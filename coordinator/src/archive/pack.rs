@@ -100,7 +100,6 @@ fn list(
 }
 
 impl Package {
-    /// Returns the table of contents.
     pub fn contents(&self) -> &Contents {
         &self.contents
     }

@@ -67,7 +67,6 @@ pub(super) fn artifact_failed(error: ArtifactError) -> Status {
     Status::new(code, chain(&error))
 }
 
-/// Returns the status of an invalid request.
 pub(super) fn invalid(error: impl std::fmt::Display) -> Status {
     Status::invalid_argument(error.to_string())
 }

@@ -31,7 +31,6 @@ const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
 /// Longest file name quoted in a message, bytes.
 const MAX_FILE_NAME_BYTES: usize = 200;
 
-/// Chunks of an archive.
 pub(super) type Chunks = Pin<Box<dyn Stream<Item = Result<wire::ArchiveChunk, Status>> + Send>>;
 
 /// Packs a campaign and returns the archive as a stream.

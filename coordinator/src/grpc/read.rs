@@ -149,7 +149,6 @@ pub(super) fn priority(priority: i32) -> Result<i32, Status> {
     )))
 }
 
-/// Reads the fields of a campaign to alter.
 pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alteration, Status> {
     let name = request.name.map(|name| CampaignName::parse(&name));
     let endpoint = request.policy_endpoint;

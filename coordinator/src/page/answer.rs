@@ -32,7 +32,6 @@ const HEADERS: [(HeaderName, &str); 5] = [
 pub(super) static FILES_VERSION: LazyLock<String> =
     LazyLock::new(|| short_digest(&[report::STYLE, STYLE, SCRIPT, ICON].concat()));
 
-/// Rendered page.
 #[derive(Debug)]
 pub(super) struct Rendered {
     html: Bytes,

@@ -15,7 +15,6 @@ use super::speed::speed;
 use super::state::Page;
 use crate::forecast::message;
 
-/// Renders the page.
 pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let (campaign, mut view) = page.campaign(name).await?;
     let document = page.document(&campaign, &mut view).await?;

@@ -11,7 +11,6 @@ use super::problem::Problem;
 use super::state::Page;
 use crate::words::{duration_text, rate_text};
 
-/// Renders the page.
 pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
     let mut campaigns = page.queue.view().await?.statuses().await?;
     // Newest first, since visitors usually want the campaign that was created last.

@@ -11,7 +11,6 @@ use super::perturbation;
 use super::trace::Path;
 use crate::words::{duration_text, size_text, utc_text};
 
-/// Rollout shown as a card.
 pub(super) struct Shown {
     pub(super) id: RolloutId,
     pub(super) row: ManifestRow,

@@ -26,7 +26,6 @@ const TELL_EVERY: Duration = Duration::from_secs(5);
 /// Reconnection delay of a browser, milliseconds.
 const RECONNECT_MS: u32 = 1_000;
 
-/// Event of the streams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum News {
     /// Change counter; only increases while the coordinator runs.
@@ -60,7 +59,6 @@ impl Changes {
         }
     }
 
-    /// Returns the number of open streams.
     pub(super) fn streams(&self) -> usize {
         MAX_STREAMS - self.seats.available_permits()
     }
@@ -106,7 +104,6 @@ impl Changes {
         }
     }
 
-    /// Ends all streams.
     pub(super) fn close(&self) {
         self.news.send_replace(News::Closed);
     }

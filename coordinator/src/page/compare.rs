@@ -8,7 +8,6 @@ use super::layout::{Place, Sheet};
 use super::problem::Problem;
 use super::state::Page;
 
-/// Path of the page.
 pub(super) const ADDRESS: &str = "/compare";
 
 /// Renders the page, or the selection form alone if the query does not name two campaigns.

@@ -19,7 +19,6 @@ pub(super) const MAX_CAMPAIGNS: usize = 200;
 /// Most policies with series of their own.
 const MAX_POLICIES: usize = 200;
 
-/// Metric types.
 const GAUGE: &str = "gauge";
 const COUNTER: &str = "counter";
 

@@ -11,22 +11,18 @@ use transport::chain;
 use super::{answer, layout};
 use crate::reading::ReadError;
 
-/// Error of a page request.
 #[derive(Debug)]
 pub(super) enum Problem {
     /// No page has this address.
     Page,
     /// The address is too long to be one of this program's.
     Address,
-    /// A query parameter is invalid.
     Query(&'static str),
     /// The campaign does not exist or was deleted.
     Campaign(String),
-    /// The campaign was renamed.
     Renamed {
         /// The requested name.
         former: String,
-        /// The current name.
         now: String,
     },
     /// The campaign has no such rollout.
@@ -37,7 +33,6 @@ pub(super) enum Problem {
     },
     /// The rollout has no video.
     Video,
-    /// Too many pages are open.
     TooManyStreams,
     /// Internal error, such as of the database; the text is shown and logged.
     Failed(String),

@@ -34,7 +34,6 @@ struct Wanted {
     id: Option<String>,
 }
 
-/// Renders the page.
 pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet, Problem> {
     let wanted = Wanted::read(query)?;
     let (of, mut view) = page.campaign(name).await?;

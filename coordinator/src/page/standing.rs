@@ -17,7 +17,6 @@ const MAX_QUARANTINED: u32 = 500;
 /// Most departed workers shown.
 const MAX_GONE: usize = 20;
 
-/// Renders the page of the workers.
 pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     let mut view = page.queue.view().await?;
     let (workers, now) = (view.workers().await?, view.now);
@@ -41,7 +40,6 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     Ok(Sheet::new(Place::Workers, "Workers", main))
 }
 
-/// Renders the page of the policies.
 pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
     let mut view = page.queue.view().await?;
     let (policies, now) = (view.policies().await?, view.now);

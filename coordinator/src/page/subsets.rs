@@ -16,7 +16,6 @@ use super::problem::Problem;
 #[derive(Default)]
 pub(super) struct Section {
     pub(super) markup: Markup,
-    /// Number of films in the section.
     pub(super) films: usize,
 }
 

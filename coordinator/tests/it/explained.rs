@@ -15,7 +15,6 @@ use crate::json::{documented, keys};
 use crate::page::ask;
 use crate::process::{Serve, text};
 
-/// Returns the page at an address.
 async fn page(serve: &Serve, path: &str) -> String {
     let answer = ask(&serve.url, &format!("GET {path}")).await;
     assert_eq!(answer.code, 200, "{path}");

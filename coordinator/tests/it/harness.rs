@@ -131,7 +131,6 @@ impl Bench {
         self.worker_on(id, "primitives").await
     }
 
-    /// Registers a worker of some pack.
     pub(crate) async fn worker_on(&self, id: &str, pack: &str) -> Worker {
         self.worker_drawing(id, pack, "llvmpipe").await
     }
@@ -148,7 +147,6 @@ impl Bench {
         worker
     }
 
-    /// Registers a worker of some pack and renderer.
     pub(crate) async fn worker_drawing(&self, id: &str, pack: &str, renderer: &str) -> Worker {
         let channel = Channel::from_shared(self.url.clone())
             .expect("a URL")
@@ -179,7 +177,6 @@ impl Bench {
             .expect("a connection")
     }
 
-    /// Creates a campaign from a specification.
     pub(crate) async fn create(
         &self,
         spec: &Value,
@@ -263,7 +260,6 @@ impl Worker {
         Ok(self.service.claim(request).await?.into_inner())
     }
 
-    /// Returns a claim request with a new claim id.
     pub(crate) fn claim_request(&self, wait_secs: f64, warm: &str) -> wire::ClaimRequest {
         static CLAIMS: AtomicU64 = AtomicU64::new(1);
         wire::ClaimRequest {

@@ -78,7 +78,6 @@ impl Serve {
         assert!(status.expect("prlimit runs").success());
     }
 
-    /// Returns the peak memory of the process.
     pub(crate) fn peak_memory_bytes(&self) -> u64 {
         let status = format!("/proc/{}/status", self.child.id());
         let status = std::fs::read_to_string(status).expect("it runs");

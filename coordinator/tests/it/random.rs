@@ -14,9 +14,7 @@ use proptest::prelude::*;
 use queue::rules::campaign::Change;
 use queue::rules::lease::FailureReason;
 
-/// Number of workers in the events.
 const WORKERS: usize = 3;
-/// Number of jobs in the events.
 const JOBS: usize = 4;
 /// Number of tasks whose scenes slots may hold.
 const TASKS: usize = 2;

@@ -20,7 +20,6 @@ pub const LEASE: Duration = Duration::from_secs(3);
 const PATIENCE: Duration = Duration::from_secs(120);
 /// Number of lines of the log shown with a failure.
 const LAST_LINES: usize = 60;
-/// The campaign's name.
 const CAMPAIGN: &str = "chaos";
 /// Endpoint of the policy in the campaign, constant because reports contain it. Workers are
 /// given the address of the wire to the gateway instead.
@@ -28,7 +27,6 @@ const ENDPOINT: &str = "http://gateway.invalid:7412";
 /// Id of a user without write access to the test's files.
 const NOBODY: &str = "65534";
 
-/// Kind of the slots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SlotKind {
     /// `simulated_slot`: fast, with meaningless results.
@@ -40,11 +38,8 @@ pub enum SlotKind {
 /// Programs of a system and the campaign that it runs.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// Kind of the slots.
     pub slots: SlotKind,
-    /// Number of workers.
     pub workers: usize,
-    /// Number of slots of each worker.
     pub slots_each: u32,
     /// The campaign's design: flags of `campaign create`.
     pub design: Vec<String>,
@@ -60,7 +55,6 @@ struct Worker {
     machine: usize,
 }
 
-/// A running system.
 pub struct Fleet {
     folder: tempfile::TempDir,
     plan: Plan,
@@ -230,7 +224,6 @@ impl Fleet {
         lines[lines.len().saturating_sub(LAST_LINES)..].join("\n")
     }
 
-    /// Returns the path of the coordinator's data folder.
     pub fn data(&self) -> PathBuf {
         self.folder.path().join("data")
     }

@@ -6,7 +6,6 @@ use std::time::Duration;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Number of faults in a schedule.
 const FAULTS: u64 = 3;
 /// Largest number of faults in a schedule that are charged to a rollout because a slot
 /// exits under its worker. A third charged attempt would correctly quarantine the rollout,
@@ -27,7 +26,6 @@ pub enum Way {
     ToPolicy,
 }
 
-/// A single fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// `kill -9` of the coordinator and a restart after the given time.
@@ -71,7 +69,6 @@ const KINDS: u64 = 15;
 /// Faults, each with its start, measured from the campaign's start.
 #[derive(Clone, Debug)]
 pub struct Schedule {
-    /// Seed of the schedule.
     pub seed: u64,
     /// Faults in the order of time.
     pub faults: Vec<(Duration, Fault)>,

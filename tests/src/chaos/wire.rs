@@ -73,7 +73,6 @@ impl Wire {
         *self.state.target.lock().expect("no panic") = address;
     }
 
-    /// Cuts all open connections.
     pub fn cut(&self) {
         let mut open = self.state.open.lock().expect("no panic");
         for stream in open.drain(..).filter_map(|stream| stream.upgrade()) {

@@ -62,7 +62,6 @@ impl Thing {
     }
 }
 
-/// Path of the file built by npm.
 const BUILT: &str = "policies/typescript/dist/src/main.js";
 
 /// Returns the folder of wheels for the pages' `pip install`; tests never download them.
@@ -180,7 +179,6 @@ impl Folder {
         self.root.path().join("outputs")
     }
 
-    /// The network of the session.
     pub fn network(&self) -> Network {
         self.network
     }

@@ -13,7 +13,6 @@ pub struct Limits {
     pub smooth: f64,
     /// Observed readings, m or rad.
     pub observed: f64,
-    /// Frames.
     pub frames: FrameLimits,
     /// Contact-rich steps, in multiples of the original's own sensitivity.
     pub sensitivities: f64,
@@ -32,7 +31,6 @@ impl Limits {
     }
 }
 
-/// Findings for one task.
 #[derive(Debug, Clone, Default)]
 pub struct Findings {
     /// The first differing name, if any: ours and the original's.

@@ -52,7 +52,6 @@ impl Kinship {
         }
     }
 
-    /// Returns the limits for this kind of comparison.
     pub fn limits(self) -> FrameLimits {
         let (equal, close) = match self {
             Self::ThisMachine => (1.0, 1.0),
@@ -97,7 +96,6 @@ impl fmt::Display for Kinship {
     }
 }
 
-/// Findings in the frames of a task.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameFindings {
     /// The frame with the smallest share of equal pixels.
@@ -138,7 +136,6 @@ impl Least {
 }
 
 impl FrameFindings {
-    /// Adds a frame.
     fn see(&mut self, ours: &[u8], theirs: &[u8], place: &str) {
         let (mut equal, mut close, mut pixels) = (0_u32, 0_u32, 0_u32);
         for (ours, theirs) in ours.chunks_exact(3).zip(theirs.chunks_exact(3)) {

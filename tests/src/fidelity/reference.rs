@@ -12,7 +12,6 @@ use npyz::{DType, NpyFile, TypeChar};
 use serde_json::Value;
 use zip::ZipArchive;
 
-/// Folder of reference data of one task.
 #[derive(Debug, Clone)]
 pub struct ReferenceTask {
     /// Suite's full name.
@@ -135,7 +134,6 @@ impl ReferenceTask {
             .collect())
     }
 
-    /// Returns the path of a file in the task's folder.
     pub(crate) fn path(&self, file: &str) -> PathBuf {
         self.dir.join(file)
     }

@@ -15,7 +15,6 @@ fn folder(name: &str) -> PathBuf {
     checkout().join("deploy").join(name)
 }
 
-/// Returns true if a tool runs here.
 fn runs(tool: &str, argument: &str) -> bool {
     Command::new(tool).arg(argument).output().is_ok()
 }

@@ -93,7 +93,6 @@ pub(crate) fn json_error() -> libero_ctrl::JsonError {
     error.into()
 }
 
-/// Returns an arbitrary path.
 pub(crate) fn path() -> PathBuf {
     PathBuf::from("/data/some/file")
 }

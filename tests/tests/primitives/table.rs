@@ -12,7 +12,6 @@ pub(crate) const MAX_OVERLAP: f64 = 0.005;
 /// Largest horizontal distance between an object's released and resting positions, m.
 pub(crate) const MAX_DRIFT: f64 = 0.15;
 
-/// Returns all entities of the scene.
 pub(crate) fn entities(episode: &mut Episode<'_>) -> Vec<Entity> {
     let request = ObservationRequest {
         privileged: true,

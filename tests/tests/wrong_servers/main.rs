@@ -124,7 +124,6 @@ fn check(who: &str, case: &Case, mut command: Command) {
     }
 }
 
-/// Returns a command that lists campaigns.
 fn listing(case: &Case, ca: &Path) -> Command {
     let scheme = if case.is_encrypted { "https" } else { "http" };
     let mut command = Command::new(program("coordinator"));

@@ -92,14 +92,12 @@ impl Authority {
     }
 }
 
-/// Starts a coordinator.
 pub(crate) fn coordinator(data: &Path, arguments: &[String]) -> Process {
     let mut command = Command::new(program("coordinator"));
     command.args(["serve", "--listen", "127.0.0.1:0", "--data"]);
     Process::serve(command.arg(data).args(arguments))
 }
 
-/// Starts a gateway.
 pub(crate) fn gateway(arguments: &[String]) -> Process {
     let mut command = Command::new(program("policy-gateway"));
     command.args(["--listen", "127.0.0.1:0", "--route", "noop=builtin:noop"]);

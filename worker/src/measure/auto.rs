@@ -19,7 +19,6 @@ const ROUNDS: usize = 2;
 /// Chosen number of slots, with the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Chosen {
-    /// Number of slots.
     pub slots: NonZeroUsize,
     /// Measurements and applied limits, in one line.
     pub why: String,

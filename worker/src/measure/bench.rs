@@ -9,7 +9,6 @@ use super::together::{Measured, Slots};
 use super::{MeasureError, cores, room};
 use crate::child::SlotProgram;
 
-/// Plan of a measurement.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// Description of the simulated task.

@@ -14,7 +14,6 @@ const SHARE: f64 = 0.8;
 /// Combined throughput of a number of slots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Throughput {
-    /// Number of slots.
     pub(super) slots: usize,
     /// Control steps per second of all of them.
     pub(super) steps_per_sec: f64,

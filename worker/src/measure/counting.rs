@@ -35,11 +35,9 @@ pub(super) enum Said {
         /// The renderer's own name.
         renderer: String,
     },
-    /// Counts of the requested period.
     Counted(Count),
 }
 
-/// Work of one slot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Count {
     /// Duration, seconds.

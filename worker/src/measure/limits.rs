@@ -26,7 +26,6 @@ const FILES_PER_SLOT: u64 = 4;
 /// Open files for everything else: libraries, the coordinator's connection, video uploads.
 const OTHER_FILES: u64 = 128;
 
-/// Resources of the machine for slots.
 #[derive(Clone, Copy, Debug)]
 struct Machine {
     cores: usize,
@@ -39,15 +38,8 @@ struct Machine {
 /// Reason why a number of slots is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum LimitError {
-    /// The machine cannot hold that many slots.
     #[error("start {slots} slots: {shortage}; `--slots auto` chooses a number by measurement")]
-    TooMany {
-        /// Number of slots asked for.
-        slots: usize,
-        /// Description of the exhausted resource.
-        shortage: String,
-    },
-    /// The machine's cores or memory cannot be read.
+    TooMany { slots: usize, shortage: String },
     #[error(transparent)]
     Machine(#[from] MeasureError),
 }

@@ -9,9 +9,7 @@ pub(super) const LEVELS: [Level; 3] = [Level::L1, Level::L2, Level::L3];
 /// Control steps of the fixed motion that shows the actuation axis.
 pub(super) const MOTION_STEPS: usize = 40;
 
-/// Selection of the previews.
 pub struct Request {
-    /// The task.
     pub task: TaskRef,
     /// Index of the configuration, which selects preset and initial state.
     pub config: u16,

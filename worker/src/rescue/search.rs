@@ -15,7 +15,6 @@ pub(super) struct Search {
     tried: BTreeMap<usize, bool>,
 }
 
-/// Result of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Found {
     /// No tried query saves the rollout; the first was tried.

@@ -12,10 +12,8 @@ use crate::rollout::RolloutError;
 /// Reason why `worker rollout` failed.
 #[derive(Debug, thiserror::Error)]
 pub enum SingleError {
-    /// The id names no rollout of the protocol.
     #[error(transparent)]
     Row(#[from] NoSuchRow),
-    /// The user's own task cannot be read.
     #[error(transparent)]
     Task(#[from] SceneError),
     /// The BDDL file has no instruction, and none was given.
@@ -23,30 +21,16 @@ pub enum SingleError {
         "find an instruction in {}: it has no `(:language …)`; give one with --instruction",
         bddl.display()
     )]
-    NoInstruction {
-        /// The BDDL file.
-        bddl: PathBuf,
-    },
-    /// Recorded actions cannot be read.
+    NoInstruction { bddl: PathBuf },
     #[error("read recorded actions {}: {problem}", path.display())]
-    Recorded {
-        /// Path of the recording.
-        path: PathBuf,
-        /// Description of the file's fault.
-        problem: String,
-    },
-    /// The policy cannot be called.
+    Recorded { path: PathBuf, problem: String },
     #[error("run the rollout: {0}")]
     Policy(#[from] PolicyError),
-    /// The rollout has no outcome.
     #[error(transparent)]
     Rollout(#[from] RolloutError),
-    /// A file cannot be written.
     #[error("write {}", path.display())]
     Write {
-        /// Path of the file.
         path: PathBuf,
-        /// Error of the system.
         #[source]
         source: io::Error,
     },

@@ -9,10 +9,8 @@ use scene::TaskFiles;
 
 use super::error::SingleError;
 
-/// Task outside the protocol.
 #[derive(Debug)]
 pub struct OwnTask {
-    /// The BDDL problem file.
     pub bddl: PathBuf,
     /// The `.pruned_init` file.
     pub init: PathBuf,

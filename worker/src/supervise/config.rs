@@ -12,12 +12,10 @@ use crate::assets::Provider;
 use crate::child::SlotProgram;
 use crate::ids::WorkerId;
 
-/// Configuration of a worker.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// URL of the coordinator.
     pub coordinator: String,
-    /// Credentials for the coordinator.
     pub access: Access,
     /// Identity under which the worker registers with the coordinator.
     pub identity: Identity,
@@ -50,7 +48,6 @@ pub struct Identity {
     pub host: String,
     /// Identifier of the machine; empty if unknown.
     pub machine: String,
-    /// The asset pack's name.
     pub asset_pack: String,
     /// SHA-256 of the asset pack, hex.
     pub asset_pack_digest: String,

@@ -16,7 +16,6 @@ use super::config::Identity;
 use super::link::Link;
 use crate::message::{Evidence, Failure, Finished};
 
-/// End of a rollout.
 #[derive(Debug)]
 pub(crate) enum Ending {
     /// The rollout has a result.
@@ -36,7 +35,6 @@ pub(crate) struct Delivery {
     pub(crate) ending: Ending,
 }
 
-/// The coordinator's answer.
 #[derive(Debug)]
 pub(crate) enum Answer {
     Committed(CommitResponse),

@@ -47,16 +47,13 @@ pub(crate) struct ProcessKey {
     pub(crate) life: u64,
 }
 
-/// Event of a worker.
 #[derive(Debug)]
 pub(crate) enum Event {
     /// Time has passed.
     Tick,
     /// The coordinator answered the worker's registration.
     Registered(Result<RegisterResponse, Status>),
-    /// A heartbeat is due.
     HeartbeatDue,
-    /// The coordinator answered a heartbeat.
     Renewed(Result<HeartbeatResponse, Status>),
     /// The coordinator answered a slot's claim.
     Claimed {
@@ -78,11 +75,20 @@ pub(crate) enum Event {
         answer: Answer,
     },
     /// A slot's process sent an event.
-    Slot { key: ProcessKey, event: SlotEvent },
+    Slot {
+        key: ProcessKey,
+        event: SlotEvent,
+    },
     /// A slot's process ended.
-    Ended { key: ProcessKey, end: ProcessEnd },
+    Ended {
+        key: ProcessKey,
+        end: ProcessEnd,
+    },
     /// A task of this program panicked.
-    Panicked { task: task::Id, error: String },
+    Panicked {
+        task: task::Id,
+        error: String,
+    },
     /// Shutdown was requested: the first request drains, the second gives rollouts back.
     Shutdown,
 }

@@ -75,7 +75,6 @@ impl SlotProcess {
         let _ = self.requests.try_send(Request::Send(command));
     }
 
-    /// Kills the process.
     pub(crate) fn kill(&self) {
         let _ = self.requests.try_send(Request::Kill);
     }

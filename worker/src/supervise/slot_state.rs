@@ -34,7 +34,6 @@ pub(crate) enum Mode {
     },
 }
 
-/// The process of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ProcessState {
     /// No process is running.
@@ -42,7 +41,6 @@ pub(crate) enum ProcessState {
         /// Earliest time of the next start.
         until: Instant,
     },
-    /// The process is starting.
     Starting {
         /// Time at which the process is killed unless it is ready.
         deadline: Instant,
@@ -53,7 +51,6 @@ pub(crate) enum ProcessState {
     Dying,
 }
 
-/// The work of a slot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
     /// The slot is idle.
@@ -64,7 +61,6 @@ pub(crate) enum Work {
     Preparing { attempt: AttemptId },
     /// A rollout is being simulated.
     Running {
-        /// Attempt at the rollout.
         attempt: AttemptId,
         /// Control steps so far.
         control_steps: u32,
@@ -73,21 +69,18 @@ pub(crate) enum Work {
     },
     /// The rollout made no progress and its process was killed.
     Stuck {
-        /// Attempt at the rollout.
         attempt: AttemptId,
         /// Control steps so far.
         control_steps: u32,
     },
     /// The lease was lost; the process has been asked to abandon the rollout.
     Abandoning {
-        /// Attempt at the rollout.
         attempt: AttemptId,
         /// Time at which the process is killed unless it has abandoned the rollout.
         deadline: Instant,
     },
     /// The end of the rollout is being reported to the coordinator.
     Delivering {
-        /// Attempt at the rollout.
         attempt: AttemptId,
         /// Control steps so far.
         control_steps: u32,
@@ -117,12 +110,9 @@ pub(crate) enum Video {
     },
 }
 
-/// Delivery state of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ResultState {
-    /// The result is being delivered.
     Delivering,
-    /// The coordinator accepted the result.
     Committed,
     /// The coordinator refused it, or its lease was lost.
     Unwanted,
@@ -131,11 +121,9 @@ pub(crate) enum ResultState {
 /// Next action on a video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum VideoDecision {
-    /// Upload the video.
     Upload(AttemptId),
     /// Remove the video's file, if there is one.
     Drop(AttemptId),
-    /// Tell the process to abandon the video.
     Abandon(AttemptId),
 }
 
@@ -148,7 +136,6 @@ pub(crate) struct Loss {
     pub(crate) video: Option<AttemptId>,
 }
 
-/// One slot.
 #[derive(Clone, Debug)]
 pub(crate) struct SlotState {
     pub(crate) process: ProcessState,
@@ -160,11 +147,8 @@ pub(crate) struct SlotState {
 /// Next action on a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Decision {
-    /// Start the slot's process.
     Start,
-    /// Claim a job from the coordinator.
     Claim,
-    /// Kill the slot's process.
     Kill(Kill),
 }
 

@@ -48,13 +48,11 @@ struct Slot {
     lives: u64,
     /// Current assignment, or the last one, whose scene is compiled.
     assignment: Option<Assignment>,
-    /// Campaign of the assignment.
     campaign: String,
     /// Assignment whose files are being fetched, with its campaign.
     preparing: Option<(Assignment, String)>,
 }
 
-/// State of a worker.
 pub(super) struct Supervisor {
     config: Config,
     timing: Timing,

@@ -26,7 +26,6 @@ use crate::worker_process::attempt_id;
 /// Longest wait for something that a test expects.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Message to a coordinator.
 #[derive(Clone, Debug)]
 pub(crate) enum Told {
     Registered(Box<RegisterRequest>),
@@ -36,7 +35,6 @@ pub(crate) enum Told {
 }
 
 impl Told {
-    /// Returns the message as a commit.
     pub(crate) fn commit(self) -> CommitRequest {
         match self {
             Self::Committed(commit) => *commit,
@@ -44,7 +42,6 @@ impl Told {
         }
     }
 
-    /// Returns the message as a release for this reason.
     pub(crate) fn release(self, reason: release_request::Reason) -> ReleaseRequest {
         match self {
             Self::Released(release) if release.reason() == reason => *release,
@@ -83,7 +80,6 @@ struct Service {
     changed: Arc<watch::Sender<()>>,
 }
 
-/// A running scripted coordinator.
 pub(crate) struct ScriptedCoordinator {
     service: Service,
     address: SocketAddr,
@@ -103,7 +99,6 @@ impl ScriptedCoordinator {
         Self::with_progress_timeout(Duration::from_secs(600)).await
     }
 
-    /// Starts a coordinator with this progress timeout.
     pub(crate) async fn with_progress_timeout(progress_timeout: Duration) -> Self {
         Self::with_times(Duration::from_millis(100), progress_timeout).await
     }
@@ -168,7 +163,6 @@ impl ScriptedCoordinator {
         .await;
     }
 
-    /// Answers commits with this verdict from now on.
     pub(crate) fn answer_commits(&self, verdict: commit_response::Verdict) {
         self.change(|state| state.commit_verdict = Some(verdict));
     }
@@ -319,7 +313,6 @@ impl Service {
     }
 }
 
-/// A claim that waits for an answer.
 struct Waiting<'a> {
     service: &'a Service,
     is_answered: bool,

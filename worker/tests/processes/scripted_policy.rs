@@ -28,7 +28,6 @@ pub(crate) struct Asked {
     pub queries: Vec<InferRequest>,
 }
 
-/// A running server.
 pub(crate) struct ScriptedPolicy {
     address: SocketAddr,
     pub(crate) asked: Arc<Mutex<Asked>>,

@@ -16,9 +16,7 @@ use super::{native, stage};
 /// File with the digests of all other files of the archive.
 pub(super) const SUMS: &str = "SHA256SUMS";
 
-/// A release archive.
 pub(super) struct Archive {
-    /// Path of the archive.
     pub(super) file: PathBuf,
     /// Name of its top-level folder.
     pub(super) name: String,
@@ -26,7 +24,6 @@ pub(super) struct Archive {
     pub(super) elf: native::Elf,
 }
 
-/// Makes the archive of the programs in a folder.
 pub(super) fn make(root: &Path, cache: &Path, programs: &Path, output: &Path) -> Result<Archive> {
     let elf = native::Elf::provide(cache)?;
     println!("Packing");

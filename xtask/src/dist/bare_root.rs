@@ -79,7 +79,6 @@ impl BareRoot {
         })
     }
 
-    /// Returns the root's folder.
     pub(super) fn dir(&self) -> &Path {
         &self.dir
     }

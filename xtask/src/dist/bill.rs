@@ -36,7 +36,6 @@ pub(super) fn of(crates: &[Crate], components: &[Component]) -> Value {
     })
 }
 
-/// Adds a component to a bill.
 pub(super) fn add(bill: &mut Value, component: &Component) {
     if let Some(listed) = bill["components"].as_array_mut() {
         listed.push(entry(component));

@@ -14,7 +14,6 @@ use crate::subject::Subject;
 use crate::threshold_report::ThresholdReport;
 use crate::warnings;
 
-/// The analysis of one policy.
 #[derive(Clone, Debug)]
 pub struct Analysis {
     /// Name of the policy, unique in this document.

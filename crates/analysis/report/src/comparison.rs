@@ -15,15 +15,12 @@ use crate::warnings::{Of, mujoco, pack, renderer};
 /// A completed comparison of two policies.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The policy A.
     pub a: Side,
-    /// The policy B.
     pub b: Side,
     /// Warnings about the comparison, to be read first.
     pub warnings: Vec<String>,
     /// Warnings about either policy, to be read first.
     pub notes: Vec<String>,
-    /// The statistics.
     #[serde(flatten)]
     pub statistics: paired::Comparison,
     /// Intervals that hold at any look, if both ran in the same drawn order.
@@ -40,7 +37,6 @@ pub struct Comparison {
 pub struct Side {
     /// Name of the policy, unique in this comparison.
     pub label: String,
-    /// The policy's name.
     pub policy: String,
     /// Source of its outcomes.
     pub origin: Origin,

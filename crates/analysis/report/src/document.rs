@@ -35,12 +35,9 @@ pub struct Document {
 /// Failure to build or write a report.
 #[derive(Debug, thiserror::Error)]
 pub enum DocumentError {
-    /// A subject holds the same rollout and replicate twice.
     #[error("measure policy `{policy}`")]
     Duplicate {
-        /// Name of the policy.
         policy: String,
-        /// The duplicate rollout.
         source: DuplicateRecord,
     },
     /// A campaign of LIBERO's family has a variant or protocol that this program does not know.
@@ -55,7 +52,6 @@ pub enum DocumentError {
         /// Name of the policy.
         policy: String,
     },
-    /// The report cannot be written as JSON.
     #[error("write the report as JSON")]
     Json(#[from] JsonError),
 }

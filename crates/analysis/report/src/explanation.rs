@@ -26,7 +26,6 @@ pub struct Findings {
     pub campaign: String,
     /// The campaign that ran the subsets.
     pub explained_by: String,
-    /// The policy.
     pub policy: String,
     /// True if nothing remains to be run.
     pub complete: bool,

@@ -19,9 +19,7 @@ use sha2::{Digest, Sha256};
 
 use crate::subject::{Origin, Setups, Subject};
 
-/// Name of the file of result rows in a folder.
 const ROWS: &str = "rollouts.jsonl";
-/// Name of the metadata file in a folder.
 const ABOUT: &str = "about.json";
 /// Largest length of a line, bytes.
 const MAX_LINE_BYTES: u64 = 64 << 10;
@@ -38,50 +36,26 @@ const MAX_FILE_BYTES: u64 = 4 << 30;
 /// A file that cannot be read as results.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
-    /// The file could not be read.
     #[error("read {path}: name a folder that holds {ROWS}, or such a file")]
     Read {
-        /// Path of the folder or file.
         path: PathBuf,
-        /// Error of the system.
         source: std::io::Error,
     },
-    /// Some lines are not valid result rows.
     #[error("import {path}: {} bad, nothing was taken of it: {}", counted(.bad), said(.named, .bad))]
     Lines {
-        /// Path of the file.
         path: PathBuf,
-        /// Number of bad lines.
         bad: usize,
-        /// First of the bad lines.
         named: Vec<BadLine>,
     },
-    /// The file has more rows than ten replicates of the largest design.
     #[error("import {path}: it has more than {MAX_FILE_ROWS} rows: divide it")]
-    TooLong {
-        /// Path of the file.
-        path: PathBuf,
-    },
-    /// The file exceeds the size limit.
+    TooLong { path: PathBuf },
     #[error("import {path}: it is larger than {} GiB; divide it", MAX_FILE_BYTES >> 30)]
-    TooLarge {
-        /// Path of the file.
-        path: PathBuf,
-    },
-    /// The file has no row.
+    TooLarge { path: PathBuf },
     #[error("import {path}: it has no row")]
-    Empty {
-        /// Path of the file.
-        path: PathBuf,
-    },
+    Empty { path: PathBuf },
     /// `about.json` cannot be parsed.
     #[error("read {path}, which says what the rows are")]
-    About {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error in its JSON.
-        source: JsonError,
-    },
+    About { path: PathBuf, source: JsonError },
 }
 
 /// A line that is not a valid result row.

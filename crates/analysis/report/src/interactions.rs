@@ -25,9 +25,7 @@ const CHANGE: usize = 8;
 /// Interactions of a campaign's axes.
 #[derive(Clone, Debug)]
 pub struct AxisInteractions {
-    /// The campaign.
     pub campaign: String,
-    /// Name of its policy.
     pub policy: String,
     /// Warnings to be read first.
     pub notes: Vec<String>,
@@ -37,10 +35,8 @@ pub struct AxisInteractions {
     pub levels: Vec<LevelInteractions>,
 }
 
-/// The interactions at one level.
 #[derive(Clone, Debug)]
 pub struct LevelInteractions {
-    /// The level.
     pub level: Level,
     /// Configurations that lack an outcome under some subset.
     pub left_out: u64,
@@ -51,26 +47,20 @@ pub struct LevelInteractions {
 /// Error: no configuration of the campaign has an outcome under every subset of the axes.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum NoInteractions {
-    /// The campaign perturbs one axis.
     #[error(transparent)]
     Axes(#[from] LatticeError),
     /// The campaign has no perturbed configuration.
     #[error("compute the interactions of `{0}`: it perturbs nothing; create it with `--axes`")]
     Empty(String),
-    /// Every configuration lacks an outcome under some subset.
     #[error(
         "compute the interactions of `{campaign}`: none of its {configurations} configurations has \
          an outcome under every subset of the axes, nominal included ({first}: {gap}); wait for its \
          rollouts, create a campaign with `--subsets all`, or explain one with `--exhaustive`"
     )]
     Incomplete {
-        /// The campaign.
         campaign: String,
-        /// Number of its configurations.
         configurations: usize,
-        /// First of its configurations.
         first: RolloutId,
-        /// Subsets that its lattice lacks.
         gap: IncompleteLattice,
     },
 }
@@ -147,7 +137,6 @@ impl AxisInteractions {
         Ok(serde_json::to_string_pretty(&self.form())?)
     }
 
-    /// Returns the JSON form.
     pub(crate) fn form(&self) -> JsonForm<'_> {
         JsonForm {
             campaign: &self.campaign,

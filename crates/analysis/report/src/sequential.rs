@@ -30,7 +30,6 @@ pub struct Sequential {
     pub configurations: usize,
     /// Number of configurations that the intervals rest on: the first in the drawn order.
     pub used: usize,
-    /// Rollouts of the campaign.
     pub rollouts: usize,
     /// Rollouts that were not run because the campaign stopped early.
     pub saved: usize,

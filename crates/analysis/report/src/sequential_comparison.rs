@@ -27,9 +27,7 @@ pub struct SequentialComparison {
 /// The difference under one condition at one level.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SequentialCell {
-    /// The level.
     pub level: Level,
-    /// The condition.
     pub condition: Condition,
     /// Configurations of the campaigns: the population of the interval.
     pub configurations: usize,
@@ -45,41 +43,26 @@ pub struct SequentialCell {
 /// Error: the subjects did not run their configurations in the same drawn order.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoCommonOrder {
-    /// A subject's configurations did not run in a drawn order.
     #[error(
         "compare {subject} sequentially: its configurations did not run in a drawn order; create \
          both campaigns with `--stop`"
     )]
-    NotDrawn {
-        /// Name of the subject.
-        subject: String,
-    },
-    /// The subjects ran in different drawn orders.
+    NotDrawn { subject: String },
     #[error(
         "compare {a} with {b} sequentially: {a} ran in the order of {order_a}, {b} in that of \
          {order_b}; create both campaigns with the same `--stop-seed` and `--stop-strata`"
     )]
     Differ {
-        /// Name of policy A.
         a: String,
-        /// Order of policy A.
         order_a: String,
-        /// Name of policy B.
         b: String,
-        /// Order of policy B.
         order_b: String,
     },
-    /// The subjects have different configurations.
     #[error(
         "compare {a} with {b} sequentially: they have different configurations; give both the \
          same tasks and configurations"
     )]
-    Configurations {
-        /// Name of policy A.
-        a: String,
-        /// Name of policy B.
-        b: String,
-    },
+    Configurations { a: String, b: String },
 }
 
 impl SequentialComparison {

@@ -13,7 +13,6 @@ use serde::{Deserialize, Serialize};
 /// One policy's outcomes under one set of circumstances.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Subject {
-    /// Name of the policy.
     pub policy: String,
     /// Source of its outcomes.
     pub origin: Origin,
@@ -116,12 +115,10 @@ pub enum Purpose {
     Thresholds(Thresholds),
 }
 
-/// Early stop of a campaign.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EarlyStop {
     /// The rule, with the seed and strata of the drawn order.
     pub stop: Stop,
-    /// True if it stopped early.
     pub has_stopped: bool,
 }
 
@@ -141,7 +138,6 @@ pub struct Setups {
 pub struct BeyondRange {
     /// Actions beyond the range.
     pub actions: u64,
-    /// All actions.
     pub of_actions: u64,
     /// Rollouts with at least one action beyond the range.
     pub rollouts: u64,
@@ -151,13 +147,9 @@ pub struct BeyondRange {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Origin {
-    /// A campaign of a coordinator.
     Campaign {
-        /// Name of the campaign.
         name: String,
-        /// Endpoint of its policy.
         endpoint: String,
-        /// Version of its design.
         design: String,
     },
     /// A file of result rows.
@@ -176,7 +168,6 @@ pub enum Origin {
 pub struct Quarantined {
     /// `ID` or `ID#rK`.
     pub rollout: String,
-    /// The last error in full.
     pub last_error: String,
 }
 

@@ -43,7 +43,6 @@ pub fn write_parquet(document: &Document, out: impl Write + Send) -> Result<(), 
     }
 }
 
-/// Kind of a table's rows.
 enum Rows {
     Configurations,
     MinimalSubsets,

@@ -23,7 +23,6 @@ pub struct ThresholdReport {
     pub campaign: String,
     /// The campaign that runs further radii.
     pub measured_by: String,
-    /// The policy.
     pub policy: String,
     /// Largest width of a finished bracket, in units of radius.
     pub tolerance: f64,
@@ -52,7 +51,6 @@ pub struct ThresholdReport {
 pub struct Measured {
     /// Condition: the perturbed axes.
     pub condition: Condition,
-    /// The task.
     pub task: TaskRef,
     /// The configuration's number.
     pub config: u16,
@@ -76,7 +74,6 @@ pub struct Measured {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// The nominal rollout fails.
     NominalFails,
     /// The nominal rollout has no outcome.
     NominalUnknown,
@@ -104,9 +101,7 @@ impl Kind {
 /// Outcome of the rollout at a radius.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct AtRadius {
-    /// The radius.
     pub radius: f64,
-    /// Outcome of the rollout.
     pub outcome: Outcome,
 }
 
@@ -117,7 +112,6 @@ pub struct AtRadius {
      as many or more"
 )]
 pub struct BudgetTooSmall {
-    /// The budget.
     pub budget: u32,
     /// Largest number of rollouts that a configuration may take.
     pub most: u32,

@@ -12,7 +12,6 @@ use crate::routine::{self, Deed, Routine};
 use crate::transfer::Transfer;
 use crate::world::{World, drawer_joint};
 
-/// A skill in progress.
 #[derive(Clone, Debug)]
 pub(crate) enum Skill {
     Transfer(Transfer),

@@ -94,7 +94,6 @@ const HANDLES: [(&str, Vec3); 1] = [("white_yellow_mug", Vec3::new(1.0, 0.0, 0.0
 const HANDLE_INSET_M: f64 = 0.01;
 const HANDLE_DEPTH_M: f64 = 0.042;
 
-/// A grasp of an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Grasp {
     /// Grip point from the centre of the object's box, world axes, m.

@@ -49,7 +49,6 @@ const STANDOFF_M: f64 = 0.09;
 /// Tolerances for proceeding to the next stage, m and rad.
 const NEAR_M: f64 = 0.01;
 const NEAR_RAD: f64 = 0.1;
-/// Number of steps for the fingers to open or close.
 const FINGER_STEPS: u32 = 8;
 /// Number of steps after which a stage without progress ends.
 const PATIENCE_STEPS: u32 = 80;

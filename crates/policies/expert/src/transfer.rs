@@ -108,7 +108,6 @@ impl Transfer {
         }
     }
 
-    /// Returns the name of the object.
     pub(crate) fn object(&self) -> &str {
         &self.object
     }

@@ -208,7 +208,6 @@ impl World {
         &self.solids
     }
 
-    /// All regions.
     pub(crate) fn regions(&self) -> impl Iterator<Item = &Entity> {
         self.entities.iter().filter(|e| e.is_region())
     }

@@ -6,6 +6,7 @@
 //! and counts the clipped actions in the result.
 
 #![forbid(unsafe_code)]
+#![allow(missing_docs, reason = "names and messages say it")]
 
 use proto::PROTOCOL_VERSION;
 use proto::policy::{CameraRequest, DescribeResponse, InferResponse, StateField};
@@ -182,35 +183,18 @@ fn check_camera(camera: &CameraRequest) -> Result<(), DescriptionFault> {
 pub enum ActionFault {
     /// The actions do not have [`ACTION_WIDTH`] numbers.
     #[error("its actions are {width} numbers wide, not {ACTION_WIDTH}")]
-    Width {
-        /// Width as answered.
-        width: u32,
-    },
-    /// The response has no action.
+    Width { width: u32 },
     #[error("it answered no action")]
     Empty,
     /// The count of numbers is not a multiple of [`ACTION_WIDTH`].
     #[error("it answered {numbers} numbers, which are no whole actions of {ACTION_WIDTH}")]
-    Ragged {
-        /// Count of numbers as answered.
-        numbers: usize,
-    },
-    /// The response has more actions than the declared horizon.
+    Ragged { numbers: usize },
     #[error("it answered {count} actions, but its Describe says at most {horizon}")]
-    TooMany {
-        /// Actions answered.
-        count: usize,
-        /// Horizon as declared.
-        horizon: u32,
-    },
-    /// A number is NaN or infinite.
+    TooMany { count: usize, horizon: u32 },
     #[error("component {component} of action {action} is {value}")]
     NotFinite {
-        /// Index of the action in its chunk.
         action: usize,
-        /// Index of the number in its action.
         component: usize,
-        /// Number as answered.
         value: f32,
     },
     /// A number exceeds [`LARGEST_NUMBER`].
@@ -219,11 +203,8 @@ pub enum ActionFault {
          it un-normalised?"
     )]
     TooLarge {
-        /// Index of the action in its chunk.
         action: usize,
-        /// Index of the number in its action.
         component: usize,
-        /// Number as answered.
         value: f32,
     },
 }
@@ -232,91 +213,53 @@ pub enum ActionFault {
 /// calls "it".
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DescriptionFault {
-    /// The server speaks a different version of the policy protocol.
     #[error(
         "it speaks policy protocol version {theirs}, and this program version \
          {PROTOCOL_VERSION}; upgrade the older side"
     )]
-    Version {
-        /// The server's version.
-        theirs: u32,
-    },
+    Version { theirs: u32 },
     /// The name is empty, so that results could not be attributed.
     #[error("it has no name")]
     Nameless,
-    /// A text is too long for a result.
     #[error(
         "its {field} has {bytes} bytes, and results hold {} of it",
         proto::MAX_TEXT_BYTES
     )]
     Text {
-        /// Name of the field.
         field: &'static str,
         /// Length of the text, bytes.
         bytes: usize,
     },
     /// The horizon is 0, or longer than any episode.
     #[error("its horizon is {horizon}, not within 1..={MAX_HORIZON}")]
-    Horizon {
-        /// Horizon as declared.
-        horizon: u32,
-    },
+    Horizon { horizon: u32 },
     /// The number of executed actions is 0 or exceeds the horizon.
     #[error("it wants {execute} actions executed per query, of a horizon of {horizon}")]
-    Execute {
-        /// Executed actions as declared.
-        execute: u32,
-        /// Horizon as declared.
-        horizon: u32,
-    },
-    /// The robot reading is not part of the protocol.
+    Execute { execute: u32, horizon: u32 },
     #[error("it wants robot reading {field}, which this protocol version does not have")]
-    StateField {
-        /// The number on the wire.
-        field: i32,
-    },
-    /// The robot reading is requested twice.
+    StateField { field: i32 },
     #[error("it wants robot reading {field} twice")]
-    RepeatedStateField {
-        /// The number on the wire.
-        field: i32,
-    },
-    /// There are too many frames.
+    RepeatedStateField { field: i32 },
     #[error("it wants {count} frames per query, and at most {MAX_CAMERAS} are drawn")]
-    Cameras {
-        /// Number of frames as declared.
-        count: usize,
-    },
-    /// The frame is requested twice.
+    Cameras { count: usize },
     #[error("it wants frames of {width}×{height} pixels from camera {camera:?} twice")]
     RepeatedCamera {
-        /// Name of the camera.
         camera: String,
-        /// Width as declared.
         width: u32,
-        /// Height as declared.
         height: u32,
     },
-    /// The camera is not in the scene.
     #[error("it wants frames of camera {name:?}, and a scene has {}", CAMERAS.join(" and "))]
-    Camera {
-        /// Name as declared.
-        name: String,
-    },
+    Camera { name: String },
     /// The side of a frame is 0 or exceeds [`MAX_FRAME_SIDE`].
     #[error(
         "it wants frames of {width}×{height} pixels from camera {camera:?}, and sides are 1 to \
          {MAX_FRAME_SIDE}"
     )]
     FrameSide {
-        /// Name of the camera.
         camera: String,
-        /// Width as declared.
         width: u32,
-        /// Height as declared.
         height: u32,
     },
-    /// The settings cannot be stored in a result.
     #[error("it {problem}")]
     Settings {
         /// Clause about the setting and its problem; follows "it".

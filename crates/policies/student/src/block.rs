@@ -29,12 +29,9 @@ pub(crate) struct Workspace {
     skipped: Vec<f32>,
 }
 
-/// Dimensions of a block.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shape {
-    /// Input channels.
     pub(crate) inputs: usize,
-    /// Output channels.
     pub(crate) outputs: usize,
     /// Stride of the first convolution: 2 halves the sides, 1 keeps them.
     pub(crate) stride: usize,

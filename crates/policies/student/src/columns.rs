@@ -10,7 +10,6 @@ use crate::product::Matrix;
 pub(crate) struct Planes<'a> {
     /// Values by channel, then in row-major order.
     pub(crate) values: &'a [f32],
-    /// Length of a side.
     pub(crate) side: usize,
 }
 

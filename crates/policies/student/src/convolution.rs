@@ -50,7 +50,6 @@ impl Convolution {
         })
     }
 
-    /// Number of output channels.
     pub(crate) fn outputs(&self) -> usize {
         self.outputs
     }

@@ -3,7 +3,6 @@
 /// Reason why a weights file is invalid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum WeightsError {
-    /// The file is not a complete safetensors container.
     #[error(
         "the weights file, {bytes} bytes, is no safetensors file or is not whole: export it or \
          copy it again"
@@ -12,7 +11,6 @@ pub enum WeightsError {
         /// Length of the file, bytes.
         bytes: usize,
     },
-    /// The weights are for a different kind or version of network.
     #[error(
         "the weights file's metadata gives {} as its format; this program reads {expected:?}: give \
          weights that were exported for it",
@@ -21,92 +19,68 @@ pub enum WeightsError {
     Format {
         /// Value of `format` in the metadata, if there is one.
         found: Option<String>,
-        /// Format that this program reads.
         expected: &'static str,
     },
-    /// The metadata has no name.
     #[error("the weights file's metadata has no name: export it with \"name\" in the metadata")]
     Name,
-    /// A tensor is missing.
     #[error(
         "the weights file has no tensor {tensor}, which must be {expected:?} of {kind}: export \
          the whole network"
     )]
     Missing {
-        /// Name of the tensor.
         tensor: String,
-        /// Shape that the network needs.
         expected: Vec<usize>,
-        /// Type of its numbers.
         kind: &'static str,
     },
-    /// A tensor has the wrong shape.
     #[error(
         "tensor {tensor} of the weights file has the shape {found:?}; expected is {expected:?}: \
          give weights of this network"
     )]
     Shape {
-        /// Name of the tensor.
         tensor: String,
-        /// Shape in the file.
         found: Vec<usize>,
-        /// Shape that the network needs.
         expected: Vec<usize>,
     },
-    /// A tensor has the wrong type.
     #[error(
         "tensor {tensor} of the weights file is of type {found}; expected is {expected}: export it \
          as {expected}"
     )]
     Type {
-        /// Name of the tensor.
         tensor: String,
-        /// Type in the file.
         found: String,
-        /// Type that the network needs.
         expected: &'static str,
     },
-    /// A tensor has a number that is not finite.
     #[error(
         "tensor {tensor} of the weights file holds {value} at place {place}, where a finite \
          number is expected: training has diverged, export an earlier state"
     )]
     NotFinite {
-        /// Name of the tensor.
         tensor: String,
         /// Index of the number, counted from 0 in row-major order.
         place: usize,
         /// Number in the file: `NaN`, `inf` or `-inf`.
         value: String,
     },
-    /// A divisor is not positive.
     #[error(
         "tensor {tensor} of the weights file holds {value} at place {place}, where a number above \
          0 is expected: export a spread of at least a rounding error for numbers that never vary"
     )]
     NotPositive {
-        /// Name of the tensor.
         tensor: String,
         /// Index of the number, counted from 0.
         place: usize,
-        /// Number in the file.
         value: String,
     },
-    /// No layer uses the tensor.
     #[error(
         "the weights file has a tensor {tensor}, which this network does not: give weights of \
          this network"
     )]
-    Unknown {
-        /// Name of the tensor.
-        tensor: String,
-    },
+    Unknown { tensor: String },
 }
 
 /// Reason why a query cannot be answered.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum QueryError {
-    /// A picture has the wrong size.
     #[error(
         "query {query}: the picture of {camera} has {found} bytes; expected are {expected}, 256 × \
          256 pixels of 3 bytes: ask the camera for that size"
@@ -121,7 +95,6 @@ pub enum QueryError {
         /// Length that is expected, bytes.
         expected: usize,
     },
-    /// A robot reading is not finite.
     #[error(
         "query {query}: number {place} of {reading} is {value}, which is not finite: look for what \
          the simulator or the client sent"
@@ -133,10 +106,8 @@ pub enum QueryError {
         reading: &'static str,
         /// Index within the reading, counted from 0.
         place: usize,
-        /// Value of the number.
         value: String,
     },
-    /// The network's output is not finite.
     #[error(
         "query {query}: the network's answer is not finite: give readings in metres as the \
          network was trained on, or weights that do not overflow"

@@ -31,7 +31,6 @@ pub(crate) fn sum(values: &[f32], of: impl Fn(f32) -> f32) -> f32 {
     lanes[0]
 }
 
-/// The arithmetic mean.
 pub(crate) fn mean(values: &[f32]) -> f32 {
     sum(values, |value| value) / values.len() as f32
 }

@@ -61,6 +61,7 @@
 //!   and has one path for all sizes.
 
 #![deny(unsafe_op_in_unsafe_fn)]
+#![allow(missing_docs, reason = "names and messages say it")]
 
 mod block;
 mod columns;

@@ -6,7 +6,6 @@ use crate::error::QueryError;
 pub const PICTURE_SIDE: usize = 256;
 /// Size of a picture, bytes: red, green and blue of each pixel.
 pub const PICTURE_BYTES: usize = PICTURE_SIDE * PICTURE_SIDE * 3;
-/// Number of actions in a chunk.
 pub const ACTIONS: usize = 8;
 /// Number of action components for the arm.
 pub(crate) const ARM: usize = 6;

@@ -24,7 +24,6 @@ pub struct UnixMillis(pub i64);
 
 /// Source of the current time, which never goes backwards.
 pub trait Clock: Send + Sync {
-    /// Returns the current instant.
     fn now(&self) -> UnixMillis;
 }
 
@@ -89,7 +88,6 @@ impl ManualClock {
         ManualClock(AtomicI64::new(now.0))
     }
 
-    /// Moves the clock forward.
     pub fn advance(&self, span: Duration) {
         self.0.fetch_add(millis(span), Ordering::SeqCst);
     }

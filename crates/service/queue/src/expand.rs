@@ -17,7 +17,6 @@ use crate::ids::{CampaignName, NameError};
 /// A campaign ready to be stored.
 #[derive(Clone, Debug)]
 pub struct NewCampaign {
-    /// Name of the campaign.
     pub name: CampaignName,
     /// Specification, JSON.
     pub spec: String,
@@ -25,7 +24,6 @@ pub struct NewCampaign {
     pub spec_digest: String,
     /// Name of the policy at its endpoint.
     pub policy: String,
-    /// Endpoint of the policy.
     pub policy_endpoint: String,
     /// "matched" or "reference".
     pub realisation: String,
@@ -51,9 +49,7 @@ pub struct NewCampaign {
 /// A job ready to be stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewJob {
-    /// Id of the rollout.
     pub rollout_id: String,
-    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// "libero_goal/3".
     pub task: String,
@@ -63,12 +59,10 @@ pub struct NewJob {
     pub unit_order: i64,
     /// The manifest row, JSON.
     pub manifest_row: String,
-    /// Seed for the policy.
     pub policy_seed: u64,
 }
 
 impl NewJob {
-    /// Returns true if the job is of the placebo level.
     pub fn is_placebo(&self) -> bool {
         self.rollout_id
             .parse::<RolloutId>()
@@ -99,13 +93,11 @@ impl NewJob {
 /// A specification that cannot be expanded into a campaign.
 #[derive(Debug, thiserror::Error)]
 pub enum ExpandError {
-    /// The specification is invalid.
     #[error(transparent)]
     Spec(#[from] SpecError),
     /// The name, which also names a folder, is invalid.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// The manifest rows cannot be written as JSON.
     #[error("write a campaign's manifest rows as JSON")]
     Json(#[from] JsonError),
 }
@@ -163,7 +155,6 @@ impl NewCampaign {
         })
     }
 
-    /// Returns the tasks of the jobs.
     pub fn tasks(&self) -> BTreeSet<&str> {
         self.jobs.iter().map(|job| job.task.as_str()).collect()
     }

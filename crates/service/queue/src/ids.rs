@@ -69,16 +69,13 @@ pub struct CampaignName(String);
 /// A job by its rollout id and replicate, as operators name it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JobName {
-    /// Id of the rollout.
     pub rollout_id: String,
-    /// Number of the replicate of the rollout.
     pub replicate: u32,
 }
 
 /// A name that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NameError {
-    /// Invalid name of a campaign.
     #[error(
         "read campaign name {name:?}: use 1 to {MAX_CAMPAIGN_NAME_BYTES} letters, digits, `-`, `_` and `.`, not starting with a dot"
     )]
@@ -86,7 +83,6 @@ pub enum NameError {
         /// The given name, shortened.
         name: String,
     },
-    /// Invalid id of a worker.
     #[error(
         "read worker id `{id}`: use 1 to {MAX_WORKER_ID_BYTES} visible ASCII characters without spaces"
     )]
@@ -114,7 +110,6 @@ impl CampaignName {
         }
     }
 
-    /// Returns the name as text.
     pub fn as_str(&self) -> &str {
         &self.0
     }

@@ -12,10 +12,8 @@ use crate::store::{self, DATABASE_FILE};
 /// Violations of one invariant that are described; further ones are only counted.
 pub const MAX_EXAMPLES: usize = 5;
 
-/// An invariant of a database.
 #[derive(Clone, Copy, Debug)]
 pub struct Invariant {
-    /// Name of the invariant.
     pub name: &'static str,
     /// Query for violations: one text column, no rows if the invariant holds.
     query: &'static str,
@@ -24,9 +22,7 @@ pub struct Invariant {
 /// An invariant that does not hold.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Violation {
-    /// The name of the invariant.
     pub invariant: &'static str,
-    /// Number of violations.
     pub count: usize,
     /// Descriptions of the first [`MAX_EXAMPLES`] violations.
     pub examples: Vec<String>,
@@ -35,31 +31,18 @@ pub struct Violation {
 /// A database that cannot be checked.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckError {
-    /// The database does not exist.
     #[error("check {}: there is no such database; name a data folder, or a database file", path.display())]
-    Missing {
-        /// Path that the caller named.
-        path: PathBuf,
-    },
-    /// The database cannot be read.
+    Missing { path: PathBuf },
     #[error("check {}: is it a database of the coordinator?", path.display())]
-    Read {
-        /// Path that the caller named.
-        path: PathBuf,
-        /// Error of SQLite.
-        source: sqlx::Error,
-    },
-    /// The database has the schema of another version.
+    Read { path: PathBuf, source: sqlx::Error },
     #[error(
         "check {}: its schema is version {found} and this program knows version {known}; use the program that wrote it",
         path.display()
     )]
     OtherSchema {
-        /// Path that the caller named.
         path: PathBuf,
         /// Schema version of the database; 0 if it has none.
         found: i64,
-        /// Schema version of this program.
         known: i64,
     },
 }

@@ -121,12 +121,10 @@ impl Queue {
         self.shared.timing
     }
 
-    /// Returns the current instant.
     pub fn now(&self) -> UnixMillis {
         self.shared.now()
     }
 
-    /// Returns the store.
     pub fn store(&self) -> &Store {
         &self.shared.store
     }

@@ -45,7 +45,6 @@ use sqlx::{ConnectOptions, Connection, Sqlite, SqliteConnection, Transaction};
 
 use failpoint::{Failpoints, Side, Step};
 
-/// The database's file in the data folder.
 pub const DATABASE_FILE: &str = "coordinator.sqlite";
 /// The file whose lock marks the data folder as owned by a coordinator.
 const LOCK_FILE: &str = "coordinator.lock";
@@ -80,64 +79,37 @@ pub struct Store {
 /// A data folder that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// The folder or a file in it cannot be made.
     #[error("open data folder {}: check that it exists and that this user may write to it", folder.display())]
-    Folder {
-        /// The folder.
-        folder: PathBuf,
-        /// Error of the system.
-        source: io::Error,
-    },
-    /// Another coordinator owns the data folder.
+    Folder { folder: PathBuf, source: io::Error },
     #[error("open data folder {}: another coordinator is using it; stop that one, or choose another folder with --data", folder.display())]
-    InUse {
-        /// The folder.
-        folder: PathBuf,
-    },
-    /// A newer program wrote the database.
+    InUse { folder: PathBuf },
     #[error(
         "open database {}: its schema is version {found} and this program ({program}) knows versions up to {known}; run the newer program that wrote it, or choose another folder with --data",
         path.display()
     )]
     NewerSchema {
-        /// The database.
         path: PathBuf,
-        /// Schema version of the database.
         found: i64,
-        /// Newest schema version that this program knows.
         known: i64,
-        /// Version of this program.
         program: &'static str,
     },
     /// The database is not of this program, or its schema was altered.
     #[error("bring database {} to schema version {known}: restore it from a backup, or choose another folder with --data", path.display())]
     Migrate {
-        /// The database.
         path: PathBuf,
-        /// Schema version to migrate to.
         known: i64,
-        /// Error of the migration.
         source: MigrateError,
     },
-    /// SQLite cannot open the database.
     #[error("open database {}: is it a SQLite file on a local disk?", path.display())]
-    Database {
-        /// The database.
-        path: PathBuf,
-        /// Error of SQLite.
-        source: sqlx::Error,
-    },
+    Database { path: PathBuf, source: sqlx::Error },
 }
 
 /// A failure of the database.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum StoreError {
-    /// A statement failed.
     #[error("{doing} in the database")]
     Statement {
-        /// The purpose of the statement.
         doing: &'static str,
-        /// SQLite's error.
         #[source]
         source: Arc<sqlx::Error>,
     },
@@ -149,10 +121,7 @@ pub enum StoreError {
          coordinator runs, which nothing can be added to",
         folder.display()
     )]
-    Gone {
-        /// The data folder.
-        folder: PathBuf,
-    },
+    Gone { folder: PathBuf },
 }
 
 impl StoreError {
@@ -309,7 +278,6 @@ impl Store {
             .expect("a pragma");
     }
 
-    /// Returns the data folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }

@@ -7,7 +7,6 @@ use std::time::Duration;
 pub struct Waits {
     /// Back-off after the first failure.
     pub first: Duration,
-    /// Longest back-off.
     pub longest: Duration,
 }
 
@@ -47,7 +46,6 @@ impl Backoff {
         }
     }
 
-    /// Returns the number of failures in a row.
     pub fn failures(&self) -> u32 {
         self.failures
     }

@@ -20,7 +20,6 @@ pub struct AttemptId(u128);
 pub struct AttemptIdError;
 
 impl AttemptId {
-    /// Creates an id from random bits.
     pub fn from_random(bits: [u8; 16]) -> AttemptId {
         AttemptId(u128::from_be_bytes(bits))
     }

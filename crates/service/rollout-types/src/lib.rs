@@ -3,6 +3,7 @@
 //! them at their own boundaries.
 
 #![forbid(unsafe_code)]
+#![allow(missing_docs, reason = "names and messages say it")]
 
 mod backoff;
 mod id;

@@ -23,7 +23,6 @@ const WAIT: &str = "wait";
 /// pooled.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Pin {
-    /// Name of the asset pack.
     pub asset_pack: String,
     /// SHA-256 of the asset pack, hex.
     pub asset_pack_digest: String,
@@ -85,7 +84,6 @@ pub struct Digests {
 /// Mix of fingerprints among the results of a campaign.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fingerprints {
-    /// Number of results of each fingerprint.
     pub results: BTreeMap<String, u64>,
     /// Tasks and initial states whose results have several fingerprints.
     pub mixed: Vec<String>,

@@ -37,7 +37,6 @@ pub enum RealisedAxis {
 }
 
 impl Realised {
-    /// Adds an axis with its parameters and realised elements.
     pub fn add(&mut self, axis: Axis, parameters: Vec<f64>, elements: Vec<f64>) {
         let values = RealisedAxis::Values {
             parameters,

@@ -96,7 +96,6 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// Packs positions and actions.
     pub fn pack(path: &[[i16; 3]], actions: &[[f32; 7]]) -> Motion {
         let (path, actions) = (path.as_flattened(), actions.as_flattened());
         Motion {
@@ -112,7 +111,6 @@ impl Motion {
         numbers.as_chunks().0.to_vec()
     }
 
-    /// Unpacks the actions.
     pub fn actions(&self) -> Vec<[f32; 7]> {
         let numbers = self.actions.as_chunks().0.iter();
         let numbers: Vec<f32> = numbers.map(|it| f32::from_le_bytes(*it)).collect();

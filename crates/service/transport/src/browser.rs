@@ -116,7 +116,6 @@ pub(crate) fn check_page<B>(request: &Request<B>, asks_for_tokens: bool) -> Resu
     }
 }
 
-/// Returns the host and port that a request names.
 fn host<B>(request: &Request<B>) -> &str {
     let named = request.headers().get(header::HOST);
     let named = named.and_then(|host| host.to_str().ok());

@@ -92,30 +92,16 @@ impl Service<Uri> for LocalConnector {
 /// Client credentials that cannot be used. The message follows "failed to …".
 #[derive(Debug, thiserror::Error)]
 pub enum AccessError {
-    /// The token file is invalid.
     #[error(transparent)]
     Tokens(#[from] TokenError),
-    /// The token file has no token for this program.
     #[error("find a token of role {roles}: add a line `ROLE TOKEN` to the token file")]
-    NoToken {
-        /// Acceptable roles.
-        roles: String,
-    },
-    /// The certificate authority cannot be read.
+    NoToken { roles: String },
     #[error(transparent)]
     Certificate(#[from] SecurityError),
-    /// The file does not hold a valid certificate authority.
     #[error("use {} as a certificate authority: it must hold certificates as PEM", path.display())]
-    Authority {
-        /// Path of the file.
-        path: PathBuf,
-    },
-    /// No certificate can be issued for the host.
+    Authority { path: PathBuf },
     #[error("call {host} over TLS: write the name of a host, or its IP address")]
-    Host {
-        /// Host as given.
-        host: String,
-    },
+    Host { host: String },
 }
 
 impl ClientArguments {

@@ -7,7 +7,6 @@ use tonic::transport::Endpoint;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("read {given:?} as a server's address: {}", EndpointError::REMEDY)]
 pub struct EndpointError {
-    /// Text given.
     pub given: String,
 }
 

@@ -7,7 +7,6 @@ use crate::users::Untrusted;
 /// Kind of server that a client expects at an address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ServerKind {
-    /// A coordinator.
     Coordinator,
     /// A server of `rollout.policy.v1`: a policy, or a gateway in front of policies.
     Policy,
@@ -74,21 +73,16 @@ pub struct Settings {
     pub encrypted: &'static str,
 }
 
-/// Fault of a server's certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CertificateFault {
-    /// The issuer is unknown.
     Untrusted,
     /// The certificate has expired.
     Expired {
         /// Days since it expired.
         days: u64,
     },
-    /// The certificate is not valid yet.
     NotYetValid,
-    /// The certificate is for other host names.
     OtherName {
-        /// Host names in the certificate.
         names: Vec<String>,
     },
     /// The certificate is that of an authority, not of a server.
@@ -139,10 +133,7 @@ pub enum Found {
     /// An SSH server.
     Ssh,
     /// A server of an unknown protocol.
-    Other {
-        /// Beginning of its answer.
-        said: String,
-    },
+    Other { said: String },
     /// A server that accepts the connection and sends nothing or closes it.
     Mute,
     /// A server of another kind of this project.

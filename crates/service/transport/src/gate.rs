@@ -69,7 +69,6 @@ struct Shared {
     /// because the operator chose `--insecure`.
     tokens: Option<Tokens>,
     users: Users,
-    /// Returns the resource at a path.
     resource: fn(&str) -> Resource,
     /// Path of the log-in page; `None` for a server without pages.
     log_in: Option<&'static str>,

@@ -84,7 +84,6 @@ impl Limits {
     }
 }
 
-/// The open connections of a server.
 #[derive(Debug)]
 struct Open {
     limits: Limits,

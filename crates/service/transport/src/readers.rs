@@ -20,7 +20,6 @@ pub const MAX_SESSIONS: usize = 1_024;
 /// Random bytes in a session id.
 const NAME_BYTES: usize = 16;
 
-/// Sessions of one server.
 #[derive(Clone, Debug)]
 pub(crate) struct Readers {
     cookie: SessionCookie,
@@ -88,7 +87,6 @@ impl Sessions {
         self.ends.get(&digest(name)).is_some_and(|end| *end > now)
     }
 
-    /// Ends a session.
     fn end(&mut self, name: &str) {
         self.ends.remove(&digest(name));
     }

@@ -68,42 +68,26 @@ pub type GatedServer = Server<tower_layer::Stack<Gate, tower_layer::Identity>>;
 /// A server that may not, or cannot, listen with these settings. The message follows "failed to …".
 #[derive(Debug, thiserror::Error)]
 pub enum SecurityError {
-    /// The port is reachable from other machines without the required protection.
     #[error(
         "listen on {address}: other machines can reach that, and {missing}; give --tls-cert, \
          --tls-key and --token-file, or --insecure if only trusted people reach this network"
     )]
     Unguarded {
-        /// Listening address.
         address: SocketAddr,
         /// Missing protection, in words.
         missing: &'static str,
     },
-    /// The tokens are invalid.
     #[error(transparent)]
     Tokens(#[from] TokenError),
-    /// A certificate or key cannot be read.
     #[error("read {}: give a PEM file that this user may read", path.display())]
-    Pem {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the system.
-        source: io::Error,
-    },
-    /// Other users can read or change a private key.
+    Pem { path: PathBuf, source: io::Error },
     #[error(
         "read private key {}: its permissions, {mode:04o}, let other users at it; take them away \
          with `chmod 600 {}`",
         path.display(),
         path.display()
     )]
-    Exposed {
-        /// The file.
-        path: PathBuf,
-        /// Permissions of the file.
-        mode: u32,
-    },
-    /// The certificate and the key are invalid or do not match.
+    Exposed { path: PathBuf, mode: u32 },
     #[error(
         "use the certificate and the key: give --tls-cert a PEM chain, and --tls-key the private \
          key of its first certificate, as PEM"

@@ -110,34 +110,18 @@ pub struct Tokens {
 /// Invalid tokens. The message follows "failed to …" and never contains a token.
 #[derive(Debug, thiserror::Error)]
 pub enum TokenError {
-    /// The file cannot be read.
     #[error("read token file {}", path.display())]
-    Read {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the system.
-        source: io::Error,
-    },
-    /// Other users can read or change the file.
+    Read { path: PathBuf, source: io::Error },
     #[error(
         "read token file {}: its permissions, {mode:04o}, let other users at its tokens; take them \
          away with `chmod 600 {}`",
         path.display(),
         path.display()
     )]
-    Exposed {
-        /// Path of the file.
-        path: PathBuf,
-        /// Permissions of the file.
-        mode: u32,
-    },
+    Exposed { path: PathBuf, mode: u32 },
     /// The file is larger than [`MAX_TOKEN_FILE_BYTES`].
     #[error("read token file {}: it is larger than {MAX_TOKEN_FILE_BYTES} bytes", path.display())]
-    TooLarge {
-        /// Path of the file.
-        path: PathBuf,
-    },
-    /// A line is invalid.
+    TooLarge { path: PathBuf },
     #[error(
         "read line {line} of {place}: {problem}; write one `ROLE TOKEN` per line, the role being \
          worker, operator or viewer"
@@ -147,10 +131,8 @@ pub enum TokenError {
         place: String,
         /// Number of the line, from 1.
         line: usize,
-        /// Problem of the line.
         problem: &'static str,
     },
-    /// The file or variable holds no token.
     #[error("find a token in {place}: write one `ROLE TOKEN` per line")]
     Empty {
         /// The file, or the environment variable.

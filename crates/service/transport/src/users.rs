@@ -57,10 +57,8 @@ impl Caller {
 /// Reason why a token is not sent to a server on this machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Untrusted {
-    /// The server is another ordinary user's.
     #[error("another user of this machine listens there, who would get the token")]
     AnotherUser,
-    /// The kernel names no user for the server's end of the connection.
     #[error("the kernel does not say which user listens there, who would get the token")]
     UnknownUser,
 }

@@ -44,7 +44,6 @@ struct ProjectFile {
     url: String,
 }
 
-/// Finds the address of a wheel.
 pub(crate) fn find_wheel(
     client: &Client,
     index: &Address,

@@ -16,7 +16,6 @@ pub const HUB: &str = "https://huggingface.co";
 /// The data set that hf-libero 0.1.4 downloads its assets from (`HF_ASSETS_REPO_ID` in
 /// `utils/download_utils.py`), at its default branch.
 const HUB_FOLDER: &str = "datasets/lerobot/libero-assets/resolve/main";
-/// Variable that names a folder of wheels.
 const WHEELS_VARIABLE: &str = "ROLLOUT_WHEELS";
 
 /// A source of files.
@@ -80,7 +79,6 @@ impl Origin {
         Ok(Self(Kind::Hub { client, hub }))
     }
 
-    /// Creates a source from a folder of wheels.
     pub fn wheels(folder: PathBuf) -> Self {
         Self(Kind::Wheels(folder))
     }

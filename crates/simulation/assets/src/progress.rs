@@ -11,7 +11,6 @@ const QUIET_STEP_PERCENT: u64 = 10;
 /// Time before the rate is displayed.
 const SETTLE: Duration = Duration::from_secs(1);
 
-/// Progress report of a fetch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Report {
     /// Another process is fetching into the same folder.
@@ -20,14 +19,11 @@ pub enum Report {
     Arriving(Progress),
 }
 
-/// Progress of a fetch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
-    /// Files that are in place.
     pub files: usize,
     /// Files to fetch.
     pub of_files: usize,
-    /// Bytes received.
     pub bytes: u64,
     /// Bytes to fetch.
     pub of_bytes: u64,
@@ -99,7 +95,6 @@ impl Default for Bar {
 }
 
 impl Bar {
-    /// Displays a report.
     pub fn show(&mut self, report: Report) {
         let (key, line) = match report {
             Report::WaitingForAnotherFetch => {
@@ -138,7 +133,6 @@ impl Bar {
         }
     }
 
-    /// Ends the progress line.
     pub fn finish(&self) {
         if self.is_terminal && self.last.is_some() {
             eprintln!();

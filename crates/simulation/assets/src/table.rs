@@ -5,12 +5,10 @@
 use std::collections::HashMap;
 use std::sync::OnceLock;
 
-/// A file of the table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FileFacts {
     /// Path in the pack's folder, with `/` as separator.
     pub path: &'static str,
-    /// Size in bytes.
     pub bytes: u64,
     /// SHA-256, hex.
     pub sha256: &'static str,
@@ -156,11 +154,6 @@ impl Table {
     /// pack has the same digest, because it is part of the same content.
     pub fn digest(&self) -> &str {
         self.digest
-    }
-
-    /// Returns the file names of the wheels.
-    pub fn wheel_files(&self) -> impl Iterator<Item = &str> {
-        self.wheels.iter().map(|wheel| wheel.file)
     }
 }
 

@@ -20,9 +20,7 @@ const BLOCK_BYTES: usize = 1 << 16;
 pub enum Difference {
     /// The file does not exist.
     Missing,
-    /// The file cannot be read.
     Unreadable(io::Error),
-    /// The file has another size.
     Size {
         /// Size of the file.
         found: u64,
@@ -77,12 +75,10 @@ impl VerifiedFolder {
         }
     }
 
-    /// Returns the table.
     pub fn table(&self) -> &'static Table {
         self.table
     }
 
-    /// Returns the folder's path.
     pub fn folder(&self) -> &Path {
         &self.folder
     }

@@ -49,7 +49,6 @@ pub struct Table {
     pub friction: [f64; 3],
 }
 
-/// Stand of the robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum RobotStand {
     /// On robosuite's Rethink pedestal, which raises the base; x, y, z of the pedestal's foot, m.
@@ -61,7 +60,6 @@ pub enum RobotStand {
 /// A fixed camera in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
-    /// Name of the camera.
     pub name: &'static str,
     /// Position, world frame, m.
     pub pos: [f64; 3],
@@ -70,7 +68,6 @@ pub struct Camera {
 }
 
 impl Arena {
-    /// Returns the pose of one of the arena's cameras.
     pub fn camera(&self, name: &str) -> Option<CameraPose> {
         let camera = self.cameras.iter().find(|camera| camera.name == name)?;
         let Camera { pos, quat, .. } = *camera;

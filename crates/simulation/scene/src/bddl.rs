@@ -9,7 +9,6 @@ use crate::expression::{Expression, Kind, read_expression};
 
 pub use crate::expression::BddlError;
 
-/// A parsed BDDL problem.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Problem {
     /// Problem class, lower case: `libero_tabletop_manipulation`.
@@ -22,7 +21,6 @@ pub struct Problem {
     pub objects: Vec<Declaration>,
     /// Regions, in file order.
     pub regions: Vec<Region>,
-    /// Names of the objects of interest.
     pub objects_of_interest: Vec<String>,
     /// Predicates that hold at the start, in file order.
     pub init: Vec<Predicate>,
@@ -35,7 +33,6 @@ pub struct Problem {
 pub struct Declaration {
     /// Instance name.
     pub name: String,
-    /// Category name.
     pub category: String,
 }
 
@@ -64,7 +61,6 @@ pub struct Rectangle {
 }
 
 impl Problem {
-    /// Parses the text of a BDDL problem file.
     pub fn parse(text: &str) -> Result<Self, BddlError> {
         let root = read_expression(text)?;
         let items = root.list("the file")?;

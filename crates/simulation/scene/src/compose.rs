@@ -26,7 +26,6 @@ const ARENA_COLLISION_RGBA: &str = "0.5 0.5 0 1";
 /// Half height of a zone's site, m (`TargetZone`).
 const ZONE_HALF_HEIGHT: f64 = 0.007;
 
-/// A composed scene.
 #[derive(Debug, Clone)]
 pub struct Scene {
     mjcf: String,
@@ -92,12 +91,10 @@ impl Scene {
         crate::pack::hex(&hash.finalize())
     }
 
-    /// Finds the instance with this name.
     pub fn instance(&self, name: &str) -> Option<&Instance> {
         self.instances.iter().find(|instance| instance.name == name)
     }
 
-    /// Finds the region with this name.
     pub fn region(&self, name: &str) -> Option<&RegionSite> {
         self.regions.iter().find(|region| region.name == name)
     }

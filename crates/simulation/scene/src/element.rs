@@ -146,7 +146,6 @@ impl Element {
         }
     }
 
-    /// Writes the element as XML.
     pub(crate) fn write(&self) -> String {
         let mut text = String::new();
         self.write_to(&mut text, 0);

@@ -16,7 +16,6 @@ use libero_family::protocol::Benchmark;
 use crate::error::SceneError;
 use crate::sources::Sources;
 
-/// Folders of task files.
 const FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
 /// Folder for unpacking files before they are moved into place.
 const UNPACKING: &str = ".unpacking";

@@ -50,7 +50,6 @@ impl InitialStates {
         })
     }
 
-    /// Returns the number of states.
     pub fn count(&self) -> usize {
         self.values.len() / self.width
     }
@@ -60,7 +59,6 @@ impl InitialStates {
         self.width
     }
 
-    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }

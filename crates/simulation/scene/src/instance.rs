@@ -2,7 +2,6 @@
 
 use crate::catalog::Category;
 
-/// Kind of an instance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InstanceKind {
     /// Movable object.
@@ -16,9 +15,7 @@ pub enum InstanceKind {
 pub struct Instance {
     /// Instance name, for example `akita_black_bowl_1`.
     pub name: String,
-    /// Kind of the instance.
     pub kind: InstanceKind,
-    /// Category of the instance.
     pub category: &'static Category,
     /// Name of the outermost body.
     pub root_body: String,
@@ -30,10 +27,8 @@ pub struct Instance {
     pub burner_site: Option<String>,
 }
 
-/// A region with a site in the model.
 #[derive(Debug, Clone)]
 pub struct RegionSite {
-    /// Name of the region and of the site.
     pub name: String,
     /// Half extents in the site's frame, m.
     pub half_size: [f64; 3],

@@ -6,6 +6,7 @@
 //! compares it with their output.
 
 #![forbid(unsafe_code)]
+#![allow(missing_docs, reason = "names and messages say it")]
 
 pub mod arena;
 pub mod bddl;

@@ -19,14 +19,12 @@ mod builtin {
     include!(concat!(env!("OUT_DIR"), "/primitives.rs"));
 }
 
-/// Name of the built-in pack.
 pub const PRIMITIVES: &str = "primitives";
 /// Name of LIBERO's assets.
 pub const LIBERO: &str = "libero";
 /// Name of any other pack.
 pub const CUSTOM: &str = "custom";
 
-/// An opened asset pack.
 #[derive(Debug, Clone)]
 pub struct AssetPack {
     name: &'static str,

@@ -13,7 +13,6 @@ use crate::error::SceneError;
 use crate::object::Footprint;
 use crate::rotation::{Rotation, single_precision_matrix};
 
-/// A fixture's pose in the world.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FixturePose {
     /// Name of the fixture's outermost body.
@@ -75,7 +74,6 @@ pub struct PoseSampler {
 /// Target of a sampled pose.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PoseTarget {
-    /// The free joint of an object.
     FreeJoint(String),
     /// The body of a fixture, by its pose in the model.
     Body(String),
@@ -97,7 +95,6 @@ enum Base {
     },
 }
 
-/// A sampled pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
     /// Position, world frame, m.
@@ -113,7 +110,6 @@ impl Samplers {
         &self.joints
     }
 
-    /// Returns the pose samplers.
     pub fn poses(&self) -> &[PoseSampler] {
         &self.poses
     }

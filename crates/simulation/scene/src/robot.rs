@@ -22,7 +22,6 @@ const GRIPPER_COLLISION_RGBA: &str = "0 0 0.5 1";
 /// Height of the pedestal's top above its own origin, m.
 const PEDESTAL_TOP: f64 = -0.01;
 
-/// Loads the robot on the given stand.
 pub(crate) fn load(robosuite: &AssetRoot, stand: RobotStand) -> Result<Part, SceneError> {
     let piece = |file: &str, prefix: &str, rgba: &str| -> Result<Part, SceneError> {
         let mut part = Part::load(robosuite, file, "robot model")?;

@@ -3,7 +3,6 @@
 
 use libero_ctrl::numpy::LegacyRng;
 
-/// A coordinate axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Axis {
     /// Forward.

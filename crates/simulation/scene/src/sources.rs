@@ -98,7 +98,6 @@ impl Sources {
         dir.is_dir().then_some(dir)
     }
 
-    /// Returns the folder.
     pub fn dir(&self) -> &Path {
         &self.dir
     }

@@ -11,10 +11,8 @@ use crate::bddl::Problem;
 use crate::error::SceneError;
 use crate::sources::Sources;
 
-/// Paths of a task's files.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct TaskFiles {
-    /// The BDDL problem file.
     pub bddl: PathBuf,
     /// The `.pruned_init` file.
     pub init: PathBuf,
@@ -57,7 +55,6 @@ impl TaskFiles {
         }
     }
 
-    /// Reads the problem.
     pub fn problem(&self) -> Result<Problem, SceneError> {
         let what = "BDDL file";
         let text = std::fs::read_to_string(&self.bddl).map_err(|source| SceneError::Read {

@@ -87,7 +87,6 @@ impl CompiledScene {
         })
     }
 
-    /// Returns the scene.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }

@@ -11,7 +11,6 @@ use scene::rotation::single_precision_matrix;
 use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
 
-/// Joints of the arm.
 pub const ARM_JOINTS: usize = 7;
 /// Controlled site, between the fingertips.
 pub const GRIP_SITE: &str = "gripper0_grip_site";

@@ -100,7 +100,6 @@ impl Environment {
         Ok(())
     }
 
-    /// Returns the scene.
     pub fn scene(&self) -> &Scene {
         &self.compiled.scene
     }
@@ -110,7 +109,6 @@ impl Environment {
         &self.compiled
     }
 
-    /// Returns the compiled model.
     pub fn model(&self) -> &Model {
         &self.model
     }
@@ -209,12 +207,10 @@ impl Environment {
         self.control_steps
     }
 
-    /// Returns true if the goal holds now.
     pub fn succeeded(&self) -> bool {
         self.compiled.goal.holds(&self.model, &self.data)
     }
 
-    /// Returns the truth value of each predicate of the goal.
     pub fn goal_truths(&self) -> Vec<bool> {
         self.compiled.goal.truths(&self.model, &self.data)
     }

@@ -59,7 +59,6 @@ pub struct Conditions {
     policy_steps: u32,
 }
 
-/// A rollout in progress.
 pub struct Episode<'a> {
     environment: &'a mut Environment,
     drawer: &'a mut LazyDrawer,

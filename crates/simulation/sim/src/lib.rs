@@ -5,6 +5,8 @@
 //! [`render`], and in the mapping of scene files. It is behind safe types, with a reason at every
 //! block.
 
+#![allow(missing_docs, reason = "names and messages say it")]
+
 mod compiled_scene;
 pub mod controller;
 pub mod environment;

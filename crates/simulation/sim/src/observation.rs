@@ -2,7 +2,6 @@
 
 use libero_ctrl::Privileged;
 
-/// Requested contents of an observation.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ObservationRequest {
     /// Frames to render, in this order.
@@ -11,7 +10,6 @@ pub struct ObservationRequest {
     pub privileged: bool,
 }
 
-/// A requested frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CameraRequest {
     /// `agentview` or `robot0_eye_in_hand`, or any other camera of the scene.
@@ -28,16 +26,13 @@ pub struct CameraRequest {
 pub struct Observation {
     /// Frames in the order of the request, with sensor perturbations applied.
     pub frames: Vec<Frame>,
-    /// The robot's readings.
     pub robot: RobotState,
     /// The simulator's own state, if requested.
     pub privileged: Option<Privileged>,
 }
 
-/// A frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Frame {
-    /// Name of the camera.
     pub camera: String,
     /// Width, pixels.
     pub width: u32,

@@ -69,7 +69,6 @@ const ON_SITE_ABOVE: f64 = 0.10;
 const IN_SITE_BELOW: f64 = 0.01;
 
 impl Goal {
-    /// Resolves a scene's goal.
     pub fn resolve(scene: &Scene, model: &Model) -> Result<Self, SimError> {
         let mut owner_of_geom = vec![None; model.count(ObjectKind::Geom)];
         for (index, instance) in scene.instances.iter().enumerate() {
@@ -85,7 +84,6 @@ impl Goal {
         })
     }
 
-    /// Returns true if all predicates hold.
     pub fn holds(&self, model: &Model, data: &Data) -> bool {
         self.checks
             .iter()
@@ -199,7 +197,6 @@ fn vector(values: &[f64], index: usize) -> [f64; 3] {
     std::array::from_fn(|axis| values[index * 3 + axis])
 }
 
-/// Referent of a name in a goal.
 enum Referent<'a> {
     Instance(usize, &'a Instance),
     Region(&'a RegionSite),

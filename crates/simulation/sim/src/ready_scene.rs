@@ -81,7 +81,6 @@ impl ReadyScene {
         &self.states
     }
 
-    /// Returns an initial state of the task.
     pub(crate) fn state(&self, id: u16) -> Result<&[f64], SimError> {
         self.states
             .get(usize::from(id))

@@ -29,7 +29,6 @@ pub(crate) use view::View;
 use crate::error::SimError;
 use crate::mujoco::{Model, Segment};
 
-/// Renderer of the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Renderer {
     /// Software renderer of this project: the same bits on every machine, without OpenGL.
@@ -76,7 +75,6 @@ impl FromStr for Renderer {
 /// The canvases of an environment share ownership of the OpenGL context, so a drawer may
 /// be dropped at any time.
 pub enum Drawer {
-    /// Software renderer.
     Software,
     /// MuJoCo's renderer.
     Gl(Rc<GlContext>),
@@ -218,7 +216,6 @@ mod tests {
         Canvas::new(drawer, model, prepare, [64, 48]).expect("a canvas")
     }
 
-    /// Returns a scene and its state.
     fn scene() -> (Model, Data) {
         let model = Model::compile(SCENE).expect("a model");
         let mut data = Data::new(&model).expect("a state");

@@ -31,7 +31,6 @@ use crate::error::SimError;
 use crate::mujoco::{self, Model, STRUCTURE};
 use crate::render::{Prepared, PreparedBytes};
 
-/// Version of the file format.
 const FORMAT: u32 = 1;
 /// Length of a name, hexadecimal digits.
 const NAME_DIGITS: usize = 32;
@@ -180,7 +179,6 @@ fn layout() -> String {
     format!("{FORMAT} {ARCH} {endian} {STRUCTURE} {mujoco} {raster}\n")
 }
 
-/// Returns the first digits of a digest.
 fn digits(digest: &[u8]) -> Name {
     const DIGITS: &[u8] = b"0123456789abcdef";
     std::array::from_fn(|at| {

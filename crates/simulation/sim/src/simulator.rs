@@ -15,14 +15,12 @@ use crate::ready_scene::ReadyScene;
 use crate::render::{LazyDrawer, Renderer};
 use crate::variant::VariantStart;
 
-/// Configuration of a simulator.
 #[derive(Debug, Clone)]
 pub struct SimulatorConfig {
     /// Folder of robot models, BDDL files and initial states.
     pub sources: Sources,
     /// Asset pack with models of objects and arenas.
     pub pack: AssetPack,
-    /// Renderer of the frames.
     pub renderer: Renderer,
     /// Compiled scenes kept in memory; each takes some 100 MB with the real assets, unless it is in
     /// a scene file.

@@ -29,14 +29,12 @@ pub enum Start {
     Reset,
 }
 
-/// Start conditions of a variant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VariantStart {
     /// Pose of `agentview`; `None` for LIBERO's, unrounded.
     pub view: Option<View>,
     /// Angles of the arm's joints at the reset, rad; `None` for LIBERO's.
     pub posture: Option<[f64; ARM_JOINTS]>,
-    /// Seed of the generator.
     pub seed: u32,
     /// Resets with the same generator before the actual one: the number of preceding trials, since
     /// harnesses seed only once.

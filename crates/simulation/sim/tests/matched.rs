@@ -8,7 +8,6 @@ use libero_ctrl::streams::Randomness;
 use libero_ctrl::{
     Axis, Condition, Design, Level, MAX_CONFIGS, ManifestRow, Nominal, Realisation, TaskRef,
 };
-use nalgebra::{Matrix3, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 use sim::perturb::{
@@ -16,6 +15,11 @@ use sim::perturb::{
     JointVector, Light, Lighting, SensorStage, look_at_point, shift_camera, shift_lighting,
     solve_shifted_pose,
 };
+
+#[path = "../src/perturb/robot/chain.rs"]
+mod chain;
+
+use chain::{arm, nominal_arm};
 
 const PICTURE_PX: usize = 24;
 const PICTURED_STEPS: [u32; 3] = [0, 1, 40];
@@ -132,39 +136,6 @@ fn numbers(lighting: &Lighting) -> Vec<f64> {
     let lights = lighting.lights.iter();
     let lights = lights.flat_map(|l| [l.position, l.direction, l.diffuse, l.specular]);
     lights.flatten().chain(lighting.headlight_ambient).collect()
-}
-
-fn nominal_arm() -> JointVector {
-    JointVector::from([0.1, 0.4, -0.2, 0.9, 0.3, -0.6, 0.2])
-}
-
-/// Returns the state of a chain of links about alternating axes.
-fn arm(joints: &JointVector) -> ArmState {
-    let mut position = Vector3::zeros();
-    let mut rotation = Matrix3::identity();
-    let mut pivots = Vec::new();
-    for i in 0..JOINTS {
-        let local = if i % 2 == 0 {
-            Vector3::z_axis()
-        } else {
-            Vector3::y_axis()
-        };
-        pivots.push((position, rotation * local.into_inner()));
-        rotation *= Rotation3::from_axis_angle(&local, joints[i]).matrix();
-        position += rotation * Vector3::new(0.05, 0.0, 0.2);
-    }
-    let columns: Vec<Vector6<f64>> = pivots
-        .iter()
-        .map(|(pivot, axis)| {
-            let linear = axis.cross(&(position - pivot));
-            Vector6::new(linear.x, linear.y, linear.z, axis.x, axis.y, axis.z)
-        })
-        .collect();
-    ArmState {
-        position,
-        rotation,
-        jacobian: Jacobian::from_columns(&columns),
-    }
 }
 
 fn any_level() -> impl Strategy<Value = Level> {

@@ -2,6 +2,7 @@
 //! and parsers of option values.
 
 #![forbid(unsafe_code)]
+#![allow(missing_docs, reason = "names and messages say it")]
 
 mod environment;
 mod manual;

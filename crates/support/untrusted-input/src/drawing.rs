@@ -26,9 +26,7 @@ const MOST_PIXELS: usize = 1 << 12;
 const MOST_TEXELS: usize = 1 << 16;
 /// Most lights; the renderer takes eight.
 const MOST_LIGHTS: usize = 20;
-/// Most triangles that one message makes.
 const MOST_TRIANGLES: usize = 1 << 11;
-/// Most frames of an input.
 const MOST_FRAMES: usize = 8;
 
 /// Checks that every scene gives either an error or a frame of the requested size, and that the

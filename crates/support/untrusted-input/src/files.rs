@@ -13,12 +13,10 @@ use worker::single::RecordedActions;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-/// Rows of a seed manifest.
 const SEED_ROWS: usize = 20;
 /// Extensions of files with recorded actions; an input's first byte selects one.
 const ENDINGS: [&str; 3] = [".npz", ".npy", ".jsonl"];
 
-/// Parses a manifest.
 pub(crate) fn manifest(input: &[u8]) -> bool {
     let Some(Ok(rows)) = text(input).map(manifests::parse) else {
         return false;
@@ -29,7 +27,6 @@ pub(crate) fn manifest(input: &[u8]) -> bool {
     true
 }
 
-/// Parses a campaign's specification.
 pub(crate) fn campaign_spec(input: &[u8]) -> bool {
     let Some(Ok(spec)) = text(input).map(CampaignSpec::from_json) else {
         return false;
@@ -50,7 +47,6 @@ pub(crate) fn about_file(input: &[u8]) -> bool {
     imports(ROWS.as_bytes(), input)
 }
 
-/// Parses recorded actions.
 pub(crate) fn recorded_actions(input: &[u8]) -> bool {
     let Some((kind, bytes)) = input.split_first() else {
         return false;
@@ -75,7 +71,6 @@ pub(crate) fn gateway_file(input: &[u8]) -> bool {
     })
 }
 
-/// Parses a recorded session.
 pub(crate) fn recording(input: &[u8]) -> bool {
     with_file(".recording", input, |path| {
         let Ok(mut reader) = recording::Reader::open(path) else {
@@ -91,7 +86,6 @@ pub(crate) fn recording(input: &[u8]) -> bool {
     })
 }
 
-/// Parses a token file.
 pub(crate) fn token_file(input: &[u8]) -> bool {
     with_file("", input, |path| match Tokens::read(path) {
         Ok(tokens) => {

@@ -5,6 +5,7 @@
 //! depends on this package.
 
 #![forbid(unsafe_code)]
+#![allow(missing_docs, reason = "names and messages say it")]
 
 mod call;
 mod coordinator;
@@ -25,7 +26,6 @@ pub struct Target {
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 
-/// All targets.
 pub const TARGETS: [Target; 15] = [
     target("bddl", scenes::bddl, scenes::bddl_seeds),
     target("mjcf", scenes::mjcf, scenes::mjcf_seeds),

@@ -7,7 +7,6 @@ pub(crate) const MAX_CALLS: usize = 32;
 /// Flag on a method's number: a further message of the same call.
 pub(crate) const MORE: u8 = 0x80;
 
-/// One call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Call<'a> {
     /// Number of the method; may be out of range.

@@ -19,7 +19,6 @@ use crate::supervise::event::Event;
 use crate::supervise::slot_state::{Mode, ProcessState, Work};
 
 impl Supervisor {
-    /// Claims a job for an idle slot.
     pub(super) fn claim(&mut self, slot: usize) {
         let Some(registration) = self.registration.clone() else {
             return;

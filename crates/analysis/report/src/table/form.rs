@@ -18,18 +18,14 @@ use serde_json::{Value as Json, json};
 /// Failure to write a table.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
-    /// The table cannot be written as CSV.
     #[error("write the table as CSV")]
     Csv(#[from] csv::Error),
-    /// The table cannot be written as Parquet.
     #[error("write the table as Parquet")]
     Parquet(#[from] ParquetError),
-    /// The output could not be flushed.
     #[error("write the end of the table")]
     Flush(#[from] std::io::Error),
 }
 
-/// One value of a row.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Value {
     Text(Option<String>),

@@ -19,7 +19,6 @@ use crate::store::failpoint::Step;
 /// Largest video, bytes. A 520-step rollout filmed by two 512² cameras takes
 /// about 8 MiB.
 pub const MAX_ARTIFACT_BYTES: u64 = 64 << 20;
-/// The folder of artifacts in the data folder.
 pub const ARTIFACTS_FOLDER: &str = "artifacts";
 /// Prefix of folders and files of a campaign that is being imported or exported.
 pub const MOVING_PREFIX: &str = "moving-";
@@ -29,27 +28,12 @@ pub(super) const PARTIAL_SUFFIX: &str = ".partial";
 /// A video that cannot be stored.
 #[derive(Debug, thiserror::Error)]
 pub enum ArtifactError {
-    /// Too large.
     #[error("store the video of attempt {attempt}: it is larger than {MAX_ARTIFACT_BYTES} bytes")]
-    TooLarge {
-        /// The attempt that was filmed.
-        attempt: AttemptId,
-    },
-    /// No committed outcome belongs to the attempt.
+    TooLarge { attempt: AttemptId },
     #[error("store the video of attempt {attempt}: no committed outcome is of this attempt")]
-    NoOutcome {
-        /// The attempt that was filmed.
-        attempt: AttemptId,
-    },
-    /// The file cannot be written.
+    NoOutcome { attempt: AttemptId },
     #[error("write {}: is there room on the disk, and may this user write there?", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Error of the system.
-        source: io::Error,
-    },
-    /// The database failed.
+    Write { path: PathBuf, source: io::Error },
     #[error(transparent)]
     Store(#[from] StoreError),
 }

@@ -17,7 +17,6 @@ pub struct Backup {
 }
 
 impl Backup {
-    /// Returns the path of the backup file.
     pub fn path(&self) -> &Path {
         &self.copy
     }

@@ -20,12 +20,10 @@ use crate::store::{
     Doing, StoreError, campaigns, derivations, jobs, passages, policies, stops, undecodable,
 };
 
-/// Result of creating a campaign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Created {
     /// Jobs added: all of them, or 0 if the campaign already existed.
     pub jobs_added: u64,
-    /// Jobs of the campaign.
     pub jobs_total: u64,
     /// Priority of the campaign; a campaign that already existed keeps its own.
     pub priority: i32,

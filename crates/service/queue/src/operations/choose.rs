@@ -17,7 +17,6 @@ const SPARE_CANDIDATES: usize = 8;
 /// A worker's request for one job.
 #[derive(Clone, Debug)]
 pub struct ClaimRequest {
-    /// Worker that makes the claim.
     pub worker: WorkerId,
     /// Idempotency key chosen by the worker: a repeated claim gets the same lease.
     pub claim: String,

@@ -22,7 +22,6 @@ pub use super::choose::ClaimRequest;
 /// Longest time that a claim waits for a job.
 pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
 
-/// Answer to a claim.
 #[derive(Clone, Debug, Default)]
 pub struct Claimed {
     /// A job, and the lease on it.
@@ -36,21 +35,16 @@ pub struct Claimed {
 pub struct Assigned {
     /// The attempt that was granted.
     pub attempt: AttemptId,
-    /// Job of the attempt.
     pub job: JobId,
     /// Number of the attempt within the job, from 1.
     pub number: AttemptNumber,
-    /// Campaign of the job.
     pub campaign: CampaignName,
-    /// Number of the replicate.
     pub replicate: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,
-    /// Seed for the policy.
     pub policy_seed: u64,
     /// The policy's name at its endpoint.
     pub policy: String,
-    /// The policy's endpoint.
     pub policy_endpoint: String,
     /// "matched" or "reference".
     pub realisation: String,

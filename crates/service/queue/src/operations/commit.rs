@@ -15,9 +15,7 @@ use crate::store::{StoreError, campaigns, jobs, results, workers};
 /// A result as a worker reports it.
 #[derive(Clone, Debug)]
 pub struct CommitReport {
-    /// The attempt.
     pub attempt: AttemptId,
-    /// Result of the rollout.
     pub result: RolloutResult,
     /// Origin of the result: machine, assets, policy and program.
     pub provenance: Provenance,
@@ -25,11 +23,9 @@ pub struct CommitReport {
     pub digests: Digests,
     /// The perturbation as it was realised.
     pub realised: Realised,
-    /// Motion of the robot.
     pub motion: Motion,
 }
 
-/// Verdict on a reported result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommitVerdict {
     /// Stored.
@@ -48,7 +44,6 @@ pub enum CommitVerdict {
 /// The answer to a reported result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CommitReply {
-    /// Verdict on the result.
     pub verdict: CommitVerdict,
     /// Explanation in words; empty if the result was accepted.
     pub detail: String,

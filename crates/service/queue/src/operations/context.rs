@@ -78,7 +78,6 @@ impl<'a> Context<'a> {
         }
     }
 
-    /// Commits the transaction to disk.
     pub(super) async fn commit(mut self) -> Result<(), StoreError> {
         let _settling = self.settles.then(|| self.shared.settled.begin());
         self.tx.commit().await?;

@@ -11,7 +11,6 @@ use crate::store::jobs::{self, Progress};
 use crate::store::policies::{self, Probe};
 use crate::store::{StoreError, workers};
 
-/// A worker's heartbeat.
 #[derive(Clone, Debug)]
 pub(crate) struct Heartbeat {
     pub(crate) worker: WorkerId,

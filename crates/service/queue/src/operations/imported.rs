@@ -25,26 +25,12 @@ const MAX_PROBLEM_BYTES: usize = 200;
 /// Rows of an archive that this program would not have stored.
 #[derive(Debug, thiserror::Error)]
 pub enum RowsError {
-    /// The specification is invalid.
     #[error("expand the campaign's specification")]
     Specification(#[from] SpecError),
-    /// The campaign has more or fewer jobs than its specification.
     #[error("find the campaign's rollouts: it holds {found}, and its specification has {expected}")]
-    Expansion {
-        /// Number of jobs in the database.
-        found: u64,
-        /// Number of jobs that the specification expands to.
-        expected: u64,
-    },
-    /// A job is not one that this program would have stored.
+    Expansion { found: u64, expected: u64 },
     #[error("read job {job}: {problem}")]
-    Row {
-        /// Row number of the job.
-        job: JobId,
-        /// The contradiction.
-        problem: RowProblem,
-    },
-    /// A worker is not one that a coordinator would have registered.
+    Row { job: JobId, problem: RowProblem },
     #[error(transparent)]
     Worker(#[from] WorkerProblem),
 }
@@ -52,30 +38,19 @@ pub enum RowsError {
 /// A job of an archive that this program would not have stored.
 #[derive(Debug, thiserror::Error)]
 pub enum RowProblem {
-    /// The manifest row is invalid.
     #[error("its manifest row cannot be read ({problem})")]
     Unreadable {
         /// Error of the parser, shortened.
         problem: String,
     },
-    /// A column of the job differs from the manifest row.
     #[error("its `{column}` is not that of its manifest row")]
-    Column {
-        /// The column.
-        column: &'static str,
-    },
-    /// The specification expands to no such rollout.
+    Column { column: &'static str },
     #[error("its specification has no such rollout")]
     Unspecified,
-    /// The specification expands to another row.
     #[error(
         "its specification gives it another `{column}`; import it with the release that wrote it"
     )]
-    Altered {
-        /// The first column that differs.
-        column: String,
-    },
-    /// The realised perturbation of its result is invalid.
+    Altered { column: String },
     #[error("the `realised` of its result cannot be read ({problem})")]
     Realised {
         /// Error of the parser, shortened.
@@ -86,17 +61,12 @@ pub enum RowProblem {
 /// A worker of an archive that no coordinator would have registered.
 #[derive(Debug, thiserror::Error)]
 pub enum WorkerProblem {
-    /// The id is invalid.
     #[error(transparent)]
     Id(#[from] NameError),
-    /// The worker has too many slots or cores.
     #[error("read worker `{worker}`: its `{column}` is {given}, and a worker has 1 to {MAX_SLOTS}")]
     Count {
-        /// The worker.
         worker: WorkerId,
-        /// The column.
         column: &'static str,
-        /// Value of the column.
         given: i64,
     },
 }

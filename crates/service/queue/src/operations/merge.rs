@@ -27,7 +27,6 @@ pub struct Merged {
     pub second: u64,
     /// Same outcome in both halves.
     pub both: u64,
-    /// In quarantine.
     pub quarantined: u64,
     /// Still to be run.
     pub open: u64,
@@ -36,56 +35,31 @@ pub struct Merged {
 /// Two campaigns that cannot be merged.
 #[derive(Debug, thiserror::Error)]
 pub enum MergeError {
-    /// The campaign derives from another one's outcomes.
     #[error(
         "merge `{campaign}`: its rollouts follow from the outcomes of another campaign; merge that one, and explain or measure it once more"
     )]
-    Derived {
-        /// The campaign.
-        campaign: CampaignName,
-    },
-    /// The specifications differ.
+    Derived { campaign: CampaignName },
     #[error(
         "merge `{first}` and `{second}`: their specifications differ in {differs}; only halves of one design can be merged"
     )]
     Specification {
-        /// The first campaign.
         first: CampaignName,
-        /// The second campaign.
         second: CampaignName,
-        /// Names of the fields that differ.
         differs: String,
     },
-    /// One rollout id stands for different rollouts in the two halves.
     #[error(
         "merge them: rollout `{rollout}` is another one in each; only halves of one design, expanded by one version of the program, can be merged"
     )]
-    Rollout {
-        /// The rollout and its replicate.
-        rollout: JobName,
-    },
+    Rollout { rollout: JobName },
     /// The halves have different pins: asset packs, simulators or renderers.
     #[error("merge them: the first is pinned to {first} and the second to {second}")]
-    Pin {
-        /// Pin of the first half.
-        first: String,
-        /// Pin of the second half.
-        second: String,
-    },
-    /// The halves measured different policies.
+    Pin { first: String, second: String },
     #[error("merge them: in {suite} they are of two policies, whose {difference}")]
-    Policy {
-        /// The suite in which they differ.
-        suite: Suite,
-        /// The first difference.
-        difference: String,
-    },
-    /// The outcomes or the setups of some rollouts contradict each other.
+    Policy { suite: Suite, difference: String },
     #[error(
         "merge them: {count} of their rollouts contradict each other\n{examples}\ncompare where these came from, and merge only halves that were run alike"
     )]
     Contradictions {
-        /// Number of contradictions.
         count: usize,
         /// The first contradictions, one a line, with both outcomes and their origins.
         examples: String,
@@ -93,7 +67,6 @@ pub enum MergeError {
     /// The queue failed, for example because a stored specification cannot be parsed.
     #[error(transparent)]
     Queue(#[from] QueueError),
-    /// The merged campaign cannot be written.
     #[error(transparent)]
     Portable(#[from] PortableError),
 }

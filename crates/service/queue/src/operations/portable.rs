@@ -34,7 +34,6 @@ use crate::timing::Timing;
 #[derive(Debug)]
 pub struct Portable {
     pub(super) store: Store,
-    /// The campaign.
     pub campaign: Campaign,
     /// Specification, JSON.
     pub spec: String,
@@ -52,7 +51,6 @@ pub struct FilmFile {
 /// Outcomes of the campaign that another one derives from.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct SourceOutcomes {
-    /// The name of the campaign.
     pub campaign: String,
     /// SHA-256 of the outcomes, hex.
     pub outcomes: String,
@@ -61,33 +59,20 @@ pub struct SourceOutcomes {
 /// A data folder that does not hold exactly one valid campaign.
 #[derive(Debug, thiserror::Error)]
 pub enum PortableError {
-    /// The data folder cannot be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// The database holds no campaign, or several.
     #[error("find the campaign in it: it holds {count} campaigns, not one")]
-    NotOne {
-        /// Number of campaigns.
-        count: usize,
-    },
-    /// The specification does not match its digest.
+    NotOne { count: usize },
     #[error("use the specification of campaign `{campaign}`: its digest is of another one")]
-    SpecDigest {
-        /// The campaign.
-        campaign: CampaignName,
-    },
-    /// An invariant of the database is violated.
+    SpecDigest { campaign: CampaignName },
     #[error("find it in order: {invariant} does not hold ({example})")]
     Violated {
-        /// The invariant.
         invariant: &'static str,
-        /// Description of the first violation.
         example: String,
     },
-    /// A row is not one that this program would have stored.
     #[error(transparent)]
     Rows(#[from] RowsError),
 }
@@ -152,7 +137,6 @@ impl Portable {
         })
     }
 
-    /// Returns the data folder.
     pub fn folder(&self) -> &Path {
         self.store.folder()
     }
@@ -388,7 +372,6 @@ pub enum CopyError {
     /// The campaign does not exist here, or the database failed.
     #[error(transparent)]
     Queue(#[from] QueueError),
-    /// The campaign cannot be copied.
     #[error(transparent)]
     Portable(#[from] PortableError),
 }
@@ -396,51 +379,33 @@ pub enum CopyError {
 /// A campaign cannot be imported.
 #[derive(Debug, thiserror::Error)]
 pub enum AdoptError {
-    /// A campaign of this name exists here.
     #[error(
         "add campaign `{campaign}`: this coordinator has a campaign of that name; give this one another with --as NAME"
     )]
-    Exists {
-        /// The name.
-        campaign: CampaignName,
-    },
-    /// The campaign that it derives from does not exist here.
+    Exists { campaign: CampaignName },
     #[error(
         "add campaign `{campaign}`: it follows from `{source_campaign}`, which is not here; import that one first"
     )]
     NoSource {
-        /// The campaign.
         campaign: CampaignName,
-        /// The campaign that it follows from.
         source_campaign: CampaignName,
     },
-    /// The campaign that it derives from has other outcomes here.
     #[error(
         "add campaign `{campaign}`: it follows from outcomes of `{source_campaign}` that are others here; archive and import both as they are now"
     )]
     OtherSource {
-        /// The campaign.
         campaign: CampaignName,
-        /// The campaign that it follows from.
         source_campaign: CampaignName,
     },
-    /// Rollouts have other step budgets than those of the campaign that it derives from.
     #[error(
         "add campaign `{campaign}`: its rollouts have other step budgets than those of the campaign that it follows from; archive it again"
     )]
-    OtherBudgets {
-        /// The campaign.
-        campaign: CampaignName,
-    },
-    /// A video cannot be moved.
+    OtherBudgets { campaign: CampaignName },
     #[error("move film {}: is there room on the disk, and may this user write there?", path.display())]
     Film {
-        /// Path of the video.
         path: PathBuf,
-        /// Error of the system.
         source: std::io::Error,
     },
-    /// The queue failed.
     #[error(transparent)]
     Queue(#[from] QueueError),
 }

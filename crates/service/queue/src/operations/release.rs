@@ -14,9 +14,7 @@ use crate::store::jobs::{self, NamedAttempt};
 /// Verdict on a job whose attempt ended without a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReleaseVerdict {
-    /// Back in the queue.
     Requeued,
-    /// In quarantine.
     Quarantined,
     /// Ignored, because the attempt no longer holds the lease.
     Stale,
@@ -26,19 +24,15 @@ pub enum ReleaseVerdict {
 #[derive(Clone, Debug)]
 pub(crate) struct Release {
     pub(crate) attempt: AttemptId,
-    /// Kind of failure.
     pub(crate) reason: FailureReason,
-    /// Description of the failure.
     pub(crate) error: String,
     /// Queries that the policy had answered, if it was reachable at the attempt's first query and
     /// was lost later.
     pub(crate) answered: Option<u32>,
 }
 
-/// The answer to a release.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReleaseReply {
-    /// Verdict on the job.
     pub verdict: ReleaseVerdict,
     /// Time until the job, or its policy, may be tried again.
     pub backoff: Duration,

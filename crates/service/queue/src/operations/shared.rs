@@ -25,7 +25,6 @@ pub(crate) struct Shared {
     pub(super) cache: tokio::sync::Mutex<Cache>,
     /// Held while a video is added to the data folder or removed from it.
     pub(crate) files: tokio::sync::Mutex<()>,
-    /// Rollouts to be filmed.
     pub(super) films: Films,
     /// Remote storage of videos, if configured.
     pub(crate) elsewhere: Option<Arc<dyn Elsewhere>>,
@@ -63,7 +62,6 @@ impl Shared {
         }
     }
 
-    /// Returns the current instant.
     pub(crate) fn now(&self) -> UnixMillis {
         self.clock.now()
     }
@@ -78,7 +76,6 @@ impl Shared {
         decision(&mut self.rng.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Draws the id of a new attempt.
     pub(crate) fn new_attempt(&self) -> AttemptId {
         let mut bits = [0; 16];
         self.decide(|rng| rng.fill_bytes(&mut bits));

@@ -28,9 +28,7 @@ pub(crate) const MAX_WAITING: usize = 4_096;
 pub(crate) enum Operation {
     /// Leases a job. The flag is false for a claim that was only woken while it waited.
     Claim(Pending<(ClaimRequest, bool), Claimed>),
-    /// Renews leases.
     Heartbeat(Pending<Heartbeat, Vec<AttemptId>>),
-    /// Stores a result.
     Commit(Pending<Box<CommitReport>, CommitReply>),
     /// Ends an attempt without a result.
     Release(Pending<Release, ReleaseReply>),

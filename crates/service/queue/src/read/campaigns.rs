@@ -23,22 +23,16 @@ pub const RATE_WINDOW: Duration = Duration::from_secs(300);
 /// Counts of a campaign's jobs, by state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Waiting jobs.
     pub queued: u64,
-    /// Leased jobs.
     pub leased: u64,
-    /// Jobs with a result.
     pub committed: u64,
-    /// Quarantined jobs.
     pub quarantined: u64,
     /// Committed jobs that reached their goal.
     pub succeeded: u64,
 }
 
-/// Status of a campaign.
 #[derive(Clone, Debug)]
 pub struct CampaignStatus {
-    /// The campaign.
     pub campaign: Campaign,
     /// Numbers of its jobs, by state.
     pub counts: Counts,
@@ -65,7 +59,6 @@ pub struct CampaignStatus {
 }
 
 impl Counts {
-    /// Returns the number of all jobs.
     pub fn total(&self) -> u64 {
         self.queued + self.leased + self.committed + self.quarantined
     }

@@ -13,19 +13,15 @@ use crate::store::{Doing, StoreError, json};
 /// One rollout of a configuration with the state of its job.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct RolloutLine {
-    /// The job.
     pub id: JobId,
-    /// Id of the rollout.
     pub rollout_id: String,
     /// "queued", "leased", "committed" or "quarantined".
     pub state: String,
     /// Leases granted so far.
     pub attempt: AttemptNumber,
-    /// Charged attempts of the job.
     pub charged_attempts: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,
-    /// Seed for the policy.
     pub policy_seed: i64,
     /// The worker that holds its lease, while it is leased.
     pub lease_owner: Option<WorkerId>,
@@ -39,9 +35,7 @@ pub struct RolloutLine {
 /// Result of a rollout with its measurements and provenance.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ResultLine {
-    /// The job.
     pub job_id: JobId,
-    /// The attempt.
     #[sqlx(rename = "attempt_id")]
     pub attempt: Text<AttemptId>,
     /// Number of the attempt within its job.
@@ -49,19 +43,16 @@ pub struct ResultLine {
     pub number: AttemptNumber,
     /// Worker that ran the attempt.
     pub worker_id: WorkerId,
-    /// Instant of the commit.
     pub committed_ms: UnixMillis,
     /// True if the goal was reached.
     pub success: bool,
     /// The policy's control steps.
     pub steps: u32,
-    /// Duration of the rollout.
     pub wall_secs: f64,
     /// Residual of the inverse kinematics, mm.
     pub ik_residual_mm: Option<f64>,
     /// Actions clipped into [-1, 1].
     pub clipped_actions: u32,
-    /// Queries of the policy.
     pub policy_queries: u32,
     /// Predicates of the goal, if the worker reported them.
     pub goal_predicates: Option<u32>,

@@ -13,7 +13,6 @@ pub struct Forecast {
     /// Live workers of one kind, which share the pin that a campaign requires; among several kinds,
     /// the one that finishes first.
     pub workers: u32,
-    /// Slots of these workers.
     pub slots: u32,
     /// Cores of these workers; `None` if one does not report them.
     pub cores: Option<u32>,
@@ -45,7 +44,6 @@ pub struct Speed {
 /// Rollouts to be forecast.
 #[derive(Clone, Debug, Default)]
 pub struct Planned<'a> {
-    /// The policy's name.
     pub policy: &'a str,
     /// Numbers of rollouts, by suite.
     pub rollouts: BTreeMap<String, u64>,

@@ -15,7 +15,6 @@ pub const MAX_JOBS_LISTED: u32 = 1_000;
 /// Most failures that one query returns, newest first.
 const MAX_FAILURES_SHOWN: u32 = 100;
 
-/// Selection of jobs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct JobFilter<'a> {
     /// State: "queued", "leased", "committed" or "quarantined". `None` selects all.
@@ -24,9 +23,7 @@ pub struct JobFilter<'a> {
     pub success: Option<bool>,
     /// A task such as "libero_object/0", or a suite such as "libero_object".
     pub task: Option<&'a str>,
-    /// Condition of the rollout.
     pub condition: Option<Condition>,
-    /// Level of the rollout.
     pub level: Option<Level>,
     /// Only jobs after this one, for paging.
     pub after: JobId,
@@ -37,17 +34,13 @@ pub struct JobFilter<'a> {
 /// A job as listed to operators.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct JobLine {
-    /// The job.
     pub id: JobId,
-    /// Id of the rollout.
     pub rollout_id: String,
-    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// "queued", "leased", "committed" or "quarantined".
     pub state: String,
     /// Leases granted so far.
     pub attempt: AttemptNumber,
-    /// Charged attempts of the job.
     pub charged_attempts: u32,
     /// Earliest instant of its next lease, while it waits.
     pub not_before_ms: Option<UnixMillis>,
@@ -60,7 +53,6 @@ pub struct JobLine {
     /// The policy's control steps that its worker last reported, while it is
     /// leased; 0 while the scene settles.
     pub control_steps: Option<u32>,
-    /// Error of its last failure.
     pub last_error: Option<String>,
     /// Outcome, true if the goal was reached; `None` until the job is committed.
     pub success: Option<bool>,
@@ -71,7 +63,6 @@ pub struct JobLine {
 /// An attempt that ended without a result.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct FailureLine {
-    /// The job.
     pub job_id: JobId,
     /// Number of the attempt within its job.
     pub attempt: AttemptNumber,
@@ -81,16 +72,13 @@ pub struct FailureLine {
     pub failed_ms: UnixMillis,
     /// Kind of the failure, as `FailureReason` names it.
     pub reason: String,
-    /// True if the failure is charged.
     pub charged: bool,
-    /// Description of the failure.
     pub error: String,
 }
 
 /// Everything about one job.
 #[derive(Clone, Debug)]
 pub struct JobDetails {
-    /// The job.
     pub line: JobLine,
     /// Manifest row, JSON.
     pub manifest_row: String,
@@ -98,7 +86,6 @@ pub struct JobDetails {
     pub stale_reports: u32,
     /// Attempts that ended without a result, newest first.
     pub failures: Vec<FailureLine>,
-    /// The committed result.
     pub result: Option<ResultLine>,
 }
 

@@ -29,9 +29,7 @@ pub struct Edition {
 /// A committed rollout for exports.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ExportedRow {
-    /// Id of the rollout.
     pub rollout_id: String,
-    /// Number of the replicate of the rollout.
     pub replicate: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,
@@ -39,7 +37,6 @@ pub struct ExportedRow {
     pub success: bool,
     /// The policy's control steps.
     pub steps: u32,
-    /// Duration of the rollout.
     pub wall_secs: f64,
     /// Residual of the inverse kinematics, mm.
     pub ik_residual_mm: Option<f64>,
@@ -72,7 +69,6 @@ pub struct RecordRow {
 /// Manifest row and scene of a rollout.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SetupRow {
-    /// Id of the rollout.
     pub rollout_id: String,
     /// Manifest row, JSON.
     pub manifest_row: String,
@@ -94,7 +90,6 @@ impl RecordRow {
 }
 
 impl Edition {
-    /// Returns true if both editions are of the same campaign.
     pub fn is_of_same_campaign(&self, other: &Edition) -> bool {
         (self.id, self.created_ms) == (other.id, other.created_ms)
     }

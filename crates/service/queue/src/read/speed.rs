@@ -29,7 +29,6 @@ pub struct Spent {
     /// Part of the waiting time during which every slot had a core to itself: it was lost to
     /// something else, such as a disk, and further slots would lose it as well.
     pub taken_secs: f64,
-    /// Queries of the policy.
     pub queries: f64,
 }
 
@@ -44,10 +43,8 @@ pub enum Bottleneck {
     Policy,
 }
 
-/// Rate of rollouts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
-    /// Rollouts per second.
     pub per_sec: f64,
     /// The bound that limits the rate.
     pub bottleneck: Bottleneck,

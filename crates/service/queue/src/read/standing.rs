@@ -13,29 +13,22 @@ pub const MAX_WORKERS_LISTED: u32 = 1_000;
 /// A worker as listed to operators.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct WorkerLine {
-    /// Id of the worker.
     pub id: WorkerId,
     /// Machine of the worker.
     pub host: String,
     /// Rollouts that it runs concurrently.
     pub slots: u32,
-    /// Leases that it holds now.
     pub leases: u32,
-    /// Name of the asset pack.
     pub asset_pack: String,
     /// Version of the simulator.
     pub mujoco_version: String,
-    /// Name of the renderer.
     pub renderer: String,
-    /// Version of the worker's program.
     pub program_version: String,
     /// Instant of its last registration.
     pub registered_ms: UnixMillis,
-    /// Instant of its last call.
     pub last_seen_ms: UnixMillis,
     /// True if it signed off after a clean shutdown.
     pub has_signed_off: bool,
-    /// Charged failures in a row.
     pub charged_in_a_row: u32,
     /// Reason why it may not lease any more, if it may not.
     pub stopped_reason: Option<String>,
@@ -50,11 +43,9 @@ pub struct WorkerLine {
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct PolicyLine {
     id: PolicyId,
-    /// Endpoint of the policy.
     pub endpoint: String,
     /// Name of the policy at its endpoint.
     pub name: String,
-    /// Health of the policy.
     #[sqlx(json)]
     pub health: PolicyHealth,
     /// Campaigns that measure the policy, oldest first.
@@ -62,18 +53,12 @@ pub struct PolicyLine {
     pub campaigns: Vec<CampaignName>,
 }
 
-/// A quarantined rollout.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct QuarantinedLine {
-    /// Campaign of the rollout.
     pub campaign: CampaignName,
-    /// Id of the rollout.
     pub rollout_id: String,
-    /// Number of the replicate of the rollout.
     pub replicate: u32,
-    /// Charged attempts of the job.
     pub charged_attempts: u32,
-    /// Error of the last failure.
     pub last_error: String,
 }
 

@@ -20,22 +20,13 @@ pub enum CampaignState {
         since: UnixMillis,
     },
     /// Leasing is suspended; attempts in progress may still be committed.
-    Paused {
-        /// Instant of the pause.
-        since: UnixMillis,
-    },
+    Paused { since: UnixMillis },
     /// Cancelled by an operator: nothing is leased again, and leases were revoked. Results are
     /// kept. Final.
-    Cancelled {
-        /// Instant of the cancellation.
-        since: UnixMillis,
-    },
+    Cancelled { since: UnixMillis },
     /// Stopped because its rule was met: nothing is leased again, and leases were revoked. Results
     /// are kept. Final.
-    Stopped {
-        /// Instant of the stop.
-        since: UnixMillis,
-    },
+    Stopped { since: UnixMillis },
 }
 
 /// A change that an operator asks for.
@@ -43,9 +34,7 @@ pub enum CampaignState {
 pub enum Change {
     /// Suspend leasing until the campaign is resumed.
     Pause,
-    /// Resume leasing.
     Resume,
-    /// Cancel the campaign for good.
     Cancel,
 }
 
@@ -77,7 +66,6 @@ impl CampaignState {
         matches!(self, CampaignState::Running { .. })
     }
 
-    /// Returns true if the state is final.
     pub fn is_over(self) -> bool {
         matches!(
             self,
@@ -85,7 +73,6 @@ impl CampaignState {
         )
     }
 
-    /// Returns the instant at which this state began.
     pub fn since(self) -> UnixMillis {
         match self {
             CampaignState::Running { since }
@@ -95,7 +82,6 @@ impl CampaignState {
         }
     }
 
-    /// Returns the name of the state in the store and in messages.
     pub fn name(self) -> &'static str {
         match self {
             CampaignState::Running { .. } => "running",

@@ -5,11 +5,9 @@ use crate::ids::CampaignId;
 /// A campaign with waiting jobs that the claiming worker can run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WaitingCampaign {
-    /// Id of the campaign.
     pub id: CampaignId,
     /// Priority: higher ones are leased first.
     pub priority: i32,
-    /// Current number of leases.
     pub leased: u32,
     /// Turn of the last lease, a number that rises with every lease; 0 if unknown.
     pub last_turn: u64,
@@ -46,7 +44,6 @@ pub struct WaitingTask {
     pub task: String,
     /// Place of the task's next job in paired-unit order.
     pub first_unit: i64,
-    /// Current number of leases.
     pub leased: u32,
 }
 

@@ -39,7 +39,6 @@ pub const MAX_LOSSES: u32 = 6;
 /// Lease state of a job: one rollout × replicate.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Job {
-    /// Id of the job.
     pub id: JobId,
     /// Leases granted so far.
     pub attempt: AttemptNumber,
@@ -47,7 +46,6 @@ pub struct Job {
     pub charged_attempts: u32,
     /// Attempts that lost their policy.
     pub losses: u32,
-    /// Lease state.
     pub state: JobState,
 }
 
@@ -60,7 +58,6 @@ pub enum JobState {
         /// End of its back-off.
         not_before: UnixMillis,
     },
-    /// A worker holds its lease.
     Leased(Lease),
     /// The result is stored. Final.
     Committed,
@@ -71,11 +68,9 @@ pub enum JobState {
 /// A lease: one attempt at one job, by one worker.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Lease {
-    /// Id of the attempt.
     pub attempt: AttemptId,
     /// Worker that holds the lease.
     pub owner: WorkerId,
-    /// Instant of the grant.
     pub granted: UnixMillis,
     /// Instant of expiry unless a heartbeat renews the lease.
     pub expires: UnixMillis,
@@ -139,9 +134,7 @@ pub enum FailureReason {
     Unpaired,
     /// The policy cannot be reached or is overloaded.
     PolicyUnavailable,
-    /// The worker is draining.
     Draining,
-    /// The campaign was cancelled.
     Cancelled,
     /// Another worker's result pinned the campaign to another asset pack, simulator or renderer, or
     /// the stored results of the siblings cannot be read.
@@ -157,7 +150,6 @@ pub enum FailureReason {
     TakesPolicyDown,
     /// Last of too many attempts that were cut off with their worker.
     TakesWorkerDown,
-    /// An operator skipped the rollout.
     Skipped,
 }
 
@@ -169,7 +161,6 @@ pub enum AfterFailure {
         /// End of its back-off.
         not_before: UnixMillis,
     },
-    /// Quarantine the job.
     Quarantine,
 }
 
@@ -199,7 +190,6 @@ pub struct CutOff {
 /// Failures in a row of a worker's machine, after one more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Strike {
-    /// Number of failures in a row.
     pub in_a_row: u32,
     /// True if the worker must stop leasing.
     pub stop: bool,

@@ -11,11 +11,8 @@ pub struct Known {
     pub standing: Standing,
     /// Reports of an outcome that differs from the committed one.
     pub divergences: u32,
-    /// True if the rollout was filmed.
     pub is_filmed: bool,
-    /// Charged attempts of the job.
     pub charged_attempts: u32,
-    /// Attempts so far.
     pub attempts: u32,
 }
 
@@ -27,16 +24,13 @@ pub enum Standing {
     Open,
     /// Quarantined after too many attempts.
     Quarantined,
-    /// Committed with this outcome.
     Committed(OutcomeKey),
 }
 
 /// The half whose record of a rollout is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kept {
-    /// First half.
     First,
-    /// Second half.
     Second,
 }
 
@@ -45,9 +39,7 @@ pub enum Kept {
 pub struct Contradiction<N> {
     /// The rollout.
     pub of: N,
-    /// Outcome in the first half.
     pub first: OutcomeKey,
-    /// Outcome in the second half.
     pub second: OutcomeKey,
 }
 
@@ -152,7 +144,6 @@ mod tests {
         proptest::collection::btree_map(0..6_u8, known(), 0..6)
     }
 
-    /// Returns the merged state.
     fn merged(first: &Half, second: &Half) -> Option<Half> {
         let kept = merge(first, second).ok()?;
         let of = |(of, kept): (u8, Kept)| match kept {

@@ -24,7 +24,6 @@ pub struct PolicyHealth {
     /// Instant since which the policy is considered available; failures of leases granted earlier
     /// are not evidence of a new outage.
     pub available_since: UnixMillis,
-    /// State of the policy.
     pub state: PolicyState,
 }
 
@@ -32,9 +31,7 @@ pub struct PolicyHealth {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
 pub enum PolicyState {
-    /// Jobs of the policy are leased.
     Available,
-    /// Jobs of the policy wait.
     Paused {
         /// Earliest instant of a probe.
         resume: UnixMillis,
@@ -43,7 +40,6 @@ pub enum PolicyState {
     },
     /// One job, the probe, is leased; the others wait.
     Probing {
-        /// Attempt that probes the policy.
         attempt: AttemptId,
         /// Error of the last outage.
         reason: String,
@@ -80,7 +76,6 @@ impl Contact {
 /// Number of a policy's jobs that may be leased now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowance {
-    /// Any number.
     Unlimited,
     /// One job, which becomes the probe.
     Probe,
@@ -254,7 +249,6 @@ impl PolicyHealth {
         }
     }
 
-    /// Returns true if this attempt is the probe.
     pub fn is_probe(&self, of: AttemptId) -> bool {
         matches!(&self.state, PolicyState::Probing { attempt, .. } if *attempt == of)
     }

@@ -21,7 +21,6 @@ const DRAWING_NOTHING: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
 pub(crate) struct Demand<'a> {
     /// The campaign's realisation mode.
     pub(crate) realisation: Realisation,
-    /// Manifest row of the rollout.
     pub(crate) row: &'a ManifestRow,
 }
 

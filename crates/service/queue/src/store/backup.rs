@@ -8,7 +8,6 @@ use tempfile::TempPath;
 
 use super::{Doing, Store, StoreError};
 
-/// Name of the backup file in the data folder.
 const BACKUP_FILE: &str = "backup.partial";
 
 /// Copies the committed state into a file that is removed when the returned path is dropped. The

@@ -22,17 +22,13 @@ const JOBS_PER_INSERT: usize = 1_000;
 pub struct Campaign {
     /// Row number.
     pub id: CampaignId,
-    /// Name of the campaign.
     pub name: CampaignName,
     /// SHA-256 of the specification, hex.
     pub spec_digest: String,
-    /// Row number of the policy.
     pub policy_id: PolicyId,
     /// Name of the policy at its endpoint.
     pub policy: String,
-    /// Endpoint of the policy.
     pub endpoint: String,
-    /// Health of the policy.
     #[sqlx(json)]
     pub health: PolicyHealth,
     /// Source of random values in perturbations: "matched" or "reference".
@@ -41,7 +37,6 @@ pub struct Campaign {
     pub execution: String,
     /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
     pub record: String,
-    /// State that its operator set.
     #[sqlx(json)]
     pub state: CampaignState,
     /// True if configurations run in a drawn order, so that the campaign may stop early.
@@ -51,12 +46,10 @@ pub struct Campaign {
     pub wanted: Wanted,
     /// Priority: jobs of a higher one are leased first.
     pub priority: i32,
-    /// Instant of its creation.
     pub created_ms: UnixMillis,
     /// Folder of the campaign's files below the artifacts folder: its first name, or a variant if
     /// another campaign has that folder.
     pub(crate) folder: String,
-    /// Instant of the first result.
     pub pinned_ms: Option<UnixMillis>,
     /// Pin: of the first result, or before that of the source campaign, if this one is derived.
     #[sqlx(json(nullable))]
@@ -64,7 +57,6 @@ pub struct Campaign {
 }
 
 impl Campaign {
-    /// Returns the realisation mode.
     pub(crate) fn mode(&self) -> Result<Realisation, StoreError> {
         let mode = self.realisation.parse().map_err(undecodable);
         mode.doing("read a campaign's realisation mode")
@@ -116,7 +108,6 @@ macro_rules! campaigns_where {
     };
 }
 
-/// Finds a campaign by its name.
 pub(crate) async fn by_name(
     tx: &mut SqliteConnection,
     name: &CampaignName,
@@ -248,7 +239,6 @@ pub(crate) async fn insert_without_jobs(
     Ok(id)
 }
 
-/// Stores a campaign's jobs.
 pub(crate) async fn insert_jobs(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -310,7 +300,6 @@ pub(crate) async fn pin(
     .map(drop)
 }
 
-/// Stores the state of a campaign.
 pub(crate) async fn set_state(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -326,7 +315,6 @@ pub(crate) async fn set_state(
         .map(drop)
 }
 
-/// Stores a campaign's priority.
 pub(crate) async fn set_priority(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -358,7 +346,6 @@ pub(crate) async fn set_spec(
         .map(drop)
 }
 
-/// Stores the policy that a campaign measures.
 pub(crate) async fn set_policy(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -425,7 +412,6 @@ pub(crate) async fn take_name(
         .map(drop)
 }
 
-/// Deletes a campaign with its jobs and their results.
 pub(crate) async fn delete(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
     // Jobs first, since deleting a row of `campaign_task` checks for jobs that refer to it.
     for statement in [

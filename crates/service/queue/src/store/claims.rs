@@ -84,7 +84,6 @@ pub(crate) struct Grant {
     pub(crate) claim: String,
 }
 
-/// Durations of leases.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Term {
     pub(crate) granted: UnixMillis,

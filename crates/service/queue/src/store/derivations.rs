@@ -113,7 +113,6 @@ pub(crate) async fn source(
 /// The campaign that a derived one waits for, and the number of its rollouts without an outcome.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Source {
-    /// Name of the source campaign.
     pub name: CampaignName,
     /// Rollouts that still lack an outcome; nothing is derived until this is 0.
     pub awaited: u32,

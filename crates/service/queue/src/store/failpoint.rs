@@ -12,9 +12,7 @@ pub enum Step {
     Start,
     /// A worker registers or signs off.
     Register,
-    /// Jobs are leased.
     Claim,
-    /// Leases are renewed.
     Heartbeat,
     /// An outcome is stored, or refused.
     Commit,
@@ -24,13 +22,10 @@ pub enum Step {
     Sweep,
     /// A file is recorded beside a rollout.
     Artifact,
-    /// A campaign is expanded.
     CreateCampaign,
-    /// A campaign is added from an archive.
     ImportCampaign,
     /// A campaign is paused, resumed, cancelled or altered.
     ChangeCampaign,
-    /// A campaign is deleted.
     DeleteCampaign,
     /// A deleted campaign's files are gone.
     FinishRemoval,
@@ -76,7 +71,6 @@ pub enum Side {
 }
 
 impl Step {
-    /// All steps.
     pub const ALL: [Step; 16] = [
         Step::Start,
         Step::Register,

@@ -14,9 +14,7 @@ pub struct Film {
     /// The attempt beside whose outcome the video is stored.
     #[sqlx(rename = "attempt_id")]
     pub attempt: Text<AttemptId>,
-    /// Campaign of the rollout.
     pub campaign: CampaignName,
-    /// Number of the replicate.
     pub replicate: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,

@@ -47,7 +47,6 @@ pub(crate) struct Stored {
 }
 
 impl Stored {
-    /// Returns the origin of the result.
     pub(crate) fn origin(&self) -> &Arc<Provenance> {
         &self.provenance.0
     }

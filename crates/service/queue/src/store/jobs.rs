@@ -39,7 +39,6 @@ pub(crate) struct NamedAttempt {
     /// Initial state that the job shares with its siblings.
     #[sqlx(flatten)]
     pub(crate) of: InitialState,
-    /// Manifest row of the job.
     #[sqlx(json, rename = "manifest_row")]
     pub(crate) row: ManifestRow,
     /// The job's committed outcome, if it has one.
@@ -50,7 +49,6 @@ pub(crate) struct NamedAttempt {
     pub(crate) cut_off: Option<CutOff>,
 }
 
-/// A leased job.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct LeasedRow {
     #[sqlx(json)]
@@ -343,7 +341,6 @@ pub(crate) async fn count_stale_report(
         .map(drop)
 }
 
-/// Returns the leases of a campaign.
 pub(crate) async fn leased(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -397,7 +394,6 @@ pub(crate) async fn lease(
     .doing("look up a lease")
 }
 
-/// Returns the quarantined jobs of a campaign.
 pub(crate) async fn quarantined(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

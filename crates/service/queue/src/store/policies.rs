@@ -21,7 +21,6 @@ macro_rules! health {
 }
 pub(crate) use health;
 
-/// Finds or stores a policy.
 pub(crate) async fn find_or_insert(
     tx: &mut SqliteConnection,
     endpoint: &str,

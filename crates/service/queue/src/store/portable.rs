@@ -510,7 +510,6 @@ impl Copied {
     }
 }
 
-/// Returns the columns of a table in this database.
 async fn columns(tx: &mut SqliteConnection, table: &str) -> Result<Vec<String>, StoreError> {
     sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'main') ORDER BY cid")
         .bind(table)

@@ -24,7 +24,6 @@ pub(crate) async fn done(tx: &mut SqliteConnection, folder: &str) -> Result<(), 
         .map(drop)
 }
 
-/// Returns the folders marked for removal.
 pub(crate) async fn pending(tx: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
     sqlx::query_scalar("SELECT folder FROM removal ORDER BY folder")
         .fetch_all(tx)

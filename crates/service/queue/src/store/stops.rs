@@ -29,7 +29,6 @@ pub struct EarlyStop {
     /// The rule, with the seed of the drawn order.
     #[sqlx(json)]
     pub stop: Stop,
-    /// Number of configurations in the campaign.
     pub configurations: u32,
     /// Number of configurations after which the campaign stopped; `None` if it has not.
     pub used: Option<u32>,

@@ -14,10 +14,8 @@ use crate::rules::lease::Strike;
 /// Most slots or cores of a worker; bounded so that sums over workers do not overflow.
 pub const MAX_SLOTS: u32 = 1 << 16;
 
-/// A worker as registered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WorkerInfo {
-    /// Id of the worker.
     pub id: WorkerId,
     /// Name of the machine.
     pub host: String,
@@ -30,7 +28,6 @@ pub struct WorkerInfo {
     pub cores: Option<u32>,
     /// Asset pack, simulator and renderer.
     pub pin: Pin,
-    /// Version of the worker's program.
     pub program_version: String,
 }
 
@@ -45,7 +42,6 @@ pub(crate) struct Standing {
     pub(crate) pin: Pin,
     /// Instant of its last call.
     pub(crate) last_seen_ms: UnixMillis,
-    /// Charged failures in a row.
     pub(crate) charged_in_a_row: u32,
     /// Reason why the worker may not lease any more, if it may not.
     pub(crate) stopped_reason: Option<String>,
@@ -147,7 +143,6 @@ pub(crate) async fn standings(
     Ok(standings.into_iter().map(by_id).collect())
 }
 
-/// Notes that workers called.
 pub(crate) async fn seen(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],

@@ -20,11 +20,8 @@ pub struct ModelArray {
     pub values: Values,
 }
 
-/// Values of an array.
 pub enum Values {
-    /// Doubles.
     Double(Vec<f64>),
-    /// Singles.
     Single(Vec<f32>),
     /// Ids, addresses, numbers, flags.
     Integer(Vec<i32>),

@@ -5,9 +5,7 @@ use super::own::each_own_array;
 
 /// Mutable slice of one of these arrays.
 pub enum OwnArray<'a> {
-    /// Doubles.
     Double(&'a mut [f64]),
-    /// Singles.
     Single(&'a mut [f32]),
 }
 

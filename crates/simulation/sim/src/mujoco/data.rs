@@ -29,7 +29,6 @@ unsafe impl Sync for Data {}
 /// Two geoms in contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
-    /// Geom ids.
     pub geoms: [i32; 2],
     /// Distance between the surfaces, m; negative where they overlap.
     pub distance: f64,

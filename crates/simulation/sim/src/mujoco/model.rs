@@ -69,24 +69,15 @@ unsafe impl Send for Model {}
 // SAFETY: as above; `&self` only reads.
 unsafe impl Sync for Model {}
 
-/// Kinds of named elements in a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ObjectKind {
-    /// A body.
     Body,
-    /// A joint.
     Joint,
-    /// A geom.
     Geom,
-    /// A site.
     Site,
-    /// A camera.
     Camera,
-    /// A light.
     Light,
-    /// An actuator.
     Actuator,
-    /// A sensor.
     Sensor,
 }
 
@@ -121,7 +112,6 @@ macro_rules! slices {
 }
 
 impl Model {
-    /// Compiles MJCF.
     pub fn compile(mjcf: &str) -> Result<Self, SimError> {
         super::install_handlers();
         let text = CString::new(mjcf)
@@ -228,7 +218,6 @@ impl Model {
         self.raw().nu as usize
     }
 
-    /// Returns the number of elements of a kind.
     pub fn count(&self, kind: ObjectKind) -> usize {
         let model = self.raw();
         let count = match kind {
@@ -306,7 +295,6 @@ impl Model {
         global.offheight = global.offheight.max(height as i32);
     }
 
-    /// Returns the textures of the model.
     pub(crate) fn textures(&self) -> impl Iterator<Item = TextureData> {
         let raw = self.raw();
         // SAFETY: the fields point at this many values while the model lives; a
@@ -329,7 +317,6 @@ impl Model {
         })
     }
 
-    /// Returns the meshes of the model.
     pub(crate) fn meshes(&self) -> Meshes<'_> {
         Meshes(self.raw())
     }
@@ -404,7 +391,6 @@ impl TextureData {
     }
 }
 
-/// Meshes of a compiled model.
 pub(crate) struct Meshes<'a>(&'a c::mjModel);
 
 /// A mesh. Faces hold the indices of the vertices, normals and texture coordinates of their
@@ -419,12 +405,10 @@ pub(crate) struct MeshData<'a> {
 }
 
 impl<'a> Meshes<'a> {
-    /// Returns the number of meshes.
     pub(crate) fn count(&self) -> usize {
         self.0.nmesh as usize
     }
 
-    /// Returns one mesh.
     pub(crate) fn get(&self, index: usize) -> MeshData<'a> {
         let raw = self.0;
         // SAFETY: the fields point at this many values while the model lives; a

@@ -51,7 +51,6 @@ impl<T> Drop for Allocation<T> {
 
 macro_rules! keep {
     ($($method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {
-        /// Owner of the arrays.
         #[expect(dead_code, reason = "they are reached through the model")]
         pub(super) struct OwnArrays {
             $($name: Allocation<$kind>,)*

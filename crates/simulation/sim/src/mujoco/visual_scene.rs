@@ -35,7 +35,6 @@ pub(crate) struct VisualScene {
 unsafe impl Send for VisualScene {}
 
 impl VisualScene {
-    /// Creates an empty scene.
     pub(crate) fn new(model: &Model) -> Self {
         let mut options = MaybeUninit::uninit();
         let mut scene = Box::new(MaybeUninit::uninit());

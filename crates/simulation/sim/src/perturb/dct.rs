@@ -4,7 +4,6 @@
 /// Samples or coefficients, row by row.
 pub(super) type Block = [i32; 64];
 
-/// Fractional bits of the factors.
 const FACTOR_BITS: u32 = 13;
 /// Fractional bits kept between the two passes.
 const PASS_BITS: u32 = 2;

@@ -18,16 +18,13 @@ pub struct Light {
     pub direction: [f64; 3],
     /// Diffuse colour, red, green and blue.
     pub diffuse: [f64; 3],
-    /// Specular colour.
     pub specular: [f64; 3],
 }
 
-/// The lights of a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lighting {
     /// Lights in the model's order.
     pub lights: Vec<Light>,
-    /// The headlight's ambient colour.
     pub headlight_ambient: [f64; 3],
 }
 

@@ -133,48 +133,19 @@ fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
 }
 
 #[cfg(test)]
+mod chain;
+
+#[cfg(test)]
 mod tests {
+    use super::chain::{arm, nominal_arm};
     use super::*;
 
     const WIDE: [JointRange; JOINTS] = [[-3.0, 3.0]; JOINTS];
 
-    /// Kinematics of a chain of 0.2 m links about alternating axes.
-    fn chain(q: &JointVector) -> ArmState {
-        let mut position = Vector3::zeros();
-        let mut rotation = Matrix3::identity();
-        let mut pivots = Vec::new();
-        for i in 0..JOINTS {
-            let local = if i % 2 == 0 {
-                Vector3::z_axis()
-            } else {
-                Vector3::y_axis()
-            };
-            pivots.push((position, rotation * local.into_inner()));
-            rotation *= Rotation3::from_axis_angle(&local, q[i]).matrix();
-            position += rotation * Vector3::new(0.05, 0.0, 0.2);
-        }
-        let columns: Vec<Vector6<f64>> = pivots
-            .iter()
-            .map(|(pivot, axis)| {
-                let linear = axis.cross(&(position - pivot));
-                Vector6::new(linear.x, linear.y, linear.z, axis.x, axis.y, axis.z)
-            })
-            .collect();
-        ArmState {
-            position,
-            rotation,
-            jacobian: Jacobian::from_columns(&columns),
-        }
-    }
-
-    fn nominal() -> JointVector {
-        JointVector::from([0.1, 0.4, -0.2, 0.9, 0.3, -0.6, 0.2])
-    }
-
     #[test]
     fn a_reachable_pose_is_met_within_tolerance() {
         let shift = RobotShift::from([0.03, -0.02, 0.02, 5.0, -3.0, 8.0]);
-        let solution = solve_shifted_pose(chain, &nominal(), &WIDE, &shift);
+        let solution = solve_shifted_pose(arm, &nominal_arm(), &WIDE, &shift);
         assert!(solution.residual_mm < 0.2, "{solution:?}");
         assert!(solution.residual_deg.to_radians() < 2e-3, "{solution:?}");
         assert_eq!(solution.clamped_joints, 0);
@@ -183,19 +154,19 @@ mod tests {
     #[test]
     fn no_displacement_leaves_the_arm_where_it_is() {
         let shift = RobotShift::default();
-        let solution = solve_shifted_pose(chain, &nominal(), &WIDE, &shift);
-        assert_eq!(solution.joints, nominal());
+        let solution = solve_shifted_pose(arm, &nominal_arm(), &WIDE, &shift);
+        assert_eq!(solution.joints, nominal_arm());
         assert_eq!(solution.iterations, 0);
     }
 
     #[test]
     fn joints_stop_at_their_limits_and_the_residual_says_so() {
         let mut ranges = WIDE;
-        for (range, q) in ranges.iter_mut().zip(nominal().iter()) {
+        for (range, q) in ranges.iter_mut().zip(nominal_arm().iter()) {
             *range = [q - 0.01, q + 0.01];
         }
         let shift = RobotShift::from([0.2, 0.0, 0.2, 0.0, 0.0, 0.0]);
-        let solution = solve_shifted_pose(chain, &nominal(), &ranges, &shift);
+        let solution = solve_shifted_pose(arm, &nominal_arm(), &ranges, &shift);
         assert!(solution.clamped_joints > 0, "{solution:?}");
         assert!(solution.residual_mm > 10.0, "{solution:?}");
         assert_eq!(solution.iterations, MAX_ITERATIONS);

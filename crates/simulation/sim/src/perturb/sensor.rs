@@ -46,7 +46,6 @@ impl FrameSource {
 /// A picture: RGB, row by row, in the renderer's orientation.
 #[derive(Debug)]
 pub struct Frame<'a> {
-    /// Camera of the frame.
     pub source: FrameSource,
     /// Control step of the policy for which it was rendered, from 0.
     pub step: u32,

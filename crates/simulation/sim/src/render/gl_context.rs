@@ -7,7 +7,6 @@ use khronos_egl as egl;
 
 use crate::error::SimError;
 
-/// OpenGL device for rendering.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum GlDevice {
     /// The first device that works, in the driver's order.
@@ -71,7 +70,6 @@ impl GlContext {
         )))
     }
 
-    /// Makes this context current on this thread.
     pub(super) fn make_current(&self) -> Result<(), SimError> {
         let made = self
             .egl

@@ -209,7 +209,6 @@ fn digest_of_mesh(mesh: &MeshData<'_>) -> u128 {
     )
 }
 
-/// Returns the digest of a texture and its texels.
 pub(crate) fn digest_of_texture(texture: &TextureData, texels: &[u8]) -> u128 {
     let sizes = [texture.width, texture.height, texture.channels].map(usize::to_le_bytes);
     let kinds = [texture.kind, texture.colorspace].map(i32::to_le_bytes);

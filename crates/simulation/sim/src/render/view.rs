@@ -7,7 +7,6 @@ pub(crate) struct View<'a> {
     pub(crate) model: &'a Model,
     /// State of the model.
     pub(crate) data: &'a mut Data,
-    /// Id of the camera.
     pub(crate) camera: usize,
     /// Width and height, pixels.
     pub(crate) size: [u32; 2],

@@ -106,7 +106,6 @@ pub(super) fn has_checksum(mut file: &File, checksum: u128) -> io::Result<bool> 
     }
 }
 
-/// A mapped file and its lock.
 struct Mapped {
     map: Mmap,
     _lock: Option<File>,

@@ -9,7 +9,6 @@ use super::container;
 use super::folder::{ASIDE, SceneFolder, names_of_textures};
 use super::text;
 
-/// A scene that can be evicted.
 struct Scene {
     name: String,
     bytes: u64,

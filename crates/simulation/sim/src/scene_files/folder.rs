@@ -39,48 +39,32 @@ const MESHES: usize = 3;
 /// Reason why scenes are not stored in files.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneFileError {
-    /// A file or folder cannot be read or written.
     #[error(
         "{doing} {}: choose another folder with ROLLOUT_SCENES, or none with ROLLOUT_SCENES=off",
         path.display()
     )]
     File {
-        /// Operation that failed.
         doing: &'static str,
-        /// Path of the file or folder.
         path: PathBuf,
-        /// Cause of the failure.
         #[source]
         source: io::Error,
     },
-    /// Another user could modify the files.
     #[error(
         "trust {} with scenes: user {owner} owns it and its mode is {mode:o}; it must belong to \
          this user or root, and nobody else may write to it: correct that, or choose another \
          folder with ROLLOUT_SCENES", path.display()
     )]
     Untrusted {
-        /// The folder.
         path: PathBuf,
-        /// Id of the owner.
         owner: u32,
-        /// Mode bits of the file or folder.
         mode: u32,
     },
-    /// Another process has held a lock for too long.
     #[error("wait for {}: another process has held it for {secs} s", path.display())]
-    Busy {
-        /// The lock.
-        path: PathBuf,
-        /// Seconds waited.
-        secs: u64,
-    },
-    /// MuJoCo's arrays do not have the layout that this program expects.
+    Busy { path: PathBuf, secs: u64 },
     #[error("lay a model out in a file: its arrays do not lie in one buffer of MuJoCo's")]
     Layout,
 }
 
-/// A folder of scene files.
 #[derive(Debug)]
 pub struct SceneFolder {
     pub(super) dir: PathBuf,

@@ -25,7 +25,6 @@ pub(super) fn a_lease() -> [Said; 3] {
     [create(), registration("w"), claim()]
 }
 
-/// Registration of a worker.
 pub(super) fn registration(worker_id: &str) -> Said {
     let request = wire::RegisterRequest {
         protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,

@@ -120,7 +120,6 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     seeds
 }
 
-/// Returns an archive of the campaign.
 fn archive() -> Vec<u8> {
     let archived = ("OperatorService/ArchiveCampaign", name().encode_to_vec());
     let (_, pieces) = after(&[create(), archived]);

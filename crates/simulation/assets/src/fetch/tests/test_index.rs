@@ -35,7 +35,6 @@ pub(super) enum Fault {
     NoRanges,
     /// A range request gets the whole wheel, and the first connection ends half-way.
     NoRangesAndCutsOnce,
-    /// The large file has wrong bytes.
     WrongBytes,
     /// The large file has wrong bytes in its first transfer.
     WrongBytesOnce,
@@ -134,7 +133,6 @@ impl Wheels {
     }
 }
 
-/// A running index.
 pub(super) struct TestIndex {
     address: SocketAddr,
     server: Arc<Server>,
