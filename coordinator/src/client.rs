@@ -79,18 +79,12 @@ impl Client {
     }
 
     /// Returns the status of all campaigns, oldest first.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn list_campaigns(&self) -> Result<Vec<wire::CampaignStatus>, ClientError> {
         let list = self.call(wire::ListCampaignsRequest {}, Service::list_campaigns);
         Ok(list.await?.campaigns)
     }
 
     /// Returns the status of a campaign.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn campaign_status(&self, name: &str) -> Result<wire::CampaignStatus, ClientError> {
         let request = wire::GetCampaignRequest {
             campaign: name.to_owned(),
@@ -100,9 +94,6 @@ impl Client {
     }
 
     /// Returns the current results of a campaign for a report.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn report(&self, name: &str) -> Result<Subject, ClientError> {
         let request = wire::ReportRequest {
             campaign: name.to_owned(),
@@ -123,9 +114,6 @@ impl Client {
     }
 
     /// Returns the next message of a streamed response; `None` after the last.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn next<T>(&self, answer: &mut Streaming<T>) -> Result<Option<T>, ClientError> {
         match answer.message().await {
             Ok(next) => Ok(next),
@@ -135,9 +123,6 @@ impl Client {
 
     /// Sends a request, and retries it until the coordinator responds or the retry time is over.
     /// All operator calls are safe to repeat.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn call<Q: Clone, T>(
         &self,
         request: Q,

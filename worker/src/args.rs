@@ -504,7 +504,6 @@ pub struct FetchArguments {
     pub hub: Option<String>,
 }
 
-/// Tasks to fetch for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TaskChoice {
     /// The 40 tasks of the protocol.

@@ -13,7 +13,6 @@ use anyhow::{Context, Result, bail};
 use crate::cargo::cargo;
 use crate::process::capture;
 
-/// A wait that is timed.
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum Wait {
     /// A fresh clone to the demo's report.

@@ -126,7 +126,6 @@ fn rate(run: &Value) -> Result<f64> {
     number(&run[RATE], RATE)
 }
 
-/// Returns the median over the pairs of a round.
 fn median(round: &Round, of: impl Fn(&Pair) -> Result<f64>) -> Result<f64> {
     let values = round.pairs.iter().map(of).collect::<Result<Vec<_>>>()?;
     Ok(spread(&values).0)

@@ -20,9 +20,7 @@ use crate::running::Running;
 use crate::setup;
 use crate::step::step;
 
-/// Programs of a campaign.
 pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
-/// Name of the demo's campaign.
 const CAMPAIGN: &str = "demo";
 /// Name of its policy.
 const POLICY: &str = "student";

@@ -29,7 +29,6 @@ pub(super) struct CompareArguments {
     connection: Connection,
 }
 
-/// Source of outcomes.
 #[derive(Clone, Debug)]
 enum Source {
     Campaign(String),

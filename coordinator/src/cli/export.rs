@@ -37,7 +37,6 @@ pub(super) struct ExportArguments {
     connection: Connection,
 }
 
-/// Output formats of an export.
 #[derive(Clone, Copy, Debug)]
 enum Format {
     Jsonl,

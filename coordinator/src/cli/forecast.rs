@@ -79,40 +79,45 @@ struct DryRun<'a> {
     no_forecast: Option<String>,
 }
 
-#[derive(Serialize)]
-struct Forecast {
-    workers: u32,
-    slots: u32,
-    cores: Option<u32>,
-    secs: Option<f64>,
-    results: u64,
-    is_of_policy: bool,
-    unmeasured_suites: Vec<String>,
-    speed: Option<Speed>,
-}
+json::forms! {
+    Forecast from forecast: ForecastResponse {
+        workers: u32 = forecast.workers,
+        slots: u32 = forecast.slots,
+        cores: Option<u32> = (forecast.cores > 0).then_some(forecast.cores),
+        secs: Option<f64> = forecast.secs,
+        results: u64 = forecast.results,
+        is_of_policy: bool = forecast.is_of_policy,
+        unmeasured_suites: Vec<String> = forecast.unmeasured_suites.clone(),
+        speed: Option<Speed> = forecast.speed.as_ref().map(Speed::of),
+    }
 
-#[derive(Serialize)]
-struct Speed {
-    results: u64,
-    physics_secs: f64,
-    drawing_secs: f64,
-    policy_secs: f64,
-    waiting_secs: f64,
-    policy_queries: f64,
-    bottleneck: Option<&'static str>,
-    enough_slots: Option<u32>,
-    enough_slots_secs: Option<f64>,
+    Speed from speed: wire::Speed {
+        results: u64 = speed.results,
+        physics_secs: f64 = speed.physics_secs,
+        drawing_secs: f64 = speed.drawing_secs,
+        policy_secs: f64 = speed.policy_secs,
+        waiting_secs: f64 = speed.waiting_secs,
+        policy_queries: f64 = speed.policy_queries,
+        bottleneck: Option<&'static str> = match speed.bottleneck() {
+            Bottleneck::Unspecified => None,
+            Bottleneck::Slots => Some("slots"),
+            Bottleneck::Cores => Some("cores"),
+            Bottleneck::Policy => Some("policy"),
+        },
+        enough_slots: Option<u32> = speed.enough_slots,
+        enough_slots_secs: Option<f64> = speed.enough_slots_secs,
+    }
 }
 
 impl<'a> DryRun<'a> {
     /// Describes a campaign for a dry run, with its forecast or the error that prevented it.
     fn of(
         campaign: &'a NewCampaign,
-        answer: Result<wire::ForecastResponse, String>,
+        answer: Result<ForecastResponse, String>,
         planning: &'a Planning,
     ) -> DryRun<'a> {
         let (forecast, no_forecast) = match answer {
-            Ok(forecast) => (Some(Forecast::of(forecast)), None),
+            Ok(forecast) => (Some(Forecast::of(&forecast)), None),
             Err(problem) => (None, Some(problem)),
         };
         DryRun {
@@ -124,42 +129,6 @@ impl<'a> DryRun<'a> {
             planning,
             forecast,
             no_forecast,
-        }
-    }
-}
-
-impl Forecast {
-    fn of(forecast: wire::ForecastResponse) -> Forecast {
-        Forecast {
-            workers: forecast.workers,
-            slots: forecast.slots,
-            cores: (forecast.cores > 0).then_some(forecast.cores),
-            secs: forecast.secs,
-            results: forecast.results,
-            is_of_policy: forecast.is_of_policy,
-            unmeasured_suites: forecast.unmeasured_suites,
-            speed: forecast.speed.as_ref().map(Speed::of),
-        }
-    }
-}
-
-impl Speed {
-    fn of(speed: &wire::Speed) -> Speed {
-        Speed {
-            results: speed.results,
-            physics_secs: speed.physics_secs,
-            drawing_secs: speed.drawing_secs,
-            policy_secs: speed.policy_secs,
-            waiting_secs: speed.waiting_secs,
-            policy_queries: speed.policy_queries,
-            bottleneck: match speed.bottleneck() {
-                Bottleneck::Unspecified => None,
-                Bottleneck::Slots => Some("slots"),
-                Bottleneck::Cores => Some("cores"),
-                Bottleneck::Policy => Some("policy"),
-            },
-            enough_slots: speed.enough_slots,
-            enough_slots_secs: speed.enough_slots_secs,
         }
     }
 }

@@ -12,6 +12,25 @@ use serde_json::Value;
 use super::command::{CommandError, failure, print_line};
 use super::line::is_finished;
 
+/// Declares forms with their conversions, so that every key stands once.
+macro_rules! forms {
+    ($($name:ident from $value:ident: $from:ty {
+        $($key:ident: $type:ty = $expression:expr,)*
+    })*) => {$(
+        #[derive(Serialize)]
+        pub(super) struct $name {
+            $($key: $type,)*
+        }
+
+        impl $name {
+            pub(super) fn of($value: &$from) -> $name {
+                $name { $($key: $expression,)* }
+            }
+        }
+    )*};
+}
+pub(super) use forms;
+
 /// `campaign list` and `campaign status`.
 #[derive(Serialize)]
 pub(super) struct Campaigns {
@@ -43,26 +62,6 @@ pub(super) struct Workers {
 }
 
 #[derive(Serialize)]
-struct Campaign {
-    name: String,
-    policy: String,
-    endpoint: String,
-    priority: i32,
-    state: &'static str,
-    is_finished: bool,
-    rollouts: Rollouts,
-    rate_per_sec: Option<f64>,
-    remaining_secs: Option<f64>,
-    live_workers: u32,
-    policy_outage: Option<String>,
-    waiting_reason: Option<String>,
-    mixed_fingerprints: Option<String>,
-    early_stop: Option<EarlyStop>,
-    follows_from: Option<String>,
-    created_at: String,
-}
-
-#[derive(Serialize)]
 struct EarlyStop {
     rule: String,
     seed: u64,
@@ -72,81 +71,110 @@ struct EarlyStop {
     saved: Option<u64>,
 }
 
-#[derive(Serialize)]
-struct Rollouts {
-    total: u64,
-    queued: u64,
-    leased: u64,
-    committed: u64,
-    succeeded: u64,
-    failed: u64,
-    quarantined: u64,
-}
+forms! {
+    Campaign from status: wire::CampaignStatus {
+        name: String = status.campaign.clone(),
+        policy: String = status.policy.clone(),
+        endpoint: String = status.policy_endpoint.clone(),
+        priority: i32 = status.priority,
+        state: &'static str = match status.state() {
+            State::Running | State::Unspecified => "running",
+            State::Paused => "paused",
+            State::Cancelled => "cancelled",
+            State::Stopped => "stopped",
+        },
+        is_finished: bool = is_finished(status),
+        rollouts: Rollouts = Rollouts::of(status),
+        rate_per_sec: Option<f64> = status.rate_per_sec,
+        remaining_secs: Option<f64> = status.eta_secs,
+        live_workers: u32 = status.live_workers,
+        policy_outage: Option<String> =
+            status.policy_paused.then(|| status.policy_pause_reason.clone()),
+        waiting_reason: Option<String> = given(&status.waiting_reason),
+        mixed_fingerprints: Option<String> = given(&status.mixed_fingerprints),
+        early_stop: Option<EarlyStop> = status.early_stop.as_ref().map(|early| EarlyStop {
+            rule: early.rule.clone(),
+            seed: early.seed,
+            strata: early.strata.clone(),
+            configurations: early.configurations,
+            used: early.used,
+            saved: early.used.map(|_| status.queued),
+        }),
+        follows_from: Option<String> = given(&status.follows_from),
+        created_at: String = instant(status.created_unix_ms),
+    }
 
-#[derive(Serialize)]
-pub(super) struct Job {
-    rollout_id: String,
-    replicate: u32,
-    job_id: i64,
-    state: String,
-    outcome: Option<&'static str>,
-    steps: Option<u32>,
-    attempts: u32,
-    charged_attempts: u32,
-    attempt_id: Option<String>,
-    worker_id: Option<String>,
-    control_steps: Option<u32>,
-    lease_left_secs: Option<f64>,
-    backoff_left_secs: Option<f64>,
-    last_error: Option<String>,
-}
+    Rollouts from status: wire::CampaignStatus {
+        total: u64 = status.total,
+        queued: u64 = status.queued,
+        leased: u64 = status.leased,
+        committed: u64 = status.committed,
+        succeeded: u64 = status.succeeded,
+        failed: u64 = status.committed.saturating_sub(status.succeeded),
+        quarantined: u64 = status.quarantined,
+    }
 
-#[derive(Serialize)]
-struct Goal {
-    predicates: u32,
-    at_end: u32,
-    at_most: u32,
-}
+    Job from job: wire::Job {
+        rollout_id: String = job.rollout_id.clone(),
+        replicate: u32 = job.replicate,
+        job_id: i64 = job.job_id,
+        state: String = job.state.clone(),
+        outcome: Option<&'static str> =
+            job.success.map(|success| if success { "success" } else { "failure" }),
+        steps: Option<u32> = job.steps,
+        attempts: u32 = job.attempt,
+        charged_attempts: u32 = job.charged_attempts,
+        attempt_id: Option<String> = given(&job.attempt_id),
+        worker_id: Option<String> = given(&job.lease_owner),
+        control_steps: Option<u32> = (job.state == "leased").then_some(job.control_steps),
+        lease_left_secs: Option<f64> = (job.state == "leased").then_some(job.lease_left_secs),
+        backoff_left_secs: Option<f64> = (job.state == "queued").then_some(job.backoff_left_secs),
+        last_error: Option<String> = given(&job.last_error),
+    }
 
-#[derive(Serialize)]
-struct ResultOrigin {
-    goal: Option<Goal>,
-    attempt: u32,
-    worker_id: String,
-    host: String,
-    renderer: String,
-    wall_secs: f64,
-    divergences: u32,
-    video: Option<String>,
-    committed_at: String,
-}
+    ResultOrigin from result: wire::ResultOrigin {
+        goal: Option<Goal> = result.goal.as_ref().map(Goal::of),
+        attempt: u32 = result.attempt,
+        worker_id: String = result.worker_id.clone(),
+        host: String = result.host.clone(),
+        renderer: String = result.renderer.clone(),
+        wall_secs: f64 = result.wall_secs,
+        divergences: u32 = result.divergences,
+        video: Option<String> = given(&result.video),
+        committed_at: String = instant(result.committed_unix_ms),
+    }
 
-#[derive(Serialize)]
-struct Failure {
-    attempt: u32,
-    worker_id: String,
-    reason: String,
-    is_charged: bool,
-    error: String,
-    failed_at: String,
-}
+    Goal from goal: wire::GoalProgress {
+        predicates: u32 = goal.predicates,
+        at_end: u32 = goal.at_end,
+        at_most: u32 = goal.at_most,
+    }
 
-#[derive(Serialize)]
-struct Worker {
-    worker_id: String,
-    host: String,
-    slots: u32,
-    leases: u32,
-    asset_pack: String,
-    mujoco_version: String,
-    renderer: String,
-    program_version: String,
-    is_alive: bool,
-    has_signed_off: bool,
-    failures_in_a_row: u32,
-    stopped_reason: Option<String>,
-    registered_at: String,
-    last_call_at: String,
+    Failure from failure: wire::Failure {
+        attempt: u32 = failure.attempt,
+        worker_id: String = failure.worker_id.clone(),
+        reason: String = failure.reason.clone(),
+        is_charged: bool = failure.charged,
+        error: String = failure.error.clone(),
+        failed_at: String = instant(failure.failed_unix_ms),
+    }
+
+    Worker from worker: wire::WorkerStatus {
+        worker_id: String = worker.worker_id.clone(),
+        host: String = worker.host.clone(),
+        slots: u32 = worker.slots,
+        leases: u32 = worker.leases,
+        asset_pack: String = worker.asset_pack.clone(),
+        mujoco_version: String = worker.mujoco_version.clone(),
+        renderer: String = worker.renderer.clone(),
+        program_version: String = worker.program_version.clone(),
+        is_alive: bool = worker.alive,
+        has_signed_off: bool = worker.signed_off,
+        failures_in_a_row: u32 = worker.charged_in_a_row,
+        stopped_reason: Option<String> = given(&worker.stopped_reason),
+        registered_at: String = instant(worker.registered_unix_ms),
+        last_call_at: String = instant(worker.last_seen_unix_ms),
+    }
 }
 
 /// Prints an answer as indented JSON.
@@ -171,132 +199,24 @@ impl Campaigns {
     }
 }
 
-impl Campaign {
-    fn of(status: &wire::CampaignStatus) -> Campaign {
-        Campaign {
-            name: status.campaign.clone(),
-            policy: status.policy.clone(),
-            endpoint: status.policy_endpoint.clone(),
-            priority: status.priority,
-            state: match status.state() {
-                State::Running | State::Unspecified => "running",
-                State::Paused => "paused",
-                State::Cancelled => "cancelled",
-                State::Stopped => "stopped",
-            },
-            is_finished: is_finished(status),
-            rollouts: Rollouts {
-                total: status.total,
-                queued: status.queued,
-                leased: status.leased,
-                committed: status.committed,
-                succeeded: status.succeeded,
-                failed: status.committed.saturating_sub(status.succeeded),
-                quarantined: status.quarantined,
-            },
-            rate_per_sec: status.rate_per_sec,
-            remaining_secs: status.eta_secs,
-            live_workers: status.live_workers,
-            policy_outage: status
-                .policy_paused
-                .then(|| status.policy_pause_reason.clone()),
-            waiting_reason: given(&status.waiting_reason),
-            mixed_fingerprints: given(&status.mixed_fingerprints),
-            early_stop: status.early_stop.as_ref().map(|early| EarlyStop {
-                rule: early.rule.clone(),
-                seed: early.seed,
-                strata: early.strata.clone(),
-                configurations: early.configurations,
-                used: early.used,
-                saved: early.used.map(|_| status.queued),
-            }),
-            follows_from: given(&status.follows_from),
-            created_at: instant(status.created_unix_ms),
-        }
-    }
-}
-
-impl Job {
-    pub(super) fn of(job: &wire::Job) -> Job {
-        let is_leased = job.state == "leased";
-        Job {
-            rollout_id: job.rollout_id.clone(),
-            replicate: job.replicate,
-            job_id: job.job_id,
-            state: job.state.clone(),
-            outcome: job
-                .success
-                .map(|success| if success { "success" } else { "failure" }),
-            steps: job.steps,
-            attempts: job.attempt,
-            charged_attempts: job.charged_attempts,
-            attempt_id: given(&job.attempt_id),
-            worker_id: given(&job.lease_owner),
-            control_steps: is_leased.then_some(job.control_steps),
-            lease_left_secs: is_leased.then_some(job.lease_left_secs),
-            backoff_left_secs: (job.state == "queued").then_some(job.backoff_left_secs),
-            last_error: given(&job.last_error),
-        }
-    }
-}
-
 impl JobDetails {
     /// # Errors
     /// If the manifest row is not valid JSON.
     pub(super) fn of(details: &wire::GetJobResponse) -> Result<JobDetails, CommandError> {
-        let failures = details.failures.iter().map(|failure| Failure {
-            attempt: failure.attempt,
-            worker_id: failure.worker_id.clone(),
-            reason: failure.reason.clone(),
-            is_charged: failure.charged,
-            error: failure.error.clone(),
-            failed_at: instant(failure.failed_unix_ms),
-        });
-        let result = details.result.as_ref().map(|result| ResultOrigin {
-            attempt: result.attempt,
-            worker_id: result.worker_id.clone(),
-            host: result.host.clone(),
-            renderer: result.renderer.clone(),
-            wall_secs: result.wall_secs,
-            divergences: result.divergences,
-            video: given(&result.video),
-            committed_at: instant(result.committed_unix_ms),
-            goal: result.goal.as_ref().map(|goal| Goal {
-                predicates: goal.predicates,
-                at_end: goal.at_end,
-                at_most: goal.at_most,
-            }),
-        });
         Ok(JobDetails {
             job: Job::of(&details.job.clone().unwrap_or_default()),
             manifest_row: serde_json::from_str(&details.manifest_row).map_err(failure)?,
             late_reports: details.stale_reports,
-            result,
-            failures: failures.collect(),
+            result: details.result.as_ref().map(ResultOrigin::of),
+            failures: details.failures.iter().map(Failure::of).collect(),
         })
     }
 }
 
 impl Workers {
     pub(super) fn of<'a>(workers: impl Iterator<Item = &'a wire::WorkerStatus>) -> Workers {
-        let worker = |worker: &wire::WorkerStatus| Worker {
-            worker_id: worker.worker_id.clone(),
-            host: worker.host.clone(),
-            slots: worker.slots,
-            leases: worker.leases,
-            asset_pack: worker.asset_pack.clone(),
-            mujoco_version: worker.mujoco_version.clone(),
-            renderer: worker.renderer.clone(),
-            program_version: worker.program_version.clone(),
-            is_alive: worker.alive,
-            has_signed_off: worker.signed_off,
-            failures_in_a_row: worker.charged_in_a_row,
-            stopped_reason: given(&worker.stopped_reason),
-            registered_at: instant(worker.registered_unix_ms),
-            last_call_at: instant(worker.last_seen_unix_ms),
-        };
         Workers {
-            workers: workers.map(worker).collect(),
+            workers: workers.map(Worker::of).collect(),
         }
     }
 }

@@ -21,7 +21,7 @@ use tonic::transport::Channel;
 use tonic::{Code, Request, Status};
 
 use crate::harness::{registration, rows, small_spec};
-use crate::process::{Serve, coordinator, text};
+use crate::process::{Serve, coordinator, fail, succeed, text};
 
 pub(crate) const WORKER: &str = "worker-secret-0123456789";
 pub(crate) const OPERATOR: &str = "operator-secret-0123456789";
@@ -295,13 +295,10 @@ async fn over_tls_a_token_opens_and_what_cannot_be_trusted_is_refused() {
     let authority = Authority::new();
     let valid = authority.sign(3_000);
     let guarded = Guarded::start(&valid.each_ref().map(String::as_str));
-    let listed = list_over_tls(&guarded, &authority.path("ca.pem"));
-    assert!(listed.status.success(), "{}", text(&listed.stderr));
+    succeed(list_over_tls(&guarded, &authority.path("ca.pem")));
     let before = guarded.rows().await;
     let other = Authority::new();
-    let refused = list_over_tls(&guarded, &other.path("ca.pem"));
-    assert_eq!(refused.status.code(), Some(1));
-    let told = text(&refused.stderr);
+    let told = &fail(list_over_tls(&guarded, &other.path("ca.pem")), 1);
     assert!(told.contains("not signed by the authority"), "{told}");
     assert_eq!(guarded.rows().await, before);
 }
@@ -312,9 +309,7 @@ async fn an_expired_certificate_is_refused_at_once() {
     let expired = authority.sign(2_020);
     let guarded = Guarded::start(&expired.each_ref().map(String::as_str));
     let before = guarded.rows().await;
-    let refused = list_over_tls(&guarded, &authority.path("ca.pem"));
-    assert_eq!(refused.status.code(), Some(1));
-    let told = text(&refused.stderr);
+    let told = &fail(list_over_tls(&guarded, &authority.path("ca.pem")), 1);
     assert!(told.contains("certificate expired"), "{told}");
     assert!(!told.contains("trying again"), "{told}");
     assert_eq!(guarded.rows().await, before);
@@ -325,9 +320,10 @@ fn other_machines_are_listened_to_only_with_guards_or_on_demand() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().join("data");
     let data = data.to_str().expect("UTF-8");
-    let output = coordinator(&["serve", "--listen", "0.0.0.0:0", "--data", data]);
-    assert_eq!(output.status.code(), Some(2));
-    let told = text(&output.stderr);
+    let told = &fail(
+        coordinator(&["serve", "--listen", "0.0.0.0:0", "--data", data]),
+        2,
+    );
     for word in ["0.0.0.0:0", "--tls-cert", "--token-file", "--insecure"] {
         assert!(told.contains(word), "{told}");
     }
@@ -394,9 +390,7 @@ fn secrets_that_others_can_read_are_refused_and_what_is_kept_they_cannot() {
     ] {
         for mode in [0o644, 0o640, 0o602] {
             std::fs::set_permissions(exposed, Permissions::from_mode(mode)).expect("set");
-            let output = coordinator(arguments);
-            let told = text(&output.stderr);
-            assert_eq!(output.status.code(), Some(1), "{told}");
+            let told = &fail(coordinator(arguments), 1);
             let remedy = format!("`chmod 600 {}`", exposed.display());
             let shown = format!("{mode:04o}");
             assert!(told.contains(&remedy) && told.contains(&shown), "{told}");

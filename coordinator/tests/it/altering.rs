@@ -43,15 +43,6 @@ async fn is_in_order(bench: &Bench) {
     assert_eq!(violations, []);
 }
 
-async fn delete(bench: &Bench, name: &str) {
-    let request = wire::DeleteCampaignRequest {
-        campaign: name.to_owned(),
-        confirm: name.to_owned(),
-    };
-    let deleted = bench.operator().await.delete_campaign(request).await;
-    deleted.expect("deleted");
-}
-
 /// Stores a video beside a committed outcome; returns its path below the data folder.
 async fn film(worker: &mut Worker, lease: &wire::Lease) -> String {
     let video = tokio_stream::iter([wire::ArtifactChunk {
@@ -126,8 +117,7 @@ async fn a_change_that_cannot_be_is_refused_and_nothing_changes() {
     let bench = Bench::start().await;
     bench.create(&small_spec("one")).await.expect("created");
     bench.create(&small_spec("two")).await.expect("created");
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(lease.campaign, "one");
     let held = worker.claim(8).await;
@@ -164,11 +154,7 @@ async fn a_change_that_cannot_be_is_refused_and_nothing_changes() {
     assert_eq!((status.priority, status.leased), (0, 3));
     let leases: Vec<&wire::Lease> = held.iter().collect();
     assert!(worker.heartbeat(&leases, 9).await.is_empty());
-    let change = wire::ChangeCampaignRequest {
-        campaign: "one".to_owned(),
-        change: Change::Cancel.into(),
-    };
-    let cancelled = bench.operator().await.change_campaign(change).await;
+    let cancelled = bench.change("one", Change::Cancel).await;
     cancelled.expect("cancelled");
     let refused = alter(&bench, to_endpoint("one", ELSEWHERE)).await;
     assert!(refused.expect_err("final").message().contains("final"));
@@ -181,8 +167,7 @@ async fn the_probe_of_a_policy_that_a_campaign_leaves_is_replaced() {
     let leaves = bench.create_with_priority(&small_spec("leaves"), 1).await;
     leaves.expect("created");
     bench.create(&small_spec("stays")).await.expect("created");
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     bench.pass(61).await;
     let probe = worker.claim_one().await;
@@ -232,8 +217,7 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
 async fn a_name_that_is_free_again_shares_no_files_with_who_had_it_before() {
     let bench = Bench::start().await;
     bench.create(&small_spec("name")).await.expect("created");
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let kept = film(&mut worker, &lease).await;
     alter(&bench, to_name("name", "first"))
@@ -248,7 +232,7 @@ async fn a_name_that_is_free_again_shares_no_files_with_who_had_it_before() {
     assert!(own.starts_with("artifacts/name~2/"), "{own}");
     is_in_order(&bench).await;
 
-    delete(&bench, "name").await;
+    bench.delete("name", "name").await.expect("deleted");
     assert!(bench.folder.path().join(&kept).is_file());
     assert!(!bench.folder.path().join(&own).exists());
     // No campaign has the name now, and no redirection from it is left.
@@ -266,7 +250,7 @@ async fn a_name_that_is_free_again_shares_no_files_with_who_had_it_before() {
         .await
         .expect("renamed");
     is_in_order(&bench).await;
-    delete(&bench, "last").await;
+    bench.delete("last", "last").await.expect("deleted");
     assert!(!bench.folder.path().join(&kept).exists());
     assert_eq!(bench.count("SELECT count(*) FROM former_name").await, 0);
     is_in_order(&bench).await;
@@ -274,8 +258,7 @@ async fn a_name_that_is_free_again_shares_no_files_with_who_had_it_before() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_operator_alters_a_campaign_from_the_command_line() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     let run = |arguments: &[&str], code: i32, words: &str| {
         let output = serve.command(arguments);
         let said = format!("{}{}", text(&output.stdout), text(&output.stderr));

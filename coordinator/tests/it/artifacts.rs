@@ -38,8 +38,7 @@ pub(crate) async fn put(
 async fn a_video_is_kept_beside_the_outcome_of_its_attempt() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     let pieces = [vec![1; 1_000_000], vec![2; 500_000]];
     let early = put(&mut worker, &lease, "video.mp4", &pieces).await;
     let early = early.expect_err("there is no outcome yet");
@@ -89,8 +88,7 @@ async fn the_film_of_a_failed_attempt_is_never_beside_another_ones_outcome() {
 async fn two_uploads_of_one_attempt_at_once_leave_one_whole_video() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let attempt_id = lease.attempt_id.clone();
     let chunk = move |of: u8| wire::ArtifactChunk {
@@ -121,8 +119,7 @@ async fn two_uploads_of_one_attempt_at_once_leave_one_whole_video() {
 async fn an_unknown_attempt_an_odd_name_and_too_much_are_refused_and_leave_nothing() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let small = [vec![1; 10]];
 

@@ -155,8 +155,7 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
 async fn campaigns_and_results_survive_a_restart() {
     let bench = Bench::start().await;
     bench.create(&small_spec("kept")).await.expect("created");
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let bench = bench.restart().await;
     let status = bench.status("kept").await;

@@ -255,8 +255,7 @@ async fn nothing_starves_behind_a_campaign_that_a_worker_cannot_run() {
     assert_eq!(other.commit(&lease, true).await, Verdict::Accepted);
     let down = with(small_spec("down"), policy("fragile"));
     bench.create_with_priority(&down, 5).await.expect("created");
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     assert_eq!(lease.campaign, "down");
     let reason = wire::release_request::Reason::PolicyUnavailable;
     worker.release(&lease, reason).await;

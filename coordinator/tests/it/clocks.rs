@@ -155,8 +155,7 @@ async fn an_outage_is_noticed_and_a_dead_worker_is_dead_after_the_clock_was_set_
     );
     bench.pass(60).await;
     assert_eq!(bench.status("back").await.live_workers, 0);
-    let mut worker = bench.worker("b").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("b").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     assert!(bench.status("back").await.policy_paused, "this is news");
 }

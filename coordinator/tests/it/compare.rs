@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::harness::{Bench, Worker, rollout_id, small_spec, with};
 use crate::page::ask;
-use crate::process::{Serve, coordinator, text};
+use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
 
 /// The published outcomes of OpenVLA-OFT.
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
@@ -33,14 +33,12 @@ fn create(serve: &Serve, name: &str, policy: &str, more: &[&str]) {
         "campaign", "create", "--name", name, "--policy", policy,
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object", "--levels", "L1",
     ];
-    let created = serve.command(&[&arguments, more].concat());
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    succeed(serve.command(&[&arguments, more].concat()));
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     create(
         &serve,
         "a",
@@ -55,9 +53,7 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
     );
     run_all(&mut serve.worker("w").await).await;
 
-    let output = serve.command(&["compare", "a", "b"]);
-    let table = text(&output.stdout);
-    assert!(output.status.success(), "{}", text(&output.stderr));
+    let table = &succeed(serve.command(&["compare", "a", "b"]));
     let words = table.split_whitespace().collect::<Vec<_>>().join(" ");
     for said in [
         "A strong at http://127.0.0.1:50051, campaign a",
@@ -70,9 +66,7 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
     ] {
         assert!(words.contains(said), "no `{said}` in\n{table}");
     }
-    for line in table.lines() {
-        assert!(line.chars().count() <= 80, "{line}");
-    }
+    fits_a_terminal(table);
 
     let output = serve.command(&["compare", "b", "a", "--json"]);
     let json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
@@ -97,17 +91,14 @@ async fn campaigns_and_folders_are_a_and_b_in_the_order_of_the_command_line() {
     run_all(&mut serve.worker("w").await).await;
     let rows = folder.path().join("rollouts.jsonl");
     let rows = rows.to_string_lossy();
-    let exported = serve.command(&["export", "a", "--format", "jsonl", "--output", &rows]);
-    assert!(exported.status.success(), "{}", text(&exported.stderr));
+    succeed(serve.command(&["export", "a", "--format", "jsonl", "--output", &rows]));
 
     let file = folder.path().to_string_lossy();
     for (arguments, is_file_first) in [
         (["compare", "--from", &file, "a", "--json"], true),
         (["compare", "a", "--from", &file, "--json"], false),
     ] {
-        let output = serve.command(&arguments);
-        assert!(output.status.success(), "{}", text(&output.stderr));
-        let json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        let json = succeed_in_json(serve.command(&arguments));
         assert_eq!(
             json["a"]["origin"]["file"].is_object(),
             is_file_first,
@@ -136,9 +127,7 @@ async fn campaigns_and_folders_are_a_and_b_in_the_order_of_the_command_line() {
 #[test]
 fn a_wrong_compare_command_exits_with_2_and_says_what_it_takes() {
     let check = |arguments: &[&str], words: &str| {
-        let output = coordinator(arguments);
-        let error = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+        let error = &fail(coordinator(arguments), 2);
         assert!(error.contains(words), "{words}: {error}");
     };
     check(&["compare"], "CAMPAIGN");

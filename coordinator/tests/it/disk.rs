@@ -9,7 +9,7 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 
 use crate::artifacts::put;
-use crate::process::{CREATE, Serve, coordinator, text};
+use crate::process::{CREATE, Serve, coordinator, fail, succeed, text};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so() {
@@ -39,8 +39,7 @@ async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_coordinator_that_cannot_write_leases_nothing_and_goes_on_when_it_can() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("a").await;
     let lease = worker.claim_one().await;
@@ -72,19 +71,15 @@ async fn a_data_folder_that_is_gone_takes_nothing_and_can_still_be_saved() {
 
     let mut create = CREATE;
     create[3] = "other";
-    let refused = serve.command(&create);
-    assert_eq!(refused.status.code(), Some(1), "{refused:?}");
-    let said = text(&refused.stderr);
+    let said = &fail(serve.command(&create), 1);
     assert!(said.contains("is gone"), "{said}");
     let refused = worker.try_commit(&leases[1], true).await;
     assert_eq!(refused.expect_err("gone").code(), tonic::Code::Internal);
 
     let copy = folder.path().join("saved.sqlite");
     let copy = copy.to_str().expect("UTF-8");
-    let saved = serve.command(&["backup", "--output", copy]);
-    assert!(saved.status.success(), "{}", text(&saved.stderr));
-    let checked = coordinator(&["check", copy]);
-    assert!(checked.status.success(), "{}", text(&checked.stderr));
+    succeed(serve.command(&["backup", "--output", copy]));
+    succeed(coordinator(&["check", copy]));
 
     // The coordinator does not use another database at the same path.
     drop(Serve::start(&data));
@@ -117,8 +112,7 @@ async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_artifacts_folder_on_a_full_disk_costs_the_video_and_not_the_outcome() {
     const ROOM: usize = 2_000_000;
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("a").await;
     let lease = worker.claim_one().await;

@@ -13,7 +13,7 @@ use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
 use tonic::{Request, Response, Status};
 
-use crate::process::{CREATE, Serve, coordinator, text};
+use crate::process::{CREATE, Serve, coordinator, fail, succeed, text};
 
 const MODEL: &str = "overlap:3*812+4*188";
 
@@ -23,11 +23,9 @@ fn json_of(printed: &[u8]) -> Value {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn results_reports_and_tables_carry_the_execution_model() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     let late = [&CREATE[..], &["--execution", MODEL]].concat();
-    let created = serve.command(&late);
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    succeed(serve.command(&late));
     let waits = [&CREATE[..2], &["--name", "waits"], &CREATE[4..]].concat();
     assert!(serve.command(&waits).status.success());
     let mut worker = serve.worker("a").await;
@@ -54,8 +52,7 @@ async fn results_reports_and_tables_carry_the_execution_model() {
 
     let rows = folder.path().join("rollouts.jsonl");
     let (path, from) = (rows.to_string_lossy(), folder.path().to_string_lossy());
-    let exported = serve.command(&["export", "demo", "--format", "jsonl", "--output", &path]);
-    assert!(exported.status.success(), "{}", text(&exported.stderr));
+    succeed(serve.command(&["export", "demo", "--format", "jsonl", "--output", &path]));
     let read = coordinator(&["report", "--from", &from, "--json"]);
     assert_eq!(json_of(&read.stdout)["reports"][0]["execution"], MODEL);
 }
@@ -67,11 +64,7 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
     let late = [&CREATE[..], &["--execution", MODEL]].concat();
     // A dry run needs no coordinator.
     let nowhere = ["--connect", "http://127.0.0.1:9"];
-    let run = |more: &[&str]| {
-        let output = coordinator(&[&late[..], more, &nowhere].concat());
-        assert!(output.status.success(), "{}", text(&output.stderr));
-        text(&output.stdout).to_owned()
-    };
+    let run = |more: &[&str]| succeed(coordinator(&[&late[..], more, &nowhere].concat()));
     let told = run(&["--dry-run"]);
     let line = format!("execution model {MODEL}: an answer takes effect after 150 to 200 ms");
     assert!(told.contains(&line), "{told}");
@@ -82,8 +75,9 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
 
     let (spec, rows) = (path("late.json"), path("late.jsonl"));
     std::fs::write(&spec, run(&["--print-spec"])).expect("written");
-    let expanded = coordinator(&["manifest", "expand", "--spec", &spec, "--output", &rows]);
-    assert!(expanded.status.success(), "{}", text(&expanded.stderr));
+    succeed(coordinator(&[
+        "manifest", "expand", "--spec", &spec, "--output", &rows,
+    ]));
     let written = std::fs::read_to_string(&rows).expect("written");
     let column = format!(r#""execution":"{MODEL}""#);
     assert!(written.lines().all(|line| line.contains(&column)));
@@ -95,9 +89,7 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
     };
     let taken = imported(&[]);
     assert_eq!(json_of(&taken.stdout)["execution"], MODEL);
-    let refused = imported(&["--execution", "hold:2"]);
-    assert_eq!(refused.status.code(), Some(2));
-    let told = text(&refused.stderr);
+    let told = &fail(imported(&["--execution", "hold:2"]), 2);
     assert!(told.contains("`execution` is hold:2"), "{told}");
 }
 
@@ -147,8 +139,7 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     let policy = Server::builder().add_service(PolicyServer::new(Described));
     let mut serving = JoinSet::new();
     serving.spawn(policy.serve_with_incoming(TcpIncoming::from(listener)));
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     let create = |name: &str, model: &str, more: &[&str]| {
         let named = ["campaign", "create", "--name", name];
         let policy = ["--policy", "expert", "--endpoint", &endpoint];
@@ -156,9 +147,7 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
         serve.command(&[&named[..], &policy, &rollouts, more].concat())
     };
     for more in [&[][..], &["--dry-run"]] {
-        let refused = create("late", "overlap:10", more);
-        let told = text(&refused.stderr);
-        assert_eq!(refused.status.code(), Some(2), "{told}");
+        let told = &fail(create("late", "overlap:10", more), 2);
         for part in [
             "create campaign late of policy `expert` at http://127.0.0.1:",
             "`overlap:10` drops at least 10 actions of each answer",
@@ -176,9 +165,7 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     assert!(told.contains("`overlap:10` drops at least 10"), "{told}");
     // One model executes some of the answers; the other all, since the arm holds still meanwhile.
     for (name, model) in [("some", "overlap:9*1+12*9"), ("all", "hold:10")] {
-        let created = create(name, model, &[]);
-        assert!(created.status.success(), "{}", text(&created.stderr));
-        let told = text(&created.stdout);
+        let told = &succeed(create(name, model, &[]));
         assert!(!told.contains("does not say"), "{told}");
     }
     serving.shutdown().await;

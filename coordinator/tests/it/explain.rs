@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use crate::derived::{PATIENCE, die_everywhere, run_all};
 use crate::json::{documented, keys};
-use crate::process::{Serve, text};
+use crate::process::{Serve, fits_a_terminal, succeed, succeed_in_json, text};
 
 fn set(text: &str) -> AxisSet {
     text.parse().expect("a set of axes")
@@ -59,14 +59,13 @@ pub(crate) fn create_with(serve: &Serve, further: &[&str]) {
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object", "--axes", "all",
         "--levels", "L2", "--configs", "0",
     ];
-    let created = serve.command(&[&arguments[..], further].concat());
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    succeed(serve.command(&[&arguments[..], further].concat()));
 }
 
 fn findings(serve: &Serve, arguments: &[&str]) -> Value {
-    let output = serve.command(&[&["explain", "first", "--create", "--json"], arguments].concat());
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    serde_json::from_slice(&output.stdout).expect("JSON")
+    succeed_in_json(
+        serve.command(&[&["explain", "first", "--create", "--json"], arguments].concat()),
+    )
 }
 
 /// Runs all derived rollouts and returns the complete findings.
@@ -87,8 +86,7 @@ pub(crate) async fn explained(serve: &Serve, arguments: &[&str]) -> Value {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn planted_rules_are_found_again() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     create(&serve);
     // The explanation can be requested before the campaign is finished.
     let output = serve.command(&["explain", "first", "--create"]);
@@ -139,10 +137,7 @@ async fn planted_rules_are_found_again() {
     ] {
         assert!(words.contains(line), "{line}: {words}");
     }
-    assert!(
-        words.lines().all(|line| line.chars().count() <= 80),
-        "{words}"
-    );
+    fits_a_terminal(words);
     let violations = invariants::check(folder.path()).await.expect("a database");
     assert_eq!(violations, []);
 }
@@ -150,16 +145,13 @@ async fn planted_rules_are_found_again() {
 /// Regression: looking at an explanation created a campaign that took slots.
 #[tokio::test(flavor = "multi_thread")]
 async fn to_look_at_an_explanation_that_is_not_there_changes_nothing_and_says_what_it_takes() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     create(&serve);
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;
     for command in ["explain", "thresholds"] {
         for flags in [&[][..], &["--dry-run"], &["--dry-run", "--budget", "100"]] {
-            let looked = serve.command(&[&[command, "first"], flags].concat());
-            assert!(looked.status.success(), "{}", text(&looked.stderr));
-            let said = text(&looked.stdout);
+            let said = &succeed(serve.command(&[&[command, "first"], flags].concat()));
             assert!(
                 said.contains(&format!(
                     "campaign first-{}",
@@ -196,8 +188,7 @@ async fn to_look_at_an_explanation_that_is_not_there_changes_nothing_and_says_wh
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_an_explanation_rests_on_stays() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     create(&serve);
     let refused = |arguments: &[&str], words: &str| {
         let output = serve.command(arguments);
@@ -208,11 +199,10 @@ async fn what_an_explanation_rests_on_stays() {
     refused(&["explain", "second"], "no such campaign");
     refused(&["explain", "first", "--budget", "0"], "--budget");
     #[rustfmt::skip]
-    let created = serve.command(&[
+    succeed(serve.command(&[
         "campaign", "create", "--name", "alone", "--policy", "p",
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/0", "--axes", "camera",
-    ]);
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    ]));
     refused(&["explain", "alone"], "two axes at least can act together");
     refused(
         &["campaign", "status", "alone-explained"],
@@ -231,10 +221,8 @@ async fn what_an_explanation_rests_on_stays() {
     let delete = ["campaign", "delete", "first", "--confirm", "first"];
     refused(&delete, "campaign `first-explained` follows from it");
 
-    let renamed = serve.command(&["campaign", "rename", "first", "final"]);
-    assert!(renamed.status.success(), "{}", text(&renamed.stderr));
-    let again = serve.command(&["explain", "final", "--name", "first-explained"]);
-    assert!(again.status.success(), "{}", text(&again.stderr));
+    succeed(serve.command(&["campaign", "rename", "first", "final"]));
+    succeed(serve.command(&["explain", "final", "--name", "first-explained"]));
 
     let spec = json!({
         "name": "other", "explains": {"campaign": "final"},
@@ -251,8 +239,7 @@ async fn what_an_explanation_rests_on_stays() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_budget_is_kept_and_what_is_begun_is_finished() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     create(&serve);
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;
@@ -270,8 +257,7 @@ async fn a_death_around_any_transaction_leaves_the_same_explanation() {
     let expected = explained(&serve, &[]).await;
     drop(serve);
 
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     create(&serve);
     let mut worker = serve.worker("first").await;
     run_all(&mut worker, outcome).await;
@@ -289,8 +275,7 @@ async fn a_death_around_any_transaction_leaves_the_same_explanation() {
 /// Regression (finding B8): a campaign whose client disconnected during COMMIT got no rollouts.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_rollouts() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     create(&serve);
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;

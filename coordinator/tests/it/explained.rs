@@ -13,7 +13,7 @@ use crate::explain::{create_with, explained, outcome};
 use crate::films::{films, upload};
 use crate::json::{documented, keys};
 use crate::page::ask;
-use crate::process::{Serve, text};
+use crate::process::{Serve, fail, fits_a_terminal, succeed};
 
 async fn page(serve: &Serve, path: &str) -> String {
     let answer = ask(&serve.url, &format!("GET {path}")).await;
@@ -23,15 +23,12 @@ async fn page(serve: &Serve, path: &str) -> String {
 
 /// Returns the output of a command that succeeds.
 fn printed(serve: &Serve, arguments: &[&str]) -> String {
-    let output = serve.command(arguments);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    text(&output.stdout).to_owned()
+    succeed(serve.command(arguments))
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn report_page_and_table_show_what_was_found() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     create_with(&serve, &[]);
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;
@@ -44,10 +41,7 @@ async fn report_page_and_table_show_what_was_found() {
 
     let words = printed(&serve, &["report", "first-explained"]);
     assert!(words.contains("6 of 6 transitions explained"), "{words}");
-    assert!(
-        words.lines().all(|line| line.chars().count() <= 80),
-        "{words}"
-    );
+    fits_a_terminal(&words);
     let json = printed(&serve, &["report", "first-explained", "--json"]);
     let json: Value = serde_json::from_str(&json).expect("JSON");
     assert_eq!(json["reports"][0]["explanation"], found);
@@ -109,8 +103,7 @@ async fn report_page_and_table_show_what_was_found() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_shows_an_explanation_is_filmed_and_stands_side_by_side() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     create_with(&serve, &["--record", "transitions"]);
     explained(&serve, &[]).await;
     let mut worker = serve.worker("films").await;
@@ -155,12 +148,9 @@ async fn what_shows_an_explanation_is_filmed_and_stands_side_by_side() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn interactions_add_up_to_simultaneous_success() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     create_with(&serve, &[]);
-    let refused = serve.command(&["interactions", "first"]);
-    assert_eq!(refused.status.code(), Some(1));
-    let error = text(&refused.stderr);
+    let error = &fail(serve.command(&["interactions", "first"]), 1);
     assert!(
         error.contains("--subsets all") && error.contains("`first`"),
         "{error}"
@@ -200,10 +190,7 @@ async fn interactions_add_up_to_simultaneous_success() {
     assert_eq!(report["reports"][0]["interactions"], json);
 
     let words = printed(&serve, &["interactions", "whole"]);
-    assert!(
-        words.lines().all(|line| line.chars().count() <= 80),
-        "{words}"
-    );
+    fits_a_terminal(&words);
     assert!(words.contains("camera+lighting+robot+sensor+actuation+language"));
     let page = page(&serve, "/campaigns/whole").await;
     assert!(page.contains("How the axes interact"));

@@ -15,12 +15,14 @@ use crate::harness::{Bench, Worker, small_spec, with};
 const PAST_BACKOFF_SECS: u64 = 70;
 
 /// A campaign of one rollout.
-async fn one_job(bench: &Bench) {
+async fn one_job() -> Bench {
+    let bench = Bench::start().await;
     let spec = with(
         small_spec("one"),
         json!({"axes": ["camera"], "nominal": "none"}),
     );
     assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 1);
+    bench
 }
 
 /// Fails the only job on a worker, which must be able to lease it.
@@ -32,8 +34,7 @@ async fn fail_on(bench: &Bench, worker: &mut Worker) -> Released {
 
 #[tokio::test]
 async fn late_result_from_an_old_attempt_is_refused() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
+    let bench = one_job().await;
     let (mut slow, mut quick) = (bench.worker("slow").await, bench.worker("quick").await);
     let old = slow.claim_one().await;
     bench.pass(40).await;
@@ -83,10 +84,8 @@ async fn a_worker_that_was_cut_off_is_charged_nothing_and_heard_when_it_comes_ba
 /// Regression (chaos schedule 1955): a heartbeat sent before the release resumed the lease.
 #[tokio::test]
 async fn an_attempt_given_back_after_a_silence_is_not_taken_up_by_a_late_heartbeat() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let bench = one_job().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     worker.heartbeat(&[&lease], 0).await;
     bench.pass(40).await;
     let released = worker.release(&lease, Reason::Draining).await;
@@ -127,8 +126,7 @@ async fn cuts_of_the_network_quarantine_nothing_and_stop_no_worker() {
 
 #[tokio::test]
 async fn a_rollout_that_takes_its_workers_down_is_quarantined_and_counts_for_nobody() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
+    let bench = one_job().await;
     for number in 0..MAX_SILENCES {
         let mut worker = bench.worker(&format!("w{number}")).await;
         bench.pass(PAST_BACKOFF_SECS).await;
@@ -143,8 +141,7 @@ async fn a_rollout_that_takes_its_workers_down_is_quarantined_and_counts_for_nob
 
 #[tokio::test]
 async fn a_worker_that_comes_back_is_not_heard_past_the_ceiling_of_its_attempt() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
+    let bench = one_job().await;
     let mut slow = bench.worker("slow").await;
     let old = slow.claim_one().await;
     bench.pass(3_600).await;
@@ -154,10 +151,8 @@ async fn a_worker_that_comes_back_is_not_heard_past_the_ceiling_of_its_attempt()
 
 #[tokio::test]
 async fn a_worker_that_comes_back_is_not_heard_once_its_policy_is_elsewhere() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let bench = one_job().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     bench.pass(40).await;
     let request = AlterCampaignRequest {
         campaign: "one".to_owned(),
@@ -173,10 +168,8 @@ async fn a_worker_that_comes_back_is_not_heard_once_its_policy_is_elsewhere() {
 
 #[tokio::test]
 async fn the_same_outcome_twice_is_fine() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let bench = one_job().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(worker.commit(&lease, true).await, Verdict::Duplicate);
     assert_eq!(bench.count("SELECT count(*) FROM result").await, 1);
@@ -185,8 +178,7 @@ async fn the_same_outcome_twice_is_fine() {
 
 #[tokio::test]
 async fn another_outcome_of_a_committed_rollout_is_kept_as_a_divergence() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
+    let bench = one_job().await;
     let (mut slow, mut quick) = (bench.worker("slow").await, bench.worker("quick").await);
     let old = slow.claim_one().await;
     bench.pass(40).await;
@@ -205,8 +197,7 @@ async fn another_outcome_of_a_committed_rollout_is_kept_as_a_divergence() {
 
 #[tokio::test]
 async fn who_was_granted_nothing_can_report_nothing() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
+    let bench = one_job().await;
     let (mut holder, mut liar) = (bench.worker("holder").await, bench.worker("liar").await);
     let lease = holder.claim_one().await;
     let made_up = Lease {
@@ -230,10 +221,8 @@ async fn who_was_granted_nothing_can_report_nothing() {
 
 #[tokio::test]
 async fn an_attempt_that_its_worker_leaves_out_expires_and_is_charged() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let bench = one_job().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     assert!(worker.heartbeat(&[&lease], 12).await.is_empty());
     bench.pass(20).await;
     worker.heartbeat(&[], 0).await;
@@ -252,10 +241,8 @@ async fn an_attempt_that_its_worker_leaves_out_expires_and_is_charged() {
 
 #[tokio::test]
 async fn heartbeats_keep_a_lease_for_as_long_as_they_come() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let bench = one_job().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     for beat in 0..20 {
         bench.pass(10).await;
         assert!(worker.heartbeat(&[&lease], beat * 10).await.is_empty());
@@ -266,10 +253,8 @@ async fn heartbeats_keep_a_lease_for_as_long_as_they_come() {
 /// Regression (defect 14): a stuck worker that still sent heartbeats kept its job forever.
 #[tokio::test]
 async fn no_heartbeat_extends_a_lease_past_the_ceiling_of_its_attempt() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let bench = one_job().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     let row: Value = serde_json::from_str(&lease.manifest_row).expect("a row");
     let steps = row["max_steps"].as_u64().expect("a number")
         + row["num_steps_wait"].as_u64().expect("a number");
@@ -289,10 +274,8 @@ async fn no_heartbeat_extends_a_lease_past_the_ceiling_of_its_attempt() {
 
 #[tokio::test]
 async fn a_failed_job_is_not_leased_before_its_back_off_is_over() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let bench = one_job().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     let released = worker.release(&lease, Reason::SimulatorError).await;
     assert_eq!(released.verdict(), Released::Requeued);
     assert!(released.backoff_secs >= 1.0, "{}", released.backoff_secs);
@@ -303,8 +286,7 @@ async fn a_failed_job_is_not_leased_before_its_back_off_is_over() {
 
 #[tokio::test]
 async fn a_job_is_quarantined_after_three_charged_attempts_on_two_workers() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
+    let bench = one_job().await;
     let (mut a, mut b) = (bench.worker("a").await, bench.worker("b").await);
     assert_eq!(fail_on(&bench, &mut a).await, Released::Requeued);
     assert_eq!(fail_on(&bench, &mut a).await, Released::Requeued);
@@ -320,8 +302,7 @@ async fn a_job_is_quarantined_after_three_charged_attempts_on_two_workers() {
 
 #[tokio::test]
 async fn one_broken_machine_does_not_condemn_a_rollout_while_another_is_there() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
+    let bench = one_job().await;
     let (mut broken, mut sound) = (bench.worker("broken").await, bench.worker("sound").await);
     for _ in 0..3 {
         bench.pass(PAST_BACKOFF_SECS).await;
@@ -339,8 +320,7 @@ async fn one_broken_machine_does_not_condemn_a_rollout_while_another_is_there() 
 
 #[tokio::test]
 async fn a_worker_alone_brings_a_job_into_quarantine() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
+    let bench = one_job().await;
     let mut alone = bench.worker("alone").await;
     assert_eq!(fail_on(&bench, &mut alone).await, Released::Requeued);
     assert_eq!(fail_on(&bench, &mut alone).await, Released::Requeued);
@@ -349,8 +329,7 @@ async fn a_worker_alone_brings_a_job_into_quarantine() {
 
 #[tokio::test]
 async fn draining_is_never_charged() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
+    let bench = one_job().await;
     let mut worker = bench.worker("a").await;
     for attempt in 1..=8 {
         let lease = worker.claim_one().await;
@@ -410,8 +389,7 @@ async fn a_worker_that_leaves_many_leases_out_is_struck_once() {
 
 #[tokio::test]
 async fn leases_get_their_full_time_again_after_a_restart() {
-    let bench = Bench::start().await;
-    one_job(&bench).await;
+    let bench = one_job().await;
     let lease = bench.worker("a").await.claim_one().await;
     bench.clock.advance(std::time::Duration::from_secs(3_600));
     let bench = bench.restart().await;

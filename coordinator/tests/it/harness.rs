@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use coordinator::{Config, Coordinator};
 use proto::coordinator as wire;
+use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::release_request::Reason;
@@ -131,6 +132,13 @@ impl Bench {
         self.worker_on(id, "primitives").await
     }
 
+    /// Registers a worker that claims one job, which must be available.
+    pub(crate) async fn leasing(&self, id: &str) -> (Worker, wire::Lease) {
+        let mut worker = self.worker(id).await;
+        let lease = worker.claim_one().await;
+        (worker, lease)
+    }
+
     pub(crate) async fn worker_on(&self, id: &str, pack: &str) -> Worker {
         self.worker_drawing(id, pack, "llvmpipe").await
     }
@@ -207,6 +215,30 @@ impl Bench {
             .into_inner()
             .status
             .expect("a status")
+    }
+
+    /// Pauses, resumes or cancels a campaign.
+    pub(crate) async fn change(
+        &self,
+        campaign: &str,
+        change: Change,
+    ) -> Result<wire::campaign_status::State, Status> {
+        let request = wire::ChangeCampaignRequest {
+            campaign: campaign.to_owned(),
+            change: change.into(),
+        };
+        let response = self.operator().await.change_campaign(request).await?;
+        Ok(response.into_inner().state())
+    }
+
+    /// Deletes a campaign; returns the number of its results.
+    pub(crate) async fn delete(&self, campaign: &str, confirm: &str) -> Result<u64, Status> {
+        let request = wire::DeleteCampaignRequest {
+            campaign: campaign.to_owned(),
+            confirm: confirm.to_owned(),
+        };
+        let response = self.operator().await.delete_campaign(request).await?;
+        Ok(response.into_inner().results)
     }
 
     /// Opens the database directly, bypassing the coordinator.

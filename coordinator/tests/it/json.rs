@@ -7,7 +7,7 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use serde_json::Value;
 
-use crate::process::{CREATE, Serve, text};
+use crate::process::{CREATE, Serve, fits_a_terminal, succeed, text};
 
 /// Returns the documented keys of a command: the first cells of its table's rows.
 pub(crate) fn documented(command: &str) -> BTreeSet<String> {
@@ -71,8 +71,7 @@ impl Printed {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_printed_has_the_keys_that_are_documented() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
     let early = [
         "--name",
@@ -83,8 +82,7 @@ async fn what_is_printed_has_the_keys_that_are_documented() {
         "-1",
     ];
     let early = [&CREATE[..2], &early, &CREATE[4..]].concat();
-    let created = serve.command(&early);
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    succeed(serve.command(&early));
     let mut worker = serve.worker("a").await;
     let leases = worker.claim(3).await;
     worker.release(&leases[0], Reason::SlotCrashed).await;
@@ -157,8 +155,7 @@ async fn what_is_printed_has_the_keys_that_are_documented() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     let create = [&CREATE[..], &["--axes", "camera,sensor"]].concat();
     assert!(serve.command(&create).status.success());
     let mut worker = serve.worker("a").await;
@@ -204,8 +201,7 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_placebo_is_planned_counted_and_listed_by_its_level() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     let create: Vec<&str> = "campaign create --name floor --policy expert --tasks libero_object \
          --endpoint http://127.0.0.1:50051 --axes camera,language --levels L0,L1 --configs 0,3 \
          --placebo-configs 3"
@@ -239,10 +235,7 @@ async fn a_placebo_is_planned_counted_and_listed_by_its_level() {
         words.contains("above a floor of 11.5 % over 10 configurations"),
         "{words}"
     );
-    assert!(
-        words.lines().all(|line| line.chars().count() <= 80),
-        "{words}"
-    );
+    fits_a_terminal(words);
     // Steadier assumed outcomes make other, smaller differences detectable.
     let example = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
     let earlier = Printed::by(&serve, &[&dry[..], &["--planning-from", example]].concat());
@@ -272,9 +265,7 @@ async fn a_placebo_is_planned_counted_and_listed_by_its_level() {
 #[test]
 fn every_shell_gets_a_script_that_completes_commands() {
     for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
-        let output = crate::process::coordinator(&["completions", shell]);
-        assert!(output.status.success(), "{}", text(&output.stderr));
-        let script = text(&output.stdout);
+        let script = &succeed(crate::process::coordinator(&["completions", shell]));
         for word in ["set-priority", "coordinator", "dry-run"] {
             assert!(script.contains(word), "{shell}: {word}");
         }

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use crate::derived::{PATIENCE, run_all};
 use crate::harness::rollout_id;
 use crate::page::ask;
-use crate::process::{Serve, text};
+use crate::process::{Serve, succeed, succeed_in_json, text};
 
 /// Longest delay that the policy bears, control steps.
 const BEARS: u16 = 3;
@@ -21,9 +21,7 @@ fn outcome(id: &RolloutId) -> Outcome {
 }
 
 fn json_of(serve: &Serve, arguments: &[&str]) -> Value {
-    let output = serve.command(&[arguments, &["--json"]].concat());
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    serde_json::from_slice(&output.stdout).expect("JSON")
+    succeed_in_json(serve.command(&[arguments, &["--json"]].concat()))
 }
 
 #[rustfmt::skip]
@@ -35,8 +33,7 @@ const CREATE: [&str; 16] = [
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_late_policy_is_a_condition_of_its_own() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     let refused = serve.command(&[&CREATE[..], &["--execution", "hold:2"]].concat());
     assert_eq!(refused.status.code(), Some(2));
     let told = text(&refused.stderr);
@@ -44,8 +41,7 @@ async fn a_late_policy_is_a_condition_of_its_own() {
         told.contains("axis `latency` with `execution` hold:2"),
         "{told}"
     );
-    let created = serve.command(&CREATE);
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    succeed(serve.command(&CREATE));
 
     // A worker that leaves the delay out is refused.
     let mut worker = serve.worker("w").await;
@@ -127,8 +123,7 @@ async fn a_late_policy_is_a_condition_of_its_own() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_delay_that_a_policy_bears_is_found_in_whole_control_steps() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("w").await;
     let began = Instant::now();

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use crate::access::write_private;
-use crate::process::{coordinator, text};
+use crate::process::{coordinator, fail, succeed, text};
 
 const SCRIPTS: [&str; 3] = ["coordinator.sh", "gateway.sbatch", "workers.sbatch"];
 
@@ -36,9 +36,7 @@ const INSECURE: [&str; 3] = ["--connect", "http://login1:7411", "--insecure"];
 #[test]
 fn scripts_are_shown_and_nothing_is_written_unless_asked_for() {
     let programs = programs();
-    let output = launch(programs.path(), &INSECURE);
-    let said = text(&output.stdout);
-    assert!(output.status.success(), "{}", text(&output.stderr));
+    let said = &succeed(launch(programs.path(), &INSECURE));
     for words in [
         "serve --data",
         "--listen 0.0.0.0:7411 --insecure",
@@ -107,9 +105,7 @@ fn what_is_written_is_whole_bash_whatever_the_values_hold() {
     // An edited script is never overwritten.
     let edited = Path::new(into).join("workers.sbatch");
     std::fs::write(&edited, "mine").expect("edited");
-    let output = launch(programs.path(), &arguments);
-    assert_eq!(output.status.code(), Some(1));
-    let complaint = text(&output.stderr);
+    let complaint = &fail(launch(programs.path(), &arguments), 1);
     assert!(
         complaint.contains("workers.sbatch: there is one that differs"),
         "{complaint}"
@@ -136,16 +132,12 @@ fn tokens_are_named_by_their_file_and_never_written_out() {
     // Anyone who gains access to a worker's job must not find an operator's token there.
     let wrong: [&[&str]; 2] = [&[], &["--worker-token-file", &tokens]];
     for more in wrong {
-        let output = launch(programs.path(), &[&guarded[..], more].concat());
-        let told = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{told}");
+        let told = &fail(launch(programs.path(), &[&guarded[..], more].concat()), 2);
         assert!(told.contains("--worker-token-file"), "{told}");
     }
     let of_workers = file("worker-token", &format!("worker {secret}\n"));
     let more = ["--worker-token-file", &of_workers];
-    let output = launch(programs.path(), &[&guarded[..], &more].concat());
-    let said = text(&output.stdout);
-    assert!(output.status.success(), "{}", text(&output.stderr));
+    let said = &succeed(launch(programs.path(), &[&guarded[..], &more].concat()));
     let (servers, workers) = said
         .split_once("workers.sbatch")
         .expect("the workers' script");

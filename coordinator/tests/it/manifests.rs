@@ -7,7 +7,7 @@ use std::process::Output;
 use serde_json::{Value, json};
 
 use crate::harness::small_spec;
-use crate::process::{Serve, coordinator, text};
+use crate::process::{Serve, coordinator, fail, succeed, text};
 
 fn expand(folder: &Path, name: &str, more: &[&str]) -> PathBuf {
     let path = folder.join(name);
@@ -17,8 +17,7 @@ fn expand(folder: &Path, name: &str, more: &[&str]) -> PathBuf {
         "--output",
         path.to_str().expect("UTF-8"),
     ];
-    let output = coordinator(&[&output, more].concat());
-    assert!(output.status.success(), "{}", text(&output.stderr));
+    succeed(coordinator(&[&output, more].concat()));
     path
 }
 
@@ -73,9 +72,7 @@ fn the_whole_design_is_2_000_clean_and_8_400_perturbed_rows() {
     assert_eq!(robot["perturb"]["robot"]["eef_rz_deg"], 21.091923);
     assert_eq!(row("long/t5/language/L2/c08")["perturb"], json!({}));
 
-    let output = manifest("check", &[&folder.path().join("all.jsonl")]);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    let said = text(&output.stdout);
+    let said = &succeed(manifest("check", &[&folder.path().join("all.jsonl")]));
     assert!(
         said.ends_with("10400 rows, 2000 nominal and 8400 perturbed; design v0.1\n"),
         "{said}"
@@ -128,9 +125,7 @@ fn a_bad_manifest_exits_with_1_and_names_its_lines_and_a_wrong_command_with_2() 
     rows[4]["perturb"] = rows[0]["perturb"].clone();
     rows[5]["colour"] = json!("red");
     write(&path, &rows);
-    let output = manifest("check", &[&path]);
-    assert_eq!(output.status.code(), Some(1));
-    let stderr = text(&output.stderr);
+    let stderr = &fail(manifest("check", &[&path]), 1);
     for words in [
         "v.jsonl: read manifest: 5 lines are refused",
         "line 2: read row spatial/t0/lighting/L1/c00: read `perturb`",

@@ -19,7 +19,7 @@ use tempfile::TempDir;
 
 use crate::artifacts::put;
 use crate::harness::{Worker, open_database, rollout_id, rows, small_spec, with};
-use crate::process::{Serve, text};
+use crate::process::{Serve, succeed, text};
 
 static WORKERS: AtomicU32 = AtomicU32::new(0);
 
@@ -45,8 +45,7 @@ pub(crate) struct Bench {
 
 impl Bench {
     pub(crate) async fn empty() -> Bench {
-        let folder = tempfile::tempdir().expect("a folder");
-        let serve = Serve::start(folder.path());
+        let (folder, serve) = Serve::anew();
         // Worker ids must be unique.
         let number = WORKERS.fetch_add(1, Ordering::Relaxed);
         let worker = serve.worker(&format!("w{number}")).await;
@@ -89,9 +88,7 @@ impl Bench {
 
     /// Runs a command that must succeed. Returns its output.
     pub(crate) fn must(&self, arguments: &[&str]) -> String {
-        let output = self.serve.command(arguments);
-        assert!(output.status.success(), "{}", text(&output.stderr));
-        text(&output.stdout).to_owned()
+        succeed(self.serve.command(arguments))
     }
 
     /// Runs a command that must fail. Returns its error message.

@@ -12,25 +12,7 @@ use serde_json::json;
 use tonic::{Code, Status};
 
 use crate::harness::{Bench, Worker, small_spec, with};
-use crate::process::{CREATE, Serve, coordinator, text};
-
-async fn change(bench: &Bench, campaign: &str, change: Change) -> Result<State, Status> {
-    let request = wire::ChangeCampaignRequest {
-        campaign: campaign.to_owned(),
-        change: change.into(),
-    };
-    let response = bench.operator().await.change_campaign(request).await?;
-    Ok(response.into_inner().state())
-}
-
-async fn delete(bench: &Bench, campaign: &str, confirm: &str) -> Result<u64, Status> {
-    let request = wire::DeleteCampaignRequest {
-        campaign: campaign.to_owned(),
-        confirm: confirm.to_owned(),
-    };
-    let response = bench.operator().await.delete_campaign(request).await?;
-    Ok(response.into_inner().results)
-}
+use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
 async fn retry(bench: &Bench, campaign: &str, jobs: &[&str], all: bool) -> Result<u64, Status> {
     let name = |id: &&str| wire::JobName {
@@ -77,10 +59,9 @@ async fn a_paused_campaign_leases_nothing_and_takes_what_was_leased() {
     let bench = Bench::start().await;
     bench.create(&small_spec("held")).await.expect("created");
     bench.create(&small_spec("other")).await.expect("created");
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     assert_eq!(lease.campaign, "held");
-    let paused = change(&bench, "held", Change::Pause).await;
+    let paused = bench.change("held", Change::Pause).await;
     assert_eq!(paused.expect("paused"), State::Paused);
 
     assert_eq!(worker.claim_one().await.campaign, "other");
@@ -93,7 +74,7 @@ async fn a_paused_campaign_leases_nothing_and_takes_what_was_leased() {
     let idle = worker.claim_response("").await.idle_reason;
     assert!(idle.contains("`held` is paused"), "{idle}");
 
-    let resumed = change(&bench, "held", Change::Resume).await;
+    let resumed = bench.change("held", Change::Resume).await;
     assert_eq!(resumed.expect("resumed"), State::Running);
     assert_eq!(worker.claim(64).await.len(), 3);
     is_in_order(&bench).await;
@@ -103,15 +84,13 @@ async fn a_paused_campaign_leases_nothing_and_takes_what_was_leased() {
 async fn resuming_wakes_claims_that_wait() {
     let bench = Bench::start().await;
     bench.create(&small_spec("held")).await.expect("created");
-    change(&bench, "held", Change::Pause).await.expect("paused");
+    bench.change("held", Change::Pause).await.expect("paused");
     let mut worker = bench.worker("a").await;
     let mut waiting = tokio::task::JoinSet::new();
     waiting.spawn(async move { worker.try_claim(25.0, "").await });
     tokio::time::sleep(std::time::Duration::from_millis(200)).await;
     let resumed = std::time::Instant::now();
-    change(&bench, "held", Change::Resume)
-        .await
-        .expect("resumed");
+    bench.change("held", Change::Resume).await.expect("resumed");
     let claimed = waiting.join_all().await.remove(0).expect("an answer");
     assert!(claimed.lease.is_some());
     assert!(resumed.elapsed().as_secs() < 10, "woken, not timed out");
@@ -124,7 +103,7 @@ async fn a_cancelled_campaign_takes_its_leases_back_and_keeps_its_results() {
     let mut worker = bench.worker("a").await;
     let (first, second) = (worker.claim_one().await, worker.claim_one().await);
     assert_eq!(worker.commit(&first, true).await, Verdict::Accepted);
-    let cancelled = change(&bench, "ended", Change::Cancel).await;
+    let cancelled = bench.change("ended", Change::Cancel).await;
     assert_eq!(cancelled.expect("cancelled"), State::Cancelled);
 
     let over = worker.heartbeat(&[&second], 9).await;
@@ -140,11 +119,12 @@ async fn a_cancelled_campaign_takes_its_leases_back_and_keeps_its_results() {
     );
     assert_eq!(bench.count("SELECT charged_in_a_row FROM worker").await, 0);
     for undo in [Change::Pause, Change::Resume] {
-        let refused = change(&bench, "ended", undo).await.expect_err("final");
+        let refused = bench.change("ended", undo).await.expect_err("final");
         assert_eq!(refused.code(), Code::FailedPrecondition);
         assert!(refused.message().contains("final"), "{refused}");
     }
-    change(&bench, "ended", Change::Cancel)
+    bench
+        .change("ended", Change::Cancel)
         .await
         .expect("so already");
     is_in_order(&bench).await;
@@ -157,14 +137,14 @@ async fn cancelling_frees_a_policy_whose_probe_it_takes_back() {
     let first = bench.create_with_priority(&first, 1).await;
     first.expect("created");
     bench.create(&small_spec("second")).await.expect("created");
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     bench.pass(61).await;
     let probe = worker.claim_one().await;
     assert!(worker.claim(4).await.is_empty(), "one probe at a time");
     assert_eq!(probe.campaign, "first");
-    change(&bench, "first", Change::Cancel)
+    bench
+        .change("first", Change::Cancel)
         .await
         .expect("cancelled");
     is_in_order(&bench).await;
@@ -189,14 +169,14 @@ async fn a_campaign_is_deleted_with_its_files_by_who_names_it_twice() {
     let video = bench.folder.path().join(put.into_inner().path);
     assert!(video.is_file());
 
-    let refused = delete(&bench, "old", "odl").await.expect_err("mistyped");
+    let refused = bench.delete("old", "odl").await.expect_err("mistyped");
     assert_eq!(refused.code(), Code::InvalidArgument);
-    let refused = delete(&bench, "old", "old").await.expect_err("leased");
+    let refused = bench.delete("old", "old").await.expect_err("leased");
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(refused.message().contains("1 of its rollouts"), "{refused}");
     worker.release(&held, Reason::Draining).await;
 
-    assert_eq!(delete(&bench, "old", "old").await.expect("deleted"), 1);
+    assert_eq!(bench.delete("old", "old").await.expect("deleted"), 1);
     assert!(!video.exists());
     for (query, left) in [
         ("SELECT count(*) FROM campaign", 1),
@@ -207,7 +187,7 @@ async fn a_campaign_is_deleted_with_its_files_by_who_names_it_twice() {
         assert_eq!(bench.count(query).await, left, "{query}");
     }
     is_in_order(&bench).await;
-    let refused = delete(&bench, "old", "old").await.expect_err("gone");
+    let refused = bench.delete("old", "old").await.expect_err("gone");
     assert_eq!(refused.code(), Code::NotFound);
     assert_eq!(worker.claim(64).await.len(), 4);
 }
@@ -361,8 +341,7 @@ async fn workers_are_listed_with_their_leases_and_why_they_stopped() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_backup_of_a_running_coordinator_is_in_order_and_can_be_served() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("a").await;
     let leases = worker.claim(3).await;
@@ -371,8 +350,7 @@ async fn a_backup_of_a_running_coordinator_is_in_order_and_can_be_served() {
     std::fs::create_dir(&restored).expect("a folder");
     let copy = restored.join("coordinator.sqlite");
     let copy = copy.to_str().expect("UTF-8");
-    let made = serve.command(&["backup", "--output", copy]);
-    assert!(made.status.success(), "{}", text(&made.stderr));
+    succeed(serve.command(&["backup", "--output", copy]));
     assert_eq!(worker.commit(&leases[1], true).await, Verdict::Accepted);
     assert!(!folder.path().join("backup.partial").exists());
 
@@ -388,8 +366,7 @@ async fn a_backup_of_a_running_coordinator_is_in_order_and_can_be_served() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     let run = |arguments: &[&str], code: i32, words: &[&str]| {
         let output = serve.command(arguments);
         let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
@@ -480,9 +457,9 @@ async fn an_attempt_of_a_deleted_campaign_fits_no_job_of_the_next_one() {
     bench.create(&small_spec("before")).await.expect("created");
     let mut slot = bench.worker("a").await;
     let old = slot.claim_one().await;
-    let cancelled = change(&bench, "before", Change::Cancel).await;
+    let cancelled = bench.change("before", Change::Cancel).await;
     assert_eq!(cancelled.expect("cancelled"), State::Cancelled);
-    delete(&bench, "before", "before").await.expect("deleted");
+    bench.delete("before", "before").await.expect("deleted");
     bench.create(&small_spec("after")).await.expect("created");
     let new = slot.claim_one().await;
     assert!(new.job_id > old.job_id + 3, "no number is used again");

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use proto::coordinator::ChangeCampaignRequest;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
@@ -76,18 +75,13 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
 #[tokio::test]
 async fn an_operator_who_resumes_a_campaign_has_its_policy_tried_at_once() {
     let bench = two_campaigns().await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let status = bench.status("first").await;
     assert!(status.policy_retry_secs > Some(0.0), "{status:?}");
     let others = worker.claim(64).await;
     assert!(others.iter().all(|lease| lease.policy == "sound"));
-    let resume = ChangeCampaignRequest {
-        campaign: "first".to_owned(),
-        change: Change::Resume.into(),
-    };
-    let resumed = bench.operator().await.change_campaign(resume).await;
+    let resumed = bench.change("first", Change::Resume).await;
     resumed.expect("resumed");
     assert_eq!(bench.status("first").await.policy_retry_secs, Some(0.0));
     assert_eq!(worker.claim_one().await.policy, "fragile");
@@ -101,8 +95,7 @@ async fn an_operator_who_resumes_a_campaign_has_its_policy_tried_at_once() {
 #[tokio::test]
 async fn a_pause_lets_one_probe_through_and_its_first_answer_resumes_the_rest() {
     let bench = two_campaigns().await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     bench.pass(PAST_FIRST_SECS).await;
     let leases = worker.claim(4).await;
@@ -134,8 +127,7 @@ async fn a_pause_lets_one_probe_through_and_its_first_answer_resumes_the_rest() 
 #[tokio::test]
 async fn a_probe_that_fails_waits_longer_and_one_that_crashes_is_replaced() {
     let bench = two_campaigns().await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     let first = worker.release(&lease, Reason::PolicyUnavailable).await;
     bench.pass(PAST_FIRST_SECS).await;
     let mut probe = worker.claim(1).await.remove(0);
@@ -188,8 +180,7 @@ async fn what_was_leased_before_the_policy_came_back_is_no_new_outage() {
 #[tokio::test]
 async fn a_pause_survives_a_restart_and_still_ends_by_itself() {
     let bench = two_campaigns().await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let bench = bench.restart().await;
     assert!(bench.status("first").await.policy_paused);

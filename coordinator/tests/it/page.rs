@@ -180,8 +180,7 @@ async fn every_page_says_what_there_is_and_may_load_nothing_from_elsewhere() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_outage_and_a_quarantine_are_told_in_words() {
     let bench = begun().await;
-    let mut worker = bench.worker("w").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("w").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let page = ask(&bench.url, "GET /policies").await.text();
     for word in ["paused", "is tried again", "the bench said so"] {
@@ -281,8 +280,7 @@ async fn what_workers_say_cannot_become_markup() {
 async fn a_video_is_sent_whole_and_in_ranges() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let mut worker = bench.worker("w").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("w").await;
     worker.commit(&lease, true).await;
     let film: Vec<u8> = (0..200_000_u32).map(|n| n.to_le_bytes()[0]).collect();
     put(
@@ -412,8 +410,7 @@ async fn the_stream_tells_of_a_commit_and_ends_with_the_coordinator() {
         }
     };
     until("data: 0");
-    let mut worker = bench.worker("another").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("another").await;
     worker.commit(&lease, true).await;
     tokio::task::block_in_place(|| until("data: 1"));
     bench.stop().await;

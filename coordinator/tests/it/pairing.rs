@@ -387,8 +387,7 @@ async fn a_sibling_that_cannot_be_read_charges_nobody_and_is_named() {
     // The results of running campaigns are remembered.
     let bench = bench.restart().await;
     bench.pass(61).await;
-    let mut worker = bench.worker("b").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("b").await;
     let report = worker.report(&lease, true);
     let (verdict, detail) = worker.commit_request(report).await;
     assert_eq!(verdict, Verdict::Unpaired);

@@ -9,6 +9,8 @@ use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
+use serde_json::Value;
+use tempfile::TempDir;
 use tokio::task::JoinSet;
 use tonic::Status;
 
@@ -22,6 +24,13 @@ pub(crate) struct Serve {
 }
 
 impl Serve {
+    /// Starts the program on a new folder, which lasts as long as the first value.
+    pub(crate) fn anew() -> (TempDir, Serve) {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let serve = Serve::start(folder.path());
+        (folder, serve)
+    }
+
     pub(crate) fn start(data: &Path) -> Serve {
         Serve::start_with(data, &[], Stdio::null())
     }
@@ -133,6 +142,29 @@ pub(crate) fn coordinator(arguments: &[&str]) -> Output {
         .expect("runs")
 }
 
+/// Returns the output of a program that succeeded.
+pub(crate) fn succeed(output: Output) -> String {
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    text(&output.stdout).to_owned()
+}
+
+pub(crate) fn succeed_in_json(output: Output) -> Value {
+    serde_json::from_str(&succeed(output)).expect("JSON")
+}
+
+/// Returns the message of a program that exited with `code`.
+pub(crate) fn fail(output: Output, code: i32) -> String {
+    let error = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{error}");
+    error.to_owned()
+}
+
+pub(crate) fn fits_a_terminal(text: &str) {
+    for line in text.lines() {
+        assert!(line.chars().count() <= 80, "{line}");
+    }
+}
+
 pub(crate) fn text(bytes: &[u8]) -> &str {
     std::str::from_utf8(bytes).expect("UTF-8")
 }
@@ -178,14 +210,9 @@ async fn a_coordinator_killed_in_the_middle_continues_where_it_was() {
     while let [lease] = worker.claim(1).await.as_slice() {
         assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
     }
-    let status = second.command(&["campaign", "status", "demo", "--watch"]);
-    assert!(status.status.success(), "{}", text(&status.stderr));
-    let status = text(&status.stdout);
+    let status = &succeed(second.command(&["campaign", "status", "demo", "--watch"]));
     assert!(status.contains("14/14 100%  finished"), "{status}");
-    assert!(
-        status.lines().all(|line| line.chars().count() <= 80),
-        "{status}"
-    );
+    fits_a_terminal(status);
 }
 
 /// Regression: sweeps a second apart were taken for a suspension, so that leases of two seconds or
@@ -216,8 +243,7 @@ async fn the_shortest_leases_expire_too() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_coordinator_told_to_stop_answers_waiting_claims_and_leaves_one_file() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut serve = Serve::start(folder.path());
+    let (folder, mut serve) = Serve::anew();
     let mut worker = serve.worker("a").await;
     let mut waiting = JoinSet::new();
     waiting.spawn(async move { worker.try_claim(30.0, "").await });
@@ -240,8 +266,7 @@ async fn a_coordinator_told_to_stop_answers_waiting_claims_and_leaves_one_file()
 
 #[tokio::test(flavor = "multi_thread")]
 async fn commands_that_are_wrong_exit_with_2_and_write_nothing() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     let check = |flag: &str, value: &str, words: &[&str]| {
         let mut arguments = CREATE.to_vec();
         match arguments.iter().position(|argument| *argument == flag) {
@@ -289,8 +314,7 @@ async fn commands_that_are_wrong_exit_with_2_and_write_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_specification_is_read_from_a_file_or_standard_input() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     let path = folder.path().join("spec.json");
     std::fs::write(&path, small_spec("filed").to_string()).expect("written");
     let path = path.to_str().expect("UTF-8");
@@ -313,13 +337,8 @@ async fn a_specification_is_read_from_a_file_or_standard_input() {
     );
 
     std::fs::write(path, "{\"name\": \"x\", \"colour\": 1}").expect("written");
-    let output = serve.command(&["campaign", "create", "--spec", path]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(
-        text(&output.stderr).contains("colour"),
-        "{}",
-        text(&output.stderr)
-    );
+    let error = &fail(serve.command(&["campaign", "create", "--spec", path]), 2);
+    assert!(error.contains("colour"), "{error}");
 }
 
 #[test]
@@ -327,9 +346,10 @@ fn a_coordinator_that_cannot_be_reached_is_named_after_a_few_tries() {
     let free = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     let url = format!("http://{}", free.local_addr().expect("an address"));
     drop(free);
-    let output = coordinator(&["campaign", "list", "--connect", &url, "--retry-secs", "2"]);
-    assert_eq!(output.status.code(), Some(1));
-    let stderr = text(&output.stderr);
+    let stderr = &fail(
+        coordinator(&["campaign", "list", "--connect", &url, "--retry-secs", "2"]),
+        1,
+    );
     assert!(stderr.contains("trying again for 2 s"), "{stderr}");
     for word in [
         "failed to reach",
@@ -348,33 +368,28 @@ fn an_address_in_use_and_a_folder_that_cannot_be_made_fail_with_the_remedy() {
     let address = taken.local_addr().expect("an address").to_string();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().to_str().expect("UTF-8");
-    let output = coordinator(&["serve", "--listen", &address, "--data", data]);
-    assert_eq!(output.status.code(), Some(1));
-    assert!(
-        text(&output.stderr).contains("--listen"),
-        "{}",
-        text(&output.stderr)
+    let error = &fail(
+        coordinator(&["serve", "--listen", &address, "--data", data]),
+        1,
     );
+    assert!(error.contains("--listen"), "{error}");
 
     let file = folder.path().join("file");
     std::fs::write(&file, "in the way").expect("written");
     let below = file.join("data");
     let below = below.to_str().expect("UTF-8");
-    let output = coordinator(&["serve", "--listen", "127.0.0.1:0", "--data", below]);
-    assert_eq!(output.status.code(), Some(1));
-    assert!(
-        text(&output.stderr).contains("write to it"),
-        "{}",
-        text(&output.stderr)
+    let error = &fail(
+        coordinator(&["serve", "--listen", "127.0.0.1:0", "--data", below]),
+        1,
     );
+    assert!(error.contains("write to it"), "{error}");
 }
 
 /// Regression: a policy's error text, relayed by its worker, could set the operator's clipboard.
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
     const HOSTILE: &str = "\x1b]52;c;cm0gLXJm\x07\x1b[2K\rall is well \u{9b}31m\u{202e}";
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     let spec = folder.path().join("spec.json");
     std::fs::write(&spec, small_spec("told").to_string()).expect("written");
     let path = spec.to_str().expect("UTF-8");
@@ -422,9 +437,7 @@ async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
         &["jobs", "list", "told"],
         &["campaign", "status", "told"],
     ] {
-        let output = serve.command(command);
-        let said = text(&output.stdout);
-        assert!(output.status.success(), "{}", text(&output.stderr));
+        let said = &succeed(serve.command(command));
         assert!(!is_obeyed(said), "{command:?}: {said:?}");
     }
     let said = serve.command(&["jobs", "show", "told", &rollout]);
@@ -433,8 +446,7 @@ async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
 
 #[test]
 fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     let flags = [
         "--subsets",
         "camera+sensor",
@@ -453,8 +465,7 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
     let spec = folder.path().join("spec.json");
     std::fs::write(&spec, &printed.stdout).expect("written");
     let spec = spec.to_str().expect("UTF-8");
-    let created = serve.command(&create);
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    succeed(serve.command(&create));
     let again = serve.command(&["campaign", "create", "--spec", spec]);
     let said = text(&again.stdout);
     assert!(
@@ -469,9 +480,7 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
 
 #[test]
 fn an_export_as_csv_names_the_command_that_writes_it() {
-    let output = coordinator(&["export", "demo", "--format", "csv"]);
-    assert_eq!(output.status.code(), Some(2));
-    let said = text(&output.stderr);
+    let said = &fail(coordinator(&["export", "demo", "--format", "csv"]), 2);
     let words = "`coordinator report CAMPAIGN --table FILE.csv` writes outcomes in this format";
     assert!(said.contains(words), "{said}");
     let output = coordinator(&["export", "demo", "--format", "xlsx"]);

@@ -7,7 +7,7 @@ use report::Document;
 use serde_json::{Value, json};
 
 use crate::harness::{Bench, Worker, rollout_id, small_spec, with};
-use crate::process::{Serve, coordinator, text};
+use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
 
 /// The published outcomes of OpenVLA-OFT.
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
@@ -258,12 +258,10 @@ fn result_files_are_reported_without_a_coordinator_in_every_form() {
     let (html, figures, csv) = (path("report.html"), path("figures"), path("table.csv"));
     let parquet = path("table.parquet");
     #[rustfmt::skip]
-    let output = coordinator(&[
+    let json = succeed_in_json(coordinator(&[
         "report", "--from", EXAMPLE, "--json", "--html", &html, "--figures", &figures,
         "--table", &csv, "--table", &parquet,
-    ]);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    let json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    ]));
     let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
     assert_eq!((&l2["b"], &l2["c"]), (&json!(54), &json!(55)));
     let read = |path: &str| std::fs::read(path).expect("written");
@@ -276,10 +274,7 @@ fn result_files_are_reported_without_a_coordinator_in_every_form() {
     let output = coordinator(&["report", "--from", EXAMPLE]);
     let table = text(&output.stdout);
     assert!(table.contains("reproduction gate: -0.40 points"), "{table}");
-    assert!(
-        table.lines().all(|line| line.chars().count() <= 80),
-        "{table}"
-    );
+    fits_a_terminal(table);
 }
 
 /// Regression: with four configurations, the terminal was full of symbols.
@@ -302,10 +297,7 @@ fn a_report_is_short_and_in_sentences_unless_all_of_it_is_asked_for() {
         "{brief}"
     );
     assert!(brief.lines().count() <= 24, "one screen: {brief}");
-    assert!(
-        brief.lines().all(|line| line.chars().count() <= 80),
-        "{brief}"
-    );
+    fits_a_terminal(brief);
     let full = coordinator(&["report", "--from", EXAMPLE, "--full"]);
     let full = text(&full.stdout);
     assert!(
@@ -366,9 +358,7 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
     std::fs::write(&rows, format!("{good}\n{{\n")).expect("written");
     let bad = folder.path().to_string_lossy().into_owned();
     let check = |arguments: &[&str], words: &[&str]| {
-        let output = coordinator(arguments);
-        let error = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+        let error = &fail(coordinator(arguments), 2);
         for word in words {
             assert!(error.contains(word), "{word}: {error}");
         }
@@ -404,9 +394,8 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_campaign_and_published_results_stand_side_by_side() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
-    let created = serve.command(&[
+    let (_folder, serve) = Serve::anew();
+    succeed(serve.command(&[
         "campaign",
         "create",
         "--name",
@@ -421,15 +410,12 @@ async fn a_campaign_and_published_results_stand_side_by_side() {
         "0",
         "--levels",
         "L1",
-    ]);
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    ]));
     let mut worker = serve.worker("a").await;
     while let [lease] = worker.claim(1).await.as_slice() {
         assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
     }
-    let output = serve.command(&["report", "own", "--from", EXAMPLE, "--json"]);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    let json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let json = succeed_in_json(serve.command(&["report", "own", "--from", EXAMPLE, "--json"]));
     assert_eq!(json["paired"]["expert"]["L1"]["n"], 2);
     assert_eq!(json["paired"]["OpenVLA-OFT"]["L3"]["b"], 66);
     let warning = json["warnings"][0].as_str().expect("a warning");

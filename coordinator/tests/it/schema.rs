@@ -107,8 +107,7 @@ const FOUL: &[(&str, &str)] = &[
 async fn rows_that_no_state_describes_cannot_be_stored() {
     let bench = Bench::start().await;
     bench.create(&small_spec("strict")).await.expect("created");
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     worker.commit(&lease, true).await;
     worker.claim_one().await;
     let pool = bench.database().await;

@@ -9,16 +9,7 @@ use serde_json::{Value, json};
 use tonic::Code;
 
 use crate::harness::{Bench, Worker, registration, small_spec, with};
-use crate::process::{CREATE, Serve, coordinator, text};
-
-async fn change(bench: &Bench, campaign: &str, change: Change) {
-    let request = wire::ChangeCampaignRequest {
-        campaign: campaign.to_owned(),
-        change: change.into(),
-    };
-    let changed = bench.operator().await.change_campaign(request).await;
-    changed.expect("changed");
-}
+use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
 async fn commit_after(worker: &mut Worker, lease: &wire::Lease, wall_secs: f64) {
     let mut report = worker.report(lease, true);
@@ -79,9 +70,12 @@ async fn what_began_before_a_pause_says_nothing_of_the_pace_after_it() {
     bench.create(&spec).await.expect("created");
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(2).await;
-    change(&bench, "paced", Change::Pause).await;
+    bench.change("paced", Change::Pause).await.expect("changed");
     bench.pass(20).await;
-    change(&bench, "paced", Change::Resume).await;
+    bench
+        .change("paced", Change::Resume)
+        .await
+        .expect("changed");
     bench.clock.advance(std::time::Duration::from_millis(10));
     for lease in &leases {
         commit_after(&mut worker, lease, 20.0).await;
@@ -104,8 +98,7 @@ async fn the_wait_for_the_first_worker_is_in_no_pace() {
     let bench = Bench::start().await;
     bench.create(&small_spec("late")).await.expect("created");
     bench.pass(200).await;
-    let mut worker = bench.worker("a").await;
-    let lease = worker.claim_one().await;
+    let (mut worker, lease) = bench.leasing("a").await;
     bench.pass(10).await;
     commit_after(&mut worker, &lease, 10.0).await;
     assert_eq!(bench.status("late").await.rate_per_sec, Some(0.1));
@@ -124,11 +117,7 @@ async fn the_policy_of_a_deleted_campaign_is_listed_no_more() {
         names.collect::<Vec<_>>()
     };
     assert_eq!(listed().await, ["expert", "gone"]);
-    let request = wire::DeleteCampaignRequest {
-        campaign: "deleted".to_owned(),
-        confirm: "deleted".to_owned(),
-    };
-    let done = bench.operator().await.delete_campaign(request).await;
+    let done = bench.delete("deleted", "deleted").await;
     done.expect("deleted");
     assert_eq!(listed().await, ["expert"]);
 }
@@ -139,9 +128,7 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
     let dry = [&CREATE[..], &["--dry-run"]].concat();
     // Without a coordinator, the rest is printed, and the command succeeds.
     let nowhere = [&dry[..], &["--connect", "http://127.0.0.1:9"]].concat();
-    let alone = coordinator(&nowhere);
-    assert!(alone.status.success(), "{}", text(&alone.stderr));
-    let said = text(&alone.stdout);
+    let said = &succeed(coordinator(&nowhere));
     assert!(said.starts_with("campaign demo would have 14 rollouts\n"));
     assert!(
         said.contains("no forecast of its duration: failed to reach"),
@@ -203,9 +190,9 @@ async fn a_worker_that_has_gone_is_listed_for_a_week_and_counted_afterwards() {
     bench.worker("old").await;
     let list = |arguments: &[&str]| {
         let connection = ["--connect", bench.url.as_str()];
-        let output = coordinator(&[&["workers"], arguments, &connection].concat());
-        assert!(output.status.success(), "{}", text(&output.stderr));
-        text(&output.stdout).to_owned()
+        succeed(coordinator(
+            &[&["workers"], arguments, &connection].concat(),
+        ))
     };
     bench.clock.advance(Duration::from_secs(6 * 86_400));
     bench.worker("new").await;

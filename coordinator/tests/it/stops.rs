@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use crate::derived::{PATIENCE, die_at};
 use crate::harness::{Worker, rollout_id};
 use crate::page::ask;
-use crate::process::{Serve, coordinator, text};
+use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
 
 /// Time for which a test observes that a campaign does not stop.
 const A_WHILE: Duration = Duration::from_millis(400);
@@ -82,8 +82,7 @@ fn create(serve: &Serve, folder: &Path, spec: &Value) {
     let file = folder.join(format!("{}.json", spec["name"].as_str().expect("a name")));
     std::fs::write(&file, spec.to_string()).expect("written");
     let file = file.to_string_lossy();
-    let created = serve.command(&["campaign", "create", "--spec", &file]);
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    succeed(serve.command(&["campaign", "create", "--spec", &file]));
 }
 
 fn id(lease: &Lease) -> RolloutId {
@@ -104,9 +103,7 @@ async fn run(worker: &mut Worker, rollouts: usize) -> Vec<RolloutId> {
 }
 
 fn printed(serve: &Serve, arguments: &[&str]) -> Value {
-    let output = serve.command(arguments);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    serde_json::from_slice(&output.stdout).expect("JSON")
+    succeed_in_json(serve.command(arguments))
 }
 
 fn status(serve: &Serve, name: &str) -> Value {
@@ -128,8 +125,7 @@ async fn stopped(serve: &Serve, name: &str) -> Value {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     let planted = planted(&spec("early"));
     create(&serve, folder.path(), &spec("early"));
     let mut worker = serve.worker("w").await;
@@ -189,10 +185,7 @@ async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
     assert!(flat.contains(&words), "{said}");
     assert!(flat.contains("are not valid"), "{said}");
     assert!(flat.contains("hold together at all looks"), "{said}");
-    assert!(
-        said.lines().all(|line| line.chars().count() <= 80),
-        "{said}"
-    );
+    fits_a_terminal(&said);
     let page = std::fs::read_to_string(page).expect("a page");
     assert!(page.contains("Confidence sequences") && page.contains("Stopped early after"));
 
@@ -225,8 +218,7 @@ async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stopped_campaign_stays_as_it_is_and_others_follow_from_what_counts() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     let planted = planted(&spec("early"));
     create(&serve, folder.path(), &spec("early"));
     let mut worker = serve.worker("w").await;
@@ -281,8 +273,7 @@ async fn a_stopped_campaign_stays_as_it_is_and_others_follow_from_what_counts() 
     let thresholds = measured["thresholds"].as_array().expect("thresholds");
     assert!(!thresholds.iter().any(of_beyond), "{beyond} does not count");
     for name in ["early-thresholds", "early-explained", "early"] {
-        let deleted = serve.command(&["campaign", "delete", name, "--confirm", name]);
-        assert!(deleted.status.success(), "{}", text(&deleted.stderr));
+        succeed(serve.command(&["campaign", "delete", name, "--confirm", name]));
     }
     let violations = invariants::check(folder.path()).await.expect("a database");
     assert_eq!(violations, []);
@@ -314,9 +305,7 @@ fn a_rule_that_cannot_end_a_campaign_is_refused_before_anything_is_created() {
             "--endpoint", "http://127.0.0.1:1", "--tasks", "libero_object",
             "--connect", "http://127.0.0.1:1",
         ];
-        let output = coordinator(&[&campaign[..], arguments].concat());
-        let error = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+        let error = &fail(coordinator(&[&campaign[..], arguments].concat()), 2);
         assert_eq!(error.matches(words).count(), 1, "{arguments:?}: {error}");
     };
     let rule = ["--stop", "I excludes 0"];
@@ -389,8 +378,7 @@ fn drawn(name: &str, seed: u64) -> Value {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn campaigns_of_one_order_are_compared_at_any_look() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     let mut worker = serve.worker("w").await;
     // A configuration has five rollouts, four of them perturbed.
     for (name, configurations) in [("weak", 20), ("strong", 25)] {
@@ -429,10 +417,7 @@ async fn campaigns_of_one_order_are_compared_at_any_look() {
         words.contains("20 of 40") && words.contains("seed 7"),
         "{words}"
     );
-    assert!(
-        words.lines().all(|line| line.chars().count() <= 80),
-        "{words}"
-    );
+    fits_a_terminal(words);
 
     create(&serve, folder.path(), &drawn("elsewhere", 8));
     let mut undrawn = drawn("undrawn", 0);
@@ -446,9 +431,10 @@ async fn campaigns_of_one_order_are_compared_at_any_look() {
         ("undrawn", "create both campaigns with `--stop`"),
         ("fewer", "the same tasks and configurations"),
     ] {
-        let refused = serve.command(&["compare", "weak", other, "--sequential"]);
-        let error = text(&refused.stderr);
-        assert_eq!(refused.status.code(), Some(2), "{other}: {error}");
+        let error = &fail(
+            serve.command(&["compare", "weak", other, "--sequential"]),
+            2,
+        );
         assert!(error.contains(remedy), "{error}");
         let plain = printed(&serve, &["compare", "weak", other, "--json"]);
         assert!(plain.get("sequential").is_none(), "{other}");

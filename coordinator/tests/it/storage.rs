@@ -12,7 +12,7 @@ use tempfile::TempDir;
 
 use crate::artifacts::put;
 use crate::harness::{Worker, rollout_id, small_spec};
-use crate::process::{Serve, text};
+use crate::process::{Serve, succeed, text};
 
 /// Variable with the path of the S3 server for tests: `moto_server` of the package `moto[server]`.
 const SERVER: &str = "ROLLOUT_S3_SERVER";
@@ -111,9 +111,7 @@ fn serve(data: &Path, place: &str, variables: &[(&str, String)]) -> Serve {
 }
 
 fn must(serve: &Serve, arguments: &[&str]) -> String {
-    let output = serve.command(arguments);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    text(&output.stdout).to_owned()
+    succeed(serve.command(arguments))
 }
 
 fn create(serve: &Serve, folder: &TempDir) {

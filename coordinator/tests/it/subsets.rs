@@ -4,7 +4,7 @@ use proto::coordinator::commit_response::Verdict;
 
 use crate::harness::rollout_id;
 use crate::page::ask;
-use crate::process::{Serve, text};
+use crate::process::{Serve, fail, text};
 
 const CREATE: [&str; 16] = [
     "campaign",
@@ -27,8 +27,7 @@ const CREATE: [&str; 16] = [
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_pair_that_fails_where_its_axes_alone_succeed_is_seen() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     let created = serve.command(&[&CREATE[..], &["--subsets", "pairs"]].concat());
     let said = text(&created.stdout);
     assert!(said.contains("80 rollouts"), "{said}");
@@ -66,8 +65,7 @@ async fn a_pair_that_fails_where_its_axes_alone_succeed_is_seen() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_set_that_is_no_condition_of_its_own_is_refused() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     for (sets, words) in [
         (
             "camera",
@@ -78,9 +76,10 @@ async fn a_set_that_is_no_condition_of_its_own_is_refused() {
         ("camera+camera", "each once, such as camera+robot"),
         ("camera+robto", "read axis `robto`"),
     ] {
-        let refused = serve.command(&[&CREATE[..], &["--subsets", sets]].concat());
-        assert_eq!(refused.status.code(), Some(2), "{sets}");
-        let error = text(&refused.stderr);
+        let error = &fail(
+            serve.command(&[&CREATE[..], &["--subsets", sets]].concat()),
+            2,
+        );
         assert!(error.contains(words), "{sets}: {error}");
     }
 }

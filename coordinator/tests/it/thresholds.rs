@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use crate::derived::{PATIENCE, die_everywhere, run_all};
 use crate::json::{documented, keys};
 use crate::page::ask;
-use crate::process::{Serve, text};
+use crate::process::{Serve, fits_a_terminal, succeed, succeed_in_json, text};
 
 /// Returns the smallest radius at which a rollout of this suite fails.
 fn fails_from(id: &RolloutId) -> f64 {
@@ -46,15 +46,13 @@ const CREATE: [&str; 14] = [
 ];
 
 fn create(serve: &Serve) {
-    let created = serve.command(&[&CREATE[..], &["--axes", "camera,robot"]].concat());
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    succeed(serve.command(&[&CREATE[..], &["--axes", "camera,robot"]].concat()));
 }
 
 fn found(serve: &Serve, arguments: &[&str]) -> Value {
-    let output =
-        serve.command(&[&["thresholds", "first", "--create", "--json"], arguments].concat());
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    serde_json::from_slice(&output.stdout).expect("JSON")
+    succeed_in_json(
+        serve.command(&[&["thresholds", "first", "--create", "--json"], arguments].concat()),
+    )
 }
 
 /// Runs all derived rollouts and returns the complete findings.
@@ -79,8 +77,7 @@ fn list<'a>(value: &'a Value, key: &str) -> &'a [Value] {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn planted_thresholds_are_found_again() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     create(&serve);
     // Thresholds can be requested before the campaign is finished.
     let output = serve.command(&["thresholds", "first", "--create"]);
@@ -162,10 +159,7 @@ async fn planted_thresholds_are_found_again() {
     ] {
         assert!(words.contains(line), "{line}: {words}");
     }
-    assert!(
-        words.lines().all(|line| line.chars().count() <= 80),
-        "{words}"
-    );
+    fits_a_terminal(words);
     for name in ["camera", "robot", "simultaneous"] {
         let figure = folder.path().join(format!("figures/survival-{name}.svg"));
         let figure = std::fs::read_to_string(figure).expect("written");
@@ -198,15 +192,13 @@ async fn planted_thresholds_are_found_again() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn language_is_measured_at_its_own_levels_only() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     #[rustfmt::skip]
-    let created = serve.command(&[
+    succeed(serve.command(&[
         "campaign", "create", "--name", "first", "--policy", "p", "--nominal", "eval",
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/4",
         "--levels", "L2", "--configs", "0", "--axes", "camera,language",
-    ]);
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    ]));
     let found = measured(
         &serve,
         &["--axes", "language,simultaneous", "--tolerance", "0.1"],
@@ -230,8 +222,7 @@ async fn language_is_measured_at_its_own_levels_only() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_cannot_be_measured_is_refused_before_anything_is_created() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     create(&serve);
     let refused = |arguments: &[&str], words: &str| {
         let output = serve.command(arguments);
@@ -258,8 +249,7 @@ async fn what_cannot_be_measured_is_refused_before_anything_is_created() {
     let bare = [&CREATE[..3], &["bare"], &CREATE[4..], &[
         "--axes", "camera", "--nominal", "none",
     ]].concat();
-    let created = serve.command(&bare);
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    succeed(serve.command(&bare));
     refused(
         &["thresholds", "bare", "--create"],
         "it has no nominal rollouts",
@@ -281,10 +271,8 @@ async fn what_cannot_be_measured_is_refused_before_anything_is_created() {
     let output = serve.command(&first(&["--tolerance", "2"]));
     let error = text(&output.stderr);
     assert!(error.contains("they differ in `thresholds`"), "{error}");
-    let renamed = serve.command(&["campaign", "rename", "first", "final"]);
-    assert!(renamed.status.success(), "{}", text(&renamed.stderr));
-    let again = serve.command(&["thresholds", "final", "--name", "first-thresholds"]);
-    assert!(again.status.success(), "{}", text(&again.stderr));
+    succeed(serve.command(&["campaign", "rename", "first", "final"]));
+    succeed(serve.command(&["thresholds", "final", "--name", "first-thresholds"]));
     let of_derived = serve.command(&["thresholds", "first-thresholds", "--create"]);
     let error = text(&of_derived.stderr);
     assert!(error.contains("its rows come from no design"), "{error}");
@@ -292,8 +280,7 @@ async fn what_cannot_be_measured_is_refused_before_anything_is_created() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_budget_is_kept() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     create(&serve);
     let found = measured(&serve, &["--budget", "100", "--seed", "3"]).await;
     assert!(found["rollouts"].as_u64() <= Some(100), "{found}");
@@ -309,8 +296,7 @@ async fn a_death_around_any_transaction_leaves_the_same_thresholds() {
     let expected = measured(&serve, &[]).await;
     drop(serve);
 
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (folder, serve) = Serve::anew();
     create(&serve);
     let mut worker = serve.worker("first").await;
     run_all(&mut worker, outcome).await;

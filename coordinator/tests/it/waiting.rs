@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::derived::{PATIENCE, run_all};
 use crate::harness::{Worker, rollout_id};
 use crate::page::ask;
-use crate::process::{Serve, text};
+use crate::process::{Serve, succeed, succeed_in_json, text};
 
 /// Three axes together cause a failure, but no two do, so that the search takes two rounds.
 fn outcome(id: &RolloutId) -> Outcome {
@@ -20,18 +20,15 @@ fn outcome(id: &RolloutId) -> Outcome {
 
 fn create(serve: &Serve, name: &str) {
     #[rustfmt::skip]
-    let created = serve.command(&[
+    succeed(serve.command(&[
         "campaign", "create", "--name", name, "--policy", "p",
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/0", "--axes", "all",
         "--levels", "L2", "--configs", "0",
-    ]);
-    assert!(created.status.success(), "{}", text(&created.stderr));
+    ]));
 }
 
 fn explain(serve: &Serve, name: &str) -> Value {
-    let output = serve.command(&["explain", name, "--create", "--json"]);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    serde_json::from_slice(&output.stdout).expect("JSON")
+    succeed_in_json(serve.command(&["explain", name, "--create", "--json"]))
 }
 
 fn status(serve: &Serve, name: &str) -> Value {
@@ -52,8 +49,7 @@ async fn run_one(worker: &mut Worker) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_explaining_campaign_says_what_it_waits_for_and_is_finished_at_its_end_only() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     create(&serve, "first");
     explain(&serve, "first");
     let mut worker = serve.worker("w").await;
@@ -97,8 +93,7 @@ async fn an_explaining_campaign_says_what_it_waits_for_and_is_finished_at_its_en
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_follows_from_a_cancelled_campaign_and_from_one_without_transitions() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(folder.path());
+    let (_folder, serve) = Serve::anew();
     create(&serve, "cancelled");
     explain(&serve, "cancelled");
     let cancelled = serve.command(&["campaign", "cancel", "cancelled"]);

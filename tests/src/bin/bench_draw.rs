@@ -11,6 +11,7 @@ use std::process::{Command, ExitCode};
 use anyhow::{Context, Result};
 use clap::Parser;
 use libero_ctrl::{Realisation, RolloutId, TaskRef};
+use policy_protocol::CAMERAS;
 use scene::Sources;
 use scene::pack::LIBERO;
 use sim::{
@@ -63,7 +64,6 @@ struct Arguments {
     sources: Option<PathBuf>,
 }
 
-const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 /// Mild and severe perturbations of the two axes that change the appearance of a scene.
 const PERTURBED: &str = "camera/L1/c00,camera/L2/c03,camera/L3/c05,camera/L3/c07,\
                          lighting/L1/c00,lighting/L2/c03,lighting/L3/c05,lighting/L3/c07";

@@ -12,12 +12,12 @@ use std::time::Instant;
 use anyhow::Result;
 use clap::Parser;
 use libero_ctrl::{ManifestRow, Realisation, RolloutId, TaskRef};
+use policy_protocol::CAMERAS;
 use scene::pack::LIBERO;
 use scene::{Sources, TaskFiles};
 use sim::{Conditions, Drawer, Environment, ReadyScene};
 use tests::files::open_pack;
 
-const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 const SIDE: u32 = 256;
 /// Number of steps before the timing starts.
 const WARM_UP: usize = 3;

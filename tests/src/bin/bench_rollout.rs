@@ -20,6 +20,7 @@ use scene::pack::LIBERO;
 use scene::{InitialStates, Sources, TaskFiles};
 use serde_json::{Value, json};
 use sim::controller::SUBSTEPS;
+use sim::episode::NO_OP;
 use sim::mujoco::Data;
 use sim::{Episode, Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::read_npz;
@@ -69,8 +70,6 @@ struct Arguments {
     sources: Option<PathBuf>,
 }
 
-const NO_OP: Action = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
-
 /// Milliseconds of one rollout.
 #[derive(Debug, Clone, Copy, Default)]
 struct Phases {
@@ -86,7 +85,6 @@ struct Phases {
     frames: f64,
     /// Encoding an observation into the message to a policy.
     encode: f64,
-    /// Waiting for the policy.
     policy: f64,
     /// Everything else.
     other: f64,

@@ -12,6 +12,7 @@ use scene::pack::LIBERO;
 use scene::{InitialStates, Sources, TaskFiles, compose};
 use serde_json::json;
 use sim::controller::SUBSTEPS;
+use sim::episode::NO_OP;
 use sim::mujoco::Data;
 use sim::{Drawer, Environment, Renderer};
 use tests::files::open_pack;
@@ -37,7 +38,6 @@ struct Arguments {
     sources: Option<PathBuf>,
 }
 
-const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
 const SETTLE_STEPS: usize = 10;
 const FRAME: u32 = 256;
 /// Number of frames timed per camera.

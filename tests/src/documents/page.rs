@@ -19,7 +19,6 @@ const PROGRAMS: [&str; 11] = [
     "ssh",
 ];
 
-/// A step of a page.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Step {
     /// Line of the page where the step begins, from 1.
@@ -28,19 +27,16 @@ pub struct Step {
     pub action: Action,
 }
 
-/// Action of a block.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Action {
     /// Runs commands in sequence.
     Run {
-        /// The commands.
         commands: Vec<Command>,
         /// Requirement named in a `needs` comment.
         needs: Option<String>,
     },
     /// Writes a file into the folder of the session.
     Write {
-        /// Name of the file.
         name: String,
         /// Content of the file.
         text: String,
@@ -61,7 +57,6 @@ pub struct Command {
     pub text: String,
 }
 
-/// Error in a page.
 #[derive(Debug, PartialEq, Eq)]
 pub struct PageError {
     line: usize,

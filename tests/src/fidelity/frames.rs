@@ -3,11 +3,11 @@
 use std::fmt;
 
 use anyhow::{Context, Result, ensure};
+use policy_protocol::CAMERAS;
 use sim::{Drawer, Environment, Frame};
 
 use super::reference::ReferenceTask;
 
-const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 const SIZE: u32 = 256;
 /// Largest difference at which a pixel counts as close, grey levels.
 pub const CLOSE_LEVELS: u8 = 2;

@@ -5,13 +5,12 @@ use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, ensure};
 use sim::Environment;
+use sim::episode::NO_OP;
 
 use super::findings::{ContactFindings, Findings, Worst};
 use super::frames::Comparison;
 use super::reference::{Array, ReferenceTask, read_npz};
 
-/// No-op action with the gripper open.
-const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
 const SETTLING_STEPS: usize = 10;
 /// Sensitivity up to which the original counts as insensitive, m or rad.
 const CALM: f64 = 1e-11;

@@ -42,8 +42,7 @@ async fn a_drain_finishes_the_rollout_in_hand_and_begins_no_other() {
     worker.signal("TERM");
     let result = coordinator.told(1).await.commit().result;
     assert_eq!(result.expect("a result").steps, 80);
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    let said = worker.ended();
     // Log lines name their campaign, since one worker may serve several.
     assert!(said.contains(" test: object/t0/clean/i03"), "{said}");
     assert_eq!(
@@ -65,8 +64,7 @@ async fn a_second_request_to_end_gives_the_rollout_back() {
     tokio::time::sleep(Duration::from_secs(1)).await;
     worker.signal("INT");
     coordinator.told(1).await.release(Reason::Draining);
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    worker.ended();
     assert_eq!(coordinator.everything_told().len(), 2);
 }
 
@@ -78,8 +76,7 @@ async fn a_drain_that_takes_too_long_gives_the_rollout_back() {
     let (worker, coordinator, _policy) = busy_worker_with(&["--drain-secs", "0"]).await;
     worker.signal("TERM");
     coordinator.told(1).await.release(Reason::Draining);
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    let said = worker.ended();
     assert!(said.contains("not finished within 0 s"), "{said}");
 }
 
@@ -92,8 +89,7 @@ async fn a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not() {
     let (worker, coordinator, _policy) = busy_worker_with(&idle).await;
     let result = coordinator.told(1).await.commit().result;
     assert_eq!(result.expect("a result").steps, 80);
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    let said = worker.ended();
     assert!(said.contains("no work for 1 s"), "{said}");
     assert_eq!(coordinator.signed_off().len(), 1, "it says good-bye");
 }
@@ -110,8 +106,7 @@ async fn a_worker_that_drains_takes_its_claim_back() {
     coordinator.claimed(1).await;
     worker.signal("TERM");
     coordinator.claim_taken_back().await;
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    worker.ended();
     assert_eq!(coordinator.claims().len(), 1);
     assert_eq!(coordinator.everything_told().len(), 1, "it registered only");
 }
@@ -126,9 +121,7 @@ async fn an_idle_worker_ends_at_once_and_leaves_no_process() {
     coordinator.claimed(1).await;
     let slots = worker.slots();
     assert_eq!(coordinator.signed_off(), [""; 0]);
-    worker.signal("TERM");
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    worker.terminated();
     slots.into_iter().for_each(wait_for_the_end_of);
     let claimed = &coordinator.claims()[0];
     assert_eq!(
@@ -166,8 +159,7 @@ async fn rollouts_of_two_campaigns_have_one_line_of_the_log_each() {
     for place in [1, 2] {
         coordinator.told(place).await.commit();
     }
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    let said = worker.ended();
     for campaign in ["first", "second"] {
         let ended = format!(" {campaign}: object/t0/clean/i03");
         let lines = said.lines();

@@ -153,9 +153,7 @@ async fn a_worker_that_chooses_its_slots_registers_them_and_says_why() {
     let cores = available_parallelism().expect("some cores").get();
     let slots = registered.slots;
     assert!((1..=cores).contains(&(slots as usize)), "{slots} slots");
-    worker.signal("TERM");
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    let said = worker.terminated();
     // On a busy machine, it may be one slot.
     let plural = if slots == 1 { "" } else { "s" };
     for words in [

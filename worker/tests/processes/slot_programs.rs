@@ -69,9 +69,7 @@ async fn what_a_library_prints_half_way_through_a_line_loses_nothing() {
         assert_eq!(commit.attempt_id, attempt_id(job));
         assert_eq!(commit.result.expect("a result").steps, 21);
     }
-    worker.signal("TERM");
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    let said = worker.terminated();
     assert!(said.contains("[slot 0] WARNING: half a line"), "{said}");
 }
 
@@ -89,9 +87,7 @@ async fn a_crash_while_filming_leaves_the_result_committed_and_charges_nobody() 
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
     coordinator.claimed(3).await;
-    worker.signal("TERM");
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    let said = worker.terminated();
     assert!(said.contains("SIGSEGV"), "{said}");
     assert_eq!(coordinator.everything_told().len(), 3, "no release");
 }

@@ -103,9 +103,7 @@ async fn a_coordinator_that_cannot_store_videos_gets_every_result() {
     // Sending each of the two videos is tried again.
     coordinator.refused_artifacts(4).await;
     coordinator.claimed(3).await;
-    worker.signal("TERM");
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    let said = worker.terminated();
     assert!(!said.contains("cannot be reached"), "{said}");
     assert_eq!(coordinator.everything_told().len(), 3);
 }
@@ -124,9 +122,7 @@ async fn a_video_of_a_refused_result_is_not_sent() {
     coordinator.told(1).await.commit();
     let commit = coordinator.told(2).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2));
-    worker.signal("TERM");
-    let (status, said) = worker.wait();
-    assert!(status.success(), "{said}");
+    let said = worker.terminated();
     assert!(
         said.contains("finish the video: it was abandoned"),
         "{said}"

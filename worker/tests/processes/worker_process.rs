@@ -100,6 +100,19 @@ impl WorkerProcess {
         signal(self.child.id(), name);
     }
 
+    /// Asks the process to end and returns its output once it has succeeded.
+    pub(crate) fn terminated(self) -> String {
+        self.signal("TERM");
+        self.ended()
+    }
+
+    /// Waits until the process has succeeded and returns its output.
+    pub(crate) fn ended(self) -> String {
+        let (status, said) = self.wait();
+        assert!(status.success(), "{said}");
+        said
+    }
+
     /// Waits until the process exits; also returns its output.
     pub(crate) fn wait(mut self) -> (ExitStatus, String) {
         let started = Instant::now();

@@ -104,9 +104,6 @@ struct Row {
 }
 
 /// Reads one policy's results from a folder, or from a file of rows.
-///
-/// # Errors
-/// See [`ImportError`].
 pub fn import(path: &Path) -> Result<Subject, ImportError> {
     let (rows, about) = match path.is_dir() {
         true => (path.join(ROWS), read_about(&path.join(ABOUT))?),

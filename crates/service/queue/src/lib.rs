@@ -5,6 +5,9 @@
 //! write the outcome, with one transaction for all requests that arrive together. `store` holds the
 //! SQL statements. [`View`] reads for the web page, the command line and reports. [`Queue`] is the
 //! entry point.
+//!
+//! A function that returns a [`StoreError`] fails if the database does, and has no section of
+//! errors.
 
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "names and messages say it")]

@@ -107,9 +107,6 @@ pub enum AccessError {
 impl ClientArguments {
     /// Reads the credentials that the arguments and the environment name. `roles` are those that
     /// this program can use, best first.
-    ///
-    /// # Errors
-    /// See [`AccessError`].
     pub fn access(&self, roles: &[Role]) -> Result<Access, AccessError> {
         let tokens = tokens(self.token_file.as_deref())?;
         Access::new(self.ca.as_deref(), tokens, roles)
@@ -124,9 +121,6 @@ impl Access {
 
     /// Reads files only, not the environment: for a program that is both a server with its own
     /// tokens and a client of other servers.
-    ///
-    /// # Errors
-    /// See [`AccessError`].
     pub fn from_files(
         ca: Option<&Path>,
         token_file: Option<&Path>,

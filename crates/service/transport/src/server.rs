@@ -98,9 +98,6 @@ pub enum SecurityError {
 impl ServerArguments {
     /// Reads the certificate, key and tokens that the arguments and the environment name, and
     /// checks that they suffice for an address.
-    ///
-    /// # Errors
-    /// See [`SecurityError`].
     pub fn security(&self, address: SocketAddr) -> Result<Security, SecurityError> {
         let identity = match (&self.tls_cert, &self.tls_key) {
             (Some(certificate), Some(key)) => {

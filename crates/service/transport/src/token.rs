@@ -148,9 +148,6 @@ pub enum TokenError {
 
 impl Tokens {
     /// Reads a token file. Fails if other users can access the file.
-    ///
-    /// # Errors
-    /// See [`TokenError`].
     pub fn read(path: &Path) -> Result<Tokens, TokenError> {
         let at = |source| TokenError::Read {
             path: path.to_owned(),
@@ -181,9 +178,6 @@ impl Tokens {
     }
 
     /// Parses the text of a token file. `place` names its source in errors.
-    ///
-    /// # Errors
-    /// See [`TokenError`].
     pub fn parse(text: &str, place: &str) -> Result<Tokens, TokenError> {
         let mut tokens = Vec::new();
         for (index, line) in text.lines().enumerate() {

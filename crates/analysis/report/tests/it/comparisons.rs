@@ -8,6 +8,8 @@ use report::{Comparison, Document, Origin, Setups, Subject, Unpairable, figures,
 use rollout_types::{GoalProgress, Pin, Provenance};
 use serde_json::{Value, json};
 
+use crate::fits_a_terminal;
+
 /// The published outcomes of OpenVLA-OFT, as a campaign's.
 fn campaign(policy: &str) -> Subject {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../examples/openvla_oft");
@@ -286,9 +288,7 @@ fn quarantined_rollouts_of_either_are_in_no_rate_and_bounded() {
     ] {
         assert!(text.contains(words), "{words}: {text}");
     }
-    for line in text.lines() {
-        assert!(line.chars().count() <= 80, "{line}");
-    }
+    fits_a_terminal(&text);
 }
 
 /// Progress of all rollouts: the second policy takes four steps more and has a predicate less.
@@ -337,10 +337,7 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
         text.contains("partial progress: steps until success"),
         "{text}"
     );
-    assert!(
-        text.lines().all(|line| line.chars().count() <= 80),
-        "{text}"
-    );
+    fits_a_terminal(&text);
     let page = report::page_comparison(&comparison).into_string();
     for words in [
         "Partial progress",

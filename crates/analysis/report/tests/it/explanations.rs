@@ -8,6 +8,7 @@ use report::{
     write_csv, write_parquet,
 };
 
+use crate::fits_a_terminal;
 use crate::subjects::{document, example};
 
 fn set(text: &str) -> AxisSet {
@@ -190,10 +191,7 @@ fn the_report_of_an_explaining_campaign_is_what_it_found() {
         assert!(!html.contains(absent), "{absent}");
     }
     let text = document.text();
-    assert!(
-        text.lines().all(|line| line.chars().count() <= 80),
-        "{text}"
-    );
+    fits_a_terminal(&text);
     assert!(text.contains("transitions explained"), "{text}");
     // With a measured policy beside it, the page shows both.
     let both = page(&crate::subjects::document(vec![example(), explaining()]));
@@ -265,10 +263,7 @@ fn interactions_add_up_to_what_the_report_measures() {
         "{additive}"
     );
     let text = found.text();
-    assert!(
-        text.lines().all(|line| line.chars().count() <= 80),
-        "{text}"
-    );
+    fits_a_terminal(&text);
     assert!(page(&document).contains("How the axes interact"));
 }
 

@@ -4,6 +4,7 @@ use paired::Outcome;
 use report::{Subject, figures, page};
 use serde_json::Value;
 
+use crate::fits_a_terminal;
 use crate::subjects::{broken, document, example, replicated};
 
 #[test]
@@ -53,9 +54,7 @@ fn policies_of_one_name_are_told_apart() {
 #[test]
 fn the_text_fits_a_terminal() {
     let text = document(vec![example(), broken(), replicated()]).text();
-    for line in text.lines() {
-        assert!(line.chars().count() <= 80, "{line}");
-    }
+    fits_a_terminal(&text);
     assert!(text.starts_with("! the policies were perturbed in different realisation modes"));
 }
 

@@ -10,3 +10,9 @@ mod subjects;
 mod tables;
 mod thresholds;
 mod words;
+
+fn fits_a_terminal(text: &str) {
+    for line in text.lines() {
+        assert!(line.chars().count() <= 80, "{line}");
+    }
+}

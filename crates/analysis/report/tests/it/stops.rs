@@ -5,6 +5,7 @@ use paired::Outcome;
 use report::{Document, EarlyStop, Subject};
 use serde_json::Value;
 
+use crate::fits_a_terminal;
 use crate::subjects::example;
 
 /// The published outcomes, as those of a campaign with a rule.
@@ -52,10 +53,7 @@ fn figures_of_a_stopped_campaign_are_of_what_its_intervals_rest_on() {
         assert!(width < 0.2, "{level}: {width}");
     }
     let text = stopped.text();
-    assert!(
-        text.lines().all(|line| line.chars().count() <= 80),
-        "{text}"
-    );
+    fits_a_terminal(&text);
     let page = report::page(&stopped);
     assert!(page.contains("Stopped early after") && page.contains("not valid"));
 

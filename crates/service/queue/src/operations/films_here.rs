@@ -69,9 +69,6 @@ impl Queue {
     /// Removes the remaining files of deleted campaigns, locally and remotely. Remote storage may
     /// be slow or unavailable, so campaigns can be created and deleted meanwhile. Only one caller
     /// works at a time.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn finish_removals(&self) -> Result<(), StoreError> {
         let _alone = self.removing.lock().await;
         // A campaign being imported has its folder marked for removal until it is complete. This

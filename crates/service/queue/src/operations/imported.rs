@@ -77,9 +77,6 @@ type Expansion = Option<(BTreeMap<RolloutId, ManifestRow>, u32)>;
 
 /// Returns the first contradiction in the jobs, results and workers of a database that holds one
 /// campaign.
-///
-/// # Errors
-/// If the database fails.
 pub(super) async fn contradiction(
     view: &mut SqliteConnection,
     campaign: CampaignId,

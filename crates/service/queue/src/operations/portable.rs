@@ -84,9 +84,6 @@ impl Portable {
     ///
     /// The database is untrusted. A view in place of a table, or a trigger, would run with the
     /// first statement that touches it, so the schema is compared before any other statement.
-    ///
-    /// # Errors
-    /// See [`PortableError`].
     pub async fn open(folder: &Path) -> Result<Portable, PortableError> {
         let foreign = foreign_schema(&folder.join(DATABASE_FILE)).await;
         if let Some(example) = foreign.doing("compare the schema")? {
@@ -142,9 +139,6 @@ impl Portable {
     }
 
     /// Begins a view of the database, to read from.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn view(&self) -> Result<View, StoreError> {
         let (now, nobody) = (self.campaign.created_ms, BTreeMap::new());
         let nothing = Arc::new(Settled::new());
@@ -152,9 +146,6 @@ impl Portable {
     }
 
     /// Returns the videos, by path.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn films(&self) -> Result<Vec<FilmFile>, StoreError> {
         let mut view = self.store.read().await?;
         let films: Vec<(String, i64)> =
@@ -170,9 +161,6 @@ impl Portable {
     }
 
     /// Removes missing videos from the database.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn leave_out(&self, missing: &[String]) -> Result<(), StoreError> {
         let mut tx = self.store.write(Vec::new()).await?;
         portable::forget_artifacts(&mut tx, missing).await?;

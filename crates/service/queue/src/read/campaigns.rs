@@ -99,17 +99,11 @@ impl View {
     }
 
     /// Returns a campaign's specification, JSON.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn spec(&mut self, campaign: &Campaign) -> Result<String, StoreError> {
         campaigns::spec(self.tx(), campaign.id).await
     }
 
     /// Returns the early stop of a campaign; `None` for one that always runs to its end.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn early_stop(
         &mut self,
         campaign: &Campaign,
@@ -118,9 +112,6 @@ impl View {
     }
 
     /// Returns the status of all campaigns, oldest first.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn statuses(&mut self) -> Result<Vec<CampaignStatus>, StoreError> {
         let live = self.live_pins().await?;
         let mut list = Vec::new();
@@ -131,9 +122,6 @@ impl View {
     }
 
     /// Returns the status of one campaign.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn status(&mut self, campaign: Campaign) -> Result<CampaignStatus, StoreError> {
         let live = self.live_pins().await?;
         self.status_among(campaign, &live).await

@@ -90,9 +90,6 @@ impl ResultLine {
 
 impl View {
     /// Returns those of the named rollouts that the campaign has, in one replicate.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn rollouts(
         &mut self,
         campaign: CampaignId,
@@ -116,9 +113,6 @@ impl View {
     }
 
     /// Returns the replicates in which a campaign has a rollout.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn replicates(
         &mut self,
         campaign: CampaignId,
@@ -136,9 +130,6 @@ impl View {
 
     /// Returns a campaign's rollout ids in replicate 0 that start with a prefix and are longer than
     /// it.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn beginning(
         &mut self,
         campaign: CampaignId,
@@ -156,9 +147,6 @@ impl View {
     }
 
     /// Returns the committed results of some jobs.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn results(&mut self, jobs: &[JobId]) -> Result<Vec<ResultLine>, StoreError> {
         sqlx::query_as(concat!(
             "SELECT r.job_id, r.attempt_id, r.attempt, r.worker_id, r.committed_ms, r.success,
@@ -180,9 +168,6 @@ impl View {
     }
 
     /// Returns the motion of the robots of some committed jobs.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn paths(&mut self, jobs: &[JobId]) -> Result<Vec<(JobId, Motion)>, StoreError> {
         let rows: Vec<(JobId, Vec<u8>)> = sqlx::query_as(
             "SELECT job_id, path FROM motion WHERE job_id IN (SELECT value FROM json_each(?))",
@@ -199,9 +184,6 @@ impl View {
     }
 
     /// Returns the path of a rollout's video, below the data folder.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn video(
         &mut self,
         campaign: CampaignId,

@@ -19,9 +19,6 @@ pub struct SubsetRow {
 
 impl View {
     /// Returns the campaign that a campaign derives from, if any.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn source(&mut self, campaign: CampaignId) -> Result<Option<Campaign>, StoreError> {
         match derivations::source(self.tx(), campaign).await? {
             Some(source) => Ok(Some(campaigns::by_id(self.tx(), source).await?)),
@@ -43,9 +40,6 @@ impl View {
 
     /// Returns those of the named rollouts that a campaign has, in every replicate, by rollout id,
     /// then replicate.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn subsets(
         &mut self,
         campaign: CampaignId,

@@ -15,9 +15,6 @@ const RECENT_RESULTS: u32 = 200;
 
 impl View {
     /// Forecasts the duration of rollouts on the live workers, assuming that they run nothing else.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn forecast(&mut self, planned: &Planned<'_>) -> Result<Forecast, StoreError> {
         let workers = self.live().await?;
         let measured = self.measured(None).await?;
@@ -25,9 +22,6 @@ impl View {
     }
 
     /// Forecasts the duration of a campaign's waiting rollouts from its own results.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn pace(&mut self, campaign: &Campaign) -> Result<Forecast, StoreError> {
         let queued: Vec<(String, i64)> = sqlx::query_as(
             "SELECT task, count(*) FROM job WHERE campaign_id = ? AND state = 'queued'

@@ -105,9 +105,6 @@ macro_rules! job_lines {
 
 impl View {
     /// Returns jobs of a campaign in paired-unit order.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn jobs(
         &mut self,
         campaign: &Campaign,
@@ -187,9 +184,6 @@ impl View {
     }
 
     /// Returns the newest attempts of some jobs that ended without a result, newest first.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn failures(&mut self, jobs: &[JobId]) -> Result<Vec<FailureLine>, StoreError> {
         sqlx::query_as(
             "SELECT job_id, attempt, worker_id, failed_ms, reason, charged, error

@@ -98,9 +98,6 @@ impl Edition {
 impl View {
     /// Returns the state that a campaign's report depends on. Counts come from the campaign's
     /// tally, except for divergent rollouts, which are few and counted here.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn edition(&mut self, campaign: CampaignId) -> Result<Edition, StoreError> {
         sqlx::query_as(
             "SELECT id, created_ms, t.committed, t.quarantined,
@@ -118,9 +115,6 @@ impl View {
     }
 
     /// Returns up to `limit` committed rollouts after a given one, by rollout id, then replicate.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn exported(
         &mut self,
         campaign: CampaignId,
@@ -145,9 +139,6 @@ impl View {
     }
 
     /// Returns all jobs of a campaign with their outcomes, by rollout id, then replicate.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn records(&mut self, campaign: CampaignId) -> Result<Vec<RecordRow>, StoreError> {
         sqlx::query_as(
             "SELECT j.rollout_id, j.replicate, j.init_id, j.state = 'quarantined' AS is_quarantined,
@@ -165,9 +156,6 @@ impl View {
 
     /// Returns the setups of a campaign's rollouts in its first replicate; all replicates share
     /// them.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn setups(&mut self, campaign: CampaignId) -> Result<Vec<SetupRow>, StoreError> {
         sqlx::query_as(
             "SELECT j.rollout_id, j.manifest_row, r.scene_digest, r.init_state_digest
@@ -181,9 +169,6 @@ impl View {
     }
 
     /// Returns the policy seeds of a campaign, by rollout, then replicate.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn policy_seeds(
         &mut self,
         campaign: CampaignId,
@@ -201,9 +186,6 @@ impl View {
     }
 
     /// Returns the distinct provenances of a campaign's results.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn provenances(
         &mut self,
         campaign: CampaignId,
@@ -223,9 +205,6 @@ impl View {
 
     /// Returns the number of clipped actions in a campaign's results, the number of all actions,
     /// and the number of rollouts with clipped actions.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn beyond_range(
         &mut self,
         campaign: CampaignId,
@@ -244,9 +223,6 @@ impl View {
     /// Returns the results of each fingerprint in a campaign, and the tasks and initial states that
     /// have several fingerprints; `None` if there is only one. Reads the committed jobs only if
     /// there are several; otherwise the results' index is enough.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn fingerprints(
         &mut self,
         campaign: CampaignId,
@@ -286,9 +262,6 @@ impl View {
     }
 
     /// Returns the rollouts of a campaign that were reported again with another outcome.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn divergent(
         &mut self,
         campaign: CampaignId,

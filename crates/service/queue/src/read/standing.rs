@@ -64,9 +64,6 @@ pub struct QuarantinedLine {
 
 impl View {
     /// Returns up to [`MAX_WORKERS_LISTED`] workers, those with the latest calls first.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn workers(&mut self) -> Result<Vec<WorkerLine>, StoreError> {
         let alive_since = self.now.minus(self.timing.worker_alive);
         let mut workers: Vec<WorkerLine> = sqlx::query_as(
@@ -92,9 +89,6 @@ impl View {
     }
 
     /// Returns all policies with their health, by name.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn policies(&mut self) -> Result<Vec<PolicyLine>, StoreError> {
         let mut policies: Vec<PolicyLine> = sqlx::query_as(concat!(
             "SELECT p.id, p.endpoint, p.name, ",
@@ -119,9 +113,6 @@ impl View {
     }
 
     /// Returns up to `limit` quarantined rollouts, of one campaign or of all.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn quarantine(
         &mut self,
         campaign: Option<CampaignId>,
@@ -142,9 +133,6 @@ impl View {
     }
 
     /// Returns the number of attempts that ended without a result, by failure reason.
-    ///
-    /// # Errors
-    /// If the database fails.
     pub async fn endings(&mut self) -> Result<Vec<(String, i64)>, StoreError> {
         sqlx::query_as("SELECT reason, attempts FROM ending_tally WHERE attempts > 0")
             .fetch_all(self.tx())
