@@ -23,7 +23,8 @@ MOST_SHIFT = 4
 GAIN = 0.12
 TINT = 0.06
 LIFT = 0.08
-"""Standard deviations of a picture's contrast, of each colour's, and of its brightness."""
+"""Standard deviations of the log contrast, the log gain of each colour, and the brightness
+offset."""
 MOST_NOISE = 0.04
 """Greatest standard deviation of the noise on pixels; a picture's range is 2."""
 

@@ -1,4 +1,4 @@
-"""Counts how often the expert ends a task although something else drives for stretches of it.
+"""Counts how often the expert ends a task although it is disturbed for stretches of steps.
 
     python -m training.check_expert --driver stranger --states 10
 
@@ -38,7 +38,7 @@ LATE, STILL, WANDERS = range(3)
 
 
 def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool, int]:
-    """Returns whether one rollout succeeded, and its number of steps."""
+    """Returns True if the rollout succeeded, and its number of steps."""
     disturbed = arguments.driver != "none"
     env = rollout_libero.VectorEnvironment(
         name,

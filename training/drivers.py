@@ -48,7 +48,8 @@ class Orders(NamedTuple):
     """Actions of n environments in their next k steps."""
 
     actions: NDArray[np.float64]
-    """[n, k, 7]: added to the expert's where it drives, executed unchanged elsewhere."""
+    """[n, k, 7]: added to the expert's actions where the expert drives, executed unchanged
+    elsewhere."""
     expert: NDArray[np.bool_]
     """[n, k]: True where the expert drives."""
     source: NDArray[np.uint8]

@@ -1,4 +1,4 @@
-"""Counts how often a student succeeds in newly placed scenes: a quick look while developing it.
+"""Counts how often a student succeeds in newly placed scenes: a quick check in its development.
 
     python -m training.evaluate --weights runs/second/student.safetensors --episodes 5
 

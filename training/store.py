@@ -21,7 +21,7 @@ WORD = 8
 READERS = 8
 """Threads that read shards."""
 HELD_OUT = 50
-"""One in so many episodes is kept for validation."""
+"""One of this many episodes is held out for validation."""
 
 
 class Batch(NamedTuple):

@@ -58,7 +58,7 @@ class Student:
     def act_on(
         self, pictures: Tensor, state: Tensor, instructions: Sequence[str]
     ) -> NDArray[np.float64]:
-        """The same for pictures, uint8 [n, 2, 128, 128, 3], and states [n, 14]."""
+        """Returns the actions for pictures, uint8 [n, 2, 128, 128, 3], and states [n, 14]."""
         rows, present = (
             torch.from_numpy(it).to(self._device) for it in instruction_rows(instructions)
         )

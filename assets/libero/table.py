@@ -1,4 +1,4 @@
-"""Writes the table of LIBERO's assets, or checks that the committed table is what this would write.
+"""Writes the table of LIBERO's assets, or checks that the committed table is up to date.
 
     python3 assets/libero/table.py WHEELS            # write
     python3 assets/libero/table.py WHEELS --check    # exit 1 and name the tables that differ

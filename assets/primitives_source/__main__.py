@@ -1,4 +1,4 @@
-"""Writes the `primitives` asset pack, or checks that the committed pack is what this would write.
+"""Writes the `primitives` asset pack, or checks that the committed pack is up to date.
 
     python3 assets/primitives_source            # write
     python3 assets/primitives_source --check    # exit 1 and name the files that differ

@@ -62,7 +62,7 @@ def frying_pan():
 
 
 def moka_pot():
-    """A moka pot slim enough for the gripper to grasp its body, as across the flats of LIBERO's."""
+    """A moka pot whose body is as wide as LIBERO's across the flats, so that the gripper fits."""
     return (
         octagon(0.0365, -0.0661, 0.0670)
         + seen(

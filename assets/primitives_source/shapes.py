@@ -86,7 +86,7 @@ def moved(shapes, by):
 
 
 def standing_along_y(shapes):
-    """For an object whose own y axis points up when it stands: the frame of most groceries."""
+    """Turns shapes from z up to y up: most groceries stand along their own y axis."""
     return turned(shapes, "x", -90)
 
 

@@ -27,23 +27,23 @@ use tokio::task::JoinSet;
 /// Time the queue with simulated slots.
 #[derive(Clone, Parser)]
 struct Arguments {
-    /// Rollouts, at least; whole configurations of all tasks, axes and levels.
+    /// Minimum number of rollouts, rounded up to whole configurations of all tasks and levels.
     #[arg(long, default_value_t = 100_000)]
     jobs: u64,
-    /// Slots.
+    /// Number of slots.
     #[arg(long, default_value_t = 2_000)]
     slots: u32,
     /// Slots of one worker, which sends one heartbeat for all of them.
     #[arg(long, default_value_t = 8)]
     slots_per_worker: u32,
-    /// Milliseconds that a rollout takes, a fifth more or less by chance.
+    /// Mean duration of a rollout, milliseconds; each takes up to a fifth more or less.
     #[arg(long, default_value_t = 900)]
     rollout_millis: u64,
-    /// Rollouts of another campaign that is created, archived, deleted and imported again and
-    /// again meanwhile; 0 for none.
+    /// Rollouts of a second campaign that is repeatedly created, archived, deleted and imported
+    /// during the benchmark; 0 for none.
     #[arg(long, default_value_t = 0)]
     beside: u64,
-    /// Folder for the database; a temporary one without it.
+    /// Folder for the database; a temporary folder if omitted.
     #[arg(long)]
     data: Option<PathBuf>,
 }

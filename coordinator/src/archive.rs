@@ -148,7 +148,7 @@ pub enum ArchiveError {
         free_mib: u64,
     },
     /// A packing, unpacking or computing thread panicked.
-    #[error("go on with archive {archive}: a thread panicked; the log says where")]
+    #[error("process archive {archive}: a thread panicked; the log says where")]
     Panicked { archive: String },
 }
 

@@ -46,8 +46,7 @@ use tokio::runtime::Runtime;
 
 use command::CommandError;
 
-/// The campaign's memory: creates campaigns, leases their rollouts to workers,
-/// keeps the results and reports them.
+/// Creates campaigns, leases their rollouts to workers, stores the results and reports them.
 #[derive(Debug, Parser)]
 #[command(name = "coordinator", version = version::version!())]
 pub(crate) struct Arguments {
@@ -84,7 +83,7 @@ enum Command {
     /// List, show, retry and skip the rollouts of a campaign.
     #[command(subcommand)]
     Jobs(jobs::JobsCommand),
-    /// List the workers and how they stand.
+    /// List the workers and their states.
     Workers(workers::WorkersArguments),
     /// Copy the database while the coordinator runs.
     Backup(backup::BackupArguments),
@@ -93,28 +92,27 @@ enum Command {
     /// Expand, check and compare manifests.
     #[command(subcommand)]
     Manifest(manifest::ManifestCommand),
-    /// Report on campaigns as far as they have come, or on result files.
+    /// Report on campaigns, finished or not, or on result files.
     Report(report::ReportArguments),
-    /// Compare two policies over the rollouts that both have: campaigns, or
-    /// result files.
+    /// Compare two policies, given as campaigns or result files, over the rollouts that both have
+    /// run.
     Compare(compare::CompareArguments),
-    /// Examine the policy of a campaign that scores nothing, with `policy-gateway doctor`.
+    /// Diagnose the policy of a campaign without successes, with `policy-gateway doctor`.
     Why(why::WhyArguments),
-    /// Find out which axes it takes to change an outcome: the minimal subsets behind
-    /// emergent failures and compensated successes.
+    /// Find the minimal subsets of the axes that cause emergent failures and compensated successes.
     Explain(explain::ExplainArguments),
-    /// Find out how far each configuration may be perturbed before success turns to
-    /// failure, and at which radius half of them fail.
+    /// Measure the radius at which each configuration's success turns to failure, and the radius at
+    /// which half of them fail.
     Thresholds(thresholds::ThresholdsArguments),
-    /// Say what the axes do alone and together, where every subset of them was run:
-    /// success by subset, interactions, and each axis's share.
+    /// Report the effects of the axes alone and together in a campaign that ran every subset of
+    /// them: success by subset, interactions, and each axis's share.
     Interactions(interactions::InteractionsArguments),
-    /// Make one campaign of the halves of one design that were run by several
-    /// coordinators: archives into an archive.
+    /// Merge archives of one design, parts of which were run by several coordinators, into one
+    /// archive.
     Merge(moving::MergeArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
-    /// Show, write or submit what runs workers and policies on a cluster.
+    /// Show, write or submit the scripts that run workers and policies on a cluster.
     #[command(subcommand)]
     Launch(launch::LaunchCommand),
     /// Print a script that completes this program's commands in a shell.
@@ -122,7 +120,7 @@ enum Command {
     /// Write this program's manual pages.
     #[command(hide = true)]
     Manual {
-        /// Into this folder.
+        /// Folder to write the pages into.
         folder: PathBuf,
     },
 }
@@ -133,23 +131,23 @@ enum CampaignCommand {
     Create(Box<create::CreateArguments>),
     /// List all campaigns.
     List(status::ListArguments),
-    /// Show how one campaign stands, or all.
+    /// Show the progress of one campaign, or of all.
     Status(status::StatusArguments),
-    /// Lease nothing more; what is being run may still be committed.
+    /// Stop leasing the campaign's rollouts; those in progress may still be committed.
     Pause(operate::ChangeArguments),
-    /// Go on with a paused campaign, or try its paused policy at once.
+    /// Resume a paused campaign, or retry its paused policy at once.
     Resume(operate::ChangeArguments),
-    /// End a campaign for ever; its results stay.
+    /// End a campaign permanently; its results are kept.
     Cancel(operate::ChangeArguments),
-    /// Lease a campaign's rollouts before or after those of others.
+    /// Set the priority with which a campaign's rollouts are leased.
     SetPriority(alter::PriorityArguments),
-    /// Say where a campaign's policy is from now on.
+    /// Change the endpoint of a campaign's policy.
     SetEndpoint(alter::EndpointArguments),
-    /// Say where every campaign's policy is from now on that was at one endpoint.
+    /// Move every unfinished campaign from one policy endpoint to another.
     MoveEndpoint(alter::MoveArguments),
     /// Give a campaign another name.
     Rename(alter::RenameArguments),
-    /// Write a campaign with all that belongs to it into one file.
+    /// Write a campaign with its results and files into one file.
     Archive(moving::ArchiveArguments),
     /// Verify an archive and add its campaign.
     Import(moving::ImportArguments),

@@ -55,11 +55,11 @@ pub enum ServeError {
     Open(#[from] OpenError),
     #[error(transparent)]
     Store(#[from] StoreError),
-    #[error("go on serving: the listening socket failed ({problem})")]
+    #[error("keep serving: the listening socket failed ({problem})")]
     Socket { problem: String },
     #[error(transparent)]
     Security(#[from] SecurityError),
-    #[error("go on serving: {what} panicked (the log says where); start the coordinator again")]
+    #[error("keep serving: {what} panicked (the log says where); start the coordinator again")]
     Panicked { what: &'static str },
     #[error("tidy the artifacts in {}", folder.display())]
     Tidy { folder: PathBuf, source: io::Error },

@@ -443,7 +443,8 @@ async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
         assert!(walked.contains(index), "{index} is not walked: {walked:?}");
     }
 
-    // Findings B5, B10, B14: finished campaigns were counted, derived and scanned again.
+    // Regression (findings B5, B10, B14): finished campaigns were counted, derived and scanned
+    // again.
     assert!(asked.len() >= 15, "{asked:#?}");
     for part in [
         "FROM derivation d JOIN",
@@ -475,7 +476,6 @@ async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
     }
 }
 
-/// Class 4: the table was not tied to the code.
 #[test]
 fn every_loop_over_rows_that_the_map_names_is_caught_or_walks_on_purpose() {
     let known = LOOPS.map(|(name, walks)| match walks {

@@ -33,8 +33,8 @@ log = logging.getLogger("launch")
 FAILURES_IN_A_ROW = 5
 # Time that a worker needs to give back its unfinished rollouts, seconds.
 GIVE_BACK = 15.0
-# By default, Ray kills the processes that its actors started with SIGKILL, and a worker could give
-# nothing back.
+# By default, Ray sends SIGKILL to the child processes of its actors, so a worker could not give its
+# rollouts back.
 CHILDREN_LIVE = {"RAY_kill_child_processes_on_worker_exit": "0"}
 # Variables that a worker reads from its environment: names of files on every node.
 ENVIRONMENT = ("ROLLOUT_TOKEN_FILE", "ROLLOUT_CA", "ROLLOUT_SOURCES", "RUST_LOG")
@@ -77,7 +77,7 @@ class Placed:
 
 
 class TooManyFailures(Exception):
-    """No worker can run."""
+    """Too many workers failed in a row."""
 
 
 class Fleet:
@@ -156,7 +156,7 @@ class Fleet:
 
 
 def depth(coordinator: str, connect: str) -> int | None:
-    """Returns the number of waiting and running rollouts, or None if the coordinator gives none."""
+    """Returns the number of waiting and running rollouts, or None if the coordinator call fails."""
     command = [coordinator, "campaign", "status", "--json", "--connect", connect]
     told = subprocess.run(command, check=False, capture_output=True, text=True)
     if told.returncode != 0:
@@ -168,7 +168,7 @@ def depth(coordinator: str, connect: str) -> int | None:
 
 
 def arguments(words: list[str] | None = None) -> argparse.Namespace:
-    """The command line."""
+    """Parses the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
     add("--address", default="auto", help="the Ray cluster (default: the one of this machine)")
@@ -179,13 +179,13 @@ def arguments(words: list[str] | None = None) -> argparse.Namespace:
     add("--slots", type=int, default=1, help="slots of a worker, with one CPU each")
     add("--drain-secs", type=float, default=15, help="as `worker` has it")
     add("--idle-secs", type=float, default=60, help="as `worker` has it")
-    add("--look-secs", type=float, default=5, help="between two looks at the queue")
+    add("--look-secs", type=float, default=5, help="seconds between polls of the queue")
     add("--until-done", action="store_true", help="end when no work and no worker is left")
     return parser.parse_args(words)
 
 
 def run(given: argparse.Namespace) -> None:
-    """Keeps workers running until a signal ends it or no work is left."""
+    """Keeps workers running until a signal arrives or no work is left."""
     worker, coordinator = (os.path.join(given.programs, it) for it in ("worker", "coordinator"))
     command = [worker, "--connect", given.connect, "--assets", given.assets]
     command += ["--slots", str(given.slots), "--drain-secs", str(given.drain_secs)]
@@ -209,8 +209,8 @@ def main() -> int:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     given = arguments()
     ray.init(address=given.address, log_to_driver=True)
-    # SIGTERM acts as Ctrl-C: the workers are told first. Until this point Ray's own handler is in
-    # place.
+    # SIGTERM is handled like Ctrl-C, so that the workers are stopped first. Before this call, Ray's
+    # own handler is installed.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         run(given)

@@ -382,7 +382,7 @@ def test_weights_of_predvla_are_those_of_its_repository(tmp_path):
         "libero_goal": "checkpoints/predvla_goal_s1.pt",
         "libero_10": "checkpoints/predvla_long_s1.pt",
     }
-    # They are searched in the authors' repository, independent of the working directory.
+    # Their paths are relative to the authors' repository, not to the working directory.
     file = tmp_path / listed["libero_goal"]
     file.parent.mkdir()
     file.write_bytes(b"weights")

@@ -1,4 +1,4 @@
-"""Batched queries: the others in a batch change no answer, and only the faulty query fails."""
+"""Batched queries: an answer does not depend on its batch, and only the faulty query fails."""
 
 import pathlib
 import re

@@ -83,7 +83,7 @@ class SecretlyStochastic(Faulty):
 
 
 class Sharing(Faulty):
-    """Keeps an episode's state in itself."""
+    """Keeps an episode's state in the policy instead of the episode."""
 
     def reset(self, episode):
         self.seed = episode.seed

@@ -47,7 +47,7 @@ class ComputedOft:
 
 
 class ComputedUnivla:
-    """Replaces UniVLA's networks by a function of chance, brightness and the prompt."""
+    """Replaces UniVLA's networks by a function of random numbers, brightness and the prompt."""
 
     parameters = 0
 

@@ -65,7 +65,7 @@ def test_the_description_counts_and_names_what_was_loaded(policy, checkpoint):
     assert described.checkpoint == str(checkpoint[1])
     assert len(described.checkpoint_digest) == 64
     assert described.parameters > 100_000
-    # The checkpoints' own numbers: none of them is the paper's checkpoint.
+    # Horizon and executed actions from each checkpoint, since none is the paper's.
     expected = {"smolvla": (50, 50), "pi05": (10, 10), "vla-jepa": (7, 7), "act": (1, 1)}
     assert (described.horizon, described.execute) == expected[checkpoint[0]]
 
@@ -287,7 +287,7 @@ def test_two_cameras_whose_names_sort_the_other_way_are_not_swapped(policy, alte
     renamed = loaded(name, folder)
     assert "cam_wrist=robot0_eye_in_hand" in renamed.description.settings["image slots"]
     assert np.array_equal(play(renamed, seed=1), play(policy, seed=1))
-    # Swapped cameras give another policy.
+    # Swapped cameras change the actions.
     swapped = loaded(name, folder, image_keys={"scene": "cam_wrist", "wrist": "front"})
     assert not np.array_equal(play(swapped, seed=1), play(policy, seed=1))
 

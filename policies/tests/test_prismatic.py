@@ -188,7 +188,7 @@ def test_another_robot_s_chunk_is_refused(oft):
 
 
 def test_the_transformers_of_everybody_else_is_refused_for_openvla_oft(oft, monkeypatch):
-    # Its version is the same; the difference is whether a token sees later ones.
+    # Both have the same version, but only in OpenVLA-OFT's does a token attend to later ones.
     monkeypatch.undo()
     network = Network()
     assert not prismatic._sees_ahead(network, torch, transformers)

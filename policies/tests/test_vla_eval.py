@@ -157,14 +157,14 @@ def until_it_ended(received):
 
 
 def played_by_vla_eval(server, instruction, **params):
-    """Plays one episode with its own client. Returns the executed actions."""
+    """Plays one episode with vla-eval's own client. Returns the executed actions."""
     benchmark = Rehearsed(SUITE, **params)
 
     async def play():
         connection = Connection(f"ws://{server}")
         await connection.connect(benchmark=BENCHMARK)
         task = {"name": instruction, "suite": SUITE, "task_id": 3, "episode_idx": 0}
-        # Ends before the observation after the last step, for which there is no moment.
+        # The episode ends before the observation after the last step, which has no moment.
         runner = SyncEpisodeRunner()
         benchmark.check_done = lambda step: len(benchmark.executed) == STEPS
         await runner.run_episode(benchmark, task, connection, max_steps=STEPS)

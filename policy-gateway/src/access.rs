@@ -1,4 +1,4 @@
-//! Access table of the gateway: who may make which call. There are no pages.
+//! Access table of the gateway: the permission that each call requires. There are no web pages.
 
 use transport::{Allowed, Resource, Role};
 

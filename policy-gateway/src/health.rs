@@ -1,9 +1,10 @@
-//! Circuit breaker of a policy server: fails fast while the server is out, and lets one session at
-//! a time probe it. Pure: callers pass in the time. The replica classifies the failures.
+//! Circuit breaker of a policy server. While the server is *out* (the breaker is open), calls fail
+//! at once, except those of one probing session at a time. Pure: callers pass in the time. The
+//! replica classifies the failures.
 //!
-//! A server that could not be reached counts as recovered after any answer. One that was silent or
-//! sick needs an answered query: its Describe and Reset often keep working when its accelerator
-//! does not.
+//! A server that could not be reached counts as recovered after any answer; a silent or sick server
+//! only after an answered query, since its Describe and Reset often keep working when its
+//! accelerator does not.
 
 use std::time::{Duration, Instant};
 
@@ -114,7 +115,7 @@ impl Health {
             (None, _) if now < outage.probe_at => {
                 Err((outage.cause.clone(), outage.probe_at - now))
             }
-            // A description says nothing about queries, so it is not the probe.
+            // A Describe does not show whether queries are answered, so it is not the probe.
             (None, Call::Describe) if outage.cause.needs_query() => Ok(()),
             (None, call) => {
                 let session = match call {
@@ -128,7 +129,7 @@ impl Health {
         }
     }
 
-    /// Records that the caller gave up before the call told anything about the server. If the call
+    /// Records that the caller gave up before the call showed the state of the server. If the call
     /// was the probe, the next call may probe at once.
     pub fn abandoned(&mut self, call: Call<'_>) {
         let session = match call {

@@ -7,7 +7,7 @@ use tokio::sync::{Semaphore, SemaphorePermit};
 /// Limit of observations in flight, bytes: 682 pairs of 256 × 256 frames, more than ten machines
 /// of 64 slots send at a time.
 pub const MAX_HELD_BYTES: usize = 256 << 20;
-/// Least size that a query counts with, bytes, so that queries without frames are limited too.
+/// Smallest size counted for a query, bytes, so that queries without frames are limited, too.
 pub const MIN_QUERY_BYTES: usize = 64 << 10;
 
 /// Memory budget of the observations whose queries are unanswered.

@@ -41,7 +41,7 @@ const SUITES: [&str; 4] = {
     [a.0, b.0, c.0, d.0]
 };
 
-/// Serves policies to workers: each route is a name and what answers for it.
+/// Serves policies to workers: each route maps a policy's name to its back-end.
 #[derive(Debug, Parser)]
 #[command(
     version = version::version!(),
@@ -58,7 +58,7 @@ struct Arguments {
 
 #[derive(Debug, Args)]
 struct Listen {
-    /// Listening address; port 0 takes a free one, and the line printed names it
+    /// Listening address; port 0 selects a free port, which is printed at the start
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7412",
         value_parser = terminal::address)]
     listen: SocketAddr,
@@ -69,11 +69,11 @@ struct Listen {
 
 #[derive(Debug, Args)]
 struct Serve {
-    /// A policy's name and what answers for it: grpc://HOST:PORT[/POLICY],
+    /// A policy's name and its back-end: grpc://HOST:PORT[/POLICY],
     /// ws://HOST:PORT (an openpi server), vla-eval://HOST:PORT (a model server
     /// of vla-eval), builtin:noop, builtin:expert, builtin:student,
     /// builtin:student-boxes, builtin:student-boxes-randomised, student:FILE (weights
-    /// that training exported), or several replicas with commas between (repeatable)
+    /// that training exported), or several replicas separated by commas (repeatable)
     #[arg(
         long = "route",
         value_name = "NAME=BACKEND",
@@ -82,8 +82,8 @@ struct Serve {
     )]
     routes: Vec<RouteSpec>,
 
-    /// A file of policies, their replicas and checkpoints per suite; SIGHUP
-    /// reads it again
+    /// Configuration file with policies, their replicas and checkpoints per suite;
+    /// SIGHUP reloads it
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 
@@ -93,22 +93,22 @@ struct Serve {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Checks whether a policy server keeps the policy protocol, point by point
+    /// Checks whether a policy server conforms to the policy protocol, point by point
     Check {
-        /// Its address: grpc://HOST:PORT, https://HOST:PORT,
+        /// The server's address: grpc://HOST:PORT, https://HOST:PORT,
         /// ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT
         #[arg(value_name = "URL")]
         url: String,
 
-        /// Name of the policy there, if it serves several
+        /// Name of the policy, if the server has several
         #[arg(long, value_name = "NAME", default_value = "")]
         policy: String,
 
-        /// The suite of the task that it is asked about
+        /// Suite of the task in the queries
         #[arg(long, value_name = "SUITE", default_value = SUITES[0], value_parser = SUITES)]
         suite: String,
 
-        /// Measures its latency under load as well, and writes the distribution
+        /// Also measures the server's latency under load, and writes the distribution
         /// of delays that `coordinator campaign create --execution` takes
         #[arg(long, value_name = "FILE")]
         latency: Option<PathBuf>,
@@ -116,27 +116,27 @@ enum Command {
         #[command(flatten)]
         access: ClientArguments,
     },
-    /// Shows two policy servers the same observations, and names what one does
-    /// otherwise than the other
+    /// Sends two policy servers the same observations, and explains how their
+    /// answers differ
     Compare(Box<Compare>),
-    /// Looks for the usual mistakes of a policy server that scores nothing
+    /// Finds common mistakes in a policy server whose rollouts all fail
     Doctor(Box<Doctor>),
-    /// Stands before a policy server and records sessions: observations and
-    /// actions, a file each, until it is stopped
+    /// Forwards queries to a policy server and records its sessions (observations
+    /// and actions), one file each, until it is stopped
     Record {
         /// The server, as in --route
         #[arg(long, value_name = "BACKEND")]
         upstream: BackendSpec,
 
-        /// Folder for the recordings; made if need be
+        /// Folder for the recordings; created if missing
         #[arg(long, value_name = "DIR")]
         output: PathBuf,
 
-        /// The name under which it is served
+        /// Name under which the policy is served
         #[arg(long, value_name = "NAME", default_value = "policy")]
         policy: RouteName,
 
-        /// Mebibytes to record at most
+        /// Largest total size of the recordings, MiB
         #[arg(long, value_name = "N", default_value_t = DEFAULT_MAX_BYTES >> 20,
             value_parser = number(1..=1_u64 << 40, "MiB"))]
         max_mib: u64,
@@ -144,14 +144,14 @@ enum Command {
         #[command(flatten)]
         listen: Listen,
     },
-    /// Serves recorded actions again, to the same observations of the same
-    /// episodes; names the first difference of another one
+    /// Answers the same observations of the same episodes with the recorded
+    /// actions; for any other observation, the error names the first difference
     Replay {
         /// Folder of the recordings
         #[arg(value_name = "DIR")]
         folder: PathBuf,
 
-        /// The name under which they are served
+        /// Name under which the recordings are served
         #[arg(long, value_name = "NAME", default_value = "policy")]
         policy: RouteName,
 
@@ -166,7 +166,7 @@ enum Command {
     /// Writes this program's manual pages
     #[command(hide = true)]
     Manual {
-        /// Into this folder
+        /// Folder for the pages
         folder: PathBuf,
     },
 }
@@ -382,7 +382,7 @@ async fn serve(
         ""
     };
     match terminal::print_line(&format!("listening on {address}{over}")) {
-        // The reader of the pipe may have gone.
+        // Standard output may be a closed pipe.
         Err(error) if !reader_is_gone(&error) => {
             return Err(error).context("print the address listened on");
         }

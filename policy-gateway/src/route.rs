@@ -268,7 +268,7 @@ impl Route {
                 Err(error) => error,
             };
             let is_outage = error.is_outage();
-            // After a timeout the caller has given up.
+            // After a timeout, the caller no longer waits for another replica.
             let is_late = matches!(error, BackendError::TimedOut { .. });
             let error = self.failed_query(request.query_index, &replica, error);
             if !is_outage || is_late {
@@ -283,7 +283,8 @@ impl Route {
     }
 
     /// Returns an open session. After a restart of the gateway, the back-end may still hold a
-    /// session that is unknown here: if the route has a single replica, it is asked.
+    /// session that the gateway no longer knows; if the route has a single replica, the session is
+    /// adopted from it.
     async fn session(&self, name: &str) -> Result<Arc<Session>, RouteError> {
         if let Some(open) = self.sessions().get(name) {
             return Ok(Arc::clone(open));
@@ -422,8 +423,8 @@ async fn ask_one(
     replica.infer(request.clone(), horizon, task).await
 }
 
-/// Selects the failure of a call to report: a replica that was already out tells less than
-/// another's new failure.
+/// Selects the failure of a call to report. A new failure is more informative than a replica that
+/// was already out of service.
 fn first_worth_telling(earlier: Option<RouteError>, now: RouteError) -> RouteError {
     let was_out = |error: &RouteError| {
         matches!(error, RouteError::Replica { source, .. }

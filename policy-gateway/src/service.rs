@@ -164,8 +164,8 @@ impl Policy for Gateway {
     }
 
     /// Queries are sent to their back-ends concurrently, each as if it had come alone. If a
-    /// back-end is down, the whole call fails, because the text of a single result cannot mark the
-    /// query as uncharged.
+    /// back-end is down, the whole call fails, because the error text of a single result has no
+    /// status code that would leave its query uncharged.
     async fn infer_batch(
         &self,
         request: Request<InferBatchRequest>,

@@ -11,8 +11,8 @@ pub mod policy {
 }
 
 impl policy::DescribeResponse {
-    /// Returns the reason why the settings cannot be recorded, in words that read
-    /// after "it"; none if they can be.
+    /// Returns the reason why the settings cannot be recorded, as a text that reads
+    /// after "it"; `None` if they can be recorded.
     pub fn settings_problem(&self) -> Option<String> {
         let count = self.settings.len();
         if count > MAX_SETTINGS {

@@ -28,8 +28,8 @@ fn today() -> DescriptorPool {
     compiled(folder(), "rollout/policy/v1/policy.proto")
 }
 
-/// Returns what must not change in a protocol, a line each: the numbers, names and types on the
-/// wire, and the calls.
+/// Returns the properties of a protocol that must not change, one per line: numbers, names and
+/// types on the wire, and calls.
 fn promises(pool: &DescriptorPool) -> Vec<String> {
     let mut promises = Vec::new();
     for message in pool.all_messages() {
@@ -131,8 +131,8 @@ fn message(pool: &DescriptorPool, name: &str) -> MessageDescriptor {
     pool.get_message_by_name(&name).expect("a message")
 }
 
-/// An older peer's message is understood whole by today's types, and today's
-/// message, new fields and all, by an older peer.
+/// Checks that today's types decode an older peer's message completely, and that an
+/// older peer decodes today's message despite its new fields.
 fn check<T: Message + Default>(name: &str) {
     let (released, today) = (message(&released(), name), message(&today(), name));
     let theirs = filled(&released);

@@ -3,11 +3,11 @@ shim, whichever `libero` is installed, and of `rollout_libero`. Prints one line 
 
 usage: training.py alone|sent|threads TASK [--environments N] [--chunk K] [--steps N] [--rollouts N]
 
-`alone`: each environment in a process, which makes a new one for each rollout and looks at the
-observation at the end of each chunk of actions (SimpleVLA-RL; openpi, OpenVLA-OFT but for the
-processes). With `--every-frame` it looks at all, as an environment that draws at once does.
-`sent`: each environment in a process, made anew for each rollout, which sends every observation
-to its parent, 15 steps of settling included (RLinf, verl-vla).
+`alone`: each environment in a process, which constructs a new one for each rollout and reads the
+observation at the end of each chunk of actions, as SimpleVLA-RL does, and as openpi and OpenVLA-OFT
+do without processes. With `--every-frame` it reads every observation, so that all are rendered.
+`sent`: each environment in a process, constructed anew for each rollout, which sends every
+observation to its parent, including 15 steps of settling (RLinf, verl-vla).
 `threads`: the same rollouts of `TrainingEnvironment` in this process (rollout_libero.rlinf).
 
 A rollout lasts from the request of its reset to its last result. Control steps are
@@ -154,7 +154,7 @@ def roll_out(given, bddl: str, state: np.ndarray, moves: np.ndarray, barrier) ->
 
 
 def sent(given: argparse.Namespace) -> tuple[list[float], list[float]]:
-    """The same with processes that send every observation."""
+    """Returns the same seconds as `alone`, for processes that send every observation."""
     from libero.libero.envs import SubprocVectorEnv
 
     multiprocessing.set_start_method("spawn", force=True)
@@ -182,7 +182,7 @@ def sent(given: argparse.Namespace) -> tuple[list[float], list[float]]:
 
 
 def threads(given: argparse.Namespace) -> tuple[list[float], list[float]]:
-    """The same with threads in this process."""
+    """Returns the same seconds as `alone`, for threads in this process."""
     from rollout_libero.training import Start, TrainingEnvironment
 
     bddl, states = files(given.task)

@@ -1,7 +1,7 @@
 """An archive of a campaign (`coordinator campaign archive`), read without a coordinator.
 
-It may come from an untrusted source. Before anything is written, the list of members must state the
-total size, and there must be room for it. Of the database, only tables are read.
+The archive may come from an untrusted source. Before anything is written, its list of members must
+state the total size, and the disk must have room for it. Only tables of the database are read.
 """
 
 from __future__ import annotations

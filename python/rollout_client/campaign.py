@@ -67,11 +67,12 @@ class Campaign:
 
     def results(self) -> pd.DataFrame:
         """A row per committed rollout, by rollout id and replicate. `axis` and `level` are the
-        condition: `clean` and `L0`, an axis, or `combination`. `config` is missing of nominal
-        rollouts, `ik_res_mm` unless the robot was displaced, `placebo_radius` unless the level
-        is `L0` and the rollout perturbed. `execution` is the execution model, `wait` unless the
-        campaign names another. Of the goal's `goal_predicates`, `goal_at_end` held at
-        the end and `goal_at_most` together; missing from workers of earlier releases."""
+        condition: `clean` and `L0`, an axis, or `combination`. `config` is missing for nominal
+        rollouts, `ik_res_mm` unless the robot was displaced, `placebo_radius` unless the rollout is
+        perturbed at level `L0`. `execution` is the execution model, `wait` unless the campaign
+        names another. `goal_predicates` counts the goal's predicates, `goal_at_end` those that held
+        at the end, and `goal_at_most` the most that held together; all three are missing in results
+        from workers of earlier releases."""
         request = wire.ExportRequest(campaign=self._name)
         lines = self._connection.collect(self._connection.operator.Export, request)
         rows = ({"replicate": 0, "execution": "wait", **json.loads(line.json)} for line in lines)

@@ -10,7 +10,8 @@ from .access import Access
 def channel(access: Access) -> grpc.Channel:
     """Returns a channel that connects at the first call."""
     options = [
-        # As in the command line: large campaigns have long lists, and proxies are not used.
+        # As on the command line: messages fit the long lists of large campaigns, and no proxy is
+        # used.
         ("grpc.max_receive_message_length", 32 << 20),
         ("grpc.max_send_message_length", 32 << 20),
         ("grpc.enable_http_proxy", 0),

@@ -70,7 +70,7 @@ class Connection:
         )
 
     def collect(self, method: Callable[..., Iterable[T]], request: object) -> list[T]:
-        """The same for a call whose answer is a stream."""
+        """Like `call`, for a method whose answer is a stream."""
         return self._patiently(lambda: list(method(request, metadata=self.access.metadata)))
 
     def _patiently(self, send: Callable[[], T]) -> T:
@@ -93,10 +93,10 @@ class Connection:
             pause = min(2 * pause, LONGEST_PAUSE)
 
     def _found(self, error: grpc.RpcError) -> probe.Found | None:
-        """Returns what answers in the coordinator's place; None if the coordinator answered."""
+        """Diagnoses what answers at the URL instead; None if the coordinator answered."""
         code, details = error.code(), error.details() or ""
         is_of_web = details.startswith(probe.WEB_ANSWER)
-        # An answer from a server has headers.
+        # Only answers of a server have headers; errors of this client have none.
         has_answered = bool(error.trailing_metadata()) and not is_of_web
         is_unknown_call = code is grpc.StatusCode.UNIMPLEMENTED
         if not is_of_web and code not in OF_THE_WAY or has_answered and not is_unknown_call:

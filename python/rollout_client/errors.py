@@ -19,7 +19,7 @@ class UnreachableError(CoordinatorError, ConnectionError):
         super().__init__(f"failed to reach the coordinator at {url}: {found}; {remedy}")
         #: The coordinator's address, as given.
         self.url = url
-        #: Description of what answers in its place.
+        #: Description of what was found at the URL instead: another server, or none.
         self.found = found
         #: Description of the remedy.
         self.remedy = remedy

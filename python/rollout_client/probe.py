@@ -37,7 +37,7 @@ NAME_ANOTHER = "give Client the address of the coordinator"
 
 @dataclass(frozen=True)
 class Found:
-    """Description of what answers in a coordinator's place."""
+    """Finding at a coordinator's URL, with its remedy."""
 
     words: str
     remedy: str
@@ -45,7 +45,7 @@ class Found:
     is_final: bool
 
 
-#: The coordinator itself, which answers now.
+#: The coordinator answers the diagnosis: only the failed call lost its connection.
 BROKEN = Found(
     "the connection ended before the answer came",
     "try again; the coordinator's log says why, if it failed",
@@ -144,7 +144,7 @@ def _certificate(access: Access, error: ssl.SSLCertVerificationError) -> Found:
 
 
 def _in_the_clear(access: Access) -> Found:
-    """Describes a server that does not answer TLS."""
+    """Connects without TLS, and describes a server that completes no TLS handshake."""
     try:
         with socket.create_connection((access.host, access.port), timeout=PATIENCE) as connection:
             found = _hear(connection)
@@ -167,7 +167,7 @@ def _speaks_tls(access: Access) -> bool:
 
 
 def _hear(connection: socket.socket) -> Found | None:
-    """Sends what an HTTP/2 client sends, and describes the reply. None means HTTP/2."""
+    """Sends an HTTP/2 client's preface, and describes the reply; None if it is HTTP/2."""
     heard = b""
     connection.settimeout(PATIENCE)
     try:
@@ -208,7 +208,7 @@ def _web(said: str) -> Found:
 
 
 def _server_of_grpc(access: Access) -> Found:
-    """Describes the HTTP/2 server."""
+    """Describes an HTTP/2 server by the gRPC methods that it implements."""
     with channel(access) as there:
         found = _has_call(there, access, COORDINATOR_CALL)
         if found is True:
@@ -221,7 +221,8 @@ def _server_of_grpc(access: Access) -> Found:
 
 
 def _has_call(there: grpc.Channel, access: Access, path: str) -> bool | Found:
-    """Returns True if a server has the method `path`; a description if it is no gRPC server."""
+    """Returns True if a server has the method `path`, or a description if it does not speak
+    gRPC."""
     call = there.unary_unary(path, request_serializer=None, response_deserializer=None)
     try:
         call(b"", timeout=PATIENCE, metadata=access.metadata)

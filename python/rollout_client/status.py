@@ -154,11 +154,12 @@ class Forecast:
 
     #: Rollouts per suite, replicates included.
     rollouts: Mapping[str, int]
-    #: Number of live workers of the same kind, and their slots.
+    #: Number of live workers that can share a campaign, and of their slots; of several such groups,
+    #: the one that would finish first.
     workers: int
     slots: int
-    #: Seconds that they take together, if they run nothing else; None if no rollout was measured on
-    #: such a worker recently.
+    #: Seconds that these slots take together, if they run nothing else; None if no rollout was
+    #: measured on such a worker recently.
     secs: float | None
     #: Number of recent results used, and True if they are of this policy, False if of other
     #: policies.
@@ -168,7 +169,8 @@ class Forecast:
     unmeasured_suites: tuple[str, ...]
     #: Cores that those slots share; None if a worker does not report them.
     cores: int | None
-    #: Its bottleneck; None if no such result states how its time was spent.
+    #: Breakdown of a rollout's time, and bottleneck; None if no such result states how its time was
+    #: spent.
     speed: Speed | None
 
     @property

@@ -1,8 +1,8 @@
 """Loads the extension so that it uses its own MuJoCo.
 
 The ``mujoco`` package exports its library's symbols to the whole process. If it has another version
-and was imported first, the extension would call that one, and the physics would be another
-benchmark's. So the extension looks symbols up in its own libraries first.
+and was imported first, the extension would call that library, whose physics differs from the
+benchmark's. The extension therefore resolves symbols in its own libraries first.
 """
 
 from __future__ import annotations

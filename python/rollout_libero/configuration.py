@@ -28,9 +28,9 @@ class Start(NamedTuple):
     instruction: str
     max_steps: int
     execution: str
-    """The robot's conduct while an answer is under way."""
+    """Execution model: the robot's conduct while an answer is under way."""
     turn: int
-    """The environment's turn after this start."""
+    """The environment's turn in the sequence of starts, after this start."""
     generator: np.random.Generator
     """The environment's generator after the draws of this start."""
 
@@ -93,8 +93,8 @@ class Starts:
         """Perturbs all later rollouts.
 
         Raises:
-            ValueError: if there is no such configuration, or it distorts actions that are
-                poses, or its execution model does not fit; the configuration before it stays.
+            ValueError: if there is no such configuration, its actuation axis distorts actions that
+                are poses, or its execution model does not fit; the previous one stays in effect.
         """
         row = None if perturbation is None else _row(self._task, perturbation)
         self._check_execution(self._execution_of(row))
@@ -177,7 +177,7 @@ class Starts:
         return self._execution
 
     def _check_execution(self, execution: str) -> None:
-        """Refuses an execution model that a schedule of this class's rollouts cannot have."""
+        """Refuses a model that is invalid, or incompatible with the control or initial states."""
         native.Schedule(execution, self._task.name, 0)
         if execution != "wait" and self._absolute:
             raise ValueError(

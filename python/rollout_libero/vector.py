@@ -61,10 +61,11 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         init_states: initial states of rollouts; see ``configuration.InitStates``. Environments
             of one task that take turns share the sequence: of *n* environments, the *r*-th
             begins at index *r* and advances by *n*, so that no two have the same state at a time.
-        execution: the robot's conduct while a policy's answer is under way, as of a campaign:
-            ``"wait"``, ``"hold:4"``, ``"overlap:4"`` or ``"overlap:4,rtc"``; by default that of
-            the perturbation's row, else ``"wait"``. ``step_chunk`` then takes the answers to the
-            observations of the call before, and goes on until each environment's next query.
+        execution: execution model, the robot's conduct while a policy's answer is under way:
+            ``"wait"``, ``"hold:4"``, ``"overlap:4"`` or ``"overlap:4,rtc"``, as in a campaign; by
+            default that of the perturbation's row, else ``"wait"``. ``step_chunk`` then takes the
+            answers to the observations of the previous call, and runs each environment until its
+            next query.
         execute: how many actions of an answer are executed before the next query; by default
             all.
         autoreset_mode: as gymnasium defines it: ``NEXT_STEP`` begins a rollout in the
@@ -215,10 +216,10 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Executes control steps, actions [environments, steps, 7], until each rollout ends.
 
-        With ``render="last"`` an environment's observation is that after its last step;
-        with ``"all"`` arrays are [environments, steps, …], and zero beyond the steps
-        taken, which ``info["taken"]`` counts (none where a rollout begins; its first
-        observation has the first place); with ``"none"`` there are no frames.
+        With ``render="last"`` an environment's observation is that after its last step; with
+        ``"all"`` arrays are [environments, steps, …], and zero beyond the steps taken, which
+        ``info["taken"]`` counts (0 where a rollout begins, whose first observation is at index 0);
+        with ``"none"`` there are no frames.
 
         ``expert``, [environments, steps], queries a scripted expert, which reads the
         simulator's state, at every step: ``info["expert_action"]``, [environments,
@@ -226,10 +227,11 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         true, the expert drives, and ``actions`` are added to its own.
 
         Under an execution model, or with ``execute``, ``actions`` are the answers to the
-        observations of the call before. Each environment moves until its next query is due, in
-        ``info["taken"]`` steps, of which some are what was under way, or hold still.
-        ``info["delay"]`` counts the steps until the next answer takes effect, and with ``rtc``
-        ``info["under_way"]`` has the actions [n, 7] of the coming steps as they stand.
+        observations of the previous call. Each environment runs until its next query is due, in
+        ``info["taken"]`` steps; before an answer takes effect, it executes actions of earlier
+        answers or holds still. ``info["delay"]`` counts the steps until the next answer takes
+        effect, and with ``rtc`` ``info["under_way"]`` has the actions [n, 7] scheduled for the
+        coming steps.
         """
         actions = np.asarray(actions, dtype=np.float64)
         missing = [at for at, it in enumerate(self._rollouts) if not it.is_begun]
@@ -276,8 +278,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     def _scheduled(
         self, actions: NDArray[np.float64], limits: list[int], is_expert: bool
     ) -> tuple[NDArray[np.float64], dict[int, native.Schedule]]:
-        """The actions [environments, steps, 7] until each one's next query is due, and the
-        schedules then; shortens ``limits`` to them. Changes no rollout."""
+        """Returns the actions [environments, steps, 7] until each environment's next query is due,
+        and the schedules at that time; shortens ``limits`` to these steps. Changes no rollout."""
         late = [at for at, it in enumerate(self._rollouts) if it.schedule and not it.is_over]
         if not late:
             return actions, {}
@@ -308,7 +310,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         """Changes an environment's perturbation, from its next rollout on.
 
         Raises:
-            ValueError: if there is no such configuration; the one before it stays.
+            ValueError: if there is no such configuration; the previous one stays in effect.
         """
         self.starts[index].perturb(perturbation)
 
@@ -368,7 +370,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         infos.update(self._infos(infos["success"]))
 
     def _rows(self, starts: Mapping[int, Start]) -> list[str | None]:
-        """Returns the rows of the beginning environments, for the simulator."""
+        """Returns the manifest rows of the environments that begin a rollout; None for the
+        others."""
         return [starts[at].row if at in starts else None for at in range(self.num_envs)]
 
     def _begin(self, starts: Mapping[int, Start], errors: Sequence[Exception | None]) -> None:
@@ -397,7 +400,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     def _finished(
         self, result: Any, infos: dict[str, Any], errors: Sequence[Exception | None]
     ) -> Any:
-        """Returns the result of a call, or raises the first error with it."""
+        """Returns the result of a call, or raises the first error with the result attached."""
         failed = [at for at, error in enumerate(errors) if error is not None]
         if not failed:
             return result

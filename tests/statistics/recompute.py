@@ -1,16 +1,23 @@
-"""Recomputes what reports infer, with NumPy and SciPy only, and compares.
+"""Recomputes the inferential statistics of reports with NumPy and SciPy only, and compares.
 
     python3 recompute.py campaigns.json
 
-The file has a list of {"name", "levels", "report"}: `levels` has, per level, a row per
-configuration, [suite, task, config, nominal or null, [each axis alone], simultaneous],
-`nominal` a row per nominal rollout, [suite, task, success], `published` the rate of the gates,
-`suites` each suite's name and number, `replicated` has, per level, a row per configuration and
-replicate, [suite, task, config, simultaneous], and `report` is the report's JSON; or of {"name",
-"compared"}: per row of a comparison of two policies, its "name", its "pairs" [suite, task, number,
-A, B, [goal of A, of B], [steps of A, of B]], where a goal is [predicates that held, predicates],
-"own_directions", its "difference" and its "progress". Prints how many figures agree; fails naming
-each that does not. Shares no code with the crate; the formulas are those of docs/REPORT.md.
+The file is a list of two kinds of entries. A campaign has a "name", its "report" (JSON), and:
+
+- "levels": per level, a row per configuration,
+  [suite, task, config, nominal or null, [each axis alone], simultaneous];
+- "nominal": a row per nominal rollout, [suite, task, success];
+- "published": the success rate that the gates compare with;
+- "suites": each suite's name and number;
+- "replicated": per level, a row per configuration and replicate,
+  [suite, task, config, simultaneous].
+
+A comparison of two policies has a "name" and "compared": per row, its "name", "own_directions",
+"difference", "progress" and "pairs": [suite, task, number, A, B, [goal of A, of B],
+[steps of A, of B]], where a goal is [predicates that held, predicates].
+
+Prints how many figures agree; fails with the names of those that do not. Shares no code with the
+crate; the formulas are those of docs/REPORT.md.
 """
 
 import json
@@ -61,7 +68,7 @@ class Sample:
         self.by_direction = self.leave_out([list(by_direction.values())])
 
     def leave_out(self, strata):
-        """The sums without each group, and the weight of each stratum's squares."""
+        """Returns the sums without each group in turn, and the number of groups per stratum."""
         if any(len(groups) < 2 for groups in strata):
             return None
         total, parts = self.x.sum(axis=0), []
@@ -132,7 +139,8 @@ def around(value, variance, _):
 
 
 def around_mean(value, variance, _):
-    """Around a mean in a unit of its own, which no range limits."""
+    """Interval around a mean in a unit without bounds, such as steps, so its ends are not
+    clipped."""
     if variance is None or variance[0] <= 1e-24:
         return None
     half = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5
@@ -254,7 +262,7 @@ def excess(keys, y, placebo):
 
 
 def directions(keys, simultaneous):
-    """Rates by direction, and the p-value by permutations of its own."""
+    """Rates by direction, and the p-value from this script's own random permutations."""
     rng = np.random.default_rng(1)
     configs = np.array([config for _, _, config in keys])
     tasks = np.unique([suite * 100 + task for suite, task, _ in keys], return_inverse=True)[1]
@@ -328,7 +336,7 @@ def inference(rows, placebo):
 
 
 def progress(pairs, own_directions):
-    """The differences in partial progress of one row, without Holm's p; None if unknown."""
+    """Differences in partial progress for one row, without Holm's p; None if unknown."""
 
     def of(values, scale):
         known = [(tuple(pair[:3]), v) for pair, v in zip(pairs, values) if None not in v]
@@ -532,7 +540,7 @@ def compare_gates(campaign, comparison):
 
 
 def components(rows):
-    """Components of variance of simultaneous success, of a nested design; None without one."""
+    """Variance components of simultaneous success in a nested design; None if it is too small."""
     outcomes = {}
     for suite, task, config, success in rows:
         outcomes.setdefault((suite, task), {}).setdefault(config, []).append(success)

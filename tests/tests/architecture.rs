@@ -152,7 +152,7 @@ fn an_arrow_that_points_up_or_sideways_is_found() {
     );
 }
 
-/// All sources in a language below a folder, one after the other.
+/// All sources in a language below a folder, concatenated.
 fn sources(folder: &Path, ending: &str) -> String {
     let mut text = String::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten() {

@@ -1,4 +1,4 @@
-//! Delays of a policy server as they are measured, and a campaign that draws from them, through
+//! Delays measured from a policy server, and a campaign that draws its delays from them, through
 //! real processes.
 
 use std::process::Command;

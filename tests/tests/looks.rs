@@ -1,8 +1,8 @@
-//! How the page looks on the screens that people have: nothing is cut off, no
-//! letter is too small to read, figures use the width that they have.
+//! Layout of the live page on screens of common sizes: nothing is cut off, no letter is too small
+//! to read, and figures fill the available width.
 //!
-//! With `ROLLOUT_LOOKS=FOLDER` it leaves pictures of every page there, on every screen, light and
-//! dark.
+//! `ROLLOUT_LOOKS=FOLDER` saves screenshots of every page to that folder, for every screen, light
+//! and dark.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -183,7 +183,7 @@ fn measure(campaigns: &Campaigns, outcomes: &Path) {
     finish(campaigns, "thresholds", "radii");
 }
 
-/// Starts a worker whose rollouts end as the rows in a file say.
+/// Starts a worker whose rollouts have the outcomes of the rows in a file.
 fn planted_worker(campaigns: &Campaigns, outcomes: &Path) -> Process {
     let environment = [
         ("SIMULATED_SLOT_OUTCOMES", outcomes.to_str().unwrap()),

@@ -1,5 +1,5 @@
-//! LIBERO's other 90 tasks. Nothing is evaluated on them, but BDDL files written by users resemble
-//! theirs.
+//! LIBERO's other 90 tasks. Nothing is evaluated on them, but their BDDL files resemble those that
+//! users write.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

@@ -45,7 +45,7 @@ fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {
     assert_eq!([node(&on_first), node(&on_second)], NODES);
     lab.wait_until("some rollouts are committed", |lab| lab.committed() >= 4);
 
-    // A worker that waits for its next rollout when it is told to end gives nothing back.
+    // A worker that is asked to end while it waits for its next rollout gives nothing back.
     while lab.given_back() == 0 {
         assert!(!lab.is_finished(), "no worker was told to end in a rollout");
         lab.is_preempted(&on_second);
@@ -148,7 +148,7 @@ impl Lab {
     /// Lets a job of a partition with higher priority take a worker's node.
     fn is_preempted(&self, task: &str) {
         let restarts = self.cluster.job(task).restarts;
-        // A task that reaches its time limit just then is not preempted; it is then tried again.
+        // A task that reaches its time limit just then is not preempted; the loop then tries again.
         let is_told = || {
             let log = std::fs::read_to_string(self.cluster.path("slurmctld.log"));
             log.is_ok_and(|log| log.contains(&format!("preempted JobId={task}(")))
@@ -193,8 +193,8 @@ impl Lab {
         job.state == "RUNNING" && job.restarts >= restarts
     }
 
-    /// Asserts that no attempt was charged, and that attempts without an outcome ended for a reason
-    /// of the cluster's.
+    /// Asserts that no attempt was charged, and that all attempts without an outcome ended for a
+    /// reason in [`UNCHARGED`].
     fn charged_nobody(&self) {
         let jobs = self.json(&["jobs", "list", CAMPAIGN, "--limit", "10000"]);
         let jobs = jobs["jobs"].as_array().expect("a list");
@@ -207,7 +207,7 @@ impl Lab {
         assert!(endings.iter().all(known), "{endings:?}");
     }
 
-    /// Returns the number of attempts that a worker gave back because it was told to end.
+    /// Returns the number of attempts that workers gave back while draining.
     fn given_back(&self) -> usize {
         let endings = self.endings().into_iter();
         endings.filter(|reason| reason == "draining").count()

@@ -1,6 +1,6 @@
 //! Three policies behind one gateway, each with a campaign of its own. One server is killed midway
-//! and restarted: the other campaigns do not wait for it, its own resumes automatically, and no
-//! attempt is charged.
+//! and restarted: the other campaigns do not wait for it, the campaign of its policy resumes
+//! automatically, and no attempt is charged.
 
 use std::path::Path;
 use std::process::Command;

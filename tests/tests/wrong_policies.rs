@@ -84,7 +84,7 @@ fn a_policy_that_answers_nan_holds_up_nobody_elses_campaign_on_the_same_worker()
         return;
     };
     let worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
-    // The policy is paused after five attempts, which in the past stopped the worker.
+    // The policy is paused after five attempts; the worker must continue.
     let status = ["campaign", "status", "crooked"];
     wait_for(&campaigns, &status, "policy `crooked` is paused");
     campaigns.create("sound", "noop", "libero_object/0", "0");

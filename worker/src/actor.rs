@@ -40,10 +40,11 @@ pub enum PolicyError {
         endpoint: String,
         fault: DescriptionFault,
     },
-    #[error("{} cannot be run so: {problem}", named(policy))]
+    #[error("{} cannot be run this way: {problem}", named(policy))]
     TooLate {
         policy: String,
-        /// Length and delay of the answers. Within the message, as campaigns show one sentence.
+        /// Length and delay of the answers. Part of the message rather than its source, because
+        /// campaigns show a single sentence.
         problem: TooLate,
     },
     #[error(
@@ -142,7 +143,8 @@ pub trait Actor {
     fn end(&mut self, _session: PolicySession<'_>) {}
 
     /// Returns the actions for one observation: between one and `horizon`, finite, not yet clipped.
-    /// `under_way` holds the commands executed meanwhile; `None` if the actor is not told of them.
+    /// `under_way` holds the commands executed meanwhile; `None` if the actor does not receive
+    /// them.
     ///
     /// # Errors
     /// If the actor does not answer, or its answer is not a valid chunk of actions.

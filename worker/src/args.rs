@@ -43,13 +43,13 @@ pub struct Arguments {
     /// A command other than serving a coordinator.
     #[command(subcommand)]
     pub command: Option<Command>,
-    /// Without a command, a worker serves a coordinator,
+    /// Arguments of a worker that serves a coordinator, the default without a command.
     #[command(flatten)]
     pub serve: Option<ServeArguments>,
-    /// getting in like this, at the coordinator and at policies,
+    /// Credentials for the coordinator and for policies.
     #[command(flatten)]
     pub access: ClientArguments,
-    /// with this simulator.
+    /// Simulator, assets and renderer.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
 }
@@ -64,9 +64,9 @@ impl Arguments {
     /// this version.
     ///
     /// # Errors
-    /// If the command line is invalid, or asks for help. The coordinator's address is checked only
-    /// for commands that call a coordinator; for the others, and for slots, `COORDINATOR_URL` may
-    /// hold anything.
+    /// If the command line is invalid or help was requested. The coordinator's address is checked
+    /// only for commands that call a coordinator; other commands and slots accept any value of
+    /// `COORDINATOR_URL`.
     pub fn read<I>(version: &'static str, words: I) -> Result<Self, clap::Error>
     where
         I: IntoIterator<Item: Into<OsString>>,
@@ -92,22 +92,22 @@ impl Arguments {
 /// A command other than serving a coordinator.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Simulates one rollout with a policy, without a coordinator, and writes
-    /// what came of it to a folder
+    /// Simulates one rollout with a policy, without a coordinator, and writes its results to a
+    /// folder
     Rollout(Box<RolloutArguments>),
-    /// Finds out until when a failing rollout could still have been saved:
-    /// lifts its perturbations at steps of it, and lets the policy go on
+    /// Finds the last step at which lifting the perturbations still saves a failing rollout; the
+    /// policy continues from there
     Rescue(Box<RescueArguments>),
     /// Shows what the perturbations of a configuration look like, without any
     /// policy
     Preview(PreviewArguments),
-    /// Makes the videos of campaigns that record transitions, from the actions
-    /// that were kept, until none is left; asks no policy
+    /// Makes the missing videos of campaigns that record transitions, from the recorded actions,
+    /// until none is left; queries no policy
     Film(FilmArguments),
-    /// Counts variants of LIBERO-Plus or LIBERO-PRO and says what they need; with
-    /// --endpoint, runs them and the unperturbed rollouts of their tasks
+    /// Counts variants of LIBERO-Plus or LIBERO-PRO and lists missing files; with --endpoint, runs
+    /// them and the unperturbed rollouts of their tasks
     Variants(Box<VariantsArguments>),
-    /// Looks after asset packs: lists, verifies and fetches them
+    /// Lists, verifies and fetches asset packs
     Assets(AssetsArguments),
     /// Measures how many control steps and frames per second 1, 2, 4, … slots
     /// make on this machine, and recommends a number of slots; needs no
@@ -133,31 +133,30 @@ pub enum Command {
     BenchSlot(BenchSlotArguments),
 }
 
-/// How to serve a coordinator.
+/// Arguments of a worker that serves a coordinator.
 #[derive(Debug, Args)]
 pub struct ServeArguments {
     /// URL of the coordinator
     #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
     pub connect: String,
-    /// Rollouts at a time, each in a process of its own: a number, or `auto`
-    /// for what a measurement of a few seconds recommends before the worker
-    /// registers, with no more slots than cores and than fit into memory
+    /// Rollouts at a time, each in a process of its own: a number, or `auto` for the number that a
+    /// measurement of a few seconds recommends before the worker registers, limited by cores and
+    /// memory
     #[arg(long, value_name = "N|auto", default_value = "1")]
     pub slots: SlotCount,
-    /// How long rollouts in flight may take once the worker is asked to end;
-    /// then they are given back, as at a second signal [default: as long as they
-    /// take]
+    /// Longest time for rollouts in flight after the worker is asked to end; then they are given
+    /// back, as at a second signal [default: as long as they take]
     #[arg(long, value_name = "SECS", hide_short_help = true, value_parser = seconds(0.0..=86_400.0))]
     pub drain_secs: Option<f64>,
-    /// Ends the worker after so long without work, if the coordinator answers
-    /// [default: it waits for more]
+    /// Ends the worker after this time without work, if the coordinator answers [default: it waits
+    /// for more]
     #[arg(long, value_name = "SECS", hide_short_help = true, value_parser = seconds(0.1..=604_800.0))]
     pub idle_secs: Option<f64>,
-    /// Asks policies here instead of where the campaign says
+    /// URL of the policies, in place of the one that each campaign names
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub policy_endpoint: Option<String>,
-    /// Name of its machine, by which failures of one machine are told from those of
-    /// several; workers of one name are on one machine [default: from the kernel's boot id]
+    /// Name of this machine, to distinguish failures of one machine from those of several; workers
+    /// of one name are on one machine [default: from the kernel's boot id]
     #[arg(long, value_name = "NAME", hide_short_help = true, value_parser = machine_name)]
     pub machine: Option<String>,
     /// Starts this program as a slot in place of `worker slot`, with the same
@@ -187,7 +186,7 @@ impl FromStr for SlotCount {
     }
 }
 
-/// For whom to film, and with what.
+/// Arguments of `worker film`.
 #[derive(Debug, Args)]
 pub struct FilmArguments {
     /// URL of the coordinator
@@ -197,7 +196,7 @@ pub struct FilmArguments {
     /// [default: as many as cores and memory allow]
     #[arg(long, value_name = "N", value_parser = number_from(NonZeroUsize::MIN, "rollouts"))]
     pub at_a_time: Option<NonZeroUsize>,
-    /// How to get in there.
+    /// Credentials for the coordinator.
     #[command(flatten)]
     pub access: ClientArguments,
     /// Simulator and renderer, with the pack that the campaign ran on.
@@ -208,7 +207,7 @@ pub struct FilmArguments {
 /// Arguments of a slot's process.
 #[derive(Clone, Debug, Args)]
 pub struct SlotArguments {
-    /// How to get in at policies.
+    /// Credentials for policies.
     #[command(flatten)]
     pub access: ClientArguments,
     /// Simulator, assets and renderer.
@@ -216,7 +215,7 @@ pub struct SlotArguments {
     pub simulator: SimulatorArguments,
 }
 
-/// How to measure this machine.
+/// Arguments of `worker bench`.
 #[derive(Debug, Args)]
 pub struct BenchArguments {
     /// Task that the slots simulate.
@@ -226,7 +225,7 @@ pub struct BenchArguments {
     /// as should keep all cores busy, once and twice]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = slots)]
     pub slots: Vec<NonZeroUsize>,
-    /// How long each number of slots is measured, seconds
+    /// Duration of the measurement of each number of slots, seconds
     #[arg(long, value_name = "SECS", default_value = "20", value_parser = seconds(0.1..=3600.0))]
     pub secs: f64,
     /// Simulator, assets and renderer.
@@ -251,18 +250,16 @@ pub struct LoadArguments {
     /// The task, SUITE/N
     #[arg(long, value_name = "SUITE/N", default_value = "libero_object/0")]
     pub task: TaskRef,
-    /// Control steps between two looks of the policy: it is shown both cameras
-    /// once in so many
+    /// Control steps between two queries of the policy, each with frames of both cameras
     #[arg(long, value_name = "K", default_value = "1", value_parser = number(1..=1000_u32, "control steps"))]
     pub execute: u32,
-    /// How long the policy takes to answer, seconds: slots wait so long at every
-    /// look
+    /// Time that the policy takes to answer, seconds; slots wait this long at every query
     #[arg(long, value_name = "SECS", default_value = "0", value_parser = seconds(0.0..=60.0))]
     pub policy_secs: f64,
 }
 
 impl LoadArguments {
-    /// The task that is simulated where none is given.
+    /// Returns the task that is simulated by default.
     pub fn default_task() -> TaskRef {
         TaskRef::new(Suite::Object, 0).expect("the suite has a first task")
     }
@@ -280,9 +277,9 @@ pub struct SimulatorArguments {
     /// The pack's digest, from the parent process
     #[arg(long, value_name = "HEX", hide = true)]
     pub pack_digest: Option<String>,
-    /// Robot models, task files and initial states [default: $ROLLOUT_SOURCES,
-    /// else those of the release archive that this program is part of, else
-    /// what `cargo xtask setup` put into the user's cache folder]
+    /// Robot models, task files and initial states [default: $ROLLOUT_SOURCES, else those of the
+    /// release archive that this program is part of, else those that `cargo xtask setup` put into
+    /// the user's cache folder]
     #[arg(long, value_name = "DIR", hide_short_help = true)]
     pub sources: Option<PathBuf>,
     /// Folder of compiled scenes, mapped by all slots and processes of this
@@ -320,8 +317,7 @@ pub struct RolloutArguments {
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub endpoint: Option<String>,
-    /// Name of the policy there [default: the only one; where there are
-    /// several, one must be named]
+    /// Name of the policy at the endpoint [default: its only policy; required if there are several]
     #[arg(long, value_name = "NAME")]
     pub policy: Option<String>,
     /// Replays recorded actions instead of asking a policy: .npz with an array
@@ -342,11 +338,11 @@ pub struct RolloutArguments {
     /// 50 ms: `wait`, `hold:4`, `overlap:4` or `overlap:4,rtc`
     #[arg(long, value_name = "MODEL", default_value = "wait")]
     pub execution: Execution,
-    /// Makes no video and no pictures of its own, which saves drawing two per
-    /// step; with --actions no renderer is opened at all
+    /// Renders the policy's frames only, which saves two frames per step; with --actions no
+    /// renderer is opened
     #[arg(long)]
     pub no_video: bool,
-    /// How to get in at the policy.
+    /// Credentials for the policy.
     #[command(flatten)]
     pub access: ClientArguments,
     /// Simulator, assets and renderer.
@@ -360,20 +356,19 @@ pub struct VariantsArguments {
     /// The choice of variants.
     #[command(flatten)]
     pub choice: Choice,
-    /// How.
+    /// Protocol and options of the run.
     #[command(flatten)]
     pub manner: Manner,
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url, requires = "output")]
     pub endpoint: Option<String>,
-    /// Name of the policy there [default: the only one; where there are
-    /// several, one must be named]
+    /// Name of the policy at the endpoint [default: its only policy; required if there are several]
     #[arg(long, value_name = "NAME")]
     pub policy: Option<String>,
-    /// A folder for results.jsonl and the rollouts; a run that was cut goes on
+    /// A folder for results.jsonl and the rollouts; an interrupted run resumes from it
     #[arg(long, value_name = "DIR", requires = "endpoint")]
     pub output: Option<PathBuf>,
-    /// How to get in at the policy.
+    /// Credentials for the policy.
     #[command(flatten)]
     pub access: ClientArguments,
     /// Simulator, assets and renderer.
@@ -390,8 +385,7 @@ pub struct RescueArguments {
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub endpoint: String,
-    /// Name of the policy there [default: the only one; where there are
-    /// several, one must be named]
+    /// Name of the policy at the endpoint [default: its only policy; required if there are several]
     #[arg(long, value_name = "NAME")]
     pub policy: Option<String>,
     /// A folder for rescue.json and rescue.mp4
@@ -404,7 +398,7 @@ pub struct RescueArguments {
     /// `reference`
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
-    /// How to get in at the policy.
+    /// Credentials for the policy.
     #[command(flatten)]
     pub access: ClientArguments,
     /// Simulator, assets and renderer.
@@ -412,13 +406,13 @@ pub struct RescueArguments {
     pub simulator: SimulatorArguments,
 }
 
-/// A task that is none of the protocol's.
+/// A task outside the protocol.
 #[derive(Debug, Args)]
 pub struct OwnTaskArguments {
     /// A BDDL file of your own, in place of a task of the protocol
     #[arg(long, value_name = "FILE", requires = "init")]
     pub bddl: Option<PathBuf>,
-    /// Its initial states, as `.pruned_init` file
+    /// Its initial states, as a `.pruned_init` file
     #[arg(long, value_name = "FILE", requires = "bddl")]
     pub init: Option<PathBuf>,
     /// Number of the initial state, from 0 [default: 0]
@@ -427,8 +421,7 @@ pub struct OwnTaskArguments {
     /// The policy's instruction [default: the BDDL file's own instruction]
     #[arg(long, value_name = "TEXT", requires = "bddl")]
     pub instruction: Option<String>,
-    /// Control steps that the policy has [default: those of the suite; 520
-    /// without --id]
+    /// Step budget of the policy [default: that of the suite; 520 without --id]
     #[arg(long, value_name = "N", requires = "bddl", value_parser = number(1..=10_000_u32, "control steps"))]
     pub max_steps: Option<u32>,
 }
@@ -439,14 +432,14 @@ pub struct AssetsArguments {
     /// The command.
     #[command(subcommand)]
     pub command: AssetsCommand,
-    /// Robot models, task files and initial states [default: $ROLLOUT_SOURCES,
-    /// else those of the release archive that this program is part of, else
-    /// what `cargo xtask setup` put into the user's cache folder]
+    /// Robot models, task files and initial states [default: $ROLLOUT_SOURCES, else those of the
+    /// release archive that this program is part of, else those that `cargo xtask setup` put into
+    /// the user's cache folder]
     #[arg(long, value_name = "DIR", global = true)]
     pub sources: Option<PathBuf>,
 }
 
-/// Looks after asset packs.
+/// Lists, verifies and fetches asset packs.
 #[derive(Debug, Subcommand)]
 pub enum AssetsCommand {
     /// Describes packs: digest, files, and which of the 40 tasks they can show
@@ -456,15 +449,15 @@ pub enum AssetsCommand {
         #[arg(value_name = "PACK_OR_PATH")]
         packs: Vec<String>,
     },
-    /// Holds the files of a pack against LIBERO's, and names those that differ
+    /// Compares the files of a pack with LIBERO's, and names those that differ
     Verify {
         /// `libero`, `primitives`, or the path of a LIBERO assets folder [default:
         /// `libero` and `primitives`]
         #[arg(value_name = "PACK_OR_PATH")]
         pack: Option<String>,
     },
-    /// Fetches LIBERO's own assets, as far as tasks need them and they are not there;
-    /// continues where it was interrupted
+    /// Fetches the missing files of LIBERO's own assets that tasks need; continues after an
+    /// interruption
     Fetch(Box<FetchArguments>),
     /// Prints the folder that LIBERO's assets are fetched into
     Path,
@@ -476,14 +469,14 @@ pub struct FetchArguments {
     /// The tasks to fetch for: SUITE/N, separated by commas, or `all` 40
     #[arg(long, value_name = "SUITE/N,...|all", value_delimiter = ',', default_value = "all", value_parser = task_choice)]
     pub tasks: Vec<TaskChoice>,
-    /// Fetches for a task of your own, or of LIBERO's other suites, too: a BDDL file;
-    /// may be repeated
+    /// A BDDL file of a further task to fetch for, of your own or of LIBERO's other suites; may be
+    /// repeated
     #[arg(long, value_name = "FILE")]
     pub bddl: Vec<PathBuf>,
     /// Fetches the task files of `libero-plus`, 25 MB, or of `libero-pro`, 5 MB
     #[arg(long, value_name = "NAME", conflicts_with_all = ["tasks", "bddl", "everything", "into", "hub"])]
     pub suite: Option<Benchmark>,
-    /// Fetches all of LIBERO's 585 files, 236 MB, whatever the tasks need
+    /// Fetches all of LIBERO's 585 files, 236 MB, regardless of the tasks
     #[arg(long, conflicts_with_all = ["tasks", "bddl"])]
     pub everything: bool,
     /// The folder to fetch into, to be given as --assets [default: the one that
@@ -508,7 +501,7 @@ pub struct FetchArguments {
 pub enum TaskChoice {
     /// The 40 tasks of the protocol.
     All,
-    /// One of them.
+    /// One task of the protocol.
     One(TaskRef),
 }
 

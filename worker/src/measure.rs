@@ -37,16 +37,16 @@ pub enum MeasureError {
         #[source]
         source: io::Error,
     },
-    #[error("measure with slot {slot}: its process {end}; what it complained about is above")]
+    #[error("measure with slot {slot}: its process {end}; its error output is above")]
     Ended {
         /// Number of the slot, from 0.
         slot: usize,
         end: String,
     },
-    #[error("measure with {slots} slots: one of them said nothing for {secs:.0} s")]
+    #[error("measure with {slots} slots: one of them sent no message for {secs:.0} s")]
     Silent { slots: usize, secs: f64 },
     /// The connection between parent and slot failed, or the table cannot be printed.
-    #[error("read or write what is measured")]
+    #[error("exchange messages with a slot, or print the measurements")]
     Talk(#[from] io::Error),
     #[error(transparent)]
     Rollout(#[from] RolloutError),

@@ -242,9 +242,9 @@ impl FailureKind {
 }
 
 impl From<&PolicyError> for FailureKind {
-    /// Charges the rollout for an answer that breaks the protocol, but not for a missing
-    /// one. A description that fits no rollout is not charged either, because all of the
-    /// policy's rollouts would pay for it.
+    /// Charges the rollout for an answer that breaks the protocol, but not for a missing answer. A
+    /// description that fits no rollout is not charged either, because then all rollouts of the
+    /// policy would be charged.
     fn from(error: &PolicyError) -> Self {
         match *error {
             PolicyError::Nonsense { .. }

@@ -41,7 +41,7 @@ pub trait Watcher {
     /// Called with each observation before the policy is queried.
     fn observed(&mut self, _query_index: u32, _observation: &Observation) {}
 
-    /// Called with the scene at rest, without a step, and with every control step after it.
+    /// Called once with the scene at rest and no step, then after every control step.
     fn moved(&mut self, _step: Option<&Step>, _episode: &mut Episode<'_>) {}
 
     /// Called with the scene after the last control step.
@@ -138,8 +138,9 @@ pub(crate) fn run_after(
     // meanwhile must not carry its predecessor's digest.
     let description = actor.describe(assignment.policy_session())?;
     let row = &assignment.row;
-    // A policy that drops all of its answers is a mistake of whoever chose the campaign's model,
-    // but an outcome on the latency axis: it does not bear that delay, and its arm holds still.
+    // An execution model that drops all answers of the policy is a mistake in the campaign. On the
+    // latency axis it is an outcome: the policy cannot cope with that delay, and its arm holds
+    // still.
     if row.id.condition() != Condition::Latency {
         row.execution
             .check(description.horizon)

@@ -16,23 +16,23 @@ use crate::step::step;
 /// Program that runs and times rollouts.
 const PROGRAM: &str = "bench_rollout";
 
-/// How a rollout is compared with the original's.
+/// Options of `cargo xtask bench compare`.
 #[derive(clap::Args)]
 pub(crate) struct Compare {
-    /// The task: SUITE/N, one that the reference has contact-rich actions of.
+    /// The task, SUITE/N, for which the reference has contact-rich actions.
     #[arg(long)]
     task: String,
-    /// Control steps between two looks of the policy.
+    /// Control steps between two queries of the policy.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     execute: u32,
     /// Control steps of each rollout.
     #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
-    /// How often all are run, in turn.
+    /// Number of rounds; each round runs every program in turn.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     rounds: u32,
-    /// Rollouts that each program times, after one that it does not; their
-    /// median is the round's figure.
+    /// Rollouts that each program times in a round, after an untimed one; their median is the
+    /// round's figure.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
     /// Renderer of our rollouts: `software` or `gl`. The original draws through OpenGL.

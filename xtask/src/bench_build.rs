@@ -1,6 +1,6 @@
-//! `cargo xtask bench build`: times what newcomers and contributors wait for: a fresh clone to the
-//! demo's report, the check before a landing, and a changed line of the queue to its tests'
-//! verdict.
+//! `cargo xtask bench build`: times three waits of newcomers and contributors: from a fresh clone
+//! to the demo's report, for the check before a change lands, and from a changed line of the queue
+//! to its tests' verdict.
 
 use std::fs::{self, OpenOptions};
 use std::io::Write;

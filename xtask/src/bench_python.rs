@@ -19,13 +19,13 @@ const WITHOUT_PYTHON: &str = "bench_environments";
 /// from one minute to the next.
 const PAIRS: usize = 5;
 
-/// How environments are compared with the original's.
+/// Options of `cargo xtask bench python`.
 #[derive(clap::Args)]
 pub(crate) struct Options {
     /// The task: SUITE/N.
     #[arg(long, default_value = "libero_goal/8")]
     task: String,
-    /// How often all are run, in turn.
+    /// Number of rounds; each round runs every program in turn.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     rounds: u32,
     /// Environments that step together.

@@ -12,19 +12,19 @@ use crate::original::Original;
 use crate::setup;
 use crate::wheel::{self, Profile};
 
-/// How rollouts are compared with the original's.
+/// Options of `cargo xtask bench training`.
 #[derive(clap::Args)]
 pub(crate) struct Options {
     /// The task: SUITE/N.
     #[arg(long, default_value = "libero_goal/8")]
     task: String,
-    /// How often all are run, in turn.
+    /// Number of rounds; each round runs every program in turn.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     rounds: u32,
     /// Environments that roll out together.
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..))]
     environments: u32,
-    /// Control steps that the policy is asked for at a time.
+    /// Control steps per query of the policy.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     chunk: u32,
     /// Control steps of a rollout.

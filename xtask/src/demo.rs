@@ -32,7 +32,7 @@ const EMERGENT: (&str, &str) = ("libero_object/5", "0");
 /// Address of the live page when the demo's data is served again.
 const PAGE_ADDRESS: &str = "127.0.0.1:7411";
 
-/// How the demo runs.
+/// Options of `cargo xtask demo`.
 #[derive(clap::Args)]
 pub(crate) struct Options {
     /// Simulator slots.

@@ -26,16 +26,16 @@ use crate::setup;
 pub(crate) use check::test;
 use release::PROGRAMS;
 
-/// How the release is made.
+/// Options of `cargo xtask dist`.
 #[derive(clap::Args)]
 pub(crate) struct Options {
-    /// `dev` packs what tests and daily work compile, to try the packing itself.
+    /// `dev` packs programs of the development profile, to try the packing itself.
     #[arg(long, default_value = "release")]
     profile: Profile,
-    /// Makes an image for containers too; needs Debian's `buildah`.
+    /// Also makes a container image; needs Debian's `buildah`.
     #[arg(long)]
     image: bool,
-    /// Folder for what is made. [default: target/dist]
+    /// Folder of the archive and the image. [default: target/dist]
     #[arg(long)]
     output: Option<PathBuf>,
 }

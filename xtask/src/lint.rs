@@ -17,10 +17,11 @@ const PACKAGES: [&str; 4] = [
     "ruff==0.17.6",
 ];
 
-/// Lints the Python sources and checks their types; says so where the tools cannot be installed.
+/// Lints the Python sources and checks their types; prints a message if the tools cannot be
+/// installed.
 ///
 /// # Errors
-/// If a tool complains; the error includes its output.
+/// If a tool reports a fault; the error includes its output.
 pub(crate) fn run(root: &Path, cache: &Path) -> Result<()> {
     let dir = cache.join("lint-venv");
     let made = environment(&dir, &PACKAGES);
@@ -42,7 +43,7 @@ pub(crate) fn run(root: &Path, cache: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Runs a tool that prints what it finds.
+/// Runs a tool; if it reports faults, the error includes its output.
 fn complaints(command: &mut Command) -> Result<&'static str> {
     let output = command
         .output()

@@ -44,10 +44,9 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Fetch and check what building and simulating need; idempotent.
+    /// Fetch and check the requirements for building and simulating; idempotent.
     Setup {
-        /// Install what drawing through OpenGL (`worker --renderer gl`) needs,
-        /// too.
+        /// Also install the libraries for OpenGL rendering (`worker --renderer gl`).
         #[arg(long)]
         gl: bool,
     },
@@ -72,7 +71,7 @@ enum Command {
         #[arg(long)]
         output: Option<PathBuf>,
     },
-    /// Make the archive that is handed out, and try it where there is nothing but glibc.
+    /// Make the release archive, and test it in a root folder with glibc only.
     Dist(dist::Options),
     /// Take the pictures of the live page in docs/screenshots.
     Screenshots,
@@ -94,7 +93,7 @@ enum Bench {
     Build(bench_build::Options),
     /// The paired report of 62,400 rollouts, six policies with all intervals.
     Report {
-        /// With the release profile instead of the one of daily work.
+        /// Use the release profile instead of the development profile.
         #[arg(long)]
         release: bool,
     },

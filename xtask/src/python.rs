@@ -36,8 +36,8 @@ pub(crate) fn environment(root: &Path, cache: &Path) -> Result<String> {
     Ok(python.display().to_string())
 }
 
-/// Downloads what the documentation's `pip install` needs into a folder, so that its commands work
-/// without a network.
+/// Downloads the packages of the documentation's `pip install` into a folder, so that its commands
+/// work without a network.
 pub(crate) fn packages(root: &Path, cache: &Path) -> Result<PathBuf> {
     let folder = cache.join("python-packages");
     step("packages for policies/README.md and docs/PYTHON.md", || {

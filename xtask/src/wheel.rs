@@ -185,7 +185,7 @@ pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
 mod tests {
     use super::*;
 
-    /// Returns the files `pyproject.toml` in the repository's folders and theirs.
+    /// Returns the `pyproject.toml` files in the repository's folders and their direct subfolders.
     fn projects(root: &Path) -> Vec<PathBuf> {
         let folders = |of: &Path| {
             let entries = std::fs::read_dir(of).expect("a folder");

@@ -3,9 +3,9 @@
 //! and commit; gRPC, TLS, tokens, sockets and the coordinator process are real.
 //!
 //! Four campaigns share the jobs: one is only measured, one may stop early, one films the
-//! configurations whose outcome changes, and one explains the third. Page, metrics and status are
-//! requested throughout. The coordinator is killed once, and its database is once replaced by a
-//! backup.
+//! configurations whose outcome changes, and one explains the outcomes of the filmed one. Page,
+//! metrics and status are requested throughout. The coordinator is killed once, and its database is
+//! once replaced by a backup.
 //!
 //! Prints a line every few seconds, draws a figure, and exits with code 1 if something grew or a
 //! rollout was lost.
@@ -37,19 +37,19 @@ const RESTORE: f64 = 0.7;
 /// Longest duration of the test, as a multiple of the planned one.
 const PATIENCE: f64 = 3.0;
 
-/// Keep a crowd of slots at one coordinator, and watch what grows.
+/// Run a crowd of slots against one coordinator, and detect resources that keep growing.
 #[derive(Parser)]
 pub(crate) struct Arguments {
-    /// Jobs of the campaigns, about.
+    /// Approximate number of jobs of all campaigns.
     #[arg(long, default_value_t = 1_000_000)]
     jobs: u64,
-    /// Slots that run at a time.
+    /// Number of concurrent slots.
     #[arg(long, default_value_t = 2_000)]
     slots: u32,
-    /// Workers that these belong to, each with a connection of its own.
+    /// Number of workers that share the slots, each with its own connection.
     #[arg(long, default_value_t = 200)]
     workers: u32,
-    /// Minutes that the jobs are to last: a rollout takes what follows from that.
+    /// Planned duration of all jobs, minutes; it determines the duration of a rollout.
     #[arg(long, default_value_t = 30.0)]
     minutes: f64,
     /// File of the figure, SVG.

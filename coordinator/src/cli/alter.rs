@@ -13,8 +13,8 @@ use super::line::is_finished;
 pub(super) struct PriorityArguments {
     /// Name of the campaign.
     campaign: String,
-    /// From -100 to 100: the higher, the earlier. 0 is what a campaign has
-    /// unless it is told otherwise; campaigns of one priority share the workers.
+    /// Priority from -100 to 100: campaigns with a higher one are leased first, those with equal
+    /// ones share the workers. A new campaign has priority 0 by default.
     #[arg(value_name = "N", allow_negative_numbers = true, value_parser = number(PRIORITIES, ""))]
     priority: i32,
     #[command(flatten)]
@@ -27,8 +27,8 @@ pub(super) struct EndpointArguments {
     campaign: String,
     /// URL of the gateway, or of the policy itself.
     url: String,
-    /// The policy's name there, if it is another; only while the campaign has no
-    /// result.
+    /// Name of the policy at the new endpoint, if it differs; allowed only while the campaign has
+    /// no result.
     #[arg(long)]
     policy: Option<String>,
     #[command(flatten)]
@@ -37,9 +37,9 @@ pub(super) struct EndpointArguments {
 
 #[derive(Args, Debug)]
 pub(super) struct MoveArguments {
-    /// URL at which policies were, as their campaigns have it.
+    /// Current URL of the policies, as stored in their campaigns.
     from: String,
-    /// URL of the gateway, or of the policy itself, from now on.
+    /// New URL, of the gateway or of the policy itself.
     to: String,
     #[command(flatten)]
     connection: Connection,

@@ -11,13 +11,12 @@ use proto::coordinator::BackupRequest;
 use super::command::{CommandError, Connection, print_line};
 use super::files::WholeFile;
 
-/// Copies the database as it is now, while the coordinator runs. To restore it,
-/// put the file as `coordinator.sqlite` into an empty folder and start
-/// `coordinator serve --data` there. Videos are files below the data folder's
-/// `artifacts` and are not in it.
+/// Copies the current database while the coordinator runs. To restore the copy, put it as
+/// `coordinator.sqlite` into an empty folder and start `coordinator serve --data` there. Videos,
+/// which are files below the data folder's `artifacts`, are not included.
 #[derive(Args, Debug)]
 pub(super) struct BackupArguments {
-    /// File to write, on this machine; replaced only by a whole copy.
+    /// File to write, on this machine; an existing file is replaced only by a complete copy.
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

@@ -65,8 +65,8 @@ impl Connection {
         self.patient_client(Duration::from_secs(self.retry_secs))
     }
 
-    /// Returns the access to a campaign's policy, from the files of the access to the coordinator. An
-    /// operator's token is not shown to policies.
+    /// Returns the credentials for a campaign's policy, from the files given for the coordinator.
+    /// An operator's token is never sent to policies.
     pub(super) fn policy_access(&self) -> Result<Access, AccessError> {
         self.access.access(&[Role::Worker])
     }

@@ -18,7 +18,7 @@ pub(super) struct CompareArguments {
     /// sequences are reported whenever they can be computed.
     #[arg(long)]
     sequential: bool,
-    /// Say after how many configurations a rule about the `difference` was met, such
+    /// Report the number of configurations after which a rule about the `difference` was met, such
     /// as `difference excludes 0`; implies --sequential.
     #[arg(long, value_name = "RULE")]
     stop: Option<StopRule>,

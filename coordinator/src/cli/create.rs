@@ -73,7 +73,7 @@ pub(super) struct CreateArguments {
     #[arg(long, value_name = "FILE")]
     #[arg(conflicts_with_all = SPEC_FLAGS.into_iter().chain(DESIGN_FLAGS))]
     spec: Option<PathBuf>,
-    /// Name of the campaign; the flags below then say the rest.
+    /// Name of the campaign, whose specification the flags below define.
     #[arg(long, requires_all = ["policy", "endpoint", "rollouts"])]
     name: Option<String>,
     #[command(flatten)]
@@ -84,26 +84,26 @@ pub(super) struct CreateArguments {
     variants: VariantFlags,
     #[command(flatten)]
     stop: StopFlags,
-    /// The higher, the earlier its rollouts are leased, from -100 to 100; campaigns
-    /// of one priority share the workers.
+    /// Priority from -100 to 100: campaigns with a higher one are leased first, those with equal
+    /// ones share the workers.
     #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true,
         hide_short_help = true, value_parser = number(PRIORITIES, ""))]
     priority: i32,
-    /// Print the number of rollouts, how long they take, the room for their videos and the
-    /// smallest differences that they can show, and create nothing.
+    /// Print the number of rollouts, their duration, the disk space of their videos and the
+    /// smallest detectable differences, and create nothing.
     #[arg(long)]
     dry_run: bool,
     /// Print the specification in JSON, as --spec reads it, and create nothing.
     #[arg(long, conflicts_with = "dry_run")]
     print_spec: bool,
-    /// With --dry-run: queries per second that the policy's server answers at most,
-    /// all replicas together, as `policy-gateway check` measures them.
+    /// With --dry-run: maximum rate of the policy's server, all replicas together, in queries per
+    /// second, as `policy-gateway check` measures it.
     #[arg(long, value_name = "N", requires = "dry_run", hide_short_help = true,
         value_parser = decimal(0.001..=1e6, "queries per second"))]
     policy_rate: Option<f64>,
-    /// With --dry-run: the outcomes that those of the campaign are assumed to be like, for
-    /// the smallest differences that it can show: a campaign, or a folder as `report --from`
-    /// reads it. Without it, those published of the student.
+    /// With --dry-run: source of the outcomes that are assumed for the smallest detectable
+    /// differences: a campaign, or a folder as for `report --from`. If omitted, the student's
+    /// published outcomes.
     #[arg(
         long,
         value_name = "FOLDER|CAMPAIGN",
@@ -118,7 +118,7 @@ pub(super) struct CreateArguments {
     connection: Connection,
 }
 
-/// The flags for the parts of a specification beside its design.
+/// The flags for the parts of a specification other than its design.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Rollouts")]
 struct SpecFlags {
@@ -131,34 +131,32 @@ struct SpecFlags {
     /// Tasks: `libero_object/0,libero_spatial/0-3`, a suite, or `all`.
     #[arg(long, value_delimiter = ',')]
     tasks: Vec<String>,
-    /// Manifest to run as it stands, instructions included, instead of a
-    /// design; `-` reads standard input.
+    /// Manifest to run unchanged, instructions included, instead of a design; `-` reads standard
+    /// input.
     #[arg(long, value_name = "FILE", conflicts_with_all = DESIGN_FLAGS, hide_short_help = true)]
     manifest: Option<PathBuf>,
     /// Source of the perturbations' random elements: matched, reference.
     #[arg(long, default_value = "matched", hide_short_help = true)]
     realisation: Realisation,
-    /// Times that every rollout runs, each with another policy seed.
+    /// Number of runs of every rollout, each with a different policy seed.
     #[arg(long, default_value_t = 1, value_parser = number(1..=MAX_REPLICATES, "times"))]
     replicates: u32,
-    /// Rollouts that are filmed: `none`; `failures`; `transitions`, of
-    /// configurations whose outcome simultaneous perturbation changes,
-    /// afterwards, by `worker film`; or `all`.
+    /// Rollouts to film: `none`; `failures`; `transitions`, those of configurations whose outcome
+    /// simultaneous perturbation changes, filmed afterwards by `worker film`; or `all`.
     #[arg(long, value_parser = one_of::<Record>(RECORDS), default_value = "none")]
     record: Record,
-    /// Asset pack that its workers must have: `primitives`, `libero`, or the
-    /// first digits of a pack's digest. Unless it is given, the first result
-    /// decides.
+    /// Asset pack required of the workers: `primitives`, `libero`, or the first digits of a pack's
+    /// digest. If omitted, the first result determines it.
     #[arg(long, value_name = "PACK", hide_short_help = true)]
     assets: Option<String>,
-    /// Required renderer, likewise: `software` or `gl`.
+    /// Renderer required of the workers: `software` or `gl`. If omitted, as for --assets.
     #[arg(long, value_parser = one_of::<RendererKind>(RENDERERS), hide_short_help = true)]
     renderer: Option<RendererKind>,
-    /// The robot's conduct while an answer is under way, N control steps of 50 ms: `wait`;
-    /// `hold:N`, the arm holds still; `overlap:N`, it goes on with the last answer;
-    /// `overlap:N,rtc`, and the policy is told with what. Instead of N, `@FILE` draws from
-    /// latencies that `policy-gateway check --latency` measured. Without it: that of the
-    /// manifest's rows, or else `wait`.
+    /// Motion of the robot while an answer is under way, which takes N control steps of 50 ms:
+    /// `wait`; `hold:N`, the arm holds still; `overlap:N`, it continues with the previous answer;
+    /// `overlap:N,rtc`, the same, and each query carries the actions that are executed meanwhile.
+    /// Instead of N, `@FILE` draws from latencies measured by `policy-gateway check --latency`. If
+    /// omitted, the model of the manifest's rows, or else `wait`.
     #[arg(long, value_name = "MODEL", hide_short_help = true, value_parser = execution_text)]
     execution: Option<String>,
 }
@@ -194,21 +192,20 @@ fn execution(text: &str) -> anyhow::Result<Execution> {
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Ending early")]
 struct StopFlags {
-    /// When the campaign ends early, at every level: `width(M) < X` or `M excludes X`,
-    /// or several with ` and ` between; M is S_sim, R_e, R_c, R_d or I. The rule is about
-    /// all configurations of this campaign and no others: `I excludes 0` will have shown that
-    /// emergent failures and compensated successes are not equally many among them, which a
-    /// run to the end shows for certain unless they are, and says nothing of other tasks or
-    /// directions. `M excludes X for new tasks` is about tasks that nobody has run.
+    /// Rule under which the campaign ends early, once it holds at every level: `width(M) < X` or
+    /// `M excludes X`, or several joined by ` and `; M is S_sim, R_e, R_c, R_d or I. The rule
+    /// concerns only the configurations of this campaign: `I excludes 0` shows that they have
+    /// unequal numbers of emergent failures and compensated successes, which a complete run would
+    /// decide with certainty, and shows nothing about other tasks or directions.
+    /// `M excludes X for new tasks` concerns tasks that were never run.
     #[arg(long, value_name = "RULE", hide_short_help = true)]
     stop: Option<StopRule>,
-    /// From what the order of the configurations is drawn, in which such a campaign
-    /// runs.
+    /// Seed of the random order in which a campaign with --stop runs its configurations.
     #[arg(long, value_name = "SEED", requires = "stop", default_value_t = 0, hide_short_help = true,
         value_parser = number_from(0_u64, ""))]
     stop_seed: u64,
-    /// Strata of that order, one configuration of each per round: `suites` or `tasks`; of rules
-    /// for new tasks it is `whole_tasks`, one whole task of every suite.
+    /// Strata of that order: `suites` or `tasks`, one configuration of each per round; for rules
+    /// about new tasks `whole_tasks`, one whole task of every suite per round.
     #[arg(long, requires = "stop", value_parser = one_of::<Strata>(STRATA),
         hide_short_help = true)]
     stop_strata: Option<Strata>,
@@ -218,37 +215,37 @@ struct StopFlags {
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Design")]
 struct DesignFlags {
-    /// Axes, each alone and simultaneous: names, `metric` (all with numbers),
-    /// `all`, or `none`; and with a comma `latency`, a late policy, alone only:
-    /// by 1, 2 and 4 control steps at L1, L2 and L3, and half the radius at others.
+    /// Axes, each run alone and all simultaneously: names, `metric` (all but language), `all`, or
+    /// `none`. `latency`, added with a comma, is a late policy and runs alone only: by 1, 2 and 4
+    /// control steps at L1, L2 and L3, and by half the radius at other levels.
     #[arg(long, value_delimiter = ',', default_value = "metric")]
     axes: Vec<String>,
-    /// Further conditions: several axes with + between, such as `camera+robot`;
-    /// `pairs`; or `all`, every subset of the axes.
+    /// Further conditions of several axes: names joined by +, such as `camera+robot`; `pairs`; or
+    /// `all`, every subset of the axes.
     #[arg(long, value_delimiter = ',')]
     subsets: Vec<String>,
-    /// Levels: L1, L2, L3, or any radius: `r2.5`; and L0, the placebo: the same conditions
-    /// so weak that no policy should care, which measures the noise floor.
+    /// Levels: L1, L2, L3, or any radius, such as `r2.5`; and L0, the placebo: the same conditions,
+    /// too weak to affect a policy, which measure the noise floor.
     #[arg(long, value_delimiter = ',', default_value = "L2")]
     levels: Vec<String>,
-    /// Configurations: `0-9`, `0,3,5-7`. From 10 on they are drawn.
+    /// Configurations: `0-9`, `0,3,5-7`. Those from 10 on are drawn from --design-seed.
     #[arg(long, value_delimiter = ',', default_value = "0-9")]
     configs: Vec<String>,
     /// Nominal rollouts: `eval`, those of the configurations' initial states;
     /// `all`; or `none`.
     #[arg(long, value_parser = one_of::<Nominal>(NOMINALS), default_value = "eval")]
     nominal: Nominal,
-    /// From what the configurations beyond the protocol's ten are drawn.
+    /// Seed of the configurations beyond the protocol's ten.
     #[arg(long, value_name = "SEED", default_value_t = 0, hide_short_help = true,
         value_parser = number_from(0_u64, ""))]
     design_seed: u64,
-    /// Directions: `shared`, configuration 3 is one direction in all tasks, as in the paper;
-    /// or `own`, each task has its own, drawn from --design-seed, so that figures hold
-    /// for more than ten directions.
+    /// Directions: `shared`, configuration 3 has the same direction in all tasks, as in the paper;
+    /// or `own`, each task has its own directions, drawn from --design-seed, so that results
+    /// generalise beyond ten directions.
     #[arg(long, value_parser = one_of::<Directions>(DIRECTIONS), default_value = "shared",
         hide_short_help = true)]
     directions: Directions,
-    /// Configurations that are run at L0, some of --configs: without it, all.
+    /// Configurations to run at L0, a subset of --configs; all of them if omitted.
     #[arg(long, value_delimiter = ',', hide_short_help = true)]
     placebo_configs: Vec<String>,
     /// Radius of L0, from 0.001 to 0.5.

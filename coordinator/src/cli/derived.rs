@@ -37,13 +37,13 @@ pub(super) struct Following<'a> {
     pub(super) needs_it: bool,
 }
 
-/// The flags that say whether a campaign is created.
+/// Flags that determine whether the campaign is created.
 #[derive(Args, Clone, Copy, Debug)]
 pub(super) struct CreateFlags {
-    /// Create the campaign that runs the rollouts, unless it is there.
+    /// Create the campaign that runs the rollouts, unless it exists.
     #[arg(long)]
     create: bool,
-    /// Print what creating it would take, and create nothing.
+    /// Print the rollouts and the time that the campaign would take, and create nothing.
     #[arg(long, conflicts_with = "create")]
     dry_run: bool,
 }

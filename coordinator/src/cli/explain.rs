@@ -29,28 +29,27 @@ pub(super) struct ExplainArguments {
     /// Name of the campaign that runs the subsets. [default: CAMPAIGN-explained]
     #[arg(long)]
     name: Option<String>,
-    /// Most rollouts, spent on transitions in random order; without it, every
+    /// Maximum number of rollouts, spent on transitions in random order; if omitted, every
     /// transition is explained.
     #[arg(long, value_name = "N", value_parser = number(1..=u32::MAX, "rollouts"))]
     budget: Option<u32>,
     /// Seed of the random order in which transitions are explained. [default: 0]
     #[arg(long, value_parser = number_from(0_u64, ""))]
     seed: Option<u64>,
-    /// Run every subset, and not only those that decide which of them are minimal.
+    /// Run every subset, not only those that are needed to find the minimal ones.
     #[arg(long)]
     exhaustive: bool,
-    /// For a policy that samples: most replicates by which it is decided whether a
-    /// subset succeeds, 12 or more with six axes. The outcomes of CAMPAIGN do not count
-    /// among them. Without it, one rollout decides.
+    /// For a stochastic policy: maximum number of replicates for the verdict on a subset, 12 or
+    /// more with six axes, not counting the outcomes of CAMPAIGN. If omitted, one rollout decides.
     #[arg(long, value_name = "N", value_parser = number(2..=MAX_REPEATS, "replicates"))]
     repeats: Option<u32>,
-    /// Subsets that are filmed: `none`; `transitions`, those that show the explanation,
-    /// afterwards, by `worker film`; `failures`; or `all`. [default: as CAMPAIGN]
+    /// Subsets to film: `none`; `transitions`, those that show the explanation, filmed afterwards
+    /// by `worker film`; `failures`; or `all`. [default: as CAMPAIGN]
     #[arg(long, value_parser = one_of::<Record>(RECORDS))]
     record: Option<Record>,
     #[command(flatten)]
     create: CreateFlags,
-    /// Follow until everything is explained.
+    /// Follow the progress until everything is explained.
     #[arg(long)]
     watch: bool,
     /// Print JSON, as docs/JSON.md describes it.

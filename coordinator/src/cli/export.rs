@@ -30,7 +30,7 @@ pub(super) struct ExportArguments {
     /// --output. For a row per configuration there is `coordinator report CAMPAIGN --table`.
     #[arg(long, value_parser = format)]
     format: Format,
-    /// File to write; standard output without it.
+    /// File to write; standard output if omitted.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]

@@ -22,14 +22,14 @@ const ERROR_BYTES: usize = 60;
 
 #[derive(Debug, Subcommand)]
 pub(super) enum JobsCommand {
-    /// List the rollouts of a campaign and how they stand.
+    /// List the rollouts of a campaign and their states.
     List(ListArguments),
     /// Show one rollout with all its attempts.
     Show(ShowArguments),
     /// Requeue rollouts that are in quarantine.
     Retry(RetryArguments),
-    /// Give rollouts up that wait or are being run: they go into quarantine, count
-    /// against nobody, and `jobs retry` takes them out again.
+    /// Skip rollouts that are waiting or running: they are quarantined without a charge, and
+    /// `jobs retry` requeues them.
     Skip(SkipArguments),
 }
 
@@ -51,7 +51,7 @@ pub(super) struct ListArguments {
     /// Only those with this outcome.
     #[arg(long, value_parser = ["success", "failure"])]
     outcome: Option<String>,
-    /// Only those of a task, `libero_object/0`, or of a suite.
+    /// Only those of a task, such as `libero_object/0`, or of a suite.
     #[arg(long)]
     task: Option<String>,
     /// Only those of a condition: `nominal`, `simultaneous`, an axis, or several axes

@@ -13,9 +13,8 @@ use super::command::CommandError;
 
 #[derive(Debug, Subcommand)]
 pub(super) enum LaunchCommand {
-    /// Show, write or submit the scripts for a cluster that Slurm schedules: the
-    /// coordinator on a machine that stays, workers as an array job, a policy
-    /// server with the gateway before it.
+    /// Show, write or submit the scripts for a Slurm cluster: the coordinator on a permanent
+    /// machine, workers as an array job, and a policy server behind the gateway.
     Slurm(Box<slurm::SlurmArguments>),
 }
 

@@ -21,7 +21,7 @@ pub(super) enum ManifestCommand {
         /// The manifest; `-` reads standard input.
         file: PathBuf,
     },
-    /// Say in which rows and columns two manifests differ.
+    /// List the rows and columns in which two manifests differ.
     Diff {
         /// The first manifest.
         first: PathBuf,
@@ -36,21 +36,20 @@ pub(super) struct ExpandArguments {
     /// A published design of LIBERO-CTRL.
     #[arg(long, value_name = "VERSION", value_parser = ["v0.1"])]
     version: Option<String>,
-    /// File of a campaign's specification in JSON, for its own design; `-`
-    /// reads standard input.
+    /// File of a campaign's specification in JSON, to expand its design; `-` reads standard input.
     #[arg(long, value_name = "FILE")]
     spec: Option<PathBuf>,
     /// Rows to write: nominal ones, perturbed ones, or all.
     #[arg(long, value_enum, default_value_t = Split::All)]
     split: Split,
-    /// File to write; standard output without it.
+    /// File to write; standard output if omitted.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Split {
-    // The released files use this name.
+    // Accepts the name that the released files use.
     #[value(alias = "clean")]
     Nominal,
     Eval,

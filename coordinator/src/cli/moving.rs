@@ -24,28 +24,28 @@ use super::files::WholeFile;
 /// Chunk size of an uploaded archive, bytes.
 const CHUNK_BYTES: usize = 1 << 20;
 
-/// Writes a campaign with its results, films and report into one file, as it is now,
-/// while the coordinator runs. It stays where it is; pause or cancel it before, if it
-/// is to go on elsewhere only.
+/// Writes a snapshot of a campaign, with its results, films and report, to one file while the
+/// coordinator runs. The campaign is not removed: pause or cancel it first if only the imported
+/// copy is to continue.
 #[derive(Args, Debug)]
 pub(super) struct ArchiveArguments {
     /// Name of the campaign.
     campaign: String,
-    /// File to write, on this machine or at s3://BUCKET/…, as NAME.tar.gz; replaced only
-    /// by a whole archive.
+    /// File to write, on this machine or at s3://BUCKET/…, as NAME.tar.gz; an existing file is
+    /// replaced only by a complete archive.
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     connection: Connection,
 }
 
-/// Verifies an archive and adds its campaign to a coordinator. What was not done there
-/// goes on here, once it is resumed if it was paused.
+/// Verifies an archive and adds its campaign to a coordinator, which runs the remaining rollouts. A
+/// campaign that was paused stays paused until it is resumed.
 #[derive(Args, Debug)]
 pub(super) struct ImportArguments {
     /// The archive, on this machine or at s3://BUCKET/….
     file: PathBuf,
-    /// Name of the campaign here, if another one has its own.
+    /// New name of the campaign, if its own is taken on this coordinator.
     #[arg(long = "as", value_name = "NAME", value_parser = campaign_name)]
     name: Option<CampaignName>,
     #[command(flatten)]
@@ -54,7 +54,7 @@ pub(super) struct ImportArguments {
 
 #[derive(Args, Debug)]
 pub(super) struct MergeArguments {
-    /// Archives of one design's halves.
+    /// Archives of the halves of one design.
     #[arg(required = true, num_args = 2.., value_name = "ARCHIVE")]
     archives: Vec<PathBuf>,
     /// Archive to write.

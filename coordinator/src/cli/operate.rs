@@ -24,7 +24,7 @@ pub(super) struct ChangeArguments {
 pub(super) struct DeleteArguments {
     /// Name of the campaign.
     campaign: String,
-    /// The name once more; without it, it is asked for on the terminal.
+    /// The campaign's name again, to confirm; if omitted, the command prompts for it.
     #[arg(long, value_name = "NAME")]
     confirm: Option<String>,
     #[command(flatten)]

@@ -22,7 +22,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_long_help = EXAMPLES)]
 pub(super) struct ReportArguments {
-    /// Names of campaigns: several are set beside one another.
+    /// Names of campaigns; several are shown side by side.
     #[arg(required_unless_present = "from")]
     campaigns: Vec<String>,
     /// Folder with a `rollouts.jsonl` of the reference or of `export`, one
@@ -35,7 +35,7 @@ pub(super) struct ReportArguments {
     /// Print JSON.
     #[arg(long, conflicts_with = "full")]
     json: bool,
-    /// Write the report as one page that needs no network.
+    /// Write the report as one self-contained HTML page, which loads nothing from the network.
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
     /// Write the page's figures as SVG files into a folder.

@@ -26,10 +26,10 @@ const HEARTBEATS_PER_LEASE: u32 = 6;
 
 #[derive(Args, Debug)]
 pub(super) struct ServeArguments {
-    /// Folder of the database and the artifacts; made if it is not there.
+    /// Folder of the database and the artifacts; created if missing.
     #[arg(long, value_name = "DIR")]
     data: PathBuf,
-    /// Address to listen on; port 0 takes a free one.
+    /// Address to listen on; port 0 selects a free port.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7411",
         value_parser = terminal::address)]
     listen: SocketAddr,
@@ -37,12 +37,12 @@ pub(super) struct ServeArguments {
     #[arg(long, value_name = "SECS", default_value_t = 30,
         value_parser = number(1..=3600_u32, "seconds"))]
     lease_secs: u32,
-    /// Seconds that a rollout may stand still before its worker kills it.
+    /// Seconds without progress after which a worker kills a rollout.
     #[arg(long, value_name = "SECS", default_value_t = 180,
         value_parser = number(1..=86_400_u32, "seconds"))]
     progress_timeout_secs: u32,
-    /// Seconds that an attempt may take for each control step of its budget,
-    /// settling included; then its lease ends, heartbeats or not.
+    /// Seconds that an attempt may take for each control step of its budget, settling included; its
+    /// lease then ends even if heartbeats continue.
     #[arg(long, value_name = "SECS", default_value_t = 10,
         value_parser = number(1..=86_400_u32, "seconds"))]
     step_ceiling_secs: u32,
@@ -51,9 +51,8 @@ pub(super) struct ServeArguments {
     #[arg(long, value_name = "MIB", default_value_t = DEFAULT_MIN_FREE_MIB,
         value_parser = number(0..=1_u64 << 40, "MiB"))]
     min_free_mib: u64,
-    /// Storage of finished films: a folder, or s3://BUCKET/FOLDER of S3-compatible
-    /// storage, whose region, credentials and endpoint are those of the usual variables
-    /// AWS_…; without it, the data folder.
+    /// Storage of finished films: a folder, or s3://BUCKET/FOLDER of S3-compatible storage, with
+    /// region, credentials and endpoint from the usual AWS_… variables; the data folder if omitted.
     #[arg(long, value_name = "PLACE")]
     artifacts: Option<String>,
     #[command(flatten)]

@@ -24,21 +24,20 @@ Examples:
 pub(super) struct ThresholdsArguments {
     /// Campaign whose configurations are run at further radii once it is finished.
     campaign: String,
-    /// Name of the campaign that runs them. [default: CAMPAIGN-thresholds]
+    /// Name of the campaign that runs the further radii. [default: CAMPAIGN-thresholds]
     #[arg(long)]
     name: Option<String>,
     /// Axes, each alone, and `simultaneous` for all at once. [default: all that the
     /// campaign has]
     #[arg(long, value_name = "AXES", value_delimiter = ',', value_parser = condition)]
     axes: Vec<Condition>,
-    /// How narrow the bracket between success and failure has to be, radius. [default:
-    /// 0.5]
+    /// Largest width of the bracket between success and failure, in units of radius. [default: 0.5]
     #[arg(long, value_name = "R", value_parser = radius(TOLERANCES))]
     tolerance: Option<f64>,
     /// The largest radius that is run. [default: 16]
     #[arg(long, value_name = "R", value_parser = radius(MAX_RADII))]
     max_radius: Option<f64>,
-    /// Most rollouts, spent on configurations in random order; without it, every
+    /// Maximum number of rollouts, spent on configurations in random order; if omitted, every
     /// configuration is measured.
     #[arg(long, value_name = "N", value_parser = number(1..=u32::MAX, "rollouts"))]
     budget: Option<u32>,
@@ -47,7 +46,7 @@ pub(super) struct ThresholdsArguments {
     seed: Option<u64>,
     #[command(flatten)]
     create: CreateFlags,
-    /// Follow until every threshold is found.
+    /// Follow the progress until every threshold is found.
     #[arg(long)]
     watch: bool,
     /// Print JSON, as docs/JSON.md describes it.

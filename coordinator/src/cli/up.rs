@@ -43,25 +43,25 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_long_help = EXAMPLES)]
 pub(super) struct UpArguments {
-    /// Folder of the database and the artifacts; made if it is not there.
+    /// Folder of the database and the artifacts; created if missing.
     #[arg(long, value_name = "DIR", default_value = "campaigns")]
     data: PathBuf,
-    /// A policy's name and what answers for it, as `policy-gateway --route` takes it;
-    /// may be given several times.
+    /// Route of the gateway: a policy's name and its server, as for `policy-gateway --route`;
+    /// repeatable.
     #[arg(long = "route", value_name = "NAME=BACKEND", default_values = BUILT_IN)]
     routes: Vec<String>,
     /// Models of objects and rooms: `libero`, fetched as tasks need it, `primitives`, or the
     /// path of a LIBERO assets folder.
     #[arg(long, value_name = "PACK_OR_PATH", default_value = "libero")]
     assets: String,
-    /// Rollouts at a time: a number, or `auto` for a measurement of some seconds.
+    /// Concurrent rollouts: a number, or `auto`, which measures a suitable number for some seconds.
     #[arg(long, value_name = "N|auto", default_value = "auto")]
     slots: String,
-    /// Address of the coordinator and its page; port 0 takes a free one.
+    /// Address of the coordinator and its page; port 0 selects a free port.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7411",
         value_parser = terminal::address)]
     listen: SocketAddr,
-    /// Address of the gateway; port 0 takes a free one.
+    /// Address of the gateway; port 0 selects a free port.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7412",
         value_parser = terminal::address)]
     gateway_listen: SocketAddr,

@@ -25,15 +25,15 @@ Examples:
 pub(super) struct WhyArguments {
     /// Name of the campaign.
     campaign: String,
-    /// Show the policy what `policy-gateway record` wrote into this folder, in place of
-    /// made-up scenes.
+    /// Send the policy the observations that `policy-gateway record` wrote into this folder,
+    /// instead of synthetic scenes.
     #[arg(long, value_name = "DIR")]
     recorded: Option<PathBuf>,
     #[command(flatten)]
     connection: Connection,
 }
 
-/// Runs `policy-gateway doctor`; the command exits with code 1 if that finds faults.
+/// Runs `policy-gateway doctor`; the command exits with code 1 if the doctor finds faults.
 pub(super) async fn why(arguments: WhyArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let status = client.campaign_status(&arguments.campaign).await?;

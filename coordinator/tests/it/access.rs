@@ -1,6 +1,6 @@
 //! Refused callers: without a token, with a wrong one or one of another role, with messages or
-//! names that are too long, and clients that cannot trust the coordinator's certificate. The real
-//! program on real sockets. Refusals leave the database's bytes unchanged.
+//! names that are too long, and clients that cannot trust the coordinator's certificate. Runs the
+//! real program on real sockets. Refusals leave the database's rows unchanged.
 
 use std::fs::{File, Permissions};
 use std::io::{ErrorKind, Read, Write};
@@ -64,7 +64,8 @@ impl Guarded {
         endpoint.connect().await.expect("a connection")
     }
 
-    /// Returns all rows of the database. Its bytes change at every checkpoint.
+    /// Returns all rows of the database, to be compared instead of its bytes, which change at every
+    /// checkpoint.
     async fn rows(&self) -> Vec<String> {
         rows(&self.folder.path().join("data")).await
     }

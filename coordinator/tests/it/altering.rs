@@ -211,8 +211,8 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
     is_in_order(&bench).await;
 }
 
-/// A campaign's folder has its first name. A campaign that takes over a former name must neither
-/// mix its files with those of the renamed one nor delete them.
+/// A campaign's folder keeps the campaign's first name. A campaign that takes over a former name
+/// must neither mix its files with those of the renamed one nor delete them.
 #[tokio::test]
 async fn a_name_that_is_free_again_shares_no_files_with_who_had_it_before() {
     let bench = Bench::start().await;

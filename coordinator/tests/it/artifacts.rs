@@ -1,4 +1,4 @@
-//! Videos beside outcomes.
+//! Upload and storage of the videos of committed and failed attempts.
 
 use std::time::Duration;
 

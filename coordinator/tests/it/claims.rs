@@ -1,4 +1,4 @@
-//! Choice of the worker and the moment for each job.
+//! Choice of the job for each claim, and the time at which each job is leased.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};

@@ -173,7 +173,6 @@ async fn a_clock_that_jumped_ahead_takes_no_lease_away() {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
 }
 
-/// Class 2: a jump ahead was tested for leases only.
 #[tokio::test]
 async fn a_clock_that_jumped_ahead_leaves_every_instant_in_the_past_and_the_leases_their_time() {
     let bench = Bench::start().await;
@@ -238,7 +237,7 @@ const OUTSIDE: [(&str, &str); 7] = [
     ),
 ];
 
-/// Returns the paths of Rust sources below a folder, but those of tests.
+/// Collects the paths of Rust sources below a folder, except those of tests.
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let entry = entry.expect("an entry");
@@ -264,7 +263,7 @@ fn every_file_that_reads_another_clock_is_named_here() {
         .expect("a root");
     let mut files = Vec::new();
     sources(root, &mut files);
-    // Tests set times of files, and decide nothing by them.
+    // Tests set the times of files, but no decision depends on them.
     files.retain(|path| !path.ends_with("tests.rs"));
     assert!(files.len() > 300, "{} files", files.len());
     let reads = |path: &PathBuf| {

@@ -85,7 +85,7 @@ pub(crate) async fn die_at(
     let mut serve = Serve::of(child);
     let began = Instant::now();
     if serve.is_ready() {
-        // Not with the command, which would retry as long as nobody answers.
+        // Calls the service directly, since the command would retry while nobody answers.
         let request = CreateCampaignRequest {
             spec: spec.to_string(),
             priority: 0,

@@ -1,4 +1,4 @@
-//! The execution model of a campaign, in each form in which the campaign is told.
+//! Execution model of a campaign, in each form in which it can be specified.
 
 use proto::coordinator::commit_response::Verdict;
 use proto::policy::policy_server::{Policy, PolicyServer};
@@ -163,7 +163,8 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     let refused = serve.command(&[&named[..], &rest, &axis].concat());
     let told = text(&refused.stderr);
     assert!(told.contains("`overlap:10` drops at least 10"), "{told}");
-    // One model executes some of the answers; the other all, since the arm holds still meanwhile.
+    // The first model drops only some answers whole; `hold` drops none, since the arm holds still
+    // meanwhile.
     for (name, model) in [("some", "overlap:9*1+12*9"), ("all", "hold:10")] {
         let told = &succeed(create(name, model, &[]));
         assert!(!told.contains("does not say"), "{told}");

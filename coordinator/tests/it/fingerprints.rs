@@ -83,7 +83,8 @@ async fn a_campaign_says_which_fingerprints_its_results_have_and_where_they_mix(
     assert_eq!(status, "");
     assert!(!page.contains(warning) && !report.contains(warning));
 
-    // Slots of one worker may differ: all results are reported under the first worker's leases.
+    // Slots of one worker may differ: results of both kinds are reported under the first worker's
+    // leases.
     let report_as = |worker: &Worker, lease: &wire::Lease| wire::CommitRequest {
         attempt_id: lease.attempt_id.clone(),
         ..worker.report(lease, true)

@@ -1,4 +1,4 @@
-//! A coordinator on a free port with a manual clock, and workers that speak its protocol.
+//! A coordinator on a free port with a manual clock, and simulated workers that call it.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -42,7 +42,7 @@ pub(crate) struct Bench {
     served: JoinSet<()>,
 }
 
-/// A worker that runs nothing and reports what the test tells it to.
+/// A worker that runs no rollouts and reports the results that the test specifies.
 #[derive(Clone)]
 pub(crate) struct Worker {
     pub(crate) id: String,

@@ -12,7 +12,7 @@ use crate::harness::rollout_id;
 use crate::page::ask;
 use crate::process::{Serve, succeed, succeed_in_json, text};
 
-/// Longest delay that the policy bears, control steps.
+/// Longest delay at which the policy still succeeds, control steps.
 const BEARS: u16 = 3;
 
 fn outcome(id: &RolloutId) -> Outcome {

@@ -147,7 +147,7 @@ async fn a_probe_that_fails_waits_longer_and_one_that_crashes_is_replaced() {
     let paused = "SELECT max(resume_ms) FROM policy WHERE name = 'fragile'";
     let paused_secs = (bench.count(paused).await - now_ms) as f64 / 1e3;
     assert!((30.0..=60.0).contains(&paused_secs), "{paused_secs}");
-    // The job lets another rollout go first, which then tries the policy.
+    // The job waits 10 s longer than the policy's pause, so that another rollout probes the policy.
     let gives_way = last.backoff_secs - paused_secs;
     assert!((9.9..=10.1).contains(&gives_way), "{gives_way}");
 

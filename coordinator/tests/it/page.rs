@@ -35,7 +35,7 @@ impl Answer {
     }
 }
 
-/// Sends a request unchanged: clients that normalise addresses would hide what is tested here.
+/// Sends a request unchanged, since a client that normalises addresses would hide the tested cases.
 /// Chunked answers are joined.
 fn send(url: &str, request: &str) -> Answer {
     let address = url.strip_prefix("http://").expect("a URL");

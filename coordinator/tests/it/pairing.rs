@@ -374,7 +374,8 @@ async fn a_result_that_does_not_fit_its_row_is_refused_with_the_bound_named() {
     }
 }
 
-/// It failed every commit of the initial state, as if the database were down.
+/// Regression: an unreadable sibling failed every commit for its initial state, as if the database
+/// were down.
 #[tokio::test]
 async fn a_sibling_that_cannot_be_read_charges_nobody_and_is_named() {
     let (bench, _, _) = with_siblings().await;
@@ -384,7 +385,7 @@ async fn a_sibling_that_cannot_be_read_charges_nobody_and_is_named() {
         .await
         .expect("altered");
     pool.close().await;
-    // The results of running campaigns are remembered.
+    // A restart drops the cached results of running campaigns.
     let bench = bench.restart().await;
     bench.pass(61).await;
     let (mut worker, lease) = bench.leasing("b").await;
@@ -394,6 +395,6 @@ async fn a_sibling_that_cannot_be_read_charges_nobody_and_is_named() {
     assert!(detail.contains("siblings cannot be read"), "{detail}");
     let uncharged = "SELECT count(*) FROM failure WHERE reason = 'unsuited' AND charged = 0";
     assert_eq!(bench.count(uncharged).await, 1);
-    // The other calls of the coordinator go on.
+    // Other calls to the coordinator still succeed.
     assert_eq!(bench.status("paired").await.committed, 2);
 }

@@ -39,7 +39,8 @@ async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so()
     let folder = tempfile::tempdir().expect("a temporary folder");
     let clock = Arc::new(BreakableClock::default());
     let mut config = config(folder.path(), clock.clone());
-    // No disk has so much free space; once a claim's answer says so, the first sweep is over.
+    // No disk has this much free space; once a claim's answer reports the shortage, the first sweep
+    // is over.
     config.min_free_bytes = u64::MAX;
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("an address");
@@ -130,7 +131,6 @@ fn tasks_of(source: &str) -> Vec<&str> {
         .collect()
 }
 
-/// Class 3: only the panic of the writer was tested.
 #[test]
 fn a_panic_of_any_background_task_ends_the_coordinator_with_its_name() {
     let mut names = tasks_of(include_str!("../../../crates/service/queue/src/queue.rs"));

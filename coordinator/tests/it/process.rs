@@ -473,7 +473,7 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
         "{said}{}",
         text(&again.stderr)
     );
-    // A printed specification that is read prints the same again.
+    // A specification that is read from this output is printed as the same text.
     let again = serve.command(&["campaign", "create", "--spec", spec, "--print-spec"]);
     assert_eq!(text(&again.stdout), text(&printed.stdout));
 }

@@ -1,4 +1,4 @@
-//! Statements about workers, rates and policies are correct at every moment.
+//! Displayed states of workers, rates of campaigns and states of policies are correct at all times.
 
 use std::time::Duration;
 
@@ -183,7 +183,7 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
     assert_eq!(no_dry_run.status.code(), Some(2));
 }
 
-/// A cluster's workers would fill the list for ever.
+/// The departed workers of a cluster would otherwise fill the list forever.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_that_has_gone_is_listed_for_a_week_and_counted_afterwards() {
     let bench = Bench::start().await;

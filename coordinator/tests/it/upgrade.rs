@@ -319,7 +319,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
     }
 }
 
-/// For a day, the third migration did what the third and the fourth do together now.
+/// Upgrades a database of a development version whose third migration included today's fourth.
 #[tokio::test]
 async fn a_database_whose_third_migration_did_what_the_fourth_does_is_taken_over() {
     let folder = Bench::start().await.stop().await;

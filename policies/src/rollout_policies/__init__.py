@@ -3,7 +3,7 @@
 Subclass `Policy`, describe the policy and its inputs in `description`, implement
 `reset` and `infer`, and call `run`, or `serve` with an instance of your own.
 This package is responsible for the wire: sessions, retries, checks and errors.
-The actions come from the policy. `check` checks that a policy keeps the protocol, and
+The actions come from the policy. `check` checks that a policy conforms to the protocol, and
 `fake_observation` generates an observation of the kind that the policy receives.
 """
 

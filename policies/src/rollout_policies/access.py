@@ -99,7 +99,7 @@ class Tokens:
         return cls(tuple(entries))
 
     def role_of(self, shown: str) -> str | None:
-        """Returns the role of a token, in a time that does not depend on the tokens."""
+        """Returns the role of a token. Compares tokens in constant time."""
         digest = _digest(shown)
         found = None
         for role, token in self.entries:
@@ -204,7 +204,7 @@ def require_guarded(listen: str, encrypted: bool, tokens: Tokens | None) -> None
 
 
 class TokenGate(grpc.ServerInterceptor):
-    """Demands a token whose role may ask policies."""
+    """Requires a token whose role may query policies."""
 
     def __init__(self, tokens: Tokens) -> None:
         self._tokens = tokens

@@ -123,9 +123,9 @@ def serve(
 
     Prints the resolved settings to stderr, warms the policy up, and prints the
     address as one line to stdout. `tls` holds the files of a certificate chain
-    and its key; `token_file` has a line `ROLE TOKEN` for everybody who is
-    admitted (or ROLLOUT_TOKENS has these lines). An address that other machines
-    can reach needs both, or `insecure`.
+    and its key; `token_file` has a line `ROLE TOKEN` for each accepted token
+    (or ROLLOUT_TOKENS has these lines). An address that other machines can
+    reach needs both, or `insecure`.
 
     Raises UnusableDescription, UnguardedAddress, AccessError, CannotListen, and
     exceptions of the warm-up.

@@ -96,7 +96,8 @@ class PolicyService(pb_grpc.PolicyServicer):
             self._require_policy(query.policy, context)
         results = self._results(request.queries, context)
         for result in results:
-            # UNAVAILABLE blames no query, which the text of one result could not say.
+            # UNAVAILABLE is not charged to a query, which the text of a single result cannot
+            # express, so the whole call fails.
             if isinstance(result, QueryError) and result.code == grpc.StatusCode.UNAVAILABLE:
                 context.abort(result.code, result.text)
         return pb.InferBatchResponse(

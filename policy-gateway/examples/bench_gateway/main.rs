@@ -26,9 +26,9 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Put a closed loop of slots on a policy server or gateway
+    /// Run a closed loop of slots against a policy server or gateway
     Slots(capacity::Slots),
-    /// Be a policy server without a policy
+    /// Serve a simulated policy
     ServeSimulated(simulated::Options),
 }
 
@@ -40,7 +40,7 @@ struct Measure {
     /// Milliseconds that the simulated server takes for one batch
     #[arg(long, default_value_t = 20)]
     batch_millis: u64,
-    /// Largest batch that it takes
+    /// Largest batch of the simulated server
     #[arg(long, default_value_t = 16)]
     max_batch: u32,
     /// Observations per second while the latency is measured

@@ -1,4 +1,4 @@
-//! Exhaustive access test, as the coordinator's.
+//! Exhaustive access test, like the coordinator's.
 
 use tonic::codegen::http::Request;
 
@@ -11,7 +11,7 @@ use walk::{OPERATOR, Shown, Table, calls_of, guarded, is_call, open, walk};
 
 const TABLE: Table = (resource, None);
 
-/// Paths, and whether everybody may call them.
+/// Paths; true if a call needs no token.
 fn paths() -> Vec<(String, bool)> {
     let proto = include_str!("../../../proto/rollout/policy/v1/policy.proto");
     let calls = calls_of(proto).into_iter();

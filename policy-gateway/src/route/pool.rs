@@ -142,7 +142,7 @@ impl Pool {
 
     /// Returns the replica with the fewest queries in flight that is not out; among equals, first
     /// one that knows the session, then the one whose last new session is oldest. If all are out,
-    /// returns the first one, whose error tells why.
+    /// returns the first one, whose error names the cause.
     fn idlest(
         &self,
         session: &str,

@@ -1,8 +1,8 @@
 //! Replica of a checkpoint: a back-end with its load and health. Enforces deadlines and checks all
 //! answers, so that everything returned from here is safe to forward to a robot.
 //!
-//! A query is first *queued*, then *sent*. In the queue only the caller's patience limits the
-//! wait, and a caller that gives up frees its place; once sent, the server's silence limits it.
+//! A query is first *queued*, then *sent*. In the queue, only the caller's patience limits the
+//! wait, and a caller that gives up frees its place. A sent query fails when the server is silent.
 
 use std::{
     fmt,
@@ -31,8 +31,8 @@ use crate::{
 /// Concurrent single queries per server. The server computes them one by one; queries waiting
 /// behind them need no second copy of their observation.
 pub const MAX_CALLS: usize = 64;
-/// Sessions that a replica may have regardless of its pace: a server that answers several at once
-/// only shows it with several.
+/// Sessions that a replica may have regardless of its pace: the throughput of a server that answers
+/// several queries at once cannot be measured with fewer.
 const MIN_SESSIONS: usize = 4;
 /// Longest time per control step of a rollout: most of the 10 s that a coordinator allows
 /// (`--step-ceiling-secs`).
@@ -68,8 +68,8 @@ impl Drop for UnderWay<'_> {
     }
 }
 
-/// Guard of a call in flight. If the caller drops it before its end and it was the probe, the next
-/// call may probe the server at once instead of waiting for this one.
+/// Guard of a call in flight. If the guard is dropped before the call ends and the call was the
+/// probe, the next call may probe the server at once.
 struct Trying<'a> {
     replica: &'a Replica,
     call: Call<'a>,

@@ -142,7 +142,7 @@ async fn a_policy_that_is_to_be_asked_one_by_one_is() {
     assert_eq!(play(Batching::Deterministic).await, (1, deterministic));
 }
 
-/// A status that does not fit its header would count as an outage.
+/// An error text that does not fit the response's HTTP/2 header would count as an outage.
 #[tokio::test]
 async fn an_error_of_a_mebibyte_is_the_policys_and_told_in_part() {
     let server = serve(FixedSpeed {

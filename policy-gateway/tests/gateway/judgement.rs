@@ -252,7 +252,7 @@ async fn recorded_observations_are_shown_in_place_of_made_up_ones() {
 /// A text that sets the clipboard, and reads backwards, on terminals that obey it.
 const HOSTILE: &str = "a\u{202e}b\x1b]52;c;cm0gLXJm\x07c\r\u{9b}2K";
 
-/// Says the text wherever a policy can.
+/// Returns a policy whose description and errors contain the text.
 fn hostile() -> Scripted {
     let described = DescribeResponse {
         name: HOSTILE.to_owned(),

@@ -63,7 +63,7 @@ impl Server {
                 let (answer, notices) = (Arc::clone(&answer), notices.clone());
                 connections.spawn(async move {
                     let note = notices.clone();
-                    // The library dictates the type.
+                    // The closure's type is fixed by the library.
                     #[allow(clippy::result_large_err)]
                     let see = |request: &Request, response: Response| {
                         let shown = request.headers().get("authorization");

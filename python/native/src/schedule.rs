@@ -13,8 +13,8 @@ use crate::state::shaped;
 /// steps, [n, 7].
 type Query<'py> = (u32, Bound<'py, PyArrayDyn<f64>>);
 
-/// Queries and commands of one rollout whose policy is late, as of a campaign's rollout under the
-/// same execution model.
+/// Queries and commands of one rollout whose responses take effect late, as in a campaign's rollout
+/// with the same execution model.
 #[pyclass(module = "rollout_libero._native")]
 pub(crate) struct Schedule {
     execution: Execution,
@@ -46,7 +46,8 @@ impl Schedule {
         self.execution.to_string()
     }
 
-    /// True if the policy is told what is executed until its response takes effect.
+    /// True under real-time chunking: a query includes the commands that are executed until its
+    /// response takes effect.
     #[getter]
     fn is_rtc(&self) -> bool {
         self.execution.is_rtc()
@@ -101,7 +102,7 @@ impl Schedule {
         rows(py, actions)
     }
 
-    /// Returns a copy that goes on by itself.
+    /// Returns an independent copy.
     fn copy(&self) -> Self {
         Self {
             execution: self.execution.clone(),

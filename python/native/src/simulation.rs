@@ -93,7 +93,7 @@ impl Simulation {
         Ok((generator::write(py, &rng), rounds))
     }
 
-    /// Loads a state (time, qpos, qvel) as the start of an episode, like a campaign.
+    /// Loads a state (time, qpos, qvel) as the start of an episode, as a campaign does.
     fn load(&self, py: Python<'_>, state: Numbers<'_>) -> PyResult<()> {
         let numbers = numbers(&state);
         self.state.with(py, |state| {

@@ -16,7 +16,7 @@ pub(crate) enum Start {
     Row(Box<ManifestRow>),
     /// Placement by LIBERO's samplers.
     Sampled(Sampled),
-    /// Start of the original's environments by a seed and an optional state.
+    /// Start as in the original LIBERO's environments, from a seed and an optional state.
     Legacy(Legacy),
 }
 

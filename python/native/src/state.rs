@@ -92,12 +92,12 @@ impl State {
         Ok(action.map(f64::from))
     }
 
-    /// Tells the expert that the robot did not execute its last action.
+    /// Notifies the expert that the robot did not execute its last action.
     pub(crate) fn expert_is_interrupted(&mut self) {
         self.expert.interrupt();
     }
 
-    /// Executes one control step like a campaign. Returns true if the goal holds after it.
+    /// Executes one control step as a campaign does. Returns true if the goal holds after it.
     pub(crate) fn step(&mut self, action: &[f64; WIDTH], of: ActionFrame) -> PyResult<bool> {
         let environment = &mut self.environment;
         let stepped = match &mut self.conditions {

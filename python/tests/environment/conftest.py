@@ -27,7 +27,7 @@ def make():
 
 @pytest.fixture
 def make_vector():
-    """The same for vector environments."""
+    """Creates vector environments, and closes them after the test."""
     made = []
 
     def make(tasks=TASK, num_envs=3, **options):

@@ -194,7 +194,7 @@ def test_poses_under_perturbed_actuation_are_refused(make, make_vector):
     with pytest.raises(ValueError, match="control='relative'"):
         environments.set_perturbation(1, "actuation/L1/c00")
     environments.reset()
-    # Restoring a snapshot must not allow it either.
+    # A snapshot with perturbed actuation must not allow poses either.
     distorted = make(cameras=[], perturbation="actuation/L1/c00")
     distorted.reset()
     environment.restore(distorted.snapshot())

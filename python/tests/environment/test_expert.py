@@ -22,7 +22,7 @@ def test_labels_are_what_the_expert_would_do_whoever_drives(make_vector):
     given = np.zeros((2, 5, 7))
     *_, infos = environments.step_chunk(given, "none", expert=drives)
     labels = infos["expert_action"]
-    # Both start equally; then one follows the expert and the other stands still.
+    # Both start in the same state; then one follows the expert and the other stands still.
     np.testing.assert_array_equal(labels[0, 0], labels[1, 0])
     assert np.abs(labels[0] - labels[1]).max() > 0.0
     assert np.abs(labels).max() <= 1.0
@@ -75,7 +75,7 @@ def test_a_snapshot_includes_what_the_expert_remembers(make_vector):
         labels.append(infos["expert_action"])
         environments.restore(snapshot)
     np.testing.assert_array_equal(*labels)
-    # The same in another environment, whose expert has no history.
+    # Another environment, whose expert has no history, returns the same labels.
     other = make_vector(TASK, 1, init_states=[3], cameras=[])
     other.reset()
     other.restore(snapshot)

@@ -227,5 +227,5 @@ def test_other_threads_run_while_environments_compute(make_vector):
     while not done.is_set():
         turns += 1
     thread.join()
-    # If the interpreter were held, this thread would get only a turn or two.
+    # If the computation held the GIL, this thread would loop only once or twice.
     assert turns > 1000

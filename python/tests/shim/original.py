@@ -46,7 +46,7 @@ def run(python: str, script: str, *arguments: str, **variables: str) -> Any:
 
 
 def run_original(script: str, *arguments: str, **variables: str) -> Any:
-    """The same with the original, which draws with OpenGL without a display."""
+    """Runs a script with the original, which draws with OpenGL without a display."""
     python = original_python()
     packages = subprocess.run(
         [python, "-c", "import site; print(site.getsitepackages()[0])"],
@@ -73,5 +73,5 @@ def run_original(script: str, *arguments: str, **variables: str) -> Any:
 
 
 def run_shim(script: str, *arguments: str, **variables: str) -> Any:
-    """The same with the shim, also in a separate process."""
+    """Runs a script with the shim, also in a separate process."""
     return run(sys.executable, script, *arguments, **variables)

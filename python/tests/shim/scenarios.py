@@ -167,7 +167,7 @@ def horizon() -> Log:
 
 
 def frames() -> Log:
-    """Draws frames, depths and pictures of the present."""
+    """Draws frames, depths, and pictures of the current state."""
     env = make("in_drawer", camera_depths=True, camera_heights=[96, 128], camera_widths=[128, 64])
     env.seed(2)
     log: Log = [("reset", env.reset())]

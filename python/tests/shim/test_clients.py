@@ -1,10 +1,10 @@
-"""Unmodified PyPI clients of LIBERO on the shim: in an episode of each, an
-object is picked up, dropped into a basket, and the task succeeds. Where the
-original is installed, they give the same frames and success with it.
+"""Unmodified PyPI clients of LIBERO on the shim: in an episode of each, an object is picked up
+and dropped into a basket, and the task succeeds. If the original is installed, the clients get the
+same frames and success with it.
 
 `ROLLOUT_CLIENTS` names the Python of an environment with the clients and the packages of
-clients.txt (`cargo xtask test` makes one where it can). Where `ROLLOUT_ORIGINAL` is of the same
-version of Python, it looks for the clients there too.
+clients.txt (`cargo xtask test` creates one if it can). If `ROLLOUT_ORIGINAL` has the same version
+of Python, it also imports the clients from that environment.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Calls to LIBERO by reinforcement-learning frameworks, besides episodes: the
-lines that failed or got another result, shortened."""
+"""Regression tests: calls of reinforcement-learning frameworks to LIBERO, other than episodes,
+that failed with the shim or had another result, shortened."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class OwnWorker(venv.SubprocEnvWorker):
 
 
 class Counting:
-    """An environment that counts."""
+    """An environment whose observation is the number of its steps."""
 
     action_space = gymnasium.spaces.Box(-1, 1, (7,))
     observation_space = gymnasium.spaces.Dict({"at": gymnasium.spaces.Box(0, 9, (1,))})

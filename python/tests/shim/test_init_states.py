@@ -72,7 +72,8 @@ def test_a_file_of_initial_states_unpacks_no_more_than_memory_has_room_for(tmp_p
         read_states(tmp_path, bytes((64 << 20) + 1))
 
 
-#: Reads a file with 256 MiB more than it has at its start, and prints the error's class and text.
+#: Reads a file with at most 256 MiB more memory than at the start, and prints the error's class and
+#: text.
 READS_WITH_LITTLE_MEMORY = """
 import resource, sys
 from libero.libero.benchmark.init_states import load_init_states

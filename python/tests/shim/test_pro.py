@@ -1,4 +1,4 @@
-"""LIBERO-PRO's package, as RLinf imports and asks it with `LIBERO_TYPE=pro`."""
+"""LIBERO-PRO's package, imported and called as by RLinf with `LIBERO_TYPE=pro`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-#: As `rlinf/envs/libero/libero_env.py` does it.
+#: Imports and calls LIBERO-PRO as `rlinf/envs/libero/libero_env.py` does.
 AS_RLINF = """
 import importlib, os, sys
 import numpy as np

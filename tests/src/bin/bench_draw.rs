@@ -36,8 +36,8 @@ struct Arguments {
     /// `libero`, `primitives`, or the path of a LIBERO assets folder.
     #[arg(long, default_value = LIBERO)]
     assets: String,
-    /// Conditions: `clean/i00`, or such as camera/L3/c07, separated by commas.
-    /// Without a value: four perturbed cameras and four perturbed lights.
+    /// Conditions, separated by commas, for example clean/i00 or camera/L3/c07. Without a value:
+    /// four perturbed cameras and four perturbed lights.
     #[arg(
         long,
         value_delimiter = ',',
@@ -52,11 +52,10 @@ struct Arguments {
     /// Side of a frame, pixels.
     #[arg(long, default_value_t = 256)]
     size: u32,
-    /// Leaves OpenGL out, and only times.
+    /// Times our renderer alone, without OpenGL.
     #[arg(long)]
     alone: bool,
-    /// A folder for the frame of each camera that differs most: ours, OpenGL's,
-    /// and where they differ.
+    /// A folder for the frame of each camera that differs most: ours, OpenGL's, and the difference.
     #[arg(long)]
     output: Option<PathBuf>,
     /// Folder with the unpacked sources.

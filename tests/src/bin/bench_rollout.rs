@@ -42,8 +42,7 @@ struct Arguments {
     /// `libero`, `primitives`, or the path of a LIBERO assets folder.
     #[arg(long, default_value = LIBERO)]
     assets: String,
-    /// Control steps between two looks of the policy: it is shown both cameras
-    /// once in so many.
+    /// Control steps between two queries of the policy, each with frames of both cameras.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     execute: u32,
     /// Control steps of each rollout.
@@ -56,8 +55,8 @@ struct Arguments {
     /// `gl:N` on the N-th device.
     #[arg(long, default_value_t)]
     renderer: Renderer,
-    /// Times by the wall clock even where processor time of the one thread would
-    /// do, to compare with programs that use the wall clock.
+    /// Times by the wall clock even if processor time of the thread would suffice, to compare with
+    /// programs that use the wall clock.
     #[arg(long)]
     wall: bool,
     /// An archive with `actions`, repeated if they are too few, and the `state`

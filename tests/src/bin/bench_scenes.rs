@@ -42,7 +42,7 @@ for _ in range(3):
 print('moved', flush=True)
 sys.stdin.read()
 ";
-/// Environments of a task in one Python process, and of each of several processes.
+/// Environments of each task in one Python process, or of each of [`PROCESSES`] processes.
 const ENVIRONMENTS: usize = 16;
 const PROCESSES: usize = 8;
 
@@ -64,10 +64,10 @@ struct Arguments {
     /// Folder of the sources.
     #[arg(long)]
     sources: Option<PathBuf>,
-    /// An interpreter with `rollout_libero`, to time its environments. [default: none is]
+    /// An interpreter with `rollout_libero`, to time its environments. [default: not timed]
     #[arg(long)]
     python: Option<PathBuf>,
-    /// Is a slot.
+    /// Runs this process as a slot.
     #[arg(long, hide = true)]
     slot: bool,
 }
@@ -177,7 +177,7 @@ impl Slot {
         })
     }
 
-    /// Tells the slot to start a task.
+    /// Sends the slot a task to start.
     fn tell(&mut self, task: TaskRef) -> Result<()> {
         let tell = self.tell.as_mut().context("it was told to end")?;
         writeln!(tell, "{task}").context("tell a slot its task")

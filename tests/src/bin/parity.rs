@@ -32,8 +32,8 @@ struct Arguments {
     /// `gl:N` on the N-th device.
     #[arg(long, default_value_t)]
     renderer: Renderer,
-    /// The reference was recorded on this very machine: frames must have its
-    /// bits, not only be within bounds. Only with `--renderer gl`.
+    /// The reference was recorded on this machine: frames must equal it bit for bit, not only
+    /// within bounds. Only with `--renderer gl`.
     #[arg(long)]
     frames_of_this_machine: bool,
     /// Folder with the unpacked sources.

@@ -1,8 +1,8 @@
-//! Dress rehearsal of a week of operation in compressed time: every rollout of a policy and
-//! one replication on slots that come and go, with a policy outage, an upgrade of the
-//! coordinator, a full disk, clock jumps and a restored backup. All processes are real,
-//! except that slots are simulated. Report and results must equal those of the same campaign
-//! without faults, byte for byte. Exits with 1 if they do not.
+//! Dress rehearsal of a week of operation in compressed time: every rollout of a policy, twice, on
+//! slots that come and go, with a policy outage, an upgrade of the coordinator, a full disk, clock
+//! jumps and a restored backup. All processes are real, except that slots are simulated. Report and
+//! results must equal those of the same campaign without faults, byte for byte. Exits with 1 if
+//! they do not.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -50,7 +50,7 @@ struct Arguments {
     /// Seed of the churn.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Seconds for which policy and disk are out.
+    /// Duration of each outage of policy and disk, seconds.
     #[arg(long, default_value_t = 15)]
     outage_secs: u64,
     /// The coordinator of an earlier release, which begins the campaign [default: the

@@ -139,7 +139,7 @@ impl State {
         servers.extend(second.flatten().map(Arc::new));
         let caller = Arc::new(caller);
         self.keep([&caller].into_iter().chain(&servers));
-        // The wire may have been blocked before this connection could be cut.
+        // If the wire was blocked before this connection was registered, nothing has cut it.
         if self.is_blocked.load(Ordering::SeqCst) {
             return;
         }

@@ -98,7 +98,7 @@ fn units_give_programs_flags_and_variables_that_they_have() {
 
 #[test]
 fn servers_may_open_as_many_files_as_they_ask_for() {
-    // `transport::raise_file_limit` goes up to this.
+    // Upper limit of `transport::raise_file_limit`.
     for (name, _) in &UNITS[..2] {
         assert_eq!(values(&unit(name), "LimitNOFILE="), ["65536"], "{name}");
     }

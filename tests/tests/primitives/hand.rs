@@ -184,8 +184,8 @@ fn put(
     None
 }
 
-/// Returns the offset from the place's centre, m, at which an object leaves room for the goal's
-/// others: the middle of its share of the longer side.
+/// Returns the offset from the place's centre, m, for an object that shares the place with other
+/// objects of the goal: the middle of its share of the longer side.
 fn own_part(goal: &[Predicate], index: usize, place: &Entity) -> [f64; 2] {
     let shares = |predicate: &Predicate| predicate.arguments.get(1) == Some(&place.name);
     let count = goal.iter().filter(|predicate| shares(predicate)).count();
@@ -236,7 +236,7 @@ fn free_joint(environment: &Environment, object: &str) -> usize {
     model.jnt_qposadr()[id] as usize
 }
 
-/// Returns sideways offsets, m, those nearest to the preferred one first.
+/// Returns sideways offsets, m, in order of their distance from the preferred one.
 fn asides(preferred: [f64; 2]) -> Vec<[f64; 2]> {
     let steps = || (-MAX_ASIDE..=MAX_ASIDE).map(|step| f64::from(step) * ASIDE);
     let mut asides: Vec<_> = steps().flat_map(|x| steps().map(move |y| [x, y])).collect();

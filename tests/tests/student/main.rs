@@ -11,7 +11,8 @@ use tests::programs::{Campaigns, Process};
 
 const NAME: &str = "golden";
 const GOLDEN: &str = include_str!("golden.jsonl");
-/// One task of the shortest suite, and one whose instruction says which of ten tasks it is.
+/// One task of the suite with the smallest step budget, and one of ten tasks that only their
+/// instructions distinguish.
 const TASKS: &str = "libero_spatial/2,libero_goal/8";
 
 #[test]

@@ -1,6 +1,6 @@
-//! Every client with every server that it does not expect: its message says what it tried, what it
-//! found there and what to do, in this project's own words, and it retries only where that can
-//! help. Real programs on real sockets.
+//! Tests every client against unexpected servers: the message says what the client tried, what it
+//! found and what to do, in this project's own words, and the client retries only if that can help.
+//! Real programs on real sockets.
 
 mod grpc;
 mod servers;
@@ -16,7 +16,7 @@ use tests::programs::{Process, program};
 struct Case {
     /// `HOST:PORT`.
     at: String,
-    /// True if the client asks over TLS.
+    /// True if the client connects over TLS.
     is_encrypted: bool,
     /// Words of the finding and of the remedy.
     expected: Vec<&'static str>,
@@ -133,8 +133,8 @@ fn listing(case: &Case, ca: &Path) -> Command {
     command
 }
 
-/// Returns a worker with simulated slots, which is ended after 10 s, since it retries forever where
-/// that may help.
+/// Returns a worker with simulated slots, which is ended after 10 s because it never stops retrying
+/// if a failure may pass.
 fn working(case: &Case, ca: &Path) -> Command {
     let scheme = if case.is_encrypted { "grpcs" } else { "grpc" };
     let mut command = Command::new("timeout");

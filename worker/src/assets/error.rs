@@ -37,7 +37,8 @@ pub enum PackError {
         description: String,
     },
     #[error(
-        "verify {}: it is not as it was unpacked; remove the folder, and it is unpacked again",
+        "verify {}: its files were changed after unpacking; remove the folder, and it is unpacked \
+         again",
         folder.display()
     )]
     Primitives { folder: PathBuf },

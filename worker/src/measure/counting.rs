@@ -201,7 +201,8 @@ impl Counter {
         }
     }
 
-    /// Runs at least one step, so that the rate is never zero.
+    /// Returns true after the deadline, but not before the first step, so that the rate is never
+    /// zero.
     fn is_over(&self) -> bool {
         self.steps > 0 && Instant::now() >= self.until
     }

@@ -16,7 +16,7 @@ pub enum SuperviseError {
     Access(#[from] AccessError),
     #[error("register with the coordinator at {url}: {answer}")]
     Refused { url: String, answer: String },
-    #[error("go on working: the coordinator stopped this worker because {0}")]
+    #[error("continue: the coordinator stopped this worker because {0}")]
     Stopped(String),
     #[error("take a lease of the coordinator at {url}")]
     Lease {
@@ -25,7 +25,7 @@ pub enum SuperviseError {
         source: AttemptIdError,
     },
     /// A task of the worker panicked, which is a defect.
-    #[error("go on working: a part of this worker broke off ({0}); this is a defect")]
+    #[error("continue: a task of this worker panicked ({0}); this is a defect")]
     Panicked(String),
     /// The slots have different renderers, whose pixels would differ.
     #[error(
@@ -38,7 +38,7 @@ pub enum SuperviseError {
         renderer: String,
         registered: String,
     },
-    #[error("start slot {slot}: the machine has nothing left for it; use fewer --slots")]
+    #[error("start slot {slot}: the machine's limits allow no further process; use fewer --slots")]
     Exhausted {
         /// Number of the slot, from 0.
         slot: usize,

@@ -65,7 +65,7 @@ pub(super) struct Supervisor {
     /// True once registered; no job is claimed before.
     is_registered: bool,
     mode: Mode,
-    /// Tells the link to drop its claims.
+    /// Signals the link to drop its claims.
     drain: watch::Sender<bool>,
     /// Time of the first request to end.
     told_to_end_at: Option<Instant>,

@@ -16,18 +16,17 @@ pub struct Choice {
     /// [default: all 10,030]
     #[arg(long = "variant", value_name = "NAME,...", value_delimiter = ',')]
     pub variants: Vec<Variant>,
-    /// Those of suites: libero_spatial, libero_object, libero_goal, libero_10
+    /// Variants of suites: libero_spatial, libero_object, libero_goal, libero_10
     #[arg(long = "suite", value_name = "SUITE,...", value_delimiter = ',')]
     pub suites: Vec<Suite>,
-    /// Those of dimensions: background, robot, camera, language, noise, layout,
-    /// light
+    /// Variants of dimensions: background, robot, camera, language, noise, layout, light
     #[arg(long = "dimension", value_name = "NAME,...", value_delimiter = ',')]
     pub dimensions: Vec<Dimension>,
-    /// Those of difficulties, 1 to 5; 0: those that have none
+    /// Variants of difficulties, 1 to 5; 0: those without a difficulty
     #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', value_parser = number(0..=5_u8, ""))]
     pub difficulties: Vec<u8>,
-    /// Suites of LIBERO-PRO instead: libero_goal_swap, ..., of each of LIBERO's
-    /// four suites _lan, _object, _swap and _task
+    /// Suites of LIBERO-PRO instead: each of LIBERO's four with _lan, _object, _swap or _task, such
+    /// as libero_goal_swap
     #[arg(long = "pro", value_name = "SUITE,...", value_delimiter = ',', conflicts_with_all = ["variants", "suites", "dimensions", "difficulties"])]
     pub pro: Vec<ProSuite>,
     /// Trials of each task of LIBERO-PRO, one from each initial state [default: 50]
@@ -35,12 +34,12 @@ pub struct Choice {
     pub trials: Option<u16>,
 }
 
-/// How variants are run.
+/// Protocol and options of a run of variants.
 #[derive(Clone, Debug, Args)]
 pub struct Manner {
-    /// The protocol: plus-official, plus-openpi, plus-lerobot, plus-rlinf,
-    /// plus-stripped, pro-official, pro-openpi or pro-bddl; docs/FAMILY.md tells
-    /// them apart [default: plus-official, or pro-official]
+    /// The protocol: plus-official, plus-openpi, plus-lerobot, plus-rlinf, plus-stripped,
+    /// pro-official, pro-openpi or pro-bddl; docs/FAMILY.md describes each [default: plus-official,
+    /// or pro-official]
     #[arg(long, value_name = "NAME")]
     pub protocol: Option<Protocol>,
     /// Leaves out variants whose files are missing, after naming them
@@ -49,7 +48,7 @@ pub struct Manner {
     /// Films each rollout
     #[arg(long)]
     pub video: bool,
-    /// Prints a line for each variant: what it needs, and whether it is here
+    /// Prints a line for each variant: the files that it needs, and if they are here
     #[arg(long, conflicts_with = "endpoint")]
     pub list: bool,
 }

@@ -1,4 +1,4 @@
-//! Rollouts without an outcome, and the party that is blamed.
+//! Rollouts without an outcome, and the party at fault.
 
 use std::time::Duration;
 

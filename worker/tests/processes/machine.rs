@@ -117,7 +117,7 @@ fn slots_that_are_counting_end_with_their_parent() {
     let bench = "bench --assets primitives --slots 1 --secs 600";
     let mut bench = WorkerProcess::start_as(&bench.split(' ').collect::<Vec<_>>());
     bench.wait_for_line("slots");
-    // The slots are told to start counting at once after this line.
+    // The slots start to count as soon as this line is printed.
     sleep(Duration::from_millis(300));
     let slots = bench.slots();
     assert_eq!(slots.len(), 1);

@@ -1,5 +1,5 @@
-//! A policy server that misbehaves on demand, as the policy's name says. It speaks the real
-//! protocol over a real socket.
+//! A policy server whose misbehaviour is selected by the policy's name, with the real protocol over
+//! a real socket.
 
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};

@@ -51,7 +51,7 @@ pub(crate) struct SlurmArguments {
     /// that all nodes share. Without it, the scripts are only shown.
     #[arg(long, value_name = "DIR")]
     into: Option<PathBuf>,
-    /// Submit what is written.
+    /// Submit the written scripts.
     #[arg(long, requires = "into")]
     submit: bool,
     /// Folder of the programs, on all nodes. [default: this program's]
@@ -63,15 +63,15 @@ pub(crate) struct SlurmArguments {
     /// Partition of the jobs. [default: the cluster's]
     #[arg(long, value_name = "NAME")]
     partition: Option<String>,
-    /// Account that the jobs count for.
+    /// Account that the jobs are charged to.
     #[arg(long, hide_short_help = true, value_name = "NAME")]
     account: Option<String>,
     /// Time limit of a job, as Slurm writes it: 4:00:00. Jobs that reach it are queued
     /// again. [default: the partition's]
     #[arg(long, value_name = "TIME")]
     time: Option<TimeLimit>,
-    /// Seconds before its time limit at which a job is asked to end; Slurm may be a
-    /// minute early.
+    /// Seconds before its time limit at which a job is signalled to end; Slurm may send the signal
+    /// up to a minute earlier.
     #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 60,
         value_parser = number(1..=65_535_u32, "seconds"))]
     ahead_secs: u32,
@@ -84,7 +84,7 @@ pub(crate) struct SlurmArguments {
     ca: Option<PathBuf>,
     #[command(flatten)]
     security: ServerArguments,
-    /// Token file with a worker's line alone, for the workers' jobs; needed where --token-file has
+    /// Token file with a worker's line only, for the workers' jobs; needed if --token-file has
     /// lines of other roles.
     #[arg(long, value_name = "FILE", requires = "token_file")]
     worker_token_file: Option<PathBuf>,
@@ -98,7 +98,7 @@ struct WorkerArguments {
     /// that all nodes share.
     #[arg(long, value_name = "PACK_OR_PATH", default_value = LIBERO)]
     assets: String,
-    /// Workers, which are tasks of the array.
+    /// Number of workers, one task of the array each.
     #[arg(long, value_name = "N", default_value_t = 4,
         value_parser = number(1..=100_000_u32, "workers"))]
     workers: u32,
@@ -114,9 +114,8 @@ struct WorkerArguments {
         default_value = "2G"
     )]
     slot_memory: String,
-    /// Seconds that a worker has to finish its rollouts when it is asked to end; then
-    /// it gives them back, for which it needs ten more. Both must fit into Slurm's
-    /// KillWait.
+    /// Seconds that a worker has to finish its rollouts after the signal to end. It then gives the
+    /// rest back, which takes up to ten seconds more. Both must fit into Slurm's KillWait.
     #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 15,
         value_parser = number(0..=86_400_u32, "seconds"))]
     drain_secs: u32,
@@ -124,7 +123,7 @@ struct WorkerArguments {
     #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 600,
         value_parser = number(1..=604_800_u32, "seconds"))]
     idle_secs: u32,
-    /// Another option of sbatch for the workers, `--worker-sbatch=--constraint=avx2`.
+    /// Further sbatch option for the workers, such as `--worker-sbatch=--constraint=avx2`.
     /// (repeatable)
     #[arg(
         long,
@@ -138,15 +137,15 @@ struct WorkerArguments {
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Gateway and policy server")]
 struct GatewayArguments {
-    /// The policy's name and what answers for it, as `policy-gateway --route` has it:
-    /// `NAME=grpc://127.0.0.1:5000` beside a policy server on that port. Without it,
+    /// Route of the gateway: the policy's name and its server, as for `policy-gateway --route`,
+    /// such as `NAME=grpc://127.0.0.1:5000` for a server on that port of the same node. If omitted,
     /// no gateway is run.
     #[arg(long, value_name = "NAME=BACKEND")]
     policy: Option<String>,
     /// Command line that starts the policy's server on the gateway's node.
     #[arg(long, value_name = "COMMAND", requires = "policy")]
     policy_server: Option<String>,
-    /// GPUs of the policy server, as sbatch takes them: 1, or a100:2.
+    /// GPUs of the policy server, in sbatch's syntax: 1, or a100:2.
     #[arg(long, value_name = "GPUS", requires = "policy")]
     gpus: Option<String>,
     /// Partition of the gateway. [default: --partition]
@@ -156,8 +155,7 @@ struct GatewayArguments {
     #[arg(long, hide_short_help = true, value_name = "PORT", default_value_t = 7412,
         value_parser = number(1..=65_535_u16, ""))]
     gateway_port: u16,
-    /// Another option of sbatch for the gateway, `--gateway-sbatch=--mem=64G`.
-    /// (repeatable)
+    /// Further sbatch option for the gateway, such as `--gateway-sbatch=--mem=64G`. (repeatable)
     #[arg(
         long,
         hide_short_help = true,

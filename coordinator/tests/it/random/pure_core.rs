@@ -108,7 +108,7 @@ impl World {
         &mut self.jobs[id.0 as usize]
     }
 
-    /// Has the effect of the claiming statement on one row.
+    /// Applies the claiming statement to one row.
     fn claim(&mut self, worker: &str, number: usize) {
         let now = self.now;
         let allowance = self.policy.allowance(now);
@@ -246,7 +246,7 @@ impl World {
         }
     }
 
-    /// Has the effect of a retry on a job's row.
+    /// Applies a retry to a job's row.
     fn retry(&mut self, number: usize) {
         let now = self.now;
         let job = &mut self.jobs[number];
@@ -259,7 +259,7 @@ impl World {
         }
     }
 
-    /// Has the effect of a restart: every lease gets its full duration again.
+    /// Simulates a restart: every lease gets its full duration again.
     fn restart(&mut self) {
         let until = self.now.plus(LEASE);
         for job in &mut self.jobs {

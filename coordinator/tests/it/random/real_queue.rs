@@ -30,7 +30,7 @@ struct Known {
     granted: Vec<(WorkerId, AttemptId)>,
 }
 
-/// Effect of an event on what the workers know.
+/// Effect of an event on [`Known`].
 enum News {
     Claimed(ClaimRequest, Option<AttemptId>),
     Accepted,

@@ -156,7 +156,7 @@ mod tests {
     #[test]
     fn the_interval_of_a_mean_is_that_of_its_normal_approximation() {
         let [[low, high]] = Bootstrap::default().intervals(40, mean).expect("clusters");
-        // Deviation of one value is √8.25, of the mean of 40 that over √40.
+        // The standard deviation of one value is √8.25; that of the mean of 40 is √(8.25 / 40).
         let half_width = 1.96 * (8.25_f64 / 40.0).sqrt();
         assert!((low - (4.5 - half_width)).abs() < 0.05, "{low}");
         assert!((high - (4.5 + half_width)).abs() < 0.05, "{high}");

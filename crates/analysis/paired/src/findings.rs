@@ -254,7 +254,7 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
         ),
         false => {
             let r_d = percent(Some(inference.paired.r_d.value));
-            // That none of a few rollouts ended differently bounds nothing.
+            // A share of 0 among a few rollouts gives no upper bound of chance.
             let seen = flips(cell, report).filter(|(_, flips)| *flips > 0.0);
             let bound = seen.map_or_else(String::new, |(of, flips)| {
                 let [r_d, _] = chance_bounds(flips, cell.alone.len());

@@ -40,7 +40,7 @@ fn difference(pairs: Vec<Pair>) -> Option<Difference> {
 
 #[test]
 fn ten_rollouts_of_ten_tasks_differ_as_worked_out_by_hand() {
-    // Only A solves three pairs, only B one, both solve four, and neither solves two.
+    // Three pairs are solved only by A, one only by B, four by both, and two by neither.
     let it = difference(pairs(&[
         (S, F),
         (S, F),
@@ -98,7 +98,7 @@ fn rollouts_without_both_outcomes_are_in_no_rate() {
 
 #[test]
 fn quarantined_rollouts_are_bounded_by_the_worst_and_the_best_case() {
-    // The second can turn out 0 or +1, the third −1 or 0, the fourth −1 to +1.
+    // The difference of the second pair is 0 or +1, of the third −1 or 0, of the fourth −1 to +1.
     let pairs = pairs(&[(S, F), (S, Q), (Q, S), (Q, Q), (S, M)]);
     let bounds = DifferenceBounds::of(&pairs).expect("quarantined");
     assert_eq!((bounds.n, bounds.affected), (4, 3));
@@ -161,7 +161,7 @@ fn what_differs_under_one_name_is_not_paired_and_named() {
         record(CAMERA, 2, 9, S),
         record(Condition::Combination, 0, 7, S),
     ];
-    // Another initial state of one, and another axis in *simultaneous*.
+    // B's first rollout has another initial state, and its *simultaneous* perturbs another axis.
     let b = [
         record(CAMERA, 0, 9, S),
         a[1],

@@ -1,4 +1,4 @@
-//! Compares assumptions about outcomes with outcomes.
+//! The built-in assumed outcomes agree with the student's published ones.
 
 use paired::{Assumed, Outcome, Record};
 use serde_json::Value;

@@ -4,7 +4,7 @@ use libero_ctrl::{Condition, Directions, Level, RolloutId, TaskRef};
 use paired::{Bootstrap, Compared, Comparison, Outcome, Progress, Record, comparison_table};
 use rollout_types::GoalProgress;
 
-// The coverage command uses the rest.
+// The example `coverage` uses the remaining functions.
 #[allow(dead_code)]
 mod simulated;
 

@@ -171,8 +171,8 @@ fn published_outcomes_reproduce_their_cells_exactly() {
     }
 }
 
-/// The paper's interval of I at L2, and those of an independent bootstrap of
-/// 200,000 replicates; 4,000 leave an end uncertain by about 0.15 points.
+/// The paper's interval of I at L2, and those of an independent bootstrap of 200,000 replicates.
+/// With 4,000 replicates, an end is uncertain by about 0.15 points.
 #[test]
 fn intervals_are_the_published_ones_within_monte_carlo_error() {
     let report = openvla_oft();

@@ -23,8 +23,8 @@ const EXAMPLES: [&str; 3] = ["openvla_oft", "student", "student_randomised"];
 const CAMPAIGNS: u64 = 200;
 const COMPARISONS: u64 = 20;
 
-/// Published rate that the gates of all campaigns are held against, over all suites and of
-/// each.
+/// Published rate that the gates of all campaigns are held against, over all suites and for each
+/// suite.
 const PUBLISHED: f64 = 0.87;
 
 /// Records and progress of an example.
@@ -154,7 +154,7 @@ fn comparison(name: &str, a: Compared<'_>, b: Compared<'_>) -> Value {
     json!({"name": name, "compared": found.cells.iter().map(cell).collect::<Vec<_>>()})
 }
 
-/// Steps and predicates of rollouts; of every seventh no predicates are known.
+/// Steps and predicates of rollouts; every seventh rollout has no known predicates.
 fn simulated_progress(records: &[Record], chance: &mut Chance) -> Vec<Progress> {
     let progress = records.iter().map(|record| {
         let success = record.outcome == Outcome::Success;
@@ -186,7 +186,7 @@ fn simulated_progress(records: &[Record], chance: &mut Chance) -> Vec<Progress> 
 }
 
 /// Two policies of one population over the same tasks and directions; every second pair of
-/// campaigns says that each task has directions of its own.
+/// campaigns declares that each task has directions of its own.
 fn simulated_comparison(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (20, 4)][seed as usize % 4];
     let population = Population::usual();

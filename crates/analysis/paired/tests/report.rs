@@ -286,7 +286,7 @@ fn an_incomplete_cell_counts_what_is_complete_and_says_what_is_not() {
 
 #[test]
 fn quarantined_rollouts_are_bounded_by_the_worst_and_the_best_case() {
-    // Either of them could have been an emergent failure, or none.
+    // Each of the two quarantined configurations may or may not be an emergent failure.
     let records = campaign([[S, S, S, F], [S, S, Q, F], [S, S, S, Q]]);
     let report = report(&records, &Options::default()).expect("no duplicates");
     let cell = &report.cells[0];
@@ -382,7 +382,7 @@ fn replicates_are_compared_with_the_first() {
     for record in &mut again {
         record.replicate = 1;
     }
-    // The first configuration's combination: no emergent failure any more.
+    // The first configuration's combination succeeds: no longer an emergent failure.
     again[3].outcome = S;
     again[4].outcome = M;
     records.extend(again);

@@ -194,7 +194,7 @@ fn the_five_intervals_hold_together_over_all_orders_of_all_small_populations() {
     }
 }
 
-/// All units of an order, in an order of arrival that a key sorts.
+/// Returns all units of an order, sorted by a random key each, as if they arrived in that order.
 fn arrivals(order: &Order<Unit>, keys: &[u64]) -> Vec<Unit> {
     let mut units: Vec<Unit> = order.units().copied().collect();
     let key: BTreeMap<Unit, u64> = units.iter().copied().zip(keys.iter().copied()).collect();

@@ -115,7 +115,7 @@ fn what_lies_beyond_the_look_changes_nothing_and_what_lies_before_it_is_needed()
 #[test]
 fn a_rule_that_only_the_last_configuration_meets_ends_nothing_early() {
     let records = published();
-    // The interval is a point only after all configurations.
+    // The interval has no width only after all configurations.
     assert_eq!(
         when_met(&records, &stop("width(I) < 0.0001", Strata::Tasks)),
         None
@@ -162,7 +162,7 @@ fn a_configuration_counts_once_its_nominal_rollout_and_its_subsets_have_ended_to
 
         let all = with(Outcome::Failure);
         let counted = CampaignLook::counted_when_met(&all, &stop).expect("it is met");
-        // Seven conditions at three levels, and the further one.
+        // Seven conditions at three levels, and the added record.
         assert_eq!(counted.len(), 21 * look.used.len() + 1, "{id}");
         let used: BTreeSet<Unit> = look.used.iter().copied().collect();
         let perturbed = counted.iter().filter(|record| record.id.config().is_some());
@@ -248,7 +248,7 @@ fn a_rule_about_new_tasks_ends_nothing_without_an_effect_and_most_with_a_large_o
         for seed in 0..100 {
             let records = effect.campaign(&mut chance);
             if let Some(look) = when_met(&records, &new_tasks(seed)) {
-                // Whole tasks, and as many of every suite.
+                // Only whole tasks count, equally many of each of four suites: multiples of 40.
                 assert!(look.used.len().is_multiple_of(40), "{}", look.used.len());
                 let interval = look.levels[&Level::L2].intervals[&Measure::I];
                 assert!(interval.high() < 0.0);
@@ -257,7 +257,7 @@ fn a_rule_about_new_tasks_ends_nothing_without_an_effect_and_most_with_a_large_o
         }
         met
     };
-    // With an error rate of 5 %, more than 13 wrong ends have a probability of 0.0005.
+    // At an error rate of 5 %, more than 13 false stops in 100 have a probability of 0.0005.
     assert!(ends(0.0) <= 13);
     assert!(ends(-0.25) >= 90);
 }

@@ -18,7 +18,7 @@ use crate::warnings;
 pub struct Analysis {
     /// Name of the policy, unique in this document.
     pub label: String,
-    /// Subject: the outcomes and their circumstances.
+    /// Subject: the outcomes and their provenance.
     pub subject: Subject,
     /// Matched outcomes. If the campaign stopped early, only the configurations that its
     /// confidence sequences rest on.
@@ -41,7 +41,7 @@ pub struct Analysis {
 }
 
 impl Analysis {
-    /// Measures a subject.
+    /// Computes the statistics of a subject.
     pub(crate) fn new(label: String, subject: Subject) -> Result<Self, DuplicateRecord> {
         let sequential = Sequential::of(&subject)?;
         let counted = match subject.counted() {
@@ -115,7 +115,7 @@ impl Analysis {
         self.counted.as_deref().unwrap_or(&self.subject.records)
     }
 
-    /// Returns all records; those that do not count have their outcome removed.
+    /// Returns all records, without the outcomes of those that do not count.
     pub(crate) fn outcomes_of_all(&self) -> Vec<Record> {
         let counted = self.counted().iter();
         let counted: BTreeSet<_> = counted.map(|it| (it.replicate, it.id)).collect();

@@ -141,8 +141,8 @@ impl Comparison {
         })
     }
 
-    /// Adds the confidence sequences of the difference, and under which conditions `rule`
-    /// is met.
+    /// Adds the confidence sequences of the difference, and the conditions under which `rule` is
+    /// met.
     ///
     /// # Errors
     /// If the two campaigns did not run in the same drawn order.

@@ -17,7 +17,7 @@ use crate::subject::{Origin, Quarantined, Subject};
 use crate::threshold_report::ThresholdReport;
 use crate::warnings;
 
-/// Columns of a terminal. Errors are cut there; the JSON form has them whole.
+/// Columns of a terminal. Longer error texts are truncated; the JSON form contains them in full.
 const WIDTH: usize = 80;
 
 /// A report: the analyses of one or several policies.

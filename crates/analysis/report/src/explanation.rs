@@ -48,10 +48,10 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// Returns the number of transitions to explain and of rollouts that this would take.
+    /// Returns the number of transitions to explain and of rollouts that their explanation takes.
     ///
     /// # Errors
-    /// If the campaign perturbs only one axis, or so few repeats decide nothing.
+    /// If the campaign perturbs only one axis, or there are too few repeats to decide an outcome.
     pub fn prospect(
         campaign: &Subject,
         explanation: &Explanation,

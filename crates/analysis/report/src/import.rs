@@ -343,7 +343,7 @@ impl Row {
         }
     }
 
-    /// Returns how much of the goal held, if the row says all of it.
+    /// Returns the progress towards the goal; `None` if the row lacks one of its three columns.
     fn goal(&self) -> Option<GoalProgress> {
         Some(GoalProgress {
             predicates: self.goal_predicates?,
@@ -352,8 +352,8 @@ impl Row {
         })
     }
 
-    /// Returns the initial state given in the row, or the protocol's for configurations 0
-    /// to 9.
+    /// Returns the row's initial state or, if the row gives none, that of its id: a nominal
+    /// rollout's own, or the protocol's for configurations 0 to 9.
     fn initial_state(&self) -> Result<u16, String> {
         let own = self.rollout_id.config();
         let known = match own {

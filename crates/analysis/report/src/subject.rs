@@ -10,7 +10,7 @@ use paired::{CampaignLook, Count, Progress, Record};
 use rollout_types::{Fingerprints, Provenance};
 use serde::{Deserialize, Serialize};
 
-/// One policy's outcomes under one set of circumstances.
+/// Outcomes of one policy, with their provenance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Subject {
     pub policy: String,
@@ -30,7 +30,7 @@ pub struct Subject {
     /// Number of results with a realisation mode other than `realisation`. They are in no
     /// figure and count as missing in `records`.
     pub left_out: u64,
-    /// The distinct circumstances under which the outcomes were made.
+    /// Distinct provenances of the outcomes: assets, simulator, policy and program.
     pub provenances: Vec<Provenance>,
     /// Counts of the policy's actions outside [-1, 1], if known.
     #[serde(default)]
@@ -40,7 +40,7 @@ pub struct Subject {
     pub fingerprints: Option<Fingerprints>,
     /// The published nominal success rate, a fraction.
     pub published_nominal: Option<f64>,
-    /// Nominal success rates published of single suites, fractions.
+    /// Published nominal success rates of single suites, fractions.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub published_by_suite: Vec<(Suite, f64)>,
     /// Nominal successes reported by another source.

@@ -137,7 +137,7 @@ impl ThresholdReport {
         }
     }
 
-    /// Returns the number of thresholds to measure and of rollouts that this would take.
+    /// Returns the number of thresholds to measure and of rollouts that the measurement takes.
     pub fn prospect(campaign: &Subject, thresholds: &Thresholds) -> Prospect {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
         let mut prospect = Prospect {
@@ -270,7 +270,7 @@ impl Measured {
         }
     }
 
-    /// Lists the radii whose outcome is known to be a success, or a failure.
+    /// Lists the radii that succeed or, if `success` is false, those that fail.
     pub(crate) fn radii(&self, success: bool) -> String {
         let such = self.outcomes.iter();
         let such = such.filter(|it| it.outcome.success() == Some(success));
@@ -279,7 +279,7 @@ impl Measured {
     }
 }
 
-/// Returns the largest radius that succeeds, [`Level::L0`] if no perturbed rollout does.
+/// Returns the largest successful radius; [`Level::L0`] if no perturbed rollout succeeds.
 fn largest_success(outcomes: &Outcomes<Level>) -> Option<Level> {
     let succeeds = outcomes
         .perturbed()
@@ -363,7 +363,7 @@ fn push_half_success(text: &mut String, curves: &[&Curve]) {
     }
 }
 
-/// Says the delay up to which half of the configurations succeed, in whole control steps.
+/// Describes the delay up to which half of the configurations succeed, in whole control steps.
 pub(crate) fn bears(curve: &Curve) -> String {
     let delay = |radius: f64| {
         let steps = (radius * STEPS_PER_RADIUS).floor();

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use crate::names::{UnknownName, serde_as_text};
 
-/// Name of the axis beside the six of the protocol, of [`crate::AnyAxis`].
+/// Name of the latency axis, which [`crate::AnyAxis`] adds to the protocol's six.
 pub(crate) const LATENCY: &str = "latency";
 
 /// One kind of perturbation.

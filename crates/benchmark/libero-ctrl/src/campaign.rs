@@ -154,8 +154,8 @@ pub enum SpecError {
     },
     /// A campaign that follows from outcomes has a realisation other than `matched`.
     #[error(
-        "read campaign specification: `{field}` with `realisation` reference, in which an axis \
-         is another perturbation in each condition: write matched"
+        "read campaign specification: `{field}` with `realisation` reference, in which each \
+         condition perturbs an axis differently: write matched"
     )]
     Unmatched {
         /// The field that names the source campaign.
@@ -175,8 +175,8 @@ pub enum SpecError {
     },
     /// The execution model differs from that of the manifest's rows.
     #[error(
-        "read campaign specification: `execution` is {given}, and the rows of its manifest are \
-         under `{of_rows}`: leave `execution` out, or take it out of the rows"
+        "read campaign specification: `execution` is {given}, but the rows of its manifest have \
+         `{of_rows}`: leave `execution` out, or take it out of the rows"
     )]
     Execution {
         /// The campaign's model.
@@ -184,10 +184,10 @@ pub enum SpecError {
         /// Model of the rows.
         of_rows: Execution,
     },
-    /// The latency axis, in a campaign whose policy is late anyway.
+    /// The latency axis in a campaign whose execution model is not `wait`.
     #[error(
         "read campaign specification: axis `latency` with `execution` {given}: its rollouts are \
-         compared with some whose policy is not late; leave `execution` out, or take the axis out"
+         compared with rollouts without delay; leave `execution` out, or take the axis out"
     )]
     Latency {
         /// The campaign's model.
@@ -426,7 +426,7 @@ enum TextError {
          `manifest`, or `explains` another, or measures `thresholds` of another, or has `variants`"
     )]
     Missing(&'static str),
-    #[error("`{other}` beside `{field}`, which says what is run by itself: take one of them out")]
+    #[error("`{other}` beside `{field}`, which alone sets the rollouts: take one of them out")]
     Beside {
         other: &'static str,
         field: &'static str,

@@ -53,8 +53,8 @@ impl Condition {
         }
     }
 
-    /// Returns the benchmark's published name, used in rollout ids and manifests and hashed
-    /// into seeds. The name for people is [`Self::label`].
+    /// Returns the benchmark's published name, used in rollout ids and manifests and hashed into
+    /// seeds. The display name is [`Self::label`].
     pub fn name(self) -> &'static str {
         match self {
             Self::Clean => "clean",
@@ -66,7 +66,7 @@ impl Condition {
         }
     }
 
-    /// Returns the paper's name, used for people: `nominal`, the axes, or `simultaneous`.
+    /// Returns the display name, as in the paper: `nominal`, the axes, or `simultaneous`.
     pub fn label(self) -> &'static str {
         match self {
             Self::Clean => "nominal",

@@ -82,7 +82,7 @@ pub enum DesignError {
     /// A subset is not a proper subset of two or more of the design's axes.
     #[error(
         "`subsets` has {given}, valid are sets of two axes or more of {axes}, but not all of them: \
-         single axes and all at once are there anyway"
+         single axes and all at once always run"
     )]
     Subset {
         /// The set.
@@ -113,7 +113,7 @@ pub enum DesignError {
     /// The language axis has no paraphrases at a level of the design.
     #[error(
         "axis `language` has paraphrases at L1, L2 and L3 and not at {level}: \
-         take it out of `axes`, or import a manifest that says what is said"
+         take it out of `axes`, or import a manifest with its own instructions"
     )]
     NoParaphrase {
         /// The level.
@@ -323,7 +323,8 @@ impl Design {
         for subset in &self.subsets {
             text.push_str(subset.name());
         }
-        // The same holds for designs with shared directions and without a placebo.
+        // Own directions, latency and the placebo are appended only if present, for the same
+        // reason.
         if self.directions == Directions::Own {
             text.push_str("own directions");
         }
@@ -403,7 +404,7 @@ mod tests {
     fn only_the_whole_design_is_v0_1() {
         let whole = Design::v0_1();
         assert_eq!(whole.version().as_str(), "v0.1");
-        // The design draws nothing from the seed, so that the version is the same.
+        // The seed does not change the version, because the design draws nothing from it.
         let seeded = Design {
             seed: 7,
             ..whole.clone()

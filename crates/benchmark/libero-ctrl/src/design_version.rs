@@ -1,4 +1,4 @@
-//! Identifiers of designs: of a campaign's, a manifest's, or one that follows from outcomes.
+//! Identifiers of designs: of campaigns, of manifests, and of campaigns that follow from outcomes.
 
 use serde::Serialize;
 

@@ -66,7 +66,7 @@ pub struct ExecutionError {
 #[derive(Debug, thiserror::Error)]
 #[error("read measured latencies: {problem}; `policy-gateway check --latency FILE` writes them")]
 pub struct LatencyFileError {
-    /// A clause that says what is wrong with it.
+    /// Clause that names the fault of the file.
     problem: String,
 }
 
@@ -200,8 +200,8 @@ impl Delays {
         self.weighted[self.weighted.len() - 1].0
     }
 
-    /// Returns the delay of the response to a query. It is the same for all rollouts of a task
-    /// from the same initial state, whatever is perturbed, so that delays are matched too.
+    /// Returns the delay of the response to a query. It is the same for all rollouts of a task from
+    /// the same initial state, regardless of the perturbation, so that delays are matched too.
     pub fn of_query(&self, task: TaskRef, init_id: u16, query: u32) -> u16 {
         if let [(only, _)] = self.weighted[..] {
             return only;

@@ -19,8 +19,8 @@ use crate::row::ManifestRow;
 use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
 
 impl CampaignSpec {
-    /// Returns the campaign's rows in the order of [`Design::expand`], under its execution model:
-    /// those of its design, or those of its manifest.
+    /// Returns the rows of the campaign's design or manifest under its execution model, in the
+    /// order of [`Design::expand`].
     ///
     /// # Errors
     /// If the specification is invalid.

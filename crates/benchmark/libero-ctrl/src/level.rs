@@ -109,7 +109,7 @@ const LEAST_MICROS: u32 = MICROS / 1_000;
 /// Largest radius, micros; above it, a light's brightness would overflow single precision.
 const MOST_MICROS: u32 = 100 * MICROS;
 
-/// Parses a decimal number into micros; `None` if it is not one.
+/// Parses a decimal number into micros; `None` if the text is not a valid number.
 fn micros(text: &str) -> Option<u32> {
     let (whole, decimals) = text.split_once('.').unwrap_or((text, "0"));
     let digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());

@@ -170,7 +170,7 @@ pub enum LineProblem {
     Duplicate {
         /// The id.
         id: RolloutId,
-        /// Line in which it was first, from 1.
+        /// First line with the id, from 1.
         first: usize,
     },
     /// The initial state or parameters differ from those of the configuration's other rows,
@@ -184,7 +184,7 @@ pub enum LineProblem {
         /// Line of the row that it should agree with.
         first: usize,
     },
-    /// The execution model differs from that of the rows before.
+    /// The execution model differs from that of the first row.
     #[error(
         "{id}: execution model `{given}`, and `{expected}` in line {first}: make it a manifest \
              of its own"

@@ -1,4 +1,4 @@
-//! Identifiers of imported rows: of v0.1 if they are its rows, and of their own otherwise.
+//! Identifiers of imported rows: `v0.1` for exactly the rows of v0.1, otherwise a checksum.
 
 use crate::condition::Condition;
 use crate::design::Design;

@@ -10,13 +10,13 @@ use crate::thresholds::Thresholds;
 pub enum NotMeasurable {
     /// The rows are imported or follow from outcomes.
     #[error(
-        "its rows come from no design, so that nothing says what they are at another radius; \
+        "its rows come from no design, so that their values at another radius are unknown; \
          create a campaign with `tasks`, `axes` and `levels`"
     )]
     NoDesign,
     /// The campaign has no nominal rollouts, from which thresholds are measured.
     #[error(
-        "it has no nominal rollouts, from which a threshold is counted; create it with `nominal` \
+        "it has no nominal rollouts, from which thresholds are measured; create it with `nominal` \
          eval"
     )]
     NoNominal,
@@ -30,7 +30,7 @@ pub enum NotMeasurable {
     OtherCondition {
         /// The requested condition.
         given: &'static str,
-        /// Conditions that it runs, for people.
+        /// Conditions that the campaign runs, formatted for the message.
         valid: String,
     },
 }

@@ -8,7 +8,7 @@ pub struct UnknownName {
     pub kind: &'static str,
     /// Name given, verbatim.
     pub given: String,
-    /// Valid names, for people.
+    /// Valid names, formatted for the message.
     pub valid: String,
 }
 

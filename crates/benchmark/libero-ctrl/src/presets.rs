@@ -20,8 +20,8 @@ use crate::suite::{Suite, TaskRef};
 /// Number of presets per axis, and of configurations per task and level.
 pub const PRESETS: u16 = 10;
 
-/// Control steps without action before the policy starts. In them, the objects of the released
-/// initial states settle, which float above their supports.
+/// Control steps without action before the policy starts. Meanwhile the objects settle, because the
+/// released initial states place them above their supports.
 pub const SETTLE_STEPS: u32 = 10;
 
 /// Seed of NumPy's legacy generator before a scene is composed and before each

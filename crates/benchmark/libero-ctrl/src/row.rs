@@ -143,8 +143,7 @@ pub enum RowError {
         /// The row's initial state.
         given: u16,
     },
-    /// The placebo's radius is given for another row, missing in a placebo row, or out of
-    /// range.
+    /// The placebo radius is missing in a placebo row, given in any other row, or out of range.
     #[error(
         "read row {id}: `placebo_radius` is {}, write {} to {} in perturbed rows at L0, and \
          leave it out of others",
@@ -156,7 +155,7 @@ pub enum RowError {
         /// The row's radius.
         given: Option<f64>,
     },
-    /// A row of the latency axis has another delay than that of its level.
+    /// The delay of a latency row is not that of its level.
     #[error(
         "read row {id}: `execution` is {given}, write the delay of its level: {}",
         expected.as_ref().map_or("L1, L2, L3 or an even radius".to_owned(), Execution::to_string)

@@ -75,8 +75,8 @@ pub enum StopError {
     NotSimultaneous,
     /// The rule has clauses about new tasks and others.
     #[error(
-        "`stop` with clauses for new tasks and others: those need whole tasks one after another, \
-         these every task from the start; write clauses of one kind"
+        "`stop` with clauses for new tasks, which need whole tasks one after another, and others, \
+         which need every task from the start; write clauses of one kind"
     )]
     BothKinds,
     /// The strata do not fit the rule.
@@ -91,7 +91,7 @@ pub enum StopError {
     },
     /// The campaign has several replicates.
     #[error(
-        "`stop` with {given} `replicates`: its intervals are about one rollout of each; write 1, \
+        "`stop` with {given} `replicates`: its intervals rest on one replicate; write 1, \
          or take `stop` out"
     )]
     Replicates {

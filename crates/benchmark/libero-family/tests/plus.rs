@@ -12,7 +12,7 @@ use sha2::{Digest, Sha256};
 
 const RECORDED: &str = include_str!("recorded/plus.txt");
 
-/// Asserts that lines have the recorded digest.
+/// Asserts that the lines have the recorded digest.
 fn check(what: &str, lines: &[String]) {
     let recorded = RECORDED.lines().find(|line| line.starts_with(what));
     let fields: Vec<&str> = recorded.unwrap().split(' ').collect();

@@ -271,8 +271,8 @@ fn sharer<'a>(goal: &'a [Predicate], predicate: &Predicate) -> Option<&'a str> {
         .map(String::as_str)
 }
 
-/// Returns the place's own side, or the opposite one if `other` is already there and nearer to
-/// the own side.
+/// Returns the place's own side of the target, or the opposite one if `other` is already at the
+/// target and leaves more room there.
 fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<f64, ExpertError> {
     let (object, other) = (world.entity(object)?, world.entity(other)?);
     if !place.holds(world, other)? {

@@ -17,7 +17,7 @@ const PINCH_DEPTH_M: f64 = 0.025;
 /// Depth of the grip point below an object's top when gripping a rim, m.
 const RIM_DEPTH_M: f64 = 0.014;
 /// Distances of the grip point inside the side of the box when gripping a rim, m. At larger
-/// ones the closing fingers pull the rim to their centre, which helps if a container's wall
+/// distances the closing fingers pull the rim to their centre, which helps if a container's wall
 /// leaves the outer finger little room.
 const RIM_INSETS_M: [f64; 3] = [0.006, 0.016, 0.026];
 /// Clearance of the fingertips above the object's support, m.
@@ -32,9 +32,9 @@ const ROUND_RATIO: f64 = 1.12;
 const OFF_CENTRE: [f64; 5] = [0.0, 0.25, -0.25, 0.5, -0.5];
 /// Reach of an open finger from the grip point, m.
 const FINGER_REACH_M: f64 = 0.058;
-/// Penalties of a grasp, in equivalent rotation of the hand: a closing direction a quarter
-/// turn away from the wish, rad; a part of the hand in collision, rad; a finger in a wall, an
-/// arm stretched too far, and a rim point on the low side of a tilted body, rad per m.
+/// Penalties of a grasp, in equivalent rotation of the hand: a closing direction a quarter turn
+/// from the required one, rad; a part of the hand in collision, rad; a finger in a wall, an
+/// overstretched arm, and a rim point on the low side of a tilted body, rad per m.
 const ASKEW_WEIGHT: f64 = 3.0;
 const COLLISION_WEIGHT: f64 = 4.0;
 const WALL_WEIGHT: f64 = 140.0;
@@ -45,8 +45,7 @@ const TILT_WEIGHT: f64 = 150.0;
 /// is capped, m.
 const AWAY_WEIGHT: f64 = 6.0;
 const AWAY_M: f64 = 0.15;
-/// Penalty on a change of grasp, rad, and the distances within which two grasps count as
-/// one.
+/// Penalty on a change of grasp, rad, and the distances within which two grasps count as the same.
 const FICKLE_COST: f64 = 0.5;
 const ALIKE_M: f64 = 0.02;
 const ALIKE_RAD: f64 = 0.3;

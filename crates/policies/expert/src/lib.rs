@@ -35,9 +35,9 @@ const PATIENCE_STEPS: u32 = 20;
 /// Distances from the target beyond which the hand is far from it, m and rad.
 const FAR_M: f64 = 0.012;
 const FAR_RAD: f64 = 0.25;
-/// Number of steps of the way back of a stuck hand; half of them go up.
+/// Number of steps of a stuck hand's retreat: up in the first half, back to rest in the second.
 const BACKING_STEPS: u32 = 32;
-/// Height above the hand of the target of an upward step, m.
+/// Height of the target of an upward step above the hand, m.
 const STEP_M: f64 = 0.05;
 
 /// State of the scripted policy in one rollout. A clone continues like the original.
@@ -50,7 +50,7 @@ pub struct Expert {
     shoulder: Option<Vec3>,
     /// Number of consecutive own steps in which the hand was far from its target.
     far_steps: u32,
-    /// Remaining steps of the way back of a stuck hand.
+    /// Remaining steps of a stuck hand's retreat.
     backing_steps: u32,
     /// True if another controller has driven the robot since the last action.
     is_interrupted: bool,

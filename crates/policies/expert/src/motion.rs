@@ -68,7 +68,7 @@ impl HandPose {
         }
     }
 
-    /// Angle between the hand's orientation and this one, rad.
+    /// Angle between the hand's current orientation and that of this pose, rad.
     pub(crate) fn turn_from(self, world: &World) -> f64 {
         let turn = self.quat.after(world.grip_quat.inverse());
         turn.rotation_vector().norm()

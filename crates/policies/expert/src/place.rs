@@ -70,8 +70,10 @@ enum Entry {
 }
 
 impl Place {
+    /// Resolves the place to current poses.
+    ///
     /// # Errors
-    /// Names a target that the scene lacks.
+    /// If the scene lacks the target.
     pub(crate) fn spot(&self, world: &World, object: &Entity) -> Result<Spot, ExpertError> {
         let target = world.entity(&self.target)?;
         let half_height = target.upright_half_height();

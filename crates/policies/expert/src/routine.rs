@@ -15,8 +15,9 @@ use crate::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
 
 /// Joint position beyond which a drawer counts as open, m.
 pub(crate) const OPEN_M: f64 = -0.14;
-/// Joint positions at which a drawer is released, m: to count as open, and to receive an
-/// object, which is less far to leave room for the hand beneath. The drawer coasts a little.
+/// Joint positions at which a drawer is released, m; it then coasts a little. At the first, the
+/// drawer counts as open; the second, for a drawer that receives an object, is less far to leave
+/// room for the hand beneath.
 pub(crate) const DRAWER_OPEN_M: f64 = -0.155;
 pub(crate) const DRAWER_AJAR_M: f64 = -0.118;
 /// Joint position at which a drawer is safely closed, m; it counts as closed above 0.
@@ -29,8 +30,8 @@ const PUSH_TILT: f64 = 0.6;
 const KNOB_ON: f64 = 0.8;
 /// Depth of the grip point below the top of the knob's ridge, m.
 const KNOB_DEPTH_M: f64 = 0.018;
-/// Position of the microwave's hinge in its own axes, and height of the door's top above its
-/// origin, m.
+/// Position of the microwave's hinge, and height of the top of its door above its origin, m, both
+/// in the microwave's own axes.
 const HINGE: Vec3 = Vec3::new(-0.1725, -0.088, 0.0);
 const DOOR_TOP_M: f64 = 0.188;
 /// Contact point of the hand, m: distance from the hinge along the door, depth below the top
@@ -52,9 +53,9 @@ const NEAR_RAD: f64 = 0.1;
 const FINGER_STEPS: u32 = 8;
 /// Number of steps after which a stage without progress ends.
 const PATIENCE_STEPS: u32 = 80;
-/// Tolerances for recognising the stage, m: distance of the hand from its path; from a handle
-/// or knob at which it closes; at which it holds it; and height above the contact point at
-/// which it presses.
+/// Tolerances for recognising the stage, m: distance of the hand from its path; distances from a
+/// handle or knob at which the hand closes and at which it holds; and height above the contact
+/// point at which it presses.
 const ASIDE_M: f64 = 0.02;
 const AT_M: f64 = 0.012;
 const HELD_M: f64 = 0.025;

@@ -10,7 +10,7 @@ use transport::{Settings, Trouble, answer, is_outage_code};
 
 use crate::cause::Cause;
 
-/// Names, in messages, of the settings with which a gateway's user addresses a policy server.
+/// Names of a gateway's settings for a policy server, for messages about failed connections.
 pub(crate) const SETTINGS: Settings = Settings {
     address: "its route",
     authority: "`ca` of the policy",
@@ -23,7 +23,7 @@ pub(crate) const SETTINGS: Settings = Settings {
 #[tonic::async_trait]
 pub trait Backend: fmt::Display + Send + Sync {
     /// Describes the policy and its inputs, with the checkpoint for `suite` if
-    /// it has several. Speaks [`proto::PROTOCOL_VERSION`].
+    /// it has several. The protocol version is [`proto::PROTOCOL_VERSION`].
     ///
     /// # Errors
     /// See [`BackendError`], as for every method here.
@@ -76,8 +76,8 @@ pub enum BackendError {
     },
     /// The server rejected the gateway's credentials.
     #[error(
-        "the policy server at {address} does not let this gateway in: {reason}; put a token that \
-         it knows into the `token_file` of the policy, then reload the configuration (SIGHUP)"
+        "the policy server at {address} rejects this gateway's token: {reason}; put a token that \
+         it accepts into the `token_file` of the policy, then reload the configuration (SIGHUP)"
     )]
     Barred {
         /// host:port.
@@ -85,7 +85,7 @@ pub enum BackendError {
         /// Reason that the server gave.
         reason: String,
     },
-    /// The server is out; only a probe is let through until it answers.
+    /// The server is out of service; only probes are sent until one is answered.
     #[error("{backend} {cause}; it is tried again in {:.1} s", retry_in.as_secs_f64())]
     Out {
         /// Back-end as configured.
@@ -112,7 +112,7 @@ pub enum BackendError {
         cause: Cause,
     },
     /// The policy's description cannot be used.
-    #[error("policy {policy:?} describes itself wrongly: {fault}")]
+    #[error("policy {policy:?} has an invalid description: {fault}")]
     Description {
         /// The policy's own name.
         policy: String,
@@ -135,15 +135,15 @@ pub enum BackendError {
         fault: ActionFault,
     },
     /// The queue of the policy's server is full.
-    #[error("{queued} queries wait for their batch already; try again later")]
+    #[error("{queued} queries are already waiting for a batch; try again later")]
     QueueFull {
         /// Number of queries in the queue.
         queued: usize,
     },
     /// The query timed out in the queue of a busy server.
     #[error(
-        "{backend} has more queries before it than it answers within {:.0} s; run fewer slots, or \
-         give its route more replicas",
+        "{backend} has more queries in its queue than it answers within {:.0} s; run fewer slots, \
+         or give its route more replicas",
         waited.as_secs_f64()
     )]
     Crowded {

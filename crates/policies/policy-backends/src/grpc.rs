@@ -133,7 +133,7 @@ impl GrpcBackend {
         })
     }
 
-    /// Makes one call, and tells an unreachable server from an answer with an error.
+    /// Makes one call. Distinguishes an unreachable server from a server that returned an error.
     async fn call<T>(
         &self,
         call: impl Future<Output = Result<Response<T>, Status>>,

@@ -235,7 +235,7 @@ pub enum RecordingError {
         source: io::Error,
     },
     /// The file is damaged or not a recording.
-    #[error("read {path:?} as a recording: it is none, or damaged; record the session again")]
+    #[error("read {path:?} as a recording: it is damaged or not one; record the session again")]
     Broken {
         /// Path of the file.
         path: PathBuf,

@@ -70,7 +70,7 @@ impl Replay {
         }
         let (_, mut described) = described.unwrap_or_default();
         described.batch_mode = BATCH_MODE.to_owned();
-        // Batches would not make recordings any faster.
+        // Replay gains no speed from batches.
         described.max_batch = 1;
         Ok(Self {
             folder: folder.to_owned(),

@@ -1,12 +1,12 @@
-//! Texts of policy servers, made fit for messages and the log. Pure.
+//! Shortens texts of policy servers to one line for messages and the log. Pure function.
 
 /// Longest text of a server in a message, bytes: as much as a coordinator stores of an error.
 pub const MAX_TOLD_BYTES: usize = 4_096;
 /// Mark of a truncated text.
 const CUT: &str = " …";
 
-/// Returns a text in one line of at most [`MAX_TOLD_BYTES`]. A line feed in it could end a line of
-/// the log and forge the next one.
+/// Returns a text in one line of at most [`MAX_TOLD_BYTES`]. A line feed in a server's text could
+/// forge a line of the log.
 pub fn told(text: &str) -> String {
     let mut told = String::new();
     let lines = text

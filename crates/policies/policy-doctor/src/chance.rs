@@ -8,7 +8,7 @@ use crate::{
     server::ExaminationError,
 };
 
-/// Largest difference between equal answers: batches and kernels change low-order bits.
+/// Largest difference of answers that count as equal: batches and kernels change low-order bits.
 pub(crate) const REPEATABLE: f64 = BATCH_TOLERANCE as f64;
 /// Number of situations that are queried again.
 const SITUATIONS: usize = 3;

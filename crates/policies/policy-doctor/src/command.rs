@@ -24,12 +24,12 @@ use crate::{
 /// Situations that servers are shown.
 #[derive(Clone, Debug, Args)]
 struct Shown {
-    /// Show what was recorded in this folder by `policy-gateway record`, in place of
-    /// made-up scenes
+    /// Send the observations that `policy-gateway record` recorded in this folder, in
+    /// place of synthetic scenes
     #[arg(long, value_name = "DIR")]
     recorded: Option<PathBuf>,
 
-    /// The suite of made-up tasks
+    /// Suite of the synthetic tasks
     #[arg(long, value_name = "SUITE", default_value_t = Suite::Object, conflicts_with = "recorded")]
     suite: Suite,
 
@@ -49,7 +49,7 @@ pub struct Compare {
     #[arg(value_name = "URL-A")]
     a: BackendSpec,
 
-    /// The other one
+    /// The other server
     #[arg(value_name = "URL-B")]
     b: BackendSpec,
 
@@ -65,12 +65,12 @@ pub struct Doctor {
     #[arg(value_name = "URL")]
     url: BackendSpec,
 
-    /// Seconds that a gateway gives it for an answer (answer_within_secs there)
+    /// Seconds that a gateway waits for an answer (its answer_within_secs)
     #[arg(long, value_name = "SECS", default_value_t = DEFAULT_ANSWER_WITHIN.as_secs(),
         value_parser = number(1..=3600_u64, "seconds"))]
     answer_within: u64,
 
-    /// Episodes to play to see whether its memory grows
+    /// Episodes to play in order to detect growing memory
     #[arg(long, value_name = "N", default_value_t = 30,
         value_parser = number(0..=100_000_u32, "episodes"))]
     episodes: u32,

@@ -21,7 +21,7 @@ use crate::{
 const AVERAGED: usize = 8;
 /// Number of standard errors within which two means count as equal.
 const ERRORS: f64 = 2.5;
-/// Largest share of a difference that an explanation by frame size may leave.
+/// Largest share of a difference that an explanation by frame size may leave unexplained.
 const LEFT_OF_SIZE: f64 = 0.4;
 /// Share of the answers' variation below which differences count as rounding.
 const ROUNDING: f64 = 0.02;

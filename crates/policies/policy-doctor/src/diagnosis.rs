@@ -42,7 +42,7 @@ impl Point {
         Self::Frames,
         Self::Instructions,
         Self::Gripper,
-        // Sends many queries, which improves the percentiles of the latency.
+        // Precedes the latency check, whose percentiles include the many queries of this check.
         Self::Memory,
         Self::Latency,
     ];

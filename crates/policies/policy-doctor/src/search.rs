@@ -15,8 +15,8 @@ const MOST_TOGETHER: usize = 3;
 /// accepted.
 const PROGRESS: f64 = 0.75;
 
-/// Largest share of a difference that an explanation may leave; a larger remainder is a separate
-/// difference.
+/// Largest share of a difference that an explanation may leave unexplained; a larger remainder is a
+/// separate difference.
 const LEFT: f64 = 0.1;
 
 /// Setup of a search: the servers, the situations and the seeds.
@@ -92,7 +92,7 @@ impl Course<'_> {
         Ok(Found::Explained(explained))
     }
 
-    /// Returns the largest remainder that counts as none for a difference of this size.
+    /// Returns the largest remainder that counts as explained for a difference of this size.
     fn limit(&self, apart: Limit) -> Limit {
         std::array::from_fn(|at| self.floor[at].max(LEFT * apart[at]))
     }

@@ -202,7 +202,7 @@ pub enum ExaminationError {
         problem: String,
     },
     /// The server's description cannot be used.
-    #[error("use what {url} says of itself: {fault}; `policy-gateway check {url}` says more")]
+    #[error("use the description of {url}: {fault}; `policy-gateway check {url}` shows more")]
     Description {
         /// URL as given.
         url: String,
@@ -210,7 +210,7 @@ pub enum ExaminationError {
         fault: DescriptionFault,
     },
     /// The server's answer is not a valid chunk of actions.
-    #[error("compare what {url} answers: {fault}; `policy-gateway doctor {url}` says more")]
+    #[error("compare the answers of {url}: {fault}; `policy-gateway doctor {url}` shows more")]
     Nonsense {
         /// URL as given.
         url: String,
@@ -219,8 +219,8 @@ pub enum ExaminationError {
     },
     /// The recordings lack an input that the server needs.
     #[error(
-        "show {url} what was recorded: it wants {missing}, which the recordings lack; record a \
-         policy that wants them too, or leave --recorded out"
+        "query {url} with recorded observations: it needs {missing}, which the recordings lack; \
+         record a policy that needs them, too, or leave --recorded out"
     )]
     Lacking {
         /// URL as given.

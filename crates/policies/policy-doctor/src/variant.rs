@@ -132,8 +132,8 @@ impl Variant {
         }
     }
 
-    /// Returns true if applying the variant twice changes nothing, so that it is equivalent to
-    /// apply it to either of two servers.
+    /// Returns true if applying the variant twice changes nothing, so that applying it to either of
+    /// two servers is equivalent.
     pub(crate) fn is_its_own_inverse(&self) -> bool {
         match self {
             Self::Turned(turn, _) => !matches!(turn, Turn::Left | Turn::Right),

@@ -19,9 +19,9 @@ pub(crate) const WINDOW: usize = 9;
 const MIDDLE: usize = 4;
 /// Number of output positions gathered at a time.
 const PLACES: usize = 256;
-/// Number of channels gathered at a time; with [`PLACES`] small enough for the columns to fit
-/// in the level-2 cache. The bits of the result depend on it, because each gathering is a run
-/// of the product.
+/// Number of channels gathered at a time; with [`PLACES`] small enough for the columns to fit in
+/// the level-2 cache. The bits of the result depend on this number, because the channels gathered
+/// at a time form one run of the product.
 const CHANNELS: usize = 16;
 
 /// Columns of a range of output positions, for a range of input channels.

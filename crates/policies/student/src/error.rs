@@ -96,8 +96,8 @@ pub enum QueryError {
         expected: usize,
     },
     #[error(
-        "query {query}: number {place} of {reading} is {value}, which is not finite: look for what \
-         the simulator or the client sent"
+        "query {query}: number {place} of {reading} is {value}, which is not finite: check the \
+         values that the simulator or the client sent"
     )]
     State {
         /// Index of the query, counted from 0.

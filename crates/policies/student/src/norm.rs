@@ -17,8 +17,8 @@ pub(crate) struct GroupNorm {
     bias: Vec<f32>,
 }
 
-/// Modulation of channels by the text: first factor − 1 for each channel, then a shift for
-/// each.
+/// Modulation of channels by the text: factor − 1 of every channel, then the shift of every
+/// channel.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Film<'a>(pub(crate) &'a [f32]);
 

@@ -60,7 +60,7 @@ pub(crate) struct Matrix<'a> {
 }
 
 impl<'a> Matrix<'a> {
-    /// Row after row.
+    /// Creates a view of a matrix stored row by row.
     pub(crate) fn new(values: &'a [f32], rows: usize, columns: usize) -> Self {
         Self::with_strides(values, [rows, columns], [columns, 1])
     }
@@ -119,7 +119,7 @@ pub(crate) struct MatrixMut<'a> {
 }
 
 impl<'a> MatrixMut<'a> {
-    /// Row after row.
+    /// Creates a view of a matrix stored row by row.
     pub(crate) fn new(values: &'a mut [f32], rows: usize, columns: usize) -> Self {
         Self::with_stride(values, [rows, columns], columns)
     }

@@ -12,7 +12,7 @@ use crate::error::WeightsError;
 const COARSE: &str = "rollout-student/1";
 const FINE: &str = "rollout-student/2";
 
-/// Tensors of a file, to be taken by the layers; each must be taken by one.
+/// Tensors of a file; each must be taken by exactly one layer.
 #[derive(Debug)]
 pub(crate) struct Tensors<'a> {
     file: SafeTensors<'a>,

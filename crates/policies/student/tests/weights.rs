@@ -10,7 +10,7 @@ fn refusal(weights: &Weights) -> WeightsError {
     Network::from_safetensors(&weights.bytes()).expect_err("a refusal")
 }
 
-/// Returns the refusal of weights that `change` has made invalid.
+/// Returns the error for weights that `change` has made invalid.
 fn spoilt(change: impl FnOnce(&mut Weights)) -> WeightsError {
     let mut weights = Weights::random(3);
     change(&mut weights);

@@ -35,8 +35,8 @@ pub struct SystemClock {
     running: Instant,
 }
 
-/// A clock that stands still until it is moved: for tests, and for replaying a
-/// recorded sequence of events.
+/// A clock that changes only by [`ManualClock::advance`]: for tests, and for replaying a recorded
+/// sequence of events.
 #[derive(Debug, Default)]
 pub struct ManualClock(AtomicI64);
 
@@ -60,7 +60,7 @@ impl UnixMillis {
 }
 
 impl SystemClock {
-    /// A clock that starts now.
+    /// Creates a clock that starts at the current wall-clock time.
     #[allow(
         clippy::disallowed_methods,
         reason = "the one place where the machine's clocks are read"
@@ -83,7 +83,7 @@ impl Clock for SystemClock {
 }
 
 impl ManualClock {
-    /// A clock that shows `now`.
+    /// Creates a clock set to `now`.
     pub fn at(now: UnixMillis) -> ManualClock {
         ManualClock(AtomicI64::new(now.0))
     }

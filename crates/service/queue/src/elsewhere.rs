@@ -1,9 +1,9 @@
-//! Storage of videos beyond the data folder, as a trait, so that tests and programs can choose it.
+//! Remote storage of videos, as a trait, so that programs and tests can choose the implementation.
 
 use std::future::Future;
 use std::pin::Pin;
 
-/// Storage of videos beyond the data folder, addressed by their paths below the data folder.
+/// Remote storage of videos, addressed by their paths below the data folder.
 pub trait Elsewhere: Send + Sync {
     /// Removes everything below a folder, or returns the reason why it cannot.
     fn remove<'a>(

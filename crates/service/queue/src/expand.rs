@@ -25,7 +25,7 @@ pub struct NewCampaign {
     /// Name of the policy at its endpoint.
     pub policy: String,
     pub policy_endpoint: String,
-    /// "matched" or "reference".
+    /// Realisation: "matched" or "reference".
     pub realisation: String,
     /// Text of its execution model.
     pub execution: String,
@@ -51,7 +51,7 @@ pub struct NewCampaign {
 pub struct NewJob {
     pub rollout_id: String,
     pub replicate: u32,
-    /// "libero_goal/3".
+    /// Task, such as "libero_goal/3".
     pub task: String,
     /// Id of the initial state.
     pub init_id: u16,

@@ -47,7 +47,7 @@ pub enum CheckError {
     },
 }
 
-/// Name of the invariant that a database with a foreign schema violates.
+/// Name of the invariant that a database violates if its schema differs from this program's.
 pub(crate) const SCHEMA_INVARIANT: &str = "schema_is_the_programs";
 
 /// All invariants, in the order in which they are checked. Queries may use `known_schema`, a

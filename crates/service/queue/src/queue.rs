@@ -1,4 +1,4 @@
-//! Entry point for the requests of workers and operators. Every answer is given after its
+//! Entry point for the requests of workers and operators. Answers are sent only after their
 //! transaction is on disk.
 
 use std::sync::Arc;
@@ -199,7 +199,8 @@ impl Queue {
         self.ask(Operation::Heartbeat(pending), answer).await
     }
 
-    /// Notes the number of videos that a worker draws or sends, as its accepted heartbeat reports.
+    /// Records the number of videos that a worker renders or uploads, as reported by its accepted
+    /// heartbeat.
     pub fn note_filming(&self, worker: &WorkerId, videos: u32) {
         let now = self.now();
         let alive_since = now.minus(self.timing().worker_alive);
@@ -263,11 +264,12 @@ impl Queue {
         self.shared.draining.send_replace(true);
     }
 
-    /// Suspends leasing while there is a reason to, and resumes when there is none; logs both
-    /// changes once. Attempts in progress continue.
+    /// Suspends leasing while `reason` is given, and resumes it when `reason` is `None`; logs each
+    /// change once. Attempts in progress continue.
     pub fn hold_leasing(&self, reason: Option<String>) {
         let changed = self.shared.hold.send_if_modified(|held| {
-            // The text of the reason may change each time a disk that fills up is measured.
+            // The text of the reason may change whenever the free space of a filling disk is
+            // measured.
             let changed = held.is_some() != reason.is_some();
             held.clone_from(&reason);
             changed

@@ -1,8 +1,8 @@
 //! Read access: one consistent view for any number of queries. Used by the web page, the command
 //! line and reports; workers never wait for it.
 
-/// Policy control steps of a leased `job`: workers also count the steps in which the scene settles,
-/// which results and budgets leave out.
+/// Policy control steps of a leased `job`. Workers also count the settling steps, which results and
+/// budgets exclude.
 macro_rules! policy_steps {
     () => {
         "iif(control_steps IS NULL, NULL, max(0, control_steps
@@ -55,7 +55,7 @@ pub struct View {
     timing: Timing,
     /// Reason why leasing is suspended; `None` while jobs are leased.
     held: Option<String>,
-    /// Videos that workers draw or send; workers without any are left out.
+    /// Number of videos that each worker renders or uploads; workers without videos are absent.
     filming: BTreeMap<WorkerId, u32>,
     /// Counts of settling transactions, and how many had been processed when the view began.
     settled: Arc<Settled>,

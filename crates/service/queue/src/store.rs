@@ -117,15 +117,15 @@ pub enum StoreError {
     /// contents are lost when this process ends.
     #[error(
         "write to the database: the data folder {} is gone, or another database is in its \
-         place; `coordinator backup --output FILE` saves what was committed while this \
-         coordinator runs, which nothing can be added to",
+         place. Nothing more can be stored; while this coordinator runs, \
+         `coordinator backup --output FILE` saves what was committed",
         folder.display()
     )]
     Gone { folder: PathBuf },
 }
 
 impl StoreError {
-    /// Returns true if a stored value could not be decoded: trying again fails again.
+    /// Returns true if a stored value could not be decoded, so that a retry fails again.
     pub(crate) fn is_undecodable(&self) -> bool {
         let Self::Statement { source, .. } = self else {
             return false;
@@ -175,12 +175,12 @@ pub(crate) fn undecodable(
     sqlx::Error::Decode(error.into())
 }
 
-/// Length of the log at which a transaction checkpoints it while everybody waits, in pages: 64 MiB.
-/// [`Store::checkpoint`] normally runs before.
+/// Log size, in pages, at which a commit checkpoints the log while all other transactions wait: 64
+/// MiB. [`Store::checkpoint`] normally runs earlier.
 const LARGEST_LOG_PAGES: &str = "16384";
 /// Page cache of the writer, KiB, negative as SQLite's `cache_size` expects it.
 const WRITER_CACHE_KIB: &str = "-65536";
-/// Batch sizes of inserting statements: only a few, so that the statements stay prepared.
+/// Batch sizes of INSERT statements: only a few, so that each statement stays prepared.
 const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
 
 /// Splits rows into batches of these sizes.
@@ -306,7 +306,7 @@ impl Store {
         there.is_ok_and(|there| there == self.file)
     }
 
-    /// Begins a read transaction on the currently committed state, which it sees until it ends.
+    /// Begins a read transaction, to which commits after this instant are invisible.
     pub(crate) async fn read(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
         self.readers.begin().await.doing("begin reading")
     }
@@ -359,7 +359,7 @@ const UNDIVIDED_THIRD: [u8; 48] = *b"\
     \x30\x2b\xa4\x76\x20\xbd\x0b\x1f\xd5\x10\x42\x84\x08\x82\x47\x0f\
     \xdc\x2a\x62\x6d\x4a\xf0\x1e\x92\xd7\xfb\xb7\xec\x1d\xf4\xa6\x71";
 
-/// Marks both migrations as applied in a database of a program that had them as one.
+/// Marks both migrations as applied in a database to which the undivided migration was applied.
 async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> {
     let known = "SELECT count(*) FROM sqlite_schema WHERE name = '_sqlx_migrations'";
     if sqlx::query_scalar::<_, i64>(known)

@@ -1,4 +1,4 @@
-//! Background tasks with names, so that the one that ended can be named.
+//! Named background tasks: when a task ends, the queue can report which one.
 
 use std::collections::HashMap;
 use std::future::Future;

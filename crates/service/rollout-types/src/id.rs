@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 /// Globally unique id of an attempt at a rollout: 128 random bits, drawn when its lease is granted.
 /// As text, 32 digits of lower-case hex.
 ///
-/// Job numbers, attempt numbers and worker names do not identify an attempt: numbers of deleted
-/// campaigns are reused, and two coordinators assign the same numbers.
+/// Job numbers, attempt numbers and worker names do not identify an attempt, since two coordinators
+/// assign the same ones.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct AttemptId(u128);

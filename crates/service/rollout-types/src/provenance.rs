@@ -12,7 +12,7 @@ pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
 /// Name of the setting that holds the asset pack on which a policy was trained.
 pub const TAUGHT_ON: &str = "taught on";
 
-/// Name of the setting with the execution model, where it is not [`WAIT`].
+/// Name of the setting that holds the execution model; absent for [`WAIT`].
 pub const EXECUTION: &str = "execution model";
 
 /// The execution model of results that name none.
@@ -46,7 +46,7 @@ pub struct Provenance {
     /// equal bits. Empty in results of database schema 1.
     #[serde(default)]
     pub fingerprint: String,
-    /// "matched" or "reference".
+    /// Realisation mode: "matched" or "reference".
     pub realisation: String,
     /// Name that the policy reports.
     pub policy_name: String,
@@ -126,8 +126,8 @@ impl Provenance {
             .map_or(WAIT, String::as_str)
     }
 
-    /// Returns the asset pack that the policy reports to be trained on, if it differs from the one
-    /// that the policy was measured on.
+    /// Returns the asset pack that the policy reports to have been trained on, if it differs from
+    /// the one that the policy was measured on.
     pub fn taught_elsewhere(&self) -> Option<&str> {
         let taught_on = self.policy_settings.get(TAUGHT_ON)?.as_str();
         let Pin {
@@ -139,8 +139,9 @@ impl Provenance {
     }
 
     /// Describes the first difference between the policies of two results of one campaign and
-    /// suite; `None` if they are the same. Ignores the row's execution model, and reported training
-    /// assets: these affect no action, and a server may start to report them.
+    /// suite; `None` if they are the same. Ignores the row's execution model and the reported
+    /// training assets: neither affects the policy's actions, and a server may begin to report them
+    /// later.
     pub fn other_policy(&self, pinned: &Provenance) -> Option<String> {
         let differs = |what: &str, here: &str, there: &str| {
             (here != there).then(|| format!("{what} is `{here}` now and was `{there}`"))

@@ -33,7 +33,7 @@ pub struct GoalProgress {
     pub predicates: u32,
     /// Predicates that held after the last control step.
     pub at_end: u32,
-    /// Most predicates that held together, from the initial rest to the last control step.
+    /// Most predicates that held together, from the settled initial state to the last control step.
     pub at_most: u32,
 }
 

@@ -20,7 +20,7 @@ use tonic::{Code, Status};
 const MAX_NEXT_BYTES: usize = 512;
 /// Longest session id that is looked up, bytes.
 const MAX_SESSION_BYTES: usize = 64;
-/// Headers that tell the origin of a request, relative to the page's site. Browsers send these
+/// Headers that report the origin of a request, relative to the page's site. Browsers send these
 /// three with every request to a trustworthy address, loopback included.
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
@@ -127,7 +127,7 @@ fn host<B>(request: &Request<B>) -> &str {
 }
 
 /// Returns false if the request's `Origin` is another site. Schemes are not compared, since a
-/// server behind a TLS proxy does not know its own.
+/// server behind a TLS proxy does not know the scheme of its address.
 fn is_own_origin(headers: &HeaderMap, host: &str) -> bool {
     let mut origins = headers.get_all(header::ORIGIN).iter();
     origins.all(|origin| {
@@ -162,8 +162,8 @@ fn is_private_name(host: &str) -> bool {
     name.parse::<IpAddr>().is_ok() || (!name.is_empty() && !name.contains('.'))
 }
 
-/// A refusal for a caller that does not speak gRPC: a browser that must log in is redirected to
-/// the form at `log_in`, any other caller gets a line of text.
+/// Refuses a request that is not a gRPC call: redirects a browser that must log in to the form at
+/// `log_in`, and answers any other caller with a line of text.
 pub(crate) fn refusal<B>(
     status: &Status,
     request: &Request<B>,

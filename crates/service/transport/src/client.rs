@@ -63,9 +63,9 @@ pub struct Bearer {
     value: Option<MetadataValue<Ascii>>,
 }
 
-/// Connects to servers on this machine, and gives up a connection over which a token may not be
-/// sent unencrypted. A channel connects again whenever a connection breaks, so only the connection
-/// itself can be checked.
+/// Connects to servers on this machine, and drops a connection over which a token may not be sent
+/// unencrypted. The check is per connection, because a channel reconnects whenever its connection
+/// breaks.
 #[derive(Clone, Copy, Debug)]
 struct LocalConnector;
 
@@ -114,7 +114,7 @@ impl ClientArguments {
 }
 
 impl Access {
-    /// Returns no credentials: for servers on this machine.
+    /// Returns empty credentials, for servers on this machine.
     pub fn none() -> Access {
         Access::default()
     }
@@ -158,7 +158,7 @@ impl Access {
     /// this machine.
     ///
     /// # Errors
-    /// If no certificate can be for the endpoint's host.
+    /// If the endpoint's host is not a name or address that a certificate can contain.
     pub fn connect_lazy(&self, endpoint: Endpoint) -> Result<Connection, AccessError> {
         let bearer = self.bearer(endpoint.uri());
         let channel = match self.shows_token_in_clear(endpoint.uri()) {
@@ -185,7 +185,8 @@ impl Access {
     /// over it.
     ///
     /// # Errors
-    /// The finding, if the token would be sent unencrypted to another user of this machine.
+    /// If the token would be sent unencrypted to another user of this machine; the error is the
+    /// finding.
     pub async fn check_connection(&self, uri: &Uri, connection: &TcpStream) -> Result<(), Found> {
         match self.shows_token_in_clear(uri) {
             true => check_server(connection).await.map_err(Found::from),
@@ -212,7 +213,7 @@ impl Access {
     /// if the list is empty.
     pub(crate) fn tls(&self, protocols: &[&[u8]]) -> std::io::Result<TlsConnector> {
         let wrong = std::io::Error::other;
-        // Was parsed and checked when it was read.
+        // The certificates were checked when their file was read.
         let roots =
             roots(self.ca.as_deref().unwrap_or_default()).unwrap_or_else(RootCertStore::empty);
         let provider = Arc::new(crypto::ring::default_provider());
@@ -351,7 +352,7 @@ mod tests {
         }
     }
 
-    /// A program of another user that listens at a port, and prints how many bytes it is sent.
+    /// Program of another user that listens on a port and prints the number of bytes received.
     const STRANGER: &str = "
 import os, socket, sys
 os.setuid(4242)
@@ -360,7 +361,7 @@ print('listening', flush=True)
 print('got', len(listener.accept()[0].recv(1000)), flush=True)
 ";
 
-    /// A channel that connects again checks again, at once.
+    /// A channel that reconnects repeats the check before it sends anything.
     #[tokio::test]
     async fn a_server_is_checked_at_every_connection() {
         if !rustix::process::geteuid().is_root() {

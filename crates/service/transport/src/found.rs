@@ -108,9 +108,9 @@ pub enum Found {
         /// Message of the system.
         String,
     ),
-    /// The token is not sent to the server, which is another user's of this machine.
+    /// The server belongs to another user of this machine, so the token is not sent.
     AnotherUser,
-    /// The token is not sent to the server, because the kernel does not say whose it is.
+    /// The kernel does not report the server's user, so the token is not sent.
     UnknownUser,
     /// The server uses TLS, and the client does not.
     Encrypted,
@@ -123,7 +123,7 @@ pub enum Found {
         /// Message of the TLS library.
         String,
     ),
-    /// A web server that does not speak the expected protocol.
+    /// A web server that does not implement the expected protocol.
     Web {
         /// The first line of its answer, or its HTTP status.
         said: String,
@@ -134,7 +134,7 @@ pub enum Found {
     Ssh,
     /// A server of an unknown protocol.
     Other { said: String },
-    /// A server that accepts the connection and sends nothing or closes it.
+    /// A server that accepts the connection, then sends nothing or closes the connection.
     Mute,
     /// A server of another kind of this project.
     OtherKind(ServerKind),
@@ -217,7 +217,7 @@ pub struct Trouble {
     pub host: String,
     /// Finding at the address.
     pub found: Found,
-    /// True if the client knows a certificate authority.
+    /// True if the client has a certificate authority.
     pub has_authority: bool,
     /// Names of the settings for the remedy.
     pub settings: Settings,

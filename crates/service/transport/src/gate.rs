@@ -32,7 +32,7 @@ pub(crate) const NO_TOKEN: &str = "let the caller in without a token: name a --t
 pub(crate) const UNKNOWN_TOKEN: &str =
     "let the caller in: the token is none that this server knows";
 
-/// Kind of the resource at a path, and the callers that are let in.
+/// Kind of the resource at a path, and the callers that are admitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Resource {
     /// A gRPC call, made by programs over HTTP/2 and never by a page in a browser.
@@ -224,8 +224,8 @@ impl Shared {
 
 /// Longest part of a caller's text in the log, characters.
 const MAX_LOGGED_CHARS: usize = 300;
-/// Longest refusal, characters. It travels in a header, so one that quotes a megabyte of the
-/// request would break the connection.
+/// Longest refusal, characters. A refusal is sent in a header, so a refusal that quotes a megabyte
+/// of the request would break the connection.
 const MAX_STATUS_CHARS: usize = 2_000;
 
 fn caller<B>(request: &Request<B>) -> Option<&Caller> {
@@ -245,7 +245,7 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     value.strip_prefix("Bearer ")
 }
 
-/// Returns true if a call failed by the caller's fault. Faults of the server are logged where they
+/// Returns true if the caller caused a call to fail. Faults of the server are logged where they
 /// occur.
 fn is_refusal(code: Code) -> bool {
     matches!(
@@ -259,6 +259,6 @@ fn is_refusal(code: Code) -> bool {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // No thread panics while it holds such a lock.
+    // No thread panics while it holds one of these locks.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

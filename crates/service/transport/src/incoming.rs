@@ -33,8 +33,8 @@ pub const GREETING_TIMEOUT: Duration = Duration::from_secs(10);
 /// Bytes after which a connection counts as active: the length of HTTP/2's preface; no HTTP/1
 /// request or TLS handshake is shorter.
 const GREETING_BYTES: usize = 24;
-/// Longest time without traffic in either direction. HTTP/2 sends pings every thirty seconds, and
-/// pages that follow events get one every five.
+/// Longest time without traffic in either direction. HTTP/2 sends a ping every thirty seconds, and
+/// event streams to pages send an event at least every five seconds.
 pub const IDLE_TIMEOUT: Duration = Duration::from_secs(180);
 /// File descriptors reserved for databases, videos and backends.
 const KEPT_DESCRIPTORS: u64 = 96;
@@ -470,7 +470,7 @@ mod tests {
     async fn a_connection_is_closed_some_time_after_its_last_traffic_in_either_direction() {
         let mut incoming = incoming().await;
         assert_eq!(incoming.idle, IDLE_TIMEOUT);
-        // The first timer is that of the greeting; those after it are shorter here.
+        // The first timer is `GREETING_TIMEOUT`; this test shortens the timers after it.
         let idle = Duration::from_secs(2);
         incoming.idle = idle;
         let (mut caller, mut connection) = connected(&mut incoming).await;
@@ -549,7 +549,7 @@ mod tests {
         let begun = Instant::now();
         let early = timeout(Duration::from_millis(400), accepted(&mut incoming)).await;
         assert!(early.is_err(), "accepted without a file");
-        // It pauses six times, for 10, 20, … 320 ms, instead of trying without a pause.
+        // Accepting pauses six times, for 10, 20, … 320 ms, instead of retrying at once.
         assert!(incoming.pause > 8 * FIRST_PAUSE, "{:?}", incoming.pause);
         assert!(incoming.pause <= LONGEST_PAUSE, "{:?}", incoming.pause);
         drop(files);

@@ -132,7 +132,7 @@ impl Peer {
     /// Returns true if a gRPC server has the call of a path.
     ///
     /// # Errors
-    /// The finding, if no gRPC server answers.
+    /// If no gRPC server answers; the error is the finding.
     async fn has_call(&self, mut channel: Channel, path: &str) -> Result<bool, Found> {
         let mut request = Request::post(path)
             .body(Body::new(EMPTY_MESSAGE.to_owned()))

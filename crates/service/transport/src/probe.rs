@@ -58,7 +58,7 @@ enum Heard {
 /// Connects like the client and identifies the protocol.
 ///
 /// # Errors
-/// The finding, if the server does not speak HTTP over the client's kind of connection.
+/// If the server does not use HTTP over the client's kind of connection; the error is the finding.
 pub(crate) async fn look(place: Place<'_>, tls: &TlsConnector) -> Result<Speech, Found> {
     let stream = connect(place).await?;
     if !place.is_encrypted {

@@ -11,7 +11,7 @@ use tokio::time::Instant;
 pub const MAX_REQUESTS_PER_SEC: f64 = 10_000.0;
 /// Burst of requests of one connection.
 pub const BURST_REQUESTS: f64 = 20_000.0;
-/// Maximum number of buckets. Full ones are dropped first: a new bucket is full, too.
+/// Maximum number of buckets. Full buckets are dropped first, since a new bucket is full, too.
 const MAX_BUCKETS: usize = 8_192;
 
 /// The buckets of all connections.

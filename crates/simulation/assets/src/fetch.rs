@@ -26,7 +26,7 @@ const INCOMING: &str = ".incoming";
 /// File inside the pack that a running fetch locks.
 const LOCK: &str = ".lock";
 
-/// A fetch to do.
+/// Parameters of a fetch.
 pub struct Fetch<'a> {
     /// Source of the files.
     pub origin: &'a Origin,
@@ -68,7 +68,7 @@ impl Fetch<'_> {
         let incoming = self.into.folder().join(INCOMING);
         fs::create_dir_all(&incoming).map_err(|source| write_error(&incoming, source))?;
         let _lock = self.lock()?;
-        // Another process may have fetched them while this one waited for the lock.
+        // Another process may have fetched the files while this one waited for the lock.
         let (lacking, replaced) = self.lacking(wanted)?;
         let mut progress = Progress {
             files: 0,

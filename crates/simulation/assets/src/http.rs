@@ -149,7 +149,7 @@ impl Client {
         })
     }
 
-    /// Requests a byte range. The server may send the whole file instead; the status tells which.
+    /// Requests a byte range. The server may send the whole file instead; check the status code.
     pub(crate) fn get_range(
         &self,
         address: &Address,
@@ -158,7 +158,7 @@ impl Client {
         self.get(address, "*/*", Some(range), None)
     }
 
-    /// Returns a reader of an answer that fails once too little of it arrives.
+    /// Returns a reader of an answer that fails if the answer arrives too slowly.
     pub(crate) fn reader(&self, response: Response<Body>) -> impl Read + use<> {
         Gaining {
             reader: response.into_body().into_reader(),
@@ -225,8 +225,8 @@ impl Client {
     }
 }
 
-/// A reader that fails unless [`GAIN_BYTES`] arrive within every period of a given length. The
-/// timeout of a read alone would let a server hold its reader with a byte now and then.
+/// A reader that fails unless [`GAIN_BYTES`] arrive within every period of a given length. With a
+/// timeout per read only, a server could occupy the reader by sending single bytes.
 struct Gaining<R> {
     reader: R,
     within: Duration,

@@ -53,8 +53,8 @@ pub struct VerifiedFolder {
     verified: Mutex<HashMap<&'static str, Stamp>>,
 }
 
-/// Facts that change when a file is written or replaced. Its owner can set the time of
-/// modification back, but not the time of the last change.
+/// File metadata that changes when the file is written or replaced. A file's owner can set the
+/// modification time (mtime) back, but not the change time (ctime).
 #[derive(Debug, PartialEq, Eq)]
 struct Stamp {
     bytes: u64,

@@ -110,8 +110,8 @@ impl Candidates {
     }
 }
 
-/// Most columns and rows of samples that a small triangle spans: those of two adjacent pixels, each
-/// of which contains one sample.
+/// Largest span of a small triangle, in columns and rows of samples: two adjacent pixels. Each
+/// column of a pixel, and each row, contains one sample.
 const SMALL: [i32; 2] = [8, 4];
 
 /// Returns the column of a row's sample within a pixel.
@@ -125,7 +125,7 @@ fn column_of(row: I) -> I {
 #[inline(always)]
 fn small_covers(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
     let splat = |value: i32| I::splat(value);
-    // The first column's and row's samples, in parts of a pixel.
+    // Positions of the first column and the first row of samples, in subpixel units.
     let [first_x, first_y] = [columns[0], rows[0]].map(|first| (first << 6i32) + splat(32));
     let mut edges = [splat(0); 3];
     let (mut per_column, mut per_row) = (edges, edges);

@@ -46,8 +46,8 @@ impl Canvas {
     }
 
     /// Draws a frame. Returns red, green and blue of every pixel, row by row from the bottom. The
-    /// model must be the same for all frames of a canvas; `largest` are the bytes that its textures
-    /// were made from.
+    /// model must be the same for all frames of a canvas; `largest` holds the source bytes of the
+    /// model's textures, which are their largest levels.
     ///
     /// # Errors
     /// If the scene contains invalid numbers or refers to items that the model lacks.

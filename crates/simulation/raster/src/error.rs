@@ -9,17 +9,17 @@ pub enum ModelError {
          bytes: give 3 or 4 bytes a texel, 1 to 16384 texels a side, and cubes as one square or six"
     )]
     Texture {
-        /// Texels.
+        /// Width, texels.
         width: usize,
-        /// Texels.
+        /// Height, texels.
         height: usize,
-        /// Bytes a texel.
+        /// Bytes per texel.
         channels: usize,
         /// Bytes that were given.
         bytes: usize,
     },
     /// The bytes are not a prepared mesh or texture.
-    #[error("these bytes are of no prepared mesh or texture: prepare it again")]
+    #[error("these bytes are not a prepared mesh or texture: prepare the mesh or texture again")]
     Bytes,
     /// The number of pieces of a shape is out of range.
     #[error(
@@ -41,9 +41,9 @@ pub enum DrawError {
     /// Frame without pixels, or with too many.
     #[error("a frame of {width} × {height} pixels cannot be drawn: give 1 to 4096 a side")]
     Size {
-        /// Pixels.
+        /// Width, pixels.
         width: usize,
-        /// Pixels.
+        /// Height, pixels.
         height: usize,
     },
     /// The camera's view frustum is empty or invalid.
@@ -70,7 +70,8 @@ pub enum DrawError {
     },
     /// The source bytes of a texture have another length.
     #[error(
-        "texture {texture} was made from {needed} bytes, and {given} are given: give the same ones"
+        "texture {texture} was made from {needed} bytes, and {given} are given: give the bytes \
+         that the texture was made from"
     )]
     Texels {
         /// Index of the texture in the model.

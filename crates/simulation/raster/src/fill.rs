@@ -17,7 +17,7 @@ pub(crate) const FIRST_SAMPLE: [f32; 2] = [0.375, 0.125];
 const LATTICE: i32 = 32;
 const POINTS_PER_PIXEL: i32 = SUBPIXELS / LATTICE;
 
-/// Shifts that multiply by the lattice points of a pair of pixels, and of a row.
+/// Shifts that multiply by the number of lattice points across a pair of pixels, and across a row.
 const PAIR_SHIFT: i32 = (2 * POINTS_PER_PIXEL).ilog2() as i32;
 const ROW_SHIFT: i32 = POINTS_PER_PIXEL.ilog2() as i32;
 
@@ -30,7 +30,7 @@ const MOST_PAIRS: i32 = 16;
 /// Fills one triangle of a setup.
 #[inline(always)]
 pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Drawing<'_>) {
-    // Already below `LANES`; the remainder spares a bounds check at each read.
+    // `lane` is already below `LANES`; the remainder removes the bounds check of each read.
     let lane = lane % LANES;
     let (x, y) = (setup.x.map(|end| end[lane]), setup.y.map(|end| end[lane]));
     let id = drawing.visible.records.len() as u32;
@@ -156,7 +156,7 @@ fn fill_parts<const INSIDE: bool>(
         if part_x[0] > part_x[1] || part_y[0] > part_y[1] {
             continue;
         }
-        // Offset of the first of its pixels, in lattice points.
+        // Offset of the part's first pixel from the block's corner, in lattice points.
         let off =
             [(part_x[0] & !1) - block[0], part_y[0] - block[1]].map(|off| off * POINTS_PER_PIXEL);
         let at = [0, 1, 2].map(|edge| {
@@ -173,7 +173,7 @@ fn fill_parts<const INSIDE: bool>(
         }
     }
     if touched {
-        // Counts as a small triangle for each part.
+        // Every part that the triangle may cover counts as two writes.
         let parts = seen.bits().count_ones() as u8;
         drawing
             .visible

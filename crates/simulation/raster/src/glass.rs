@@ -15,8 +15,9 @@ use crate::window::{Around, Window};
 const OPAQUE_FROM: f64 = 0.995;
 /// Distance assumed for planes when sorting.
 const PLANE_DISTANCE: f32 = 1e10;
-/// Most pixels blended at once, and most triangles in pairs of pixels: a mesh may have any number
-/// of overlapping triangles. This bounds the memory of a frame to some hundred megabytes.
+/// Most pixels blended at once, and most layers, one per triangle and pair of pixels: a mesh may
+/// have any number of overlapping triangles. This bounds the memory of a frame to some hundred
+/// megabytes.
 const MOST_PIXELS: i32 = 1 << 17;
 const MOST_LAYERS: usize = 1 << 21;
 

@@ -1,5 +1,5 @@
-//! Reflections in a single mirror face: a plane, or a box's upper side. MuJoCo draws the
-//! mirrored scene in place of the face and adds the face's own colour; here it is drawn
+//! Reflections in a single mirror face: a plane, or a box's upper side. MuJoCo draws the mirrored
+//! scene in place of the face and adds the face's own colour; this module draws the mirrored scene
 //! only for samples at which the face is finally visible.
 
 use crate::glass;
@@ -39,7 +39,7 @@ fn plane(geom: &Geom) -> ([f32; 3], [f32; 3]) {
 }
 
 /// Adds the reflection to the samples at which the mirror face is visible; returns the changed
-/// window. `other` is the picture in which the reflection is drawn.
+/// window. The reflection is first drawn into `other`.
 pub(crate) fn add(
     picture: &mut Picture,
     other: &mut Picture,

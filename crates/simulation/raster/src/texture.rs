@@ -386,7 +386,8 @@ fn linear(value: u8) -> f32 {
     odd.mul_add(x, even)
 }
 
-/// Encodes sRGB by Mesa's approximation of the power, which starts from coarse roots.
+/// Encodes sRGB like Mesa, which approximates the power by reciprocal square roots of low
+/// precision.
 fn encoded(value: f32) -> u8 {
     let value = value.clamp(0.0, 1.0);
     let scaled = if value <= 0.003_130_8 {
@@ -400,9 +401,9 @@ fn encoded(value: f32) -> u8 {
     scaled.round_ties_even() as u8
 }
 
-/// Returns the reciprocal square root of a positive number as Intel's processors estimate it: for
-/// the centre of the number's interval, of which an octave has 1,024, and rounded to 12 bits. Only
-/// with this estimate are the levels of sRGB textures equal to Mesa's.
+/// Returns the reciprocal square root of a positive number as estimated by Intel's processors:
+/// evaluated at the centre of one of 1,024 intervals per octave, and rounded to 12 bits. Mipmap
+/// levels of sRGB textures equal Mesa's only with this estimate.
 fn over_root(value: f32) -> f32 {
     const PART: u32 = 1 << 13;
     let bits = value.to_bits();

@@ -90,7 +90,7 @@ impl Visible {
         self.forget_what_is_hidden(0);
     }
 
-    /// Must be called after depths were changed from outside.
+    /// Invalidates the depth bounds. Must be called after code outside this module changed depths.
     pub(crate) fn depths_were_replaced(&mut self) {
         self.forget_what_is_hidden(WORTH_FINDING);
     }
@@ -114,8 +114,8 @@ impl Visible {
         y * self.blocks_in_row + x
     }
 
-    /// Notes that depths of an inclusive range of pixels were written, by a weight relative to
-    /// [`WORTH_FINDING`].
+    /// Adds `writes` to the write counts of the blocks that contain an inclusive range of pixels;
+    /// see [`WORTH_FINDING`].
     #[inline(always)]
     pub(crate) fn mark_written(&mut self, x: [i32; 2], y: [i32; 2], writes: u8) {
         let mark = |block: &mut Block| block.writes = block.writes.saturating_add(writes);

@@ -258,8 +258,8 @@ fn zeros_of_both_signs_are_told_apart() {
     assert_the_same_anew(&[with_attenuation(0.0), with_attenuation(-0.0)], [32, 32]);
 }
 
-/// More layers than are blended at once, so that the frame is drawn in parts. The digest is that of
-/// all layers drawn at once.
+/// Glass with more layers than are blended at once is drawn in parts. The expected digest is that
+/// of a frame whose layers were all blended at once.
 #[test]
 fn glass_that_is_blended_in_parts_is_the_same() {
     let mut builder = MeshBuilder::default();

@@ -96,7 +96,8 @@ impl Problem {
 
     /// Finds the region with this full name.
     pub fn region(&self, name: &str) -> Option<&Region> {
-        // The original keeps regions in a dictionary, where the last of two with one name wins.
+        // The original keeps regions in a dictionary; of two regions with one name, the last one
+        // wins.
         self.regions.iter().rev().find(|region| region.name == name)
     }
 

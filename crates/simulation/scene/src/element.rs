@@ -174,7 +174,7 @@ fn escape(value: &str) -> String {
         .replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('"', "&quot;")
-        // A parser reads literal white space in attributes as blanks.
+        // An XML parser normalises literal white space in attributes to spaces.
         .replace('\t', "&#9;")
         .replace('\n', "&#10;")
         .replace('\r', "&#13;")

@@ -112,11 +112,11 @@ impl AssetPack {
         Ok(Self::custom(pack.dir, digest, differences.collect()))
     }
 
-    /// Opens a folder that has more than LIBERO's files, as LIBERO-PRO's models need. It is
-    /// `custom`, and its digest covers all of them.
+    /// Opens a folder that has more than LIBERO's files, as LIBERO-PRO's models need. The pack's
+    /// name is `custom`, and its digest covers all files.
     ///
     /// # Errors
-    /// If it cannot be read.
+    /// If the folder cannot be read.
     pub fn open_whole(dir: &Path) -> Result<Self, SceneError> {
         let dir = existing_folder(dir)?;
         let digest = digest_of_folder(&dir)?;

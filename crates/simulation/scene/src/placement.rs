@@ -31,8 +31,8 @@ pub const MAX_DRAWS: usize = 1000;
 /// Arm joints. A reset draws one normal number for each, even though LIBERO scales this noise by
 /// zero.
 const ARM_JOINTS: usize = 7;
-/// The original has filled its list of joint samplers twice before the first seeded reset: at
-/// construction and in the reset itself.
+/// Rounds of joint samples in the first seeded reset: the original has appended all joint samplers
+/// to its list twice by then, at construction and in the reset itself.
 const CAMPAIGN_JOINT_ROUNDS: usize = 2;
 
 /// Everything that a reset of a task samples, in drawing order.
@@ -166,7 +166,8 @@ impl Samplers {
             if let Ok(fixtures) = self.draw_fixtures(&mut rng, rounds) {
                 return Ok(fixtures);
             }
-            // The original's next attempt loads the model again.
+            // The original reloads its model, which appends all joint samplers again, before each
+            // new attempt.
             rounds += 1;
         }
         self.draw_fixtures(&mut rng, rounds)

@@ -7,11 +7,11 @@ use crate::error::SceneError;
 use crate::part::{Part, add_prefix, is_collision_geom, recolor_collision_geoms};
 use crate::sources::AssetRoot;
 
-/// Joint properties that robosuite and LIBERO set on the arm, per joint; kg·m² or N·m·s
-/// (`RobotModel.__init__`, `MountedPanda.__init__`).
+/// Properties that robosuite and LIBERO set on the arm's joints: friction loss, N·m, and damping,
+/// N·m·s (`RobotModel.__init__`, `MountedPanda.__init__`).
 const FRICTION_LOSS: f64 = 0.1;
 const DAMPING: [f64; 7] = [0.1, 0.1, 0.1, 0.1, 0.1, 0.01, 0.01];
-/// Armature of joint i, multiplied by i + 1.
+/// Armature of joint i times (i + 1), kg·m²: joint i has the armature `ARMATURE / (i + 1)`.
 const ARMATURE: f64 = 5.0;
 
 /// Colours of collision geoms, visible only where collision geoms are drawn.

@@ -66,9 +66,9 @@ impl Sources {
         cache.unwrap_or_default().join("rollout")
     }
 
-    /// Returns the folder into which LIBERO's assets are fetched: `packs/libero` in the sources.
-    /// The folder of a release archive may be read-only, so there it is in the user's cache folder,
-    /// unless the archive's has been filled.
+    /// Returns the folder into which LIBERO's assets are fetched: `packs/libero` in the sources. A
+    /// release archive's folder may be read-only, so its assets are fetched into the user's cache
+    /// folder, unless the archive already contains `packs/libero`.
     pub fn fetched_pack(dir: &Path) -> PathBuf {
         Self::fetched(dir, "packs/libero")
     }

@@ -36,7 +36,7 @@ pub struct CompiledScene {
     preparation: Preparation,
 }
 
-/// A site that glows while its stove is on.
+/// Site that is visible while its stove is on.
 #[derive(Clone)]
 pub(crate) struct Burner {
     pub(crate) site: usize,

@@ -24,7 +24,7 @@ pub const RESET_JOINTS: [f64; ARM_JOINTS] = [
     2.22675220e00,
     std::f64::consts::FRAC_PI_4,
 ];
-/// Simulation steps per control step: 20 Hz over 2 ms.
+/// Simulation steps of 2 ms per control step: actions are executed at 20 Hz.
 pub const SUBSTEPS: usize = 25;
 
 /// Goal displacement of a full-scale action: m, rad (`osc_pose.json`).
@@ -88,7 +88,8 @@ struct ArmState {
 }
 
 impl Controller {
-    /// Creates the controllers for a model whose data is at the reset pose, forwarded.
+    /// Creates the controllers for a model. `reset` is its state at the reset pose, after
+    /// [`Data::forward`].
     pub fn new(model: &Model, reset: &Data) -> Result<Self, SimError> {
         let site = model.id(ObjectKind::Site, GRIP_SITE)?;
         for index in 0..ARM_JOINTS {
@@ -166,7 +167,7 @@ impl Controller {
         };
         self.goal_pos = pos + Vector3::new(delta[0], delta[1], delta[2]);
         let rotation = Vector3::new(delta[3], delta[4], delta[5]);
-        // Without a rotation the previous goal stays, rather than the arm's current orientation.
+        // An action without a rotation keeps the previous goal, not the arm's current orientation.
         if rotation != Vector3::zeros() {
             self.goal_orientation = rotation_of(rotation) * orientation;
         }

@@ -388,8 +388,8 @@ impl Environment {
         })
     }
 
-    /// Updates the burners like the original, which sets a burner's opacity to 1 minus itself if it
-    /// disagrees with the knob.
+    /// Updates the burners like the original: the opacity of a burner that disagrees with its knob
+    /// becomes 1 minus its previous value.
     pub(crate) fn update_burners(&mut self) {
         let qpos = self.data.qpos(&self.model);
         for burner in &mut self.burners {

@@ -26,7 +26,7 @@ pub fn clip(action: &[f64; 7]) -> [f64; 7] {
     action.map(|number| number.clamp(-1.0, 1.0))
 }
 
-/// Displacement of the hand by [`Episode::nudge`], m: a thousandth of a pixel in its cameras.
+/// Displacement of the hand by [`Episode::nudge`], m: a thousandth of a pixel in camera frames.
 pub const NUDGE_M: f64 = 1e-6;
 /// Damping of the least squares of a nudge, in units of the squared Jacobian, m².
 const NUDGE_DAMPING: f64 = 1e-9;

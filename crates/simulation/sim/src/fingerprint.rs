@@ -1,8 +1,8 @@
-//! Fingerprint of a slot's arithmetic: a digest over a fixed motion of a small scene, the
-//! surrounding arithmetic, and two frames. Slots with equal fingerprints simulate and render with
-//! equal bits; a processor, C library, driver or build that rounds differently gives another
-//! fingerprint. It does not cover the asset pack, and it is no proof: computations that the scene
-//! does not exercise may differ.
+//! Fingerprint of a slot's arithmetic: a digest over a fixed motion of a small scene, the algebra
+//! of the arm's controller, functions of the C library, and two frames. Slots with equal
+//! fingerprints simulate and render with equal bits; a processor, C library, driver or build that
+//! rounds differently gives another fingerprint. The fingerprint excludes the asset pack and is no
+//! proof: computations that the scene does not exercise may differ.
 
 use std::hint::black_box;
 use std::sync::Arc;
@@ -40,7 +40,7 @@ pub fn fingerprint(drawer: &Drawer) -> Result<String, SimError> {
     Ok(digest(&numbers, &frames))
 }
 
-/// Returns all numbers of the motion and of the surrounding arithmetic.
+/// Returns all numbers of the motion, of the controller's algebra and of the C library's functions.
 fn motion(model: &Model, data: &mut Data) -> Result<Vec<f64>, SimError> {
     let hand = model.id(ObjectKind::Site, "hand")?;
     let mut numbers = Vec::new();

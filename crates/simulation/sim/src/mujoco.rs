@@ -44,8 +44,8 @@ pub fn version() -> String {
     text.to_string_lossy().into_owned()
 }
 
-/// Replaces MuJoCo's handlers, once per process. The default ones exit silently and write a log
-/// file into the current folder.
+/// Replaces MuJoCo's error and warning handlers, once per process. The default handlers exit
+/// silently and write a log file into the current folder.
 pub(crate) fn install_handlers() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {

@@ -1,8 +1,8 @@
 //! Evaluation of goals with LIBERO's predicates (hf-libero 0.1.4, `object_states` and `objects`),
 //! resolved to ids once per scene.
 //!
-//! Like the original, they use body positions and contacts after the first half of the last step,
-//! and joint positions after its integration.
+//! As in the original, predicates use body positions and contacts after the first half of the last
+//! step, and joint positions after its integration.
 
 use libero_ctrl::Predicate;
 use scene::catalog::{Articulation, Threshold};
@@ -62,10 +62,10 @@ enum Quantifier {
 
 /// Largest horizontal distance of two objects stacked by `on`, m.
 const STACKED_DISTANCE: f64 = 0.03;
-/// Largest distance of an object `on` a region below and above its top, m.
+/// Largest distances below and above the top of a region at which an object is `on` the region, m.
 const ON_SITE_BELOW: f64 = 0.005;
 const ON_SITE_ABOVE: f64 = 0.10;
-/// Largest distance of an object `in` a region below it, m.
+/// Largest distance below a region at which an object is still `in` the region, m.
 const IN_SITE_BELOW: f64 = 0.01;
 
 impl Goal {

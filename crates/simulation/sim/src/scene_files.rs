@@ -4,7 +4,7 @@
 //!
 //! A file is written under a temporary name and renamed, and afterwards neither changed nor
 //! truncated, since truncating a mapped file kills the process that maps it. Its name is a digest
-//! of everything that it depends on, so that other programs use other files. Textures have files of
+//! of everything that it depends on, so different builds never share a file. Textures have files of
 //! their own, since scenes share them. On any failure, the scene is compiled into the process's own
 //! memory, and the first error is kept for [`SceneFolder::take_problem`].
 

@@ -97,7 +97,8 @@ impl Environment {
         state
     }
 
-    /// Sets such a vector without computing anything: controllers and observations stay unchanged.
+    /// Sets time, positions and velocities from a vector of [`Self::state`], without computing
+    /// derived values: controllers and observations stay unchanged.
     ///
     /// # Panics
     /// If the vector does not have 1 + nq + nv numbers.

@@ -99,8 +99,8 @@ impl VariantStart {
 }
 
 impl Noise {
-    /// Corrupts a picture that is drawn after `control_steps`. Pictures that were not requested
-    /// consume their draws as well.
+    /// Corrupts a picture that is rendered after `control_steps`. Random numbers are also drawn for
+    /// the earlier pictures that were not requested.
     pub(crate) fn see(&mut self, frame: &mut Frame, control_steps: u32) -> Result<(), SimError> {
         if frame.camera != PERTURBED_CAMERA {
             return Ok(());

@@ -21,7 +21,7 @@ pub fn with_variables(command: Command) -> Command {
         let Some(name) = variable(&arg).filter(|name| !is_empty(name)) else {
             return arg;
         };
-        // Leaks once per process, which has one command line.
+        // The leak is bounded, because a process parses one command line.
         let arg = arg.env(&*name.leak());
         match arg.get_action() {
             ArgAction::SetTrue => arg.value_parser(BoolishValueParser::new()),

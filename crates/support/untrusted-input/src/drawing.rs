@@ -198,8 +198,8 @@ impl Bytes<'_> {
         *first
     }
 
-    /// Reads the upper half of an `f32`. The precision suffices and any two bytes are a number;
-    /// every second random one is huge, tiny or NaN.
+    /// Reads the upper half of an `f32`. The precision suffices, and any two bytes are a number;
+    /// half of all values are huge, tiny or NaN.
     fn number(&mut self) -> f32 {
         f32::from_bits(u32::from_le_bytes([0, 0, self.byte(), self.byte()]))
     }

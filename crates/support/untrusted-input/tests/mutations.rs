@@ -97,7 +97,7 @@ fn survives(target: Target, inputs: usize) {
     }
 }
 
-/// Seeds of the random numbers: one, or those that the environment names.
+/// Seeds of the generator: the range in `ROLLOUT_HOSTILE_SEEDS`, or a single default.
 fn rng_seeds() -> RangeInclusive<u64> {
     let Ok(range) = std::env::var("ROLLOUT_HOSTILE_SEEDS") else {
         return 5..=5;

@@ -191,9 +191,9 @@ class LerobotModel:
         return config is not None and config.enabled
 
     def chunk_in_real_time(self) -> None:
-        """Has chunks continue the actions that are executed during inference, if lerobot's policy
-        supports it: by its guidance of the flow, with the checkpoint's settings or lerobot's.
-        Queries without such actions get the same bits as before."""
+        """Enables real-time chunking if lerobot's policy supports it: guidance of the flow makes a
+        chunk continue the actions that are executed during inference. Uses the checkpoint's
+        settings, else lerobot's. Queries without such actions get the same bits as without it."""
         if not hasattr(self.config, "rtc_config") or not hasattr(
             self.network, "init_rtc_processor"
         ):
@@ -215,7 +215,7 @@ class LerobotModel:
 
         `noise` is the flow's initial noise, [batch, n, width]; without it the
         network draws from torch's generator. `under_way` has the actions that are executed
-        during inference; the batch must then be of one, whose chunk continues them.
+        during inference; the batch must then hold one query, whose chunk continues them.
         """
         import torch
 
@@ -375,7 +375,7 @@ def _statistics(
 def _of(
     key: str, kind: str, config: Any, pipeline: Any, step_name: str, width: int | None = None
 ) -> str:
-    """The summary by `require_statistics` of one feature's statistics."""
+    """Returns the summary of one feature's statistics, from `require_statistics`."""
     what = {"ACTION": "actions", "STATE": "the state"}.get(kind, f"images of {short(key)}")
     declared = {_name(of): _name(mode) for of, mode in config.normalization_mapping.items()}
     mode = declared.get(kind, "IDENTITY")

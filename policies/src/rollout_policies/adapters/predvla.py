@@ -84,7 +84,7 @@ class PredvlaModel:
         return sum(number.numel() for number in self.network.parameters())
 
     def begin(self, instruction: str) -> Any:
-        """Returns a new correction that knows only this instruction."""
+        """Returns a new correction for this instruction only."""
         import torch
 
         language = torch.stack([self.front.lang(instruction).to(self.device)])

@@ -1,8 +1,8 @@
 """UniVLA: the language model samples latent actions, and a small decoder turns
 them into twelve real ones.
 
-It is queried at every step, sees only the scene's camera, is told its last latent
-actions, and averages the predictions of its last twelve chunks for the current step.
+It is queried at every step. Its inputs are the scene camera's frame and its last latent
+actions. It averages the predictions of its last twelve chunks for the current step.
 Every suite has its own weights.
 
 The LIBERO-CTRL study evaluated it differently from its authors: frames were
@@ -169,7 +169,7 @@ class UniVla(Policy):
             parameters=model.parameters,
             cameras=(SCENE,),
             stateful=True,
-            # In the study, every episode draws the same numbers.
+            # In the study, every episode draws the same random numbers.
             stochastic=not self.as_study,
             settings={
                 **(settings or {}),

@@ -49,7 +49,7 @@ def require(module: str, entry: Entry) -> ModuleType:
 def require_suite(entry: Entry, served: str | None, episode: Episode) -> None:
     """Refuses an episode of a suite for which the weights were not trained.
 
-    Such a policy moves and fails every task, so it would only seem to be poor.
+    With such weights, the arm moves but every task fails, which looks like a poor policy.
     """
     if entry.per_suite and episode.suite != served:
         raise WrongSuite(

@@ -1,8 +1,8 @@
 """VLA-JEPA, as lerobot runs it.
 
-The model reduces frames to 224 x 224 by area; its processor maps minimum and
-maximum back and makes the gripper binary. Its flow cannot be given noise, so
-torch's generator is seeded before every query, and queries are answered singly:
+The model reduces frames to 224 x 224 by area; its processor un-normalises actions by
+minimum and maximum and makes the gripper binary. Its flow takes no noise as input, so
+torch's generator is seeded before every query, and queries are answered one by one:
 in a batch, they would share one draw.
 """
 

@@ -1,9 +1,9 @@
 """Comparison of a loaded network with its files of weights.
 
-Loaders of weights are lenient: some skip tensors that do not fit, some print a
-warning and go on. Skipped tensors stay random, and such a policy moves, fails
-every task and merely seems poor. So every tensor is compared after loading, in
-both directions: by name, shape and content.
+Loaders of weights are lenient: some skip tensors that do not fit, some only print a
+warning. Skipped tensors stay random; the arm then moves but every task fails, which
+looks like a poor policy. So every tensor is compared after loading, in both
+directions: by name, shape and content.
 """
 
 from __future__ import annotations

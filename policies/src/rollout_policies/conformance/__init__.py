@@ -19,7 +19,7 @@ __all__ = ["CannotCheck", "DoesNotConform", "Finding", "Target", "check", "check
 
 
 class DoesNotConform(AssertionError):
-    """A policy does not keep the protocol; the message lists the points."""
+    """A policy violates the protocol; the message lists the violated points."""
 
     def __init__(self, findings: list[Finding]) -> None:
         failed = [str(finding) for finding in findings if finding.verdict.failed]

@@ -40,7 +40,7 @@ class Verdict:
 
     @property
     def failed(self) -> bool:
-        """True if the protocol is not kept."""
+        """True if the protocol is violated."""
         return self.word is Word.FAIL
 
 

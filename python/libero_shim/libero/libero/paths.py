@@ -116,7 +116,8 @@ def _configured() -> dict[str, str]:
 
 
 def _counts(key: str, folder: str) -> bool:
-    """A root is judged by its `bddl_files`, because a package's own folder is never empty."""
+    """Returns True if a folder contains files. For `benchmark_root`, checks `bddl_files` below it,
+    because a package's own folder is never empty."""
     if key == "benchmark_root":
         return _has_files(os.path.join(folder, "bddl_files"))
     return _has_files(folder)

@@ -29,7 +29,7 @@ def get_libero_path(query_key: str) -> str:
     """The folder of `benchmark_root`, `bddl_files`, `init_states`, `datasets` or `assets`.
     Task files are fetched at first use.
 
-    Raises KeyError for another key, FileNotFoundError where files cannot be had.
+    Raises KeyError for another key, FileNotFoundError if files cannot be fetched.
     """
     if query_key == "benchmark_root":
         return _PACKAGE
@@ -41,7 +41,7 @@ def get_libero_path(query_key: str) -> str:
 
 
 def get_default_path_dict(custom_location: str | None = None) -> dict[str, str]:
-    """All of these folders. Raises ValueError for a custom location."""
+    """Returns the folder of each key. Raises ValueError for a custom location."""
     set_libero_default_path(custom_location)
     keys = ("benchmark_root", "bddl_files", "init_states", "datasets")
     return {key: get_libero_path(key) for key in keys} | {"assets": get_assets_path()}

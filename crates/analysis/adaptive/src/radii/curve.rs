@@ -134,9 +134,9 @@ impl Survives {
         survives.filter(|_| finding.is_on_grid)
     }
 
-    /// Returns the probability of survival up to a radius for a threshold that is uniform in
-    /// its bracket. Beyond censoring, it is the conditional probability of `others` that
-    /// survive as far.
+    /// Returns the probability of survival up to a radius for a threshold that is uniform in its
+    /// bracket. Beyond the radius of censoring, it is the survival of `others`, conditional on
+    /// survival up to the radius of censoring.
     fn expected(self, radius: f64, others: impl Fn(f64) -> f64) -> f64 {
         match self {
             Self::Never => 0.0,
@@ -150,7 +150,7 @@ impl Survives {
         }
     }
 
-    /// Returns whether the configuration certainly, and possibly, survives up to a radius.
+    /// Returns two flags: the configuration certainly survives up to a radius, and possibly does.
     fn bounds(self, radius: f64) -> [bool; 2] {
         match self {
             Self::Never => [false; 2],

@@ -23,9 +23,9 @@ pub struct Search {
 }
 
 impl Search {
-    /// Returns the search for the thresholds of a condition in a campaign of the given axes.
-    /// Language has wordings only at the protocol's levels, so that a condition that
-    /// perturbs it is run only at those. A policy is late by whole control steps.
+    /// Returns the search for the thresholds of a condition in a campaign of the given axes. A
+    /// condition that perturbs language runs only at the protocol's levels, because only those have
+    /// paraphrases. Latency runs only at radii that are a whole number of control steps.
     pub fn of(thresholds: &Thresholds, condition: Condition, axes: AxisSet) -> Self {
         if condition == Condition::Latency {
             let spacing = 1.0 / STEPS_PER_RADIUS;

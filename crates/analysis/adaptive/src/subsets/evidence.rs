@@ -51,7 +51,7 @@ pub enum Evidence {
     Repeated(Repeats),
 }
 
-/// Part of a subset in the claims about a lattice, which decides how strict its test is.
+/// Role of a subset in the claims about a lattice, which determines the level of its test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {

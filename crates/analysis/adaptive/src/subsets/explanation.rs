@@ -91,7 +91,7 @@ pub struct NonMonotone {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unexplained {
     /// The transition is unknown because outcomes are missing.
-    #[error("an axis alone or all together have no outcome")]
+    #[error("an axis alone or all axes together have no outcome")]
     Incomplete,
     /// The simultaneous outcome equals the conjunction of the single-axis outcomes.
     #[error("simultaneous perturbation changes nothing: it {}", .0.name())]

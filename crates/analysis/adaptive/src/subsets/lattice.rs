@@ -26,7 +26,7 @@ pub enum LatticeError {
     #[error("explain axes {0}: two axes at least can act together")]
     TooFewAxes(AxisSet),
     /// The subset has an axis that the campaign lacks.
-    #[error("explain axes {full}: {set} is no subset of them")]
+    #[error("explain axes {full}: {set} is not a subset of them")]
     OtherAxes {
         /// The subset.
         set: AxisSet,
@@ -35,8 +35,8 @@ pub enum LatticeError {
     },
     /// No verdict about some subset is possible with so few replicates.
     #[error(
-        "explain with {repeats} repeats: they decide nothing about subsets of {axes} axes with an \
-         error of 5 % over all of them; allow {fewest} or more"
+        "explain with {repeats} repeats: too few to decide about subsets of {axes} axes with an \
+         overall error of 5 %; allow {fewest} or more"
     )]
     TooFewRepeats {
         /// Number of the campaign's axes.

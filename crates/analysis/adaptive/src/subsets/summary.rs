@@ -42,7 +42,7 @@ pub struct SubsetOutcome {
     pub verdict: Verdict,
     /// Counts of the rollouts under the subset that are evidence.
     pub tally: Tally,
-    /// With repeats, counts of the outcomes of the explained campaign, which are not.
+    /// With repeats, counts of the outcomes of the explained campaign, which are not evidence.
     pub selecting: Option<Tally>,
     /// With repeats, the Clopper–Pearson interval of the success probability
     /// at the level of one test; it excludes ½ if and only if the verdict is

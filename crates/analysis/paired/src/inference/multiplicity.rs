@@ -74,7 +74,7 @@ fn under_signs(values: &[f64], signs: &[f64], strata: &[usize]) -> (f64, f64) {
         }
         let g = tasks as f64;
         let rest = squares - sum * sum / g;
-        // Of two tasks, opposite signs leave nothing but rounding errors.
+        // With two tasks, opposite signs may leave a variance that is only a rounding error.
         if rest > 1e-12 * squares {
             variance += rest * g / (g - 1.0);
         }
@@ -129,7 +129,7 @@ mod tests {
         let [pooled, stratified] = [of(&[12]), of(&[3; 4])].map(|it| it.expect("a spread"));
         assert!(stratified > 1.03 * pooled, "{stratified} {pooled}");
         assert_eq!(of(&[11, 1]), None);
-        // Of two pairs of tasks, one in four assignments of signs leaves no variance.
+        // With two pairs of tasks, one in four assignments of signs leaves no variance.
         let pairs = vec![vec![0.1, -0.1, 0.3, -0.3]];
         assert_eq!(max_t(&pairs, &[2, 2], &Bootstrap::default()), None);
     }

@@ -52,7 +52,7 @@ const CANDIDATES: i64 = 2000;
 /// looks, with a probability of at least 1 − α.
 #[derive(Clone, Debug)]
 pub(crate) struct NewTasks {
-    /// Number of suites, which is that of tasks in a counted round.
+    /// Number of suites, which equals the number of tasks in a counted round.
     suites: usize,
     /// Number of configurations of each task.
     sizes: BTreeMap<TaskRef, usize>,

@@ -1,4 +1,4 @@
-"""Writes expected.json: what NumPy and SciPy say of random data sets and of the
+"""Writes expected.json: results of NumPy and SciPy for random data sets and the
 example data, for tests/reference.rs to compare with. Shares no code with the
 crate, and resamples with another generator.
 
@@ -7,9 +7,9 @@ crate, and resamples with another generator.
 
 Takes a few seconds. A data set is one text per task, two hexadecimal digits
 per configuration: bits 0 to 5 are the success under camera, lighting, robot,
-sensor, actuation and language alone, bit 6 that under simultaneous
-perturbation. Of two policies it is one digit per rollout: bit 0 is the success
-of A, bit 1 that of B.
+sensor, actuation and language alone, bit 6 is the success under simultaneous
+perturbation. A data set of two policies has one digit per rollout: bit 0 is the
+success of A, bit 1 that of B.
 """
 
 import json

@@ -82,7 +82,7 @@ impl Population {
         self.values(measure).sum()
     }
 
-    /// Looks at the intervals after every configuration of an order. Returns true if all intervals
+    /// Evaluates the intervals after every configuration of an order. Returns true if all intervals
     /// held at all looks, and the number of configurations after which each rule was first met.
     pub(crate) fn replay(
         &self,

@@ -66,8 +66,8 @@ pub(crate) fn conditions() -> impl Iterator<Item = Condition> {
 #[derive(Clone, Copy)]
 struct Probabilities {
     nominal: f64,
-    /// Probabilities for the placebo's seven rollouts: that six succeed alone and the simultaneous
-    /// one fails, and the reverse.
+    /// Probabilities for the placebo's seven rollouts: that all six single axes succeed and the
+    /// simultaneous one fails, and that a single axis fails and the simultaneous one succeeds.
     floor: [f64; 2],
     /// Each axis alone at L2, then simultaneous.
     perturbed: [f64; CONDITIONS],
@@ -197,8 +197,9 @@ impl Population {
     /// under all of them.
     ///
     /// Given the effects that a task has in all conditions, its conditions are independent, so that
-    /// only integrals over one normal number are needed. An average over drawn tasks would have an
-    /// error of its own: with two thousand tasks, still a seventh of the standard error of forty.
+    /// only integrals over one normal number are needed. An average over drawn tasks would add
+    /// sampling error: for 2,000 tasks, one seventh of the standard error of a campaign of 40
+    /// tasks.
     pub(crate) fn truth_of_all_tasks(
         &self,
         suites: usize,
@@ -428,15 +429,15 @@ impl Planted {
 pub(crate) struct NetEffect {
     /// Mean effect over all tasks.
     pub(crate) mean: f64,
-    /// Share of tasks with an effect of their own; the others have none.
+    /// Share of tasks whose effect differs from the mean.
     pub(crate) share: f64,
-    /// Half of the tasks with an effect of their own have this much more, half this much less.
+    /// Deviation of these tasks' effects from the mean, up or down with equal probability.
     pub(crate) spread: f64,
 }
 
 impl NetEffect {
-    /// A campaign of 40 tasks at L2: one configuration in ten changes by chance, others as their
-    /// task's effect demands.
+    /// Returns a campaign of 40 tasks at L2: one configuration in ten changes by chance, others
+    /// with the probability given by their task's effect.
     pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
         let mut records = Vec::new();
         for at in 0..40 {
@@ -449,11 +450,12 @@ impl NetEffect {
                 let change = match coin {
                     _ if coin < 0.05 => 1,
                     _ if coin < 0.1 => -1,
-                    // The coin is in the remaining nine tenths.
+                    // Coins from 0.1 to 1 decide whether the task's effect applies.
                     _ if (coin - 0.1) < effect.abs() => effect.signum() as i32,
                     _ => 0,
                 };
-                // Unchanged ones succeed; a compensated one fails under the camera alone.
+                // An unchanged configuration always succeeds; a compensated one fails under the
+                // camera alone.
                 for condition in conditions() {
                     let fails = match condition {
                         Condition::Single(Axis::Camera) => change == 1,

@@ -28,7 +28,7 @@ pub(crate) fn row(condition: Condition) -> usize {
 /// One of two policies.
 struct Policy {
     population: Population,
-    /// Probability that one of the goal's two predicates held in a rollout that fails.
+    /// Probability that a failed rollout satisfied one of the goal's two predicates.
     half: f64,
     /// Mean number of control steps of a success in a task of mean length.
     steps: f64,
@@ -57,7 +57,7 @@ impl Policy {
             false => u32::from(chance.uniform() < self.half),
         };
         let steps = match succeeds {
-            // Rounding at random keeps the mean.
+            // Random rounding preserves the mean.
             true => {
                 self.steps * length * (0.8 + 0.4 * chance.uniform()) + chance.uniform().min(0.999)
             }

@@ -1,5 +1,5 @@
-"""Prints what pandas makes of each column of a Parquet file, and the kinds of
-values in it, as JSON: {"camera": ["boolean", ["bool"]], ...}.
+"""Prints the pandas dtype of each column of a Parquet file, and the Python types of its
+values, as JSON: {"camera": ["boolean", ["bool"]], ...}.
 
     python3 columns.py table.parquet
 """
@@ -16,6 +16,6 @@ kinds = {
 }
 gaps = {name: int(column.isna().sum()) for name, column in frame.items()}
 mixed = [name for name, column in frame.items() if column.dtype == object]
-# The purpose: no cast is needed to count.
+# pandas must count successes without a cast.
 successes = int(frame["camera"].sum())
 json.dump({"columns": kinds, "gaps": gaps, "objects": mixed, "camera": successes}, sys.stdout)

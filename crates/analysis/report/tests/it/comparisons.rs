@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use crate::fits_a_terminal;
 
-/// The published outcomes of OpenVLA-OFT, as a campaign's.
+/// Returns a campaign with the published outcomes of OpenVLA-OFT.
 fn campaign(policy: &str) -> Subject {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../examples/openvla_oft");
     let subject = import(Path::new(folder)).expect("the example data");
@@ -62,7 +62,7 @@ fn compare(a: Subject, b: Subject) -> Result<Comparison, Unpairable> {
 #[test]
 fn json_has_every_condition_at_every_level_with_its_counts() {
     let (a, b) = (campaign("first"), other("second"));
-    // Counted here in a different way: both files have the same order.
+    // Counts the expected pairs by position: both subjects list their rollouts in the same order.
     let is_cell =
         |id: &RolloutId| id.level().to_string() == "L2" && id.condition() == Condition::Combination;
     let both = a.records.iter().zip(&b.records);
@@ -291,7 +291,8 @@ fn quarantined_rollouts_of_either_are_in_no_rate_and_bounded() {
     fits_a_terminal(&text);
 }
 
-/// Progress of all rollouts: the second policy takes four steps more and has a predicate less.
+/// Adds progress to all rollouts; with `more` above 0, they take more steps and satisfy one
+/// predicate fewer.
 fn with_progress(mut subject: Subject, more: u32) -> Subject {
     let records = subject.records.iter().enumerate();
     let progress = records.map(|(index, record)| Progress {

@@ -15,7 +15,7 @@ fn set(text: &str) -> AxisSet {
     text.parse().expect("a set of axes")
 }
 
-/// Returns true if the planted rule of a task fails under these axes.
+/// Returns true if a task fails under these axes by its planted rule.
 fn fails(task: usize, axes: AxisSet) -> bool {
     let has = |text| set(text).is_subset(axes);
     match task % 4 {
@@ -26,7 +26,7 @@ fn fails(task: usize, axes: AxisSet) -> bool {
     }
 }
 
-/// One configuration of each of twelve tasks under some subsets.
+/// Records of one configuration in each of twelve tasks, under the subsets that `wanted` accepts.
 fn records(wanted: impl Fn(usize, AxisSet) -> bool) -> Vec<Record> {
     let mut records = Vec::new();
     for (index, task) in TaskRef::all().take(12).enumerate() {
@@ -65,8 +65,7 @@ fn whole() -> Subject {
     }
 }
 
-/// A campaign that explains another by pairs and triples, without two pairs of the first
-/// rule's tasks.
+/// A campaign that explains another by pairs and triples of axes, without the pair camera+lighting.
 fn explaining() -> Subject {
     let explanation = Explanation {
         campaign: "first <b>".to_owned(),
@@ -109,7 +108,7 @@ fn an_upset_plot_counts_each_minimal_subset_and_what_is_established_of_it() {
     let emergent = texts(&emergent);
     for said in [
         "camera+robot: 3 configurations, established in 3",
-        // One of its pairs was not run.
+        // Its pair camera+lighting was not run.
         "camera+lighting+sensor: 3 configurations, established in 0",
         "lighting+actuation: 3 configurations, established in 3",
         "n = 9",
@@ -161,7 +160,7 @@ fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
         "a line for every axis that is added"
     );
     assert_eq!(count("<a href=\"/"), 15);
-    // Outcomes differ in shape and in colour; the legend has one more of each.
+    // Each outcome has its own shape and colour; the legend adds one mark of each.
     let fails = explained
         .outcomes
         .iter()
@@ -287,7 +286,7 @@ fn without_a_whole_lattice_there_are_no_interactions_and_the_remedy_is_named() {
         words.contains("robot+language") && words.contains("--subsets all"),
         "{words}"
     );
-    // A gap in one configuration leaves that one out.
+    // A configuration with a gap is excluded.
     let one = Subject {
         records: records(|index, axes| index > 0 || axes != gap),
         ..whole()

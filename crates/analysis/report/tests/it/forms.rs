@@ -64,7 +64,7 @@ fn a_page_needs_nothing_but_itself() {
     for foreign in ["<script", "<link", "@import", "src=", "href=", "url("] {
         assert!(!page.contains(foreign), "the page holds {foreign}");
     }
-    // Addresses are namespaces and where a policy was, never something to load.
+    // The only URLs are XML namespaces and policy endpoints, which browsers do not load.
     let addresses = page.match_indices("http").map(|(at, _)| &page[at..at + 26]);
     for address in addresses {
         let known = ["http://www.w3.org/2000/svg", "http://127.0.0.1:1"];
@@ -128,7 +128,7 @@ fn a_campaign_without_any_result_makes_a_page_that_says_so() {
 
 #[test]
 fn figures_are_well_formed_files_with_units_and_counts() {
-    // Another label, but the same letters.
+    // A label that differs from that of `broken` but maps to the same file name.
     let twin = Subject {
         policy: "servo {b}".to_owned(),
         ..broken()

@@ -67,7 +67,7 @@ fn a_row_of_the_reference_is_read_with_or_without_what_its_id_says() {
     assert_eq!(alone.records, subject.records);
 }
 
-/// A row without an execution model counts as `wait`, which the reference's rows had.
+/// A row without an execution model, such as the reference's rows, counts as `wait`.
 #[test]
 fn a_file_has_one_execution_model() {
     let late = ROW.replace("\"success\"", r#""execution": "overlap:4", "success""#);
@@ -175,7 +175,7 @@ fn an_about_file_with_an_unknown_word_is_refused() {
     assert!(matches!(error, ImportError::About { .. }), "{error}");
 }
 
-/// A sparse file takes no room on a disk, and would take an hour to read.
+/// A sparse file needs no disk space, but reading it would take an hour.
 #[test]
 fn a_file_larger_than_any_is_refused_before_it_is_read() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -8,7 +8,7 @@ use serde_json::Value;
 use crate::fits_a_terminal;
 use crate::subjects::example;
 
-/// The published outcomes, as those of a campaign with a rule.
+/// Returns a campaign with the published outcomes and a stop rule.
 fn early(rule: &str, has_stopped: bool) -> Subject {
     Subject {
         early_stop: Some(EarlyStop {

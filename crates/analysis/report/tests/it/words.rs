@@ -1,4 +1,4 @@
-//! Tests of a report's words: intervals that it withholds, its legend, and one name for each thing.
+//! Tests of a report's wording: withheld intervals, the legend, and one term for each concept.
 
 use paired::Outcome;
 use report::{Subject, figures, page};

@@ -72,7 +72,7 @@ fn an_execution_model_is_written_unless_the_world_waits_and_makes_another_design
     assert!(error.to_string().contains("overlap:N"), "{error}");
 }
 
-/// Returns the specification of a campaign of these rows.
+/// Returns the specification of a campaign that imports these rows.
 fn imported(rows: &[ManifestRow], model: Option<&str>) -> Result<CampaignSpec, SpecError> {
     let mut json = serde_json::json!({
         "name": "imported",
@@ -120,7 +120,7 @@ fn rows_of_the_latency_axis_run_beside_no_other_model() {
     }
 }
 
-/// A manifest that was expanded under a model says so, in each row.
+/// An expanded manifest names its execution model in each row.
 #[test]
 fn a_campaign_runs_under_the_model_of_its_manifest() {
     let late = spec(&[("execution", "overlap:4".into())]).expect("a specification");
@@ -177,7 +177,7 @@ fn latency_is_an_axis_beside_the_six_and_never_simultaneous() {
     let rows = late.expand().expect("rows");
     let is_late = |row: &&ManifestRow| row.id.condition() == Condition::Latency;
     let (latency, others): (Vec<&ManifestRow>, Vec<&ManifestRow>) = rows.iter().partition(is_late);
-    // Two tasks, ten configurations, three levels: a late policy has no placebo.
+    // Two tasks, ten configurations, three levels: the placebo level has no latency rollouts.
     assert_eq!(latency.len(), 2 * 10 * 3);
     assert!(others.iter().all(|row| row.execution.is_wait()));
     for row in &latency {
@@ -211,7 +211,7 @@ fn latency_is_an_axis_beside_the_six_and_never_simultaneous() {
     );
     assert_ne!(late.version(), waits.version());
 
-    // As a manifest, in which the latency rows have models of their own.
+    // In a manifest, latency rows have their own execution models.
     let text = manifest::to_text(&rows);
     assert_eq!(manifest::parse(&text), Ok(rows.clone()));
     let wrong = text.replace(r#""execution":"overlap:4""#, r#""execution":"overlap:2""#);

@@ -60,7 +60,8 @@ fn plasma(decay: f64, rng: &mut LegacyRng) -> Vec<f64> {
             ((row % count) * step + half) * SIDE + (column % count) * step + half
         };
         let mut fill = |map: &mut Vec<f64>, at: usize, sum: f64| {
-            // The amplitude is the range's square: the released code applies it twice.
+            // The amplitude is the square of `range`, because the released code applies `range`
+            // twice.
             map[at] = sum / 4.0 + range * rng.uniform(-range, range);
         };
         let places = || (0..count).flat_map(|row| (0..count).map(move |column| (row, column)));

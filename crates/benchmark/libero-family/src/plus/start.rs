@@ -12,8 +12,8 @@ pub const ROBOTS: u16 = 500;
 const JOINTS: usize = 7;
 /// Seed of the directions.
 const SEED: u32 = 42;
-/// Length of the first hundred's displacements, rad; it grows by the same amount with each
-/// hundred.
+/// Length of the displacements of robots 1 to 100, rad; it increases by this amount with each
+/// further hundred.
 const RADIUS_STEP: f64 = 0.1;
 /// LIBERO's posture at a reset, rad.
 const HOME: [f64; JOINTS] = [

@@ -362,7 +362,7 @@ impl FromStr for Variant {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum UnknownVariant {
     /// No name was given.
-    #[error("read a variant, of which no name was given; give a name of LIBERO-Plus' task map")]
+    #[error("read a variant: its name is empty; give a name of LIBERO-Plus' task map")]
     Empty,
     /// The name does not start with a task.
     #[error(

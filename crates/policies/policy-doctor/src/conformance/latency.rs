@@ -39,7 +39,7 @@ pub struct Latency {
     /// Number of answers by delay in control steps, rounded up: an answer takes effect in the first
     /// step after it.
     pub delay_steps: BTreeMap<u16, u64>,
-    /// True if the server uses the commands executed meanwhile.
+    /// True if the server uses the commands that are executed until its answer takes effect.
     pub real_time_chunking: bool,
 }
 

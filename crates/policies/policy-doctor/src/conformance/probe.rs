@@ -26,7 +26,7 @@ use super::{
     verdict::{self, Verdict},
 };
 
-/// Names, in messages, of the settings with which the user of a check addresses a server.
+/// Names of the check's options for a policy server, for messages about failed connections.
 const SETTINGS: Settings = Settings {
     address: "the URL",
     authority: "--ca",

@@ -1,5 +1,5 @@
-//! Finds the local process that listens at an address, and reads its memory use. Reads Linux's
-//! /proc, so it knows nothing of remote servers, other systems, or other users' processes.
+//! Finds the local process that listens at an address, and reads its memory use from Linux's
+//! /proc. Remote servers, other systems and other users' processes are not supported.
 
 use std::{fmt, fs, path::Path};
 

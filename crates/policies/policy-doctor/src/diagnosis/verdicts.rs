@@ -13,7 +13,7 @@ use crate::{
     server::Action,
 };
 
-/// Largest difference between equal values.
+/// Largest difference between values that count as equal.
 const SAME: f64 = 1e-6;
 /// Memory per episode below which growth is ignored, bytes; logs and allocators cause that much.
 const KEPT_BYTES: u64 = 200 << 10;

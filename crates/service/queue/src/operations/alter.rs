@@ -26,8 +26,8 @@ pub struct Alteration {
 }
 
 impl Queue {
-    /// Alters a campaign. Returns the number of leases revoked; their workers are told in the
-    /// answer to their next heartbeat.
+    /// Alters a campaign. Returns the number of revoked leases; each worker learns of it from the
+    /// response to its next heartbeat.
     ///
     /// A renamed campaign is found under its new name only; its files stay in their folder. Name
     /// and policy also change in the stored specification, so creating the campaign again with the

@@ -41,7 +41,7 @@ pub(super) struct Cache {
     origins: HashMap<Arc<Provenance>, ProvenanceId>,
     /// Origin of a campaign's results in a suite; identifies the policy that was measured.
     measured: BTreeMap<(CampaignId, Suite), Option<Arc<Provenance>>>,
-    /// Number of leases granted so far, and the number at which each campaign last had a lease.
+    /// Number of turns so far, and the turn at which each campaign last received leases.
     turns: u64,
     last_turns: BTreeMap<CampaignId, u64>,
 }
@@ -64,7 +64,7 @@ impl Cache {
         }
     }
 
-    /// Notes that the transaction is committed.
+    /// Marks the transaction as committed.
     pub(super) fn committed(&mut self) {
         self.is_open = false;
     }
@@ -81,7 +81,7 @@ impl Cache {
         Ok(self.waiting.clone().unwrap_or_default())
     }
 
-    /// Returns the workers that have called since `since` and may lease.
+    /// Returns the workers that have contacted the coordinator since `since` and may lease.
     pub(super) async fn live(
         &mut self,
         tx: &mut SqliteConnection,
@@ -161,7 +161,7 @@ impl Cache {
         })
     }
 
-    /// Notes the origin of a campaign's result in a suite.
+    /// Caches the origin of a campaign's result in a suite.
     pub(super) fn add_measured(
         &mut self,
         campaign: CampaignId,
@@ -174,18 +174,18 @@ impl Cache {
         }
     }
 
-    /// Notes that a job of the campaign was leased.
+    /// Counts a turn of the campaign, which has received leases.
     pub(super) fn had_turn(&mut self, campaign: CampaignId) {
         self.turns += 1;
         self.last_turns.insert(campaign, self.turns);
     }
 
-    /// Returns the turn of a campaign's last lease, a number that only rises; 0 if unknown.
+    /// Returns the turn at which a campaign last received leases, counted upwards; 0 if unknown.
     pub(super) fn last_turn(&self, campaign: CampaignId) -> u64 {
         self.last_turns.get(&campaign).copied().unwrap_or(0)
     }
 
-    /// Clears what depends on campaigns, policies and waiting jobs, which may have changed.
+    /// Clears the cached campaigns, policies and waiting jobs, which may have changed.
     pub(super) fn forget_campaigns(&mut self) {
         self.campaigns.clear();
         self.waiting = None;

@@ -56,8 +56,7 @@ impl Queue {
         }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
         if new.jobs.len() > PIECE {
-            // Only a campaign that derives from no other is inserted here: a derived one has no
-            // jobs yet.
+            // A derived campaign never gets here, because it is created without jobs.
             drop(context);
             moves::insert(shared, new, &folder).await?;
             return Ok(created(shared, new));
@@ -76,8 +75,8 @@ impl Queue {
     }
 
     /// Pauses, resumes or cancels a campaign. Resuming also ends the back-off of its policy, which
-    /// may be probed at once. Cancelling revokes the campaign's leases without a charge; their
-    /// workers are told in the answer to their next heartbeat.
+    /// may be probed at once. Cancelling revokes the campaign's leases without a charge; each
+    /// worker learns of it from the response to its next heartbeat.
     ///
     /// # Errors
     /// If there is no such campaign, it is already cancelled or stopped, or the database fails.
@@ -254,8 +253,8 @@ impl Context<'_> {
     }
 
     /// Revokes a campaign's leases without a charge, including those of workers that were cut off
-    /// and may come back; workers are told in the answer to their next heartbeat. Returns the
-    /// number of leases.
+    /// and may reconnect. Each worker learns of it from the response to its next heartbeat. Returns
+    /// the number of leases.
     pub(super) async fn take_back(
         &mut self,
         campaign: CampaignId,

@@ -32,7 +32,7 @@ impl ClaimRequest {
     }
 }
 
-/// A claim without a job so far.
+/// A pending claim, to which no job is assigned yet.
 pub(super) struct Wanting<'a> {
     /// Index of the claim among those of the transaction.
     pub(super) place: usize,
@@ -108,9 +108,9 @@ impl Context<'_> {
         Ok(grants)
     }
 
-    /// Assigns jobs of a campaign that may stop early, in its drawn order, whatever scene a slot
-    /// holds. Only jobs up to the first gap in that order count, so a job beyond a gap may run for
-    /// nothing.
+    /// Assigns jobs of a campaign that may stop early, in its drawn order, regardless of the scenes
+    /// that the slots hold. Only jobs up to the first gap in that order count, so the result of a
+    /// job beyond a gap may be wasted.
     pub(super) async fn choose_in_order(
         &mut self,
         campaign: &Campaign,
@@ -153,7 +153,7 @@ impl Context<'_> {
         Ok(grants)
     }
 
-    /// Assigns one of the campaign's jobs that run alone to a claim, with the reason why it runs
+    /// Assigns a job that must run alone to one of the claims. Also returns the reason why it runs
     /// alone.
     pub(super) async fn choose_lone(
         &mut self,
@@ -198,8 +198,8 @@ impl Wanting<'_> {
         warm.filter(|task| !self.exhausted.contains(*task))
     }
 
-    /// Returns the task to serve this claim from: its warm task, or else a chosen one, on which one
-    /// more lease is counted.
+    /// Returns the task to serve this claim from: its warm task, or else a chosen one, whose number
+    /// of leases is then incremented.
     fn choose(&self, tasks: &mut [WaitingTask]) -> Option<String> {
         if let Some(warm) = self.warm() {
             return Some(warm.to_owned());

@@ -46,7 +46,7 @@ pub struct Assigned {
     /// The policy's name at its endpoint.
     pub policy: String,
     pub policy_endpoint: String,
-    /// "matched" or "reference".
+    /// Realisation: "matched" or "reference".
     pub realisation: String,
     /// Text of the execution model.
     pub execution: String,
@@ -118,7 +118,7 @@ impl Context<'_> {
         Ok(answers)
     }
 
-    /// Returns the standings of the claiming workers and notes that they are alive.
+    /// Returns the standings of the claiming workers, and records new claims as signs of life.
     async fn standings(
         &mut self,
         requests: &[(&ClaimRequest, bool)],

@@ -34,10 +34,10 @@ pub enum CommitVerdict {
     Duplicate,
     /// Refused and counted, because the attempt no longer holds the lease.
     Stale,
-    /// Another outcome of the attempt is stored: this one is recorded separately.
+    /// A different outcome of the attempt is already stored; this one is recorded separately.
     Divergent,
-    /// Refused: the result disagrees with its configuration's siblings, which is charged, or with
-    /// the pin that its campaign has received since the lease.
+    /// Refused: the result is inconsistent with its configuration's siblings, which is charged, or
+    /// with a pin that its campaign received after the lease, which is not.
     Unpaired,
 }
 
@@ -72,7 +72,7 @@ impl Context<'_> {
                 attempt.job.state = JobState::Leased(lease);
             }
             let reply = self.judge(attempt, report, &mut accepted).await?;
-            // The second of two reports of one attempt must find the result of the first.
+            // A second report of the same attempt must find the result of the first.
             if reply.verdict == CommitVerdict::Accepted {
                 attempt.stored = Some(key(&report.result));
                 attempt.job.state = JobState::Committed;
@@ -188,7 +188,7 @@ impl Context<'_> {
         };
         let siblings = match self.cache.siblings(&mut self.tx, &attempt.of).await {
             Err(error) if error.is_undecodable() => {
-                // No result of this initial state can be compared, whoever reports it.
+                // No result of this initial state can be compared, so the worker is not charged.
                 let detail = format!(
                     "the results of its siblings cannot be read (failed to {}); restore the \
                      database from a backup, or skip the rollout",

@@ -22,8 +22,8 @@ use crate::store::failpoint::Step;
 use crate::store::jobs::NamedAttempt;
 use crate::store::{StoreError, Tx, jobs, policies, workers};
 
-/// Longest time that a job which could not reach its policy lets other jobs go first after the
-/// policy's pause. A worker may claim as late as a few seconds after the pause.
+/// Longest time after a policy's pause for which a job that could not reach the policy yields to
+/// other jobs. Workers may claim a few seconds after the pause ends.
 const GIVES_WAY: Duration = Duration::from_secs(10);
 
 /// The writing transaction, rolled back on drop.
@@ -155,7 +155,7 @@ impl<'a> Context<'a> {
         if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) =
             (is_outage && before.is_probe(id), &after.state, &mut then)
         {
-            // Gives another waiting job of the policy the next try.
+            // Lets another waiting job be the policy's next probe.
             let wait = resume.since(now).clamp(Waits::USUAL.first, GIVES_WAY);
             *not_before = (*not_before).max(resume.plus(wait));
         }

@@ -280,8 +280,8 @@ pub(super) async fn records(
     records.doing("read the outcomes that a campaign follows from")
 }
 
-/// Runs a computation outside the threads that answer calls: one over a whole campaign takes tens
-/// of milliseconds or more.
+/// Runs a computation on a blocking thread, not on one that answers calls: a computation over a
+/// whole campaign takes tens of milliseconds or more.
 pub(super) async fn aside<T: Send + 'static>(
     computation: impl FnOnce() -> T + Send + 'static,
 ) -> T {
@@ -354,7 +354,7 @@ mod tests {
             .expect("added");
         let jobs = i64::try_from(source.jobs.len()).expect("few");
         assert_eq!(derived().await.jobs, jobs);
-        // Repeats the same pass, as if another one had been faster.
+        // Adds the same jobs again, as if a concurrent pass had added them first.
         add(&queue.shared, &after, &source.jobs)
             .await
             .expect("nothing to do");

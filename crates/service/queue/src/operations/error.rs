@@ -72,11 +72,13 @@ pub enum QueueError {
     },
     /// A campaign with the realisation `reference` cannot be derived from.
     #[error(
-        "go on with campaign `{campaign}`: its realisation is reference, in which an axis is another perturbation in each condition; name a campaign with matched"
+        "derive from campaign `{campaign}`: its realisation is reference, in which each condition \
+         perturbs an axis differently; name a campaign with matched"
     )]
     Unmatched { campaign: CampaignName },
     #[error(
-        "go on with campaign `{campaign}`: it measures policy `{policy}` at {endpoint}; name the same one"
+        "derive from campaign `{campaign}`: it measures policy `{policy}` at {endpoint}; name the \
+         same one"
     )]
     OtherPolicy {
         campaign: CampaignName,

@@ -12,8 +12,8 @@ use crate::ids::WorkerId;
 pub(crate) struct Filming(Mutex<BTreeMap<WorkerId, (u32, UnixMillis)>>);
 
 impl Filming {
-    /// Notes the number of videos that a worker's heartbeat reports. Workers that have not called
-    /// since `alive_since` are dropped.
+    /// Records the number of videos that a worker's heartbeat reports. Drops workers whose last
+    /// report is older than `alive_since`.
     pub(crate) fn heard(
         &self,
         worker: &WorkerId,

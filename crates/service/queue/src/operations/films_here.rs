@@ -17,7 +17,7 @@ pub struct FilmHere {
     pub path: String,
     /// Absolute path of the file.
     pub file: PathBuf,
-    /// Identity of the file when it was listed: a video may be uploaded again.
+    /// Identity of the file when it was listed; it changes if the video is uploaded again.
     identity: (u64, i64, i64),
 }
 
@@ -66,9 +66,9 @@ impl Queue {
         }
     }
 
-    /// Removes the remaining files of deleted campaigns, locally and remotely. Remote storage may
-    /// be slow or unavailable, so campaigns can be created and deleted meanwhile. Only one caller
-    /// works at a time.
+    /// Removes the remaining files of deleted campaigns, locally and remotely. Campaigns can be
+    /// created and deleted meanwhile, because remote storage may be slow or unavailable. Concurrent
+    /// calls run one after the other.
     pub async fn finish_removals(&self) -> Result<(), StoreError> {
         let _alone = self.removing.lock().await;
         // A campaign being imported has its folder marked for removal until it is complete. This

@@ -57,8 +57,8 @@ impl Context<'_> {
         Ok(heartbeats.iter().map(answer).collect())
     }
 
-    /// Restores leases that were cut off with a worker whose heartbeat names them again. Returns
-    /// true if there were any.
+    /// Restores leases of workers that were cut off if their heartbeats name them again. Returns
+    /// true if any lease was restored.
     async fn resume_those_cut_off(
         &mut self,
         progress: &[Progress<'_>],
@@ -81,8 +81,8 @@ impl Context<'_> {
         Ok(has_resumed)
     }
 
-    /// Marks the policy of a probe as available once the probe is past the settling steps, which
-    /// only an answered query allows.
+    /// Marks the policy of a probe as available once the probe is past the settling steps, because
+    /// later steps need an answer of the policy.
     async fn hear_probes(
         &mut self,
         progress: &[Progress<'_>],

@@ -196,7 +196,7 @@ fn in_short(error: serde_json::Error) -> String {
     shortened(JsonError::from(error).problem(), MAX_PROBLEM_BYTES).to_owned()
 }
 
-/// Returns true if the rollouts of a derived campaign have step budgets of its source.
+/// Returns true if every step budget of a derived campaign also occurs in its source.
 pub(super) async fn has_budgets_of(
     (derived, campaign): (&Store, CampaignId),
     (here, source): (&Store, CampaignId),

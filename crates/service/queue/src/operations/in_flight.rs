@@ -9,7 +9,7 @@ use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, JobId};
 use crate::store::films::Filmed;
 
-/// Time after which a rollout being filmed is handed out again: rendering the longest rollout in
+/// Time after which a rollout being filmed is assigned again: rendering the longest rollout in
 /// software takes a few minutes.
 const FILMING_TIMEOUT: Duration = Duration::from_secs(15 * 60);
 /// A scan that took less than this is repeated after every outcome.
@@ -34,7 +34,7 @@ struct Known {
     in_flight: BTreeMap<JobId, UnixMillis>,
 }
 
-/// The rollouts of a campaign that have no video yet and are to have one.
+/// Rollouts of a campaign that are still to be filmed.
 #[derive(Debug)]
 struct Wanting {
     of: Filmed,
@@ -44,7 +44,7 @@ struct Wanting {
 }
 
 impl Films {
-    /// Drops all other campaigns and returns those of `campaigns` that must be scanned.
+    /// Drops cached campaigns that are not in `campaigns`. Returns those that must be scanned.
     pub(super) fn outdated(&self, campaigns: &[Filmed], now: Instant) -> Vec<Filmed> {
         let mut known = self.lock();
         let is_filmed = |id: &CampaignId| campaigns.iter().any(|it| it.campaign == *id);
@@ -74,7 +74,7 @@ impl Films {
         known.wanting.insert(campaign, wanting);
     }
 
-    /// Notes that the video of a rollout was stored.
+    /// Records that the video of a rollout was stored.
     pub(super) fn filmed(&self, campaign: CampaignId, job: JobId) {
         let mut known = self.lock();
         known.filmed.insert(job);

@@ -48,13 +48,14 @@ pub enum MergeError {
         differs: String,
     },
     #[error(
-        "merge them: rollout `{rollout}` is another one in each; only halves of one design, expanded by one version of the program, can be merged"
+        "merge them: rollout `{rollout}` has a different manifest row in each; only halves of one \
+         design, expanded by one version of the program, can be merged"
     )]
     Rollout { rollout: JobName },
     /// The halves have different pins: asset packs, simulators or renderers.
     #[error("merge them: the first is pinned to {first} and the second to {second}")]
     Pin { first: String, second: String },
-    #[error("merge them: in {suite} they are of two policies, whose {difference}")]
+    #[error("merge them: in {suite} they measured different policies, whose {difference}")]
     Policy { suite: Suite, difference: String },
     #[error(
         "merge them: {count} of their rollouts contradict each other\n{examples}\ncompare where these came from, and merge only halves that were run alike"

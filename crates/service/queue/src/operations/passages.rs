@@ -1,6 +1,7 @@
 //! Insertion and deletion of large campaigns in batches: the writer serves workers between batches,
 //! and an incomplete campaign is hidden. A campaign that was being inserted or deleted when the
-//! coordinator stopped is deleted at the next start; whoever was creating it must create it again.
+//! coordinator stopped is deleted at the next start; an interrupted creation must be requested
+//! again.
 
 use std::sync::Arc;
 

@@ -66,9 +66,9 @@ pub enum PortableError {
     /// The database holds no campaign, or several.
     #[error("find the campaign in it: it holds {count} campaigns, not one")]
     NotOne { count: usize },
-    #[error("use the specification of campaign `{campaign}`: its digest is of another one")]
+    #[error("use the specification of campaign `{campaign}`: it does not match its digest")]
     SpecDigest { campaign: CampaignName },
-    #[error("find it in order: {invariant} does not hold ({example})")]
+    #[error("verify its database: the invariant `{invariant}` is violated ({example})")]
     Violated {
         invariant: &'static str,
         example: String,
@@ -249,8 +249,8 @@ impl Queue {
         }
         let follows = context.followed(&called, source).await?;
         if let Some(source) = follows {
-            // Nobody waits for the writer while many rows are read. No campaign comes or goes
-            // meanwhile, and rows of a campaign never change.
+            // Releases the writer while many rows are read. The lock on `campaigns` prevents
+            // creations and deletions meanwhile, and the rows of a campaign never change.
             drop(context);
             let derived = (&from.store, from.campaign.id);
             if !imported::has_budgets_of(derived, (&shared.store, source)).await? {

@@ -9,9 +9,9 @@ use crate::store::failpoint::Step;
 use crate::store::workers::{self, WorkerInfo};
 
 impl Queue {
-    /// Registers a worker. It inherits the failures in a row of the previous worker on its machine,
-    /// and starts at zero if it does not name its machine. Returns the reason why waiting jobs
-    /// cannot go to it; empty if there are none.
+    /// Registers a worker. The worker inherits the number of consecutive failures of the previous
+    /// worker on its machine; without a machine's name it starts at zero. Returns the reason why
+    /// waiting jobs cannot go to the worker; empty if there is none.
     ///
     /// # Errors
     /// If the database fails.
@@ -29,7 +29,7 @@ impl Queue {
         Ok(idle_reason)
     }
 
-    /// Notes that a worker shut down cleanly: it counts as gone at once, until it registers again.
+    /// Records a worker's clean shutdown: it counts as gone at once, until it registers again.
     ///
     /// # Errors
     /// If the worker is unknown or the database fails.

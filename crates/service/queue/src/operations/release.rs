@@ -51,8 +51,9 @@ impl Context<'_> {
         let Some(attempt) = named.get_mut(&id) else {
             return Ok(Err(QueueError::UnknownAttempt { attempt: id }));
         };
-        // Otherwise a heartbeat sent before the release could resume a lease that the worker has
-        // given up; the following heartbeats, which leave it out, would charge the machine.
+        // Resumes the lease before ending it. Otherwise a heartbeat sent before the release could
+        // resume it later, and the following heartbeats, which leave it out, would charge the
+        // machine.
         if let Some(lease) = self.resume(attempt).await? {
             attempt.job.state = JobState::Leased(lease);
         }

@@ -52,7 +52,7 @@ impl Queue {
 }
 
 impl Context<'_> {
-    /// Returns a job that is named to be retried, if it is in quarantine.
+    /// Returns the named job, if it is in quarantine.
     async fn quarantined(
         &mut self,
         campaign: &Campaign,

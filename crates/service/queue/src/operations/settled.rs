@@ -37,7 +37,7 @@ impl Settled {
         self.ended.subscribe()
     }
 
-    /// Notes that the first `ended` transactions are processed and that the derived jobs are
+    /// Records that the first `ended` transactions are processed and that the derived jobs are
     /// committed.
     pub(crate) fn look_ended(&self, ended: u64) {
         self.looked_at.store(ended, Ordering::SeqCst);

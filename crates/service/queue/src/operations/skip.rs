@@ -13,8 +13,8 @@ use crate::store::jobs;
 const SKIPPED: &str = "an operator skipped this rollout";
 
 impl Queue {
-    /// Quarantines all of the named rollouts, or none. They must be waiting or leased. Nobody is
-    /// charged, and `retry_jobs` takes them out again. Returns their number.
+    /// Quarantines all of the named rollouts, or none. They must be waiting or leased. No failure
+    /// is charged, and `retry_jobs` releases them again. Returns their number.
     ///
     /// # Errors
     /// If the campaign or a job is unknown, the campaign has ended, a job is committed or in

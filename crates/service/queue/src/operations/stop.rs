@@ -85,7 +85,7 @@ async fn look(shared: &Shared, fronts: &mut Fronts) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Stops a campaign whose rule `look` found met, unless the campaign was cancelled since, or one of
+/// Stops a campaign whose rule is met at `look`, unless the campaign was cancelled since, or one of
 /// the rollouts before `order`, on which the evaluation rests, was taken out of quarantine. Returns
 /// false if the campaign continues.
 ///

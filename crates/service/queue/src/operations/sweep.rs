@@ -47,8 +47,8 @@ impl Queue {
 }
 
 impl Context<'_> {
-    /// Ends expired leases. A worker whose heartbeats left out several leases at once gets one
-    /// strike, and a worker that fell silent gets none. Returns true if any lease expired.
+    /// Ends expired leases and returns true if any lease expired. A worker whose heartbeats omitted
+    /// several leases gets one strike for all of them; a worker whose heartbeats stopped gets none.
     async fn take_expired(&mut self) -> Result<bool, StoreError> {
         let expired = jobs::expired(&mut self.tx, self.now, MAX_EXPIRED_PER_SWEEP).await?;
         let mut to_strike: BTreeSet<WorkerId> = BTreeSet::new();

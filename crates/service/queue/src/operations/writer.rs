@@ -26,7 +26,8 @@ pub(crate) const MAX_WAITING: usize = 4_096;
 
 /// An operation that a worker asks for.
 pub(crate) enum Operation {
-    /// Leases a job. The flag is false for a claim that was only woken while it waited.
+    /// Leases a job. The flag is true for a new claim, and false for a retry of a waiting claim
+    /// that was woken.
     Claim(Pending<(ClaimRequest, bool), Claimed>),
     Heartbeat(Pending<Heartbeat, Vec<AttemptId>>),
     Commit(Pending<Box<CommitReport>, CommitReply>),
@@ -74,9 +75,9 @@ async fn write(shared: &Shared, batch: &mut [Operation]) {
     }
 }
 
-/// Executes operations in one transaction, which answers all of them or has no effect. A worker
-/// waits for each answer before its next request, so the order is free: operations that make jobs
-/// leasable go first.
+/// Executes operations in one transaction, which answers all of them or has no effect. Every worker
+/// waits for an answer before its next request, so operations may be reordered: those that make
+/// jobs leasable go first.
 async fn transact(
     mut context: Context<'_>,
     operations: &mut [Operation],
@@ -206,7 +207,8 @@ mod tests {
             let error = refused.expect_err("another has the lock");
             assert!(matches!(error, QueueError::Store(_)), "{error:?}");
         }
-        // One wait for the first operation, and one for those that arrived in the meantime.
+        // One wait for the lock by the first operation, and one by those that arrived in the
+        // meantime.
         assert!(began.elapsed() < BUSY * OPERATIONS / 4);
         lock.rollback().await.expect("lets go");
         // Requests are answered again; no worker with this name is registered.

@@ -50,7 +50,7 @@ pub struct CampaignStatus {
     pub waiting_reason: String,
     /// Mix of fingerprints among its results, if they have more than one.
     pub fingerprints: Option<Fingerprints>,
-    /// Early stop: its rule, and its point if the campaign has stopped.
+    /// Early-stopping rule, and the point at which the campaign stopped, if it has.
     pub stop: Option<EarlyStop>,
     /// The campaign that this one derives from, if any.
     pub source: Option<Source>,
@@ -103,7 +103,7 @@ impl View {
         campaigns::spec(self.tx(), campaign.id).await
     }
 
-    /// Returns the early stop of a campaign; `None` for one that always runs to its end.
+    /// Returns the early stop of a campaign; `None` for a campaign that always runs to its end.
     pub async fn early_stop(
         &mut self,
         campaign: &Campaign,
@@ -202,9 +202,9 @@ impl View {
     }
 }
 
-/// Returns recent rollouts per second; `None` before the first rollout completed. Only rollouts
-/// that began since the campaign was last resumed count: one in progress across a pause says
-/// nothing about the pace.
+/// Returns recent rollouts per second; `None` before the first rollout completed. Rollouts that
+/// began before the campaign was last resumed are excluded, since their duration includes the
+/// pause.
 async fn rate(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

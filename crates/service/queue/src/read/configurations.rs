@@ -28,7 +28,7 @@ pub struct RolloutLine {
     /// The policy's control steps that its worker last reported, while it is
     /// leased; 0 while the scene settles.
     pub control_steps: Option<u32>,
-    /// Reports that were refused because their lease was gone.
+    /// Reports that were refused because their attempt no longer held the lease.
     pub stale_reports: u32,
 }
 
@@ -89,7 +89,7 @@ impl ResultLine {
 }
 
 impl View {
-    /// Returns those of the named rollouts that the campaign has, in one replicate.
+    /// Returns the named rollouts that exist in the campaign, in one replicate.
     pub async fn rollouts(
         &mut self,
         campaign: CampaignId,

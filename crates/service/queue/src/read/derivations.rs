@@ -38,8 +38,8 @@ impl View {
         Ok(list)
     }
 
-    /// Returns those of the named rollouts that a campaign has, in every replicate, by rollout id,
-    /// then replicate.
+    /// Returns the named rollouts that exist in a campaign, in every replicate, by rollout id, then
+    /// replicate.
     pub async fn subsets(
         &mut self,
         campaign: CampaignId,

@@ -10,8 +10,8 @@ use super::speed::{Machine, Rate, Spent, rate};
 /// Forecast of the duration of rollouts.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Forecast {
-    /// Live workers of one kind, which share the pin that a campaign requires; among several kinds,
-    /// the one that finishes first.
+    /// Number of live workers with one pin, since a campaign runs on workers of a single pin. If
+    /// workers have several pins, the forecast is for the pin that finishes first.
     pub workers: u32,
     pub slots: u32,
     /// Cores of these workers; `None` if one does not report them.
@@ -37,7 +37,8 @@ pub struct Speed {
     pub spent: Spent,
     /// Rate on the workers of the forecast; `None` if a worker does not report its number of cores.
     pub rate: Option<Rate>,
-    /// Seconds that the rollouts take with as many slots as increase the rate.
+    /// Seconds that the rollouts take with [`Rate::enough_slots`]; further slots do not raise the
+    /// rate.
     pub enough_slots_secs: Option<f64>,
 }
 
@@ -208,7 +209,8 @@ fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, S
         drawing_secs: figure(used, |it| it.drawing_secs)?,
         policy_secs: figure(used, |it| it.policy_secs)?,
         waiting_secs: figure(used, |it| it.waiting_secs)?,
-        // Counted only with a core for every slot: on shared cores, slots wait for one another.
+        // Measured only where every slot had its own core: on shared cores, slots also wait for one
+        // another.
         taken_secs: figure(&roomy, |it| it.waiting_secs).unwrap_or(0.0),
         queries: figure(used, |it| it.queries)?,
     };

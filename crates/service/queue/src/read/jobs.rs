@@ -82,7 +82,7 @@ pub struct JobDetails {
     pub line: JobLine,
     /// Manifest row, JSON.
     pub manifest_row: String,
-    /// Reports that were refused because their lease was gone.
+    /// Reports that were refused because their attempt no longer held the lease.
     pub stale_reports: u32,
     /// Attempts that ended without a result, newest first.
     pub failures: Vec<FailureLine>,

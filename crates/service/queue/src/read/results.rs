@@ -15,14 +15,14 @@ use crate::store::{Doing, StoreError};
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Edition {
     id: CampaignId,
-    // Distinguishes campaigns, since row numbers are reused after a deletion.
+    // Identifies the campaign, together with `id`.
     created_ms: UnixMillis,
     committed: i64,
     quarantined: i64,
     divergent: i64,
-    // Jobs are added to a derived campaign.
+    // Number of jobs, which grows in a derived campaign.
     jobs: i64,
-    // Not all results count in a campaign that stopped early.
+    // True if the campaign stopped early, so that not all of its results count.
     has_stopped: bool,
 }
 

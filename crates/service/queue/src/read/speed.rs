@@ -26,8 +26,8 @@ pub struct Spent {
     pub policy_secs: f64,
     /// Rest of its duration: waiting for a core, a card or a disk.
     pub waiting_secs: f64,
-    /// Part of the waiting time during which every slot had a core to itself: it was lost to
-    /// something else, such as a disk, and further slots would lose it as well.
+    /// Part of the waiting time that slots with a core of their own lost to another resource, such
+    /// as a disk; additional slots would lose it as well.
     pub taken_secs: f64,
     pub queries: f64,
 }
@@ -60,7 +60,7 @@ impl Spent {
         self.physics_secs + self.drawing_secs + self.taken_secs
     }
 
-    /// Returns the duration when no other slot needs the core.
+    /// Returns the duration of a rollout whose core is used by no other slot.
     fn alone(&self) -> f64 {
         self.busy() + self.policy_secs
     }

@@ -7,7 +7,7 @@ use crate::rules::outage::PolicyHealth;
 use crate::store::policies::health;
 use crate::store::{Doing, StoreError};
 
-/// Most workers that one query returns: those with the latest calls.
+/// Most workers that one query returns: those that called most recently.
 pub const MAX_WORKERS_LISTED: u32 = 1_000;
 
 /// A worker as listed to operators.
@@ -34,7 +34,7 @@ pub struct WorkerLine {
     pub stopped_reason: Option<String>,
     /// True if it called recently and has not signed off.
     pub is_alive: bool,
-    /// Videos of finished rollouts that it draws or sends; 0 for a worker that has gone.
+    /// Videos of finished rollouts that the worker renders or uploads; 0 if the worker has gone.
     #[sqlx(skip)]
     pub filming: u32,
 }
@@ -63,7 +63,7 @@ pub struct QuarantinedLine {
 }
 
 impl View {
-    /// Returns up to [`MAX_WORKERS_LISTED`] workers, those with the latest calls first.
+    /// Returns up to [`MAX_WORKERS_LISTED`] workers, those that called most recently first.
     pub async fn workers(&mut self) -> Result<Vec<WorkerLine>, StoreError> {
         let alive_since = self.now.minus(self.timing.worker_alive);
         let mut workers: Vec<WorkerLine> = sqlx::query_as(

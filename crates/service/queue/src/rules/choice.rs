@@ -40,7 +40,7 @@ pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(Ca
 /// A task of one campaign with waiting jobs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WaitingTask {
-    /// "libero_goal/3".
+    /// Task, such as "libero_goal/3".
     pub task: String,
     /// Place of the task's next job in paired-unit order.
     pub first_unit: i64,

@@ -46,8 +46,9 @@ pub(crate) fn wanted(
 }
 
 /// Returns the rollouts of `own` that illustrate an explanation and are worth filming: those under
-/// the minimal subsets, and under the largest subsets of each that do not flip the outcome. For
-/// each subset it is the first replicate that shows the majority's outcome.
+/// the minimal subsets of axes, and those under the largest subsets of each minimal subset that do
+/// not flip the outcome. For each of these subsets, returns the first replicate with the majority's
+/// outcome.
 pub(crate) fn telling(
     explained: &[Record],
     own: &[Record],

@@ -12,21 +12,21 @@ use crate::ids::{AttemptNumber, JobId, WorkerId};
 
 /// Charged attempts after which a job is quarantined.
 pub const MAX_CHARGED_ATTEMPTS: u32 = 3;
-/// Machines on which a job must have failed before it is quarantined, if workers on
-/// that many are alive: one broken machine must not put a rollout into quarantine.
-/// Workers that do not say on which machine they run count as one machine each.
+/// Machines on which a job must have failed before it is quarantined, if workers on that many are
+/// alive: one broken machine must not put a rollout into quarantine. Workers that do not report
+/// their machine count as one machine each.
 pub const MIN_MACHINES_TO_QUARANTINE: u32 = 2;
 /// Machine failures in a row after which a worker stops leasing.
 pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
-/// Attempts of one job cut off with their worker after which the job waits for a back-off each
-/// time, so that other jobs get the remaining workers.
+/// Number of a job's attempts cut off with their worker from which on each one is followed by a
+/// back-off, so that other jobs get the remaining workers.
 pub const SILENCES_UNTIL_BACKOFF: u32 = 3;
-/// Attempts of one job cut off with their worker after which the job is quarantined, since it
-/// probably crashes its workers: a network would have to fail that often during this very job, each
-/// time until the worker is gone for good.
+/// Number of a job's attempts cut off with their worker at which the job is quarantined, since it
+/// probably crashes its workers: network failures would have to hit this job that often, each time
+/// until its worker counts as gone.
 pub const MAX_SILENCES: u32 = 10;
-/// Attempts of one job that lost their policy after which the job waits for a back-off each time,
-/// so that other jobs run while the policy is available.
+/// Number of a job's attempts that lost their policy from which on each one is followed by a
+/// back-off, so that other jobs run while the policy is available.
 pub const LOSSES_UNTIL_BACKOFF: u32 = 2;
 /// Attempts of one job that lost their policy after which the job runs only as the policy's single
 /// lease, and only when no other job of the policy waits. The schema's index `job_alone` uses the
@@ -74,7 +74,7 @@ pub struct Lease {
     pub granted: UnixMillis,
     /// Instant of expiry unless a heartbeat renews the lease.
     pub expires: UnixMillis,
-    /// Past this instant no heartbeat renews it.
+    /// Instant after which heartbeats no longer renew the lease.
     pub ceiling: UnixMillis,
     /// True once a heartbeat of the worker has named the lease.
     pub is_acknowledged: bool,
@@ -238,7 +238,8 @@ impl Job {
         rng: &mut impl Rng,
     ) -> AfterFailure {
         let machines = MIN_MACHINES_TO_QUARANTINE.min(suspicion.able_machines);
-        // True if the job is quarantined, and the exponent of its back-off.
+        // `is_over` is true if the job is quarantined; `wait` is the exponent of its back-off
+        // otherwise.
         let (is_over, wait) = match reason {
             FailureReason::Skipped => return AfterFailure::Quarantine,
             FailureReason::PolicyLost => {
@@ -282,14 +283,14 @@ impl Job {
 }
 
 impl Lease {
-    /// Returns the reason for the expiry of this lease, whose duration without a heartbeat is
-    /// `lasts`. `last_heartbeat` is the worker's last one, whether or not it named this attempt.
+    /// Returns the reason why this lease expired. `lasts` is the duration of a lease without a
+    /// heartbeat; `last_heartbeat` is the worker's last one, even if it did not name this attempt.
     ///
     /// If the worker's heartbeats stopped, all its leases expired together and nothing is known
-    /// about the rollout: the network may be cut. If its heartbeats continued and left the attempt
-    /// out, the worker has forgotten it. The second half of the lease distinguishes the two, since
-    /// a heartbeat may be late and be overtaken by another. At the attempt's ceiling, any heartbeat
-    /// within one lease shows that the worker is alive.
+    /// about the rollout: the network may be cut. If its heartbeats continued but omitted the
+    /// attempt, the worker has forgotten the attempt. A heartbeat in the second half of the lease
+    /// counts as continuing, since heartbeats may be late and overtake one another. At the
+    /// attempt's ceiling, any heartbeat within one lease shows that the worker is alive.
     pub fn why_expired(
         &self,
         last_heartbeat: Option<UnixMillis>,

@@ -1,10 +1,11 @@
-//! Merge of two halves' knowledge of a campaign's rollouts, and detection of contradictions.
+//! Merge of the records that two databases (halves) hold of one campaign's rollouts, and detection
+//! of contradictions.
 
 use std::collections::BTreeMap;
 
 use super::lease::OutcomeKey;
 
-/// One half's knowledge of a rollout.
+/// Record of a rollout in one half.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Known {
     /// Progress of the rollout.

@@ -35,7 +35,8 @@ pub(crate) struct Sibling {
 }
 
 impl Sibling {
-    /// Returns true if comparing a result with `other` too cannot find a further difference.
+    /// Returns true if a result that is consistent with `self` is also consistent with `other`, so
+    /// that `other` need not be compared.
     pub(crate) fn stands_for(&self, other: &Sibling) -> bool {
         self.rollout == other.rollout
             && self.digests.first_frame.is_empty() == other.digests.first_frame.is_empty()
@@ -79,8 +80,8 @@ fn from_the_campaign(demand: &Demand<'_>, provenance: &Provenance) -> Option<Str
     differs("realisation mode", here, there, "in the campaign")
 }
 
-/// Checks the realised axes against the manifest row, since a perturbation that was left out would
-/// agree with every sibling.
+/// Checks that exactly the manifest row's axes were realised. A comparison with siblings does not
+/// detect an omitted perturbation.
 fn from_the_row(row: &ManifestRow, realised: &Realised) -> Option<String> {
     let names = |axes: &mut dyn Iterator<Item = Axis>| {
         let names: Vec<&str> = axes.map(Axis::name).collect();

@@ -1,4 +1,4 @@
-//! Statements on `artifact`: the files stored beside outcomes.
+//! Statements on `artifact`: files that belong to attempts with a committed outcome.
 
 use std::collections::BTreeSet;
 
@@ -20,7 +20,7 @@ pub(crate) struct ArtifactOwner {
     pub(crate) replicate: u32,
 }
 
-/// Returns the rollout whose committed outcome is of this attempt.
+/// Returns the rollout whose outcome was committed by this attempt.
 pub(crate) async fn owner(
     tx: &mut SqliteConnection,
     attempt: AttemptId,
@@ -37,7 +37,7 @@ pub(crate) async fn owner(
     .doing("look up whose file this is")
 }
 
-/// Returns those of the files that are recorded beside an outcome.
+/// Returns the subset of these files that are recorded as artifacts.
 pub(crate) async fn recorded(
     tx: &mut SqliteConnection,
     paths: &[&str],

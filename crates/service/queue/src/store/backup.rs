@@ -32,7 +32,7 @@ fn place(store: &Store) -> io::Result<TempPath> {
     if store.is_in_place() {
         return TempPath::try_from_path(store.folder().join(BACKUP_FILE));
     }
-    // Others can write to that folder, so the file is this user's, with an unforeseeable name.
+    // Other users can write to the temporary folder, so the file is private and has a random name.
     let copy = tempfile::Builder::new()
         .prefix("rollout-")
         .suffix(BACKUP_FILE)
@@ -42,7 +42,7 @@ fn place(store: &Store) -> io::Result<TempPath> {
 
 /// Removes the incomplete copy of a process that was killed.
 pub(crate) fn remove_leftover(folder: &Path) {
-    // Usually there is none; one that cannot be removed is overwritten or reported by the next
-    // backup.
+    // Usually there is no such file. If it cannot be removed, the next backup overwrites it or
+    // reports the error.
     let _ = std::fs::remove_file(folder.join(BACKUP_FILE));
 }

@@ -52,8 +52,8 @@ impl Beside<'_> {
         Ok(())
     }
 
-    /// Begins the writing transaction for these steps. It is not an immediate one, which would also
-    /// lock the attached database.
+    /// Begins the writing transaction for these steps. The transaction is deferred, since an
+    /// immediate one would also lock the attached database.
     pub(crate) async fn write(&mut self, steps: Vec<Step>) -> Result<Tx<'_>, StoreError> {
         let transaction = self.connection.begin().await;
         Ok(Tx {

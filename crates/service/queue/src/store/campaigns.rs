@@ -33,13 +33,13 @@ pub struct Campaign {
     pub health: PolicyHealth,
     /// Source of random values in perturbations: "matched" or "reference".
     pub realisation: String,
-    /// Text of its execution model: the robot's conduct while an answer is under way.
+    /// Execution model as text: the robot's conduct while the policy computes an answer.
     pub execution: String,
     /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
     pub record: String,
     #[sqlx(json)]
     pub state: CampaignState,
-    /// True if configurations run in a drawn order, so that the campaign may stop early.
+    /// True if configurations run in random order, so that the campaign may stop early.
     pub is_drawn: bool,
     /// Requirements on the workers.
     #[sqlx(json)]
@@ -51,7 +51,7 @@ pub struct Campaign {
     /// another campaign has that folder.
     pub(crate) folder: String,
     pub pinned_ms: Option<UnixMillis>,
-    /// Pin: of the first result, or before that of the source campaign, if this one is derived.
+    /// Pin of the first result; until then, the source campaign's pin if this campaign is derived.
     #[sqlx(json(nullable))]
     pub pin: Option<Pin>,
 }
@@ -73,8 +73,8 @@ impl Campaign {
         worker.suits(&self.wanted) && self.pin.as_ref().is_none_or(|pin| pin.takes(worker))
     }
 
-    /// Describes the required workers, as a continuation of the campaign's name; empty if any
-    /// worker suits.
+    /// Describes the required workers, as text that follows the campaign's name in a message; empty
+    /// if any worker suits.
     pub(crate) fn demand(&self) -> String {
         match &self.pin {
             Some(pin) => format!("is pinned to {pin}"),
@@ -199,7 +199,7 @@ pub(crate) async fn insert(
     Ok(id)
 }
 
-/// Stores a campaign as having its jobs, which are inserted separately.
+/// Stores a campaign with its number of jobs; the jobs themselves are inserted separately.
 pub(crate) async fn insert_without_jobs(
     tx: &mut SqliteConnection,
     campaign: &NewCampaign,
@@ -399,7 +399,7 @@ pub(crate) async fn renamed(
     .doing("look for a campaign's former name")
 }
 
-/// Gives a name to a campaign, so that it no longer counts as another one's former name.
+/// Releases a name for use by a campaign: the name is no longer another campaign's former name.
 pub(crate) async fn take_name(
     tx: &mut SqliteConnection,
     name: &CampaignName,

@@ -40,17 +40,17 @@ macro_rules! leased_columns {
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Candidate {
     pub(crate) id: JobId,
-    /// "libero_goal/3".
+    /// Task, such as "libero_goal/3".
     task: String,
     /// Place in paired-unit order.
     pub(crate) unit_order: i64,
-    /// Machines on which it failed, JSON; `None` until it has failed often enough for this to
-    /// matter.
+    /// Machines on which the job failed, JSON; `None` below the number of failures from which
+    /// [`has_failed_on`](Self::has_failed_on) applies.
     failed_on: Option<String>,
 }
 
-/// SQL for the `failed_on` of a [`Candidate`], job `j`; the parameter is the number of failures
-/// from which it matters.
+/// SQL for the `failed_on` of a [`Candidate`], job `j`; the parameter is the number of charged
+/// failures from which `failed_on` is set.
 macro_rules! failed_on {
     ($failures:literal) => {
         concat!(
@@ -101,7 +101,7 @@ impl Candidate {
     }
 }
 
-/// Returns the leases that repeated claims got earlier.
+/// Returns the leases that were granted to earlier requests with the same claim ids.
 pub(crate) async fn repeated(
     tx: &mut SqliteConnection,
     claims: &[&str],

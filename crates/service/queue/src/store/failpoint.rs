@@ -20,18 +20,18 @@ pub enum Step {
     Release,
     /// Expired leases are ended.
     Sweep,
-    /// A file is recorded beside a rollout.
+    /// An artifact of a rollout is recorded.
     Artifact,
     CreateCampaign,
     ImportCampaign,
     /// A campaign is paused, resumed, cancelled or altered.
     ChangeCampaign,
     DeleteCampaign,
-    /// A deleted campaign's files are gone.
+    /// The removal of a deleted campaign's files is recorded as complete.
     FinishRemoval,
     /// Jobs are taken out of quarantine, or put there because they are skipped.
     RetryJobs,
-    /// Jobs are added to a campaign that follows from another.
+    /// Jobs are added to a derived campaign.
     Derive,
     /// A campaign ends early.
     Stop,

@@ -11,14 +11,14 @@ use crate::store::outcomes::OutcomeRow;
 /// A committed rollout to be filmed.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Film {
-    /// The attempt beside whose outcome the video is stored.
+    /// Attempt whose outcome the video belongs to.
     #[sqlx(rename = "attempt_id")]
     pub attempt: Text<AttemptId>,
     pub campaign: CampaignName,
     pub replicate: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,
-    /// "matched" or "reference".
+    /// Realisation mode: "matched" or "reference".
     pub realisation: String,
     /// The actions of every control step, as [`rollout_types::Motion`] packs them.
     pub actions: Vec<u8>,
@@ -36,8 +36,8 @@ pub(crate) struct FilmableRow {
     pub(crate) is_wanting: bool,
 }
 
-/// A campaign that records transitions. While these revisions are unchanged, its set of rollouts to
-/// be filmed only loses those that are filmed.
+/// A campaign that records transitions. While both revisions are unchanged, no rollout is added to
+/// those that are still to be filmed.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub(crate) struct Filmed {
     pub(crate) campaign: CampaignId,

@@ -33,7 +33,7 @@ pub(crate) type Rollout = (String, u32);
 pub(crate) struct Stored {
     pub(crate) rollout_id: String,
     pub(crate) replicate: u32,
-    /// "libero_goal/3".
+    /// Task, such as "libero_goal/3".
     pub(crate) task: String,
     pub(crate) init_id: i64,
     #[sqlx(json)]

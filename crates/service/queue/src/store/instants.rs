@@ -1,9 +1,9 @@
 //! Correction of stored instants after the system clock was set back while no coordinator ran.
 //!
 //! The clock of a running coordinator never goes back, but the next coordinator may start earlier
-//! than stored instants. Left alone, a policy would count as available since tomorrow, so that no
-//! outage counts, and a worker that has gone would count as alive until then. Stored instants in
-//! the past need no correction, however far the clock jumped ahead.
+//! than stored instants. Without the correction, a policy that is recorded as available since a
+//! future instant would ignore outages until then, and a worker that has gone would count as alive.
+//! Stored instants in the past need no correction, however far the clock jumped ahead.
 
 use sqlx::SqliteConnection;
 

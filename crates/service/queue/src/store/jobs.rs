@@ -21,7 +21,7 @@ use crate::rules::lease::{AfterFailure, CutOff, FailureReason, Job, Lease, Outco
 pub(crate) struct InitialState {
     #[sqlx(rename = "campaign_id")]
     pub(crate) campaign: CampaignId,
-    /// "libero_goal/3".
+    /// Task, such as "libero_goal/3".
     pub(crate) task: String,
     pub(crate) init_id: i64,
 }
@@ -328,7 +328,7 @@ pub(crate) async fn mark_committed(
     .map(drop)
 }
 
-/// Counts a report that was refused because its lease was gone.
+/// Counts a report that was refused because its attempt no longer held the lease.
 pub(crate) async fn count_stale_report(
     tx: &mut SqliteConnection,
     job: JobId,
@@ -467,7 +467,7 @@ pub(crate) async fn history(
     .doing("look what a job's attempts amount to")
 }
 
-/// Returns the instant at which a job last ended an attempt because its policy was unreachable.
+/// Returns the instant of the last attempt at a job that ended because the policy was unreachable.
 pub(crate) async fn last_without_policy(
     tx: &mut SqliteConnection,
     job: JobId,

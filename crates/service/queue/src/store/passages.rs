@@ -1,6 +1,6 @@
 //! Statements on `passage`: campaigns that are inserted or deleted in batches, so that workers are
-//! served in between. Such a campaign is hidden: its name is one that no campaign can have, it
-//! leases nothing, and lists of campaigns leave it out.
+//! served in between. Meanwhile the campaign is hidden: its name is not a valid campaign name, its
+//! jobs are not leased, and lists of campaigns exclude it.
 
 use sqlx::SqliteConnection;
 
@@ -14,7 +14,7 @@ const HIDING: [&str; 2] = [
     "UPDATE campaign SET name = '~' || id, folder = NULL WHERE id = ?1",
 ];
 
-/// Statements that remove what others could see of a campaign being deleted.
+/// Statements that remove the remaining visible traces of a campaign that is being deleted.
 const LEAVING: [&str; 4] = [
     "UPDATE campaign SET state = 'cancelled' WHERE id = ?1",
     "DELETE FROM derivation WHERE campaign_id = ?1",

@@ -133,7 +133,8 @@ const COPIED: [Copied; 10] = [
         values: &[
             JOB,
             ("attempt_id", "a.new"),
-            // A worker that reconnects reports its result to the other coordinator.
+            // Dropped, since a worker that reconnects reports its result to the original
+            // coordinator.
             ("leased_ms", "NULL"),
             ("ceiling_ms", "NULL"),
         ],
@@ -419,8 +420,8 @@ async fn rows(
     end_leases(tx).await
 }
 
-/// Assigns ids to the copied attempts: the original ones, unless one of them exists here, in which
-/// case this is a copy beside its original.
+/// Assigns ids to the copied attempts: the original id, or a new one if the original id exists in
+/// this database, beside which the campaign is then a copy.
 async fn name_attempts(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,

@@ -28,7 +28,8 @@ macro_rules! provenance {
 }
 pub(crate) use provenance;
 
-/// Returns an origin of a campaign's results in a suite that contains the settings of its policy.
+/// Returns the provenance of one of a campaign's results in a suite, its source's included; only
+/// results that report the policy's settings are considered.
 pub(crate) async fn of_suite(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

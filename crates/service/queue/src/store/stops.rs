@@ -23,7 +23,7 @@ pub(crate) struct FirstUnsettled {
     pub(crate) unit_order: i64,
 }
 
-/// Early stop of a campaign: its rule, and its point once it has happened.
+/// Early stop of a campaign: its rule, and the point at which the campaign stopped, if it has.
 #[derive(Clone, Debug, PartialEq, sqlx_macros::FromRow)]
 pub struct EarlyStop {
     /// The rule, with the seed of the drawn order.
@@ -98,7 +98,7 @@ pub(crate) async fn stop(
         .map(drop)
 }
 
-/// Returns the early stop of a campaign; `None` for one that always runs to its end.
+/// Returns the early stop of a campaign; `None` for a campaign that always runs to its end.
 pub(crate) async fn of(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

@@ -169,7 +169,7 @@ pub(crate) fn guarded() -> (tempfile::NamedTempFile, Security) {
 }
 
 /// Returns the rules of a server without tokens. A request of these tests has no connection whose
-/// user could be checked, so every user is let in.
+/// user could be checked, so every user is admitted.
 pub(crate) fn open() -> Security {
     let arguments = ServerArguments {
         insecure_loopback: true,
@@ -230,7 +230,7 @@ pub(crate) async fn walk(
     let mut asked = 0;
     for version in [Version::HTTP_11, Version::HTTP_2] {
         for method in METHODS {
-            // A new gate for each, since a gate counts the requests of its connection.
+            // Every request gets a new gate, since a gate counts the requests of its connection.
             let mut gate = security.gate(table, log_in).layer(Reached);
             for content in CONTENTS {
                 for sender in Sender::ALL {

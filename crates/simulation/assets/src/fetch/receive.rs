@@ -258,7 +258,8 @@ fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<Strin
         false => Box::new(source),
     };
     let failed = |source| write_error(whole, source);
-    // An earlier fetch may have been killed here. A link that lies here is not followed.
+    // A fetch that was killed may have left this file. A symbolic link at this path is not
+    // followed.
     let _ = fs::remove_file(whole);
     let mut file = File::create_new(whole).map_err(failed)?;
     let mut hash = Sha256::new();
@@ -295,18 +296,18 @@ fn tell(show: &mut Show<'_>, progress: Progress) -> Result<(), RequestError> {
     }
 }
 
-/// Refuses symbolic links. Whoever may write into the folder could let them lead to other files of
-/// this user.
+/// Refuses symbolic links: another user with write access to the folder could make a link point to
+/// a file of this user.
 pub(super) fn no_links() -> i32 {
     OFlags::NOFOLLOW.bits() as i32
 }
 
-/// Returns the size of a partially received file; 0 if there is none. Removes a link, whose target
-/// was not received, and a pipe, which would be waited for.
+/// Returns the size of a partially received file; 0 if there is none. Removes a symbolic link,
+/// since its target was not received, and a pipe, since opening it would block.
 fn received(path: &Path) -> u64 {
     match fs::symlink_metadata(path) {
         Ok(facts) if !facts.is_file() => {
-            // If that fails, opening it fails.
+            // If the removal fails, opening the file fails, too.
             let _ = fs::remove_file(path);
             0
         }

@@ -61,7 +61,7 @@ fn fetch_while(
         into: &into,
         pause: &mut |wait| {
             pauses += 1;
-            // Only waiting for another process takes real time.
+            // Sleeps only while another process holds the lock; all other pauses are skipped.
             if wait == LOCK_POLL {
                 thread::sleep(wait);
             }
@@ -289,7 +289,7 @@ fn links_in_the_folder_of_received_files_are_not_followed() {
         let link = incoming.join(format!("{sha256}-deflated.{ending}"));
         symlink(&other, link).expect("a link");
     }
-    // Whoever opens a pipe waits for its other end.
+    // Opening a pipe blocks until its other end is opened.
     let pipe = incoming.join(format!("{}-deflated.part", sha256_of(OTHER)));
     let made = Command::new("mkfifo").arg(pipe).status();
     assert!(made.expect("mkfifo runs").success());
@@ -322,7 +322,7 @@ fn a_file_that_is_swapped_is_noticed_even_if_its_time_is_set_back() {
     let modified = modified.expect("a time");
     let mut other = content(SMALL);
     other[3] ^= 1;
-    // File systems count time in ticks.
+    // Times of files have a coarse resolution; without the pause they could be equal.
     thread::sleep(Duration::from_millis(50));
     let swap = |into: &Path| {
         fs::write(into, &other).expect("writes");

@@ -31,8 +31,8 @@ macro_rules! change {
                 /// Mutable access to the array.
                 pub fn $method(&mut self) -> &mut [$kind] {
                     let model = self.raw_mut();
-                    // SAFETY: the pointer leads to this model's own copy, of this
-                    // length; `&mut self` makes the access exclusive.
+                    // SAFETY: the pointer points at this model's own copy, of this length; `&mut
+                    // self` makes the access exclusive.
                     unsafe {
                         std::slice::from_raw_parts_mut(
                             model.$name,

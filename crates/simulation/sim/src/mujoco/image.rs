@@ -1,5 +1,5 @@
-//! Serialised compiled models that processes can share: MuJoCo's structure, whose pointers all lead
-//! into one buffer, and that buffer.
+//! Serialised compiled models that processes can share. A serialised model consists of MuJoCo's
+//! structure and of the one buffer that all pointers of the structure point into.
 
 use std::mem::offset_of;
 use std::ptr::NonNull;
@@ -15,7 +15,7 @@ use super::slices::values;
 pub(crate) const ALIGNMENT: usize = 64;
 /// Size of MuJoCo's structure, bytes.
 pub(crate) const STRUCTURE: usize = size_of::<mjModel>();
-/// Position of all pointers in the structure. They lead into MuJoCo's buffer; the first one leads
+/// Position of all pointers in the structure. They point into MuJoCo's buffer; the first one points
 /// to the buffer's start.
 const POINTERS: std::ops::Range<usize> =
     offset_of!(mjModel, buffer)..offset_of!(mjModel, signature);
@@ -118,8 +118,8 @@ impl Model {
             unsafe { place.add(at).cast::<*mut u8>().write(pointer) };
         }
         // SAFETY: the structure was written whole, from a model of the same version as the caller
-        // promises; its pointers lead into `arrays`, which the compilation keeps. Nobody writes
-        // through them: arrays that a model changes are copied first.
+        // promises; its pointers point into `arrays`, which the compilation keeps alive. Nobody
+        // writes through them: arrays that a model changes are copied first.
         let raw = NonNull::from(Box::leak(unsafe { raw.assume_init() }));
         Some(Self::of(Arc::new(Compilation::new(
             raw,

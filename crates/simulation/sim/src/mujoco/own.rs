@@ -79,7 +79,7 @@ each_own_array!(keep);
 mod tests {
     use super::*;
 
-    /// Fills each array of a model with numbers that tell the arrays apart.
+    /// Fills each array of a model with numbers that occur in no other array.
     macro_rules! fill {
         ($($method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {
             /// The arrays that a model points at.
@@ -132,7 +132,7 @@ mod tests {
 
     each_own_array!(fill);
 
-    /// Also a test for Miri, which knows whether a move invalidates the pointers.
+    /// Also meant for Miri, which detects pointers that a move has invalidated.
     #[test]
     fn pointers_outlive_moves_of_the_owner_and_lead_to_copies() {
         let mut shared = Arrays::of(2);

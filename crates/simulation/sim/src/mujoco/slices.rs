@@ -8,6 +8,6 @@ pub(super) unsafe fn values<'a, T>(pointer: *const T, count: i32) -> &'a [T] {
     if pointer.is_null() || count <= 0 {
         return &[];
     }
-    // SAFETY: the caller promises that the pointer leads to `count` values.
+    // SAFETY: the caller promises that the pointer points at `count` values.
     unsafe { std::slice::from_raw_parts(pointer, count as usize) }
 }

@@ -38,9 +38,8 @@ impl VisualScene {
     pub(crate) fn new(model: &Model) -> Self {
         let mut options = MaybeUninit::uninit();
         let mut scene = Box::new(MaybeUninit::uninit());
-        // SAFETY: each object is written whole by its default function before it
-        // is assumed initialised; the box keeps its address, which MuJoCo may
-        // remember.
+        // SAFETY: each object is written whole by its default function before it is assumed
+        // initialised; the boxed scene does not move, since MuJoCo may store its address.
         let (mut options, scene): (c::mjvOption, Box<c::mjvScene>) = unsafe {
             c::mjv_defaultOption(options.as_mut_ptr());
             c::mjv_defaultScene(scene.as_mut_ptr());
@@ -60,7 +59,8 @@ impl VisualScene {
         &self.scene
     }
 
-    /// Returns the camera halfway between the two eyes, from which pictures are drawn.
+    /// Returns the camera that pictures are drawn from: the mean of the left and the right eye's
+    /// camera.
     pub(crate) fn eye(&self) -> c::mjvGLCamera {
         let [left, right] = &self.scene.camera;
         // SAFETY: the call reads the two cameras, and nothing else.

@@ -211,7 +211,7 @@ mod tests {
         }
     }
 
-    /// Drawn by NumPy from the CRC-32 of the id.
+    /// The expected numbers were drawn by NumPy, seeded with the CRC-32 of the rollout's id.
     #[test]
     fn the_reference_realisation_draws_numpys_directions() {
         let id: RolloutId = "spatial/t0/actuation/L1/c00".parse().expect("an id");

@@ -94,10 +94,10 @@ impl SensorStage {
     /// Corrupts a picture in place.
     ///
     /// The result depends only on the picture, its step and its camera, not on earlier pictures: a
-    /// policy that requests few pictures, or one camera, gets the same ones as any other. In the
-    /// `reference` realisation, both cameras draw from one stream at every step, so noise for
-    /// pictures that were not requested is drawn and discarded; both cameras must then have the
-    /// same size.
+    /// policy that requests few pictures, or one camera, gets the same pixels as a policy that
+    /// requests all. In the `reference` realisation, both cameras draw from one stream at every
+    /// step, so noise for pictures that were not requested is drawn and discarded; both cameras
+    /// must then have the same size.
     ///
     /// # Panics
     /// If `rgb` is not `width` × `height` × 3 bytes.
@@ -178,9 +178,9 @@ impl SensorStage {
     }
 }
 
-/// NumPy's single noise stream, saved at the start of every picture. Normals take a varying number
-/// of words, so a picture's position in the stream is only known after drawing those before it;
-/// saved positions take 32 bytes per picture.
+/// NumPy's single noise stream, saved at the start of every picture. A normal number consumes a
+/// varying number of random words, so a picture's position in the stream is known only after
+/// drawing all earlier pictures; saved positions take 32 bytes per picture.
 #[derive(Clone)]
 struct NumpyFrames {
     first: DefaultRng,

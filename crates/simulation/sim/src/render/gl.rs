@@ -21,7 +21,8 @@ pub(crate) struct GlCanvas {
 }
 
 impl GlCanvas {
-    /// Uploads a model's meshes and textures; the model's offscreen buffer has this size, pixels.
+    /// Uploads a model's meshes and textures. The model's offscreen buffer must have at least this
+    /// size, pixels.
     pub(crate) fn new(
         opengl: &Rc<GlContext>,
         model: &Model,
@@ -31,9 +32,9 @@ impl GlCanvas {
         opengl.make_current()?;
         let visual_scene = VisualScene::new(model);
         let mut context = Box::new(MaybeUninit::uninit());
-        // SAFETY: the object is written whole by its default function before it is
-        // assumed initialised; the box keeps its address, which MuJoCo may
-        // remember; a GL context is current on this thread.
+        // SAFETY: the object is written whole by its default function before it is assumed
+        // initialised; the boxed object does not move, since MuJoCo may store its address; a GL
+        // context is current on this thread.
         let context: Box<c::mjrContext> = unsafe {
             c::mjr_defaultContext(context.as_mut_ptr());
             let mut context = context.assume_init();

@@ -85,7 +85,7 @@ impl GlContext {
 
 impl Drop for GlContext {
     fn drop(&mut self) {
-        // Errors are ignored: a driver that fails here cannot be helped.
+        // Errors are ignored, because a failing driver has no remedy here.
         if self.egl.get_current_context() == Some(self.context) {
             let _ = self.egl.make_current(self.display, None, None, None);
         }

@@ -23,7 +23,7 @@ impl SceneFolder {
         let mut notes = Vec::new();
         for entry in fs::read_dir(&self.dir)? {
             let entry = entry?;
-            // The file is already gone: a replaced note or a temporary file.
+            // The file is already gone: a replaced check record or a temporary file.
             let Ok(facts) = entry.metadata() else {
                 continue;
             };

@@ -61,7 +61,7 @@ pub enum SceneFileError {
     },
     #[error("wait for {}: another process has held it for {secs} s", path.display())]
     Busy { path: PathBuf, secs: u64 },
-    #[error("lay a model out in a file: its arrays do not lie in one buffer of MuJoCo's")]
+    #[error("store a model in a file: its arrays are not in a single MuJoCo buffer")]
     Layout,
 }
 
@@ -135,8 +135,8 @@ impl SceneFolder {
             return Ok(None);
         };
         let failed = |source| failure("read", &path, source);
-        // Held while the scene is mapped. Without it the file may be removed in the meantime; the
-        // mapping stays valid. Never waited for: whoever may read the file may lock it for ever.
+        // The lock is held while the scene is mapped. Without it, the file may be removed, but the
+        // mapping stays valid. `try_lock` never waits: any reader could hold the lock for ever.
         let _ = scene.file.try_lock_shared();
         if scene.file.metadata().map_err(failed)?.nlink() == 0 {
             return Ok(None);
@@ -323,8 +323,8 @@ impl SceneFolder {
             let mut aside = tempfile::Builder::new()
                 .prefix(ASIDE)
                 .tempfile_in(&self.dir)?;
-            // Released when this process ends, however it ends; whoever gets the lock may remove
-            // the file.
+            // The lock is released when this process ends, even if it is killed; a process that
+            // then acquires the lock may remove the file.
             let _ = aside.as_file().try_lock();
             let out = aside.as_file_mut();
             #[cfg(test)]

@@ -1,5 +1,5 @@
 //! Replays every call of NumPy's global generator that a reset of the original makes, for all
-//! evaluation tasks. Skipped, by name, if the reference data is missing.
+//! evaluation tasks. Skipped, with a message, if the reference data is missing.
 
 use std::collections::BTreeMap;
 use std::fs::File;

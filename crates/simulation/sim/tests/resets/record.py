@@ -1,7 +1,7 @@
 """Records what the original LIBERO places at resets: python record.py recorded.json
 
-Needs hf-libero 0.1.4, robosuite 1.4.0 and MuJoCo 3.3.7 with LIBERO's assets. Nothing is
-drawn. Every scenario seeds NumPy's global generator, constructs an environment and
+Needs hf-libero 0.1.4, robosuite 1.4.0 and MuJoCo 3.3.7 with LIBERO's assets. No frame is
+rendered. Every scenario seeds NumPy's global generator, constructs an environment and
 resets it several times, with a few steps after each reset.
 """
 
@@ -51,7 +51,7 @@ SCENARIOS = [
 
 
 def generator():
-    """NumPy's global generator: a digest of its words, and the rest as it is."""
+    """State of NumPy's global generator, with a digest in place of its words."""
     _, words, position, has_gauss, gauss = np.random.get_state(legacy=True)
     digest = hashlib.sha256(words.astype("<u4").tobytes()).hexdigest()
     return {"words_sha256": digest, "position": position, "has_gauss": has_gauss, "gauss": gauss}
@@ -106,7 +106,7 @@ def record(name, seed, hard, resets):
             "fixtures": fixtures(env),
             "qpos": state[1 : 1 + env.sim.model.nq].tolist(),
         }
-        # Where things touch, the arm's motion depends on their meshes.
+        # If objects touch one another, the arm's motion depends on their meshes.
         if name != CROWDED:
             for _ in range(STEPS):
                 env.step(ACTION)
@@ -119,7 +119,7 @@ def record(name, seed, hard, resets):
 if __name__ == "__main__":
     lines = [json.dumps(record(*scenario), separators=(",", ":")) for scenario in SCENARIOS]
     head = json.dumps({"action": ACTION, "steps": STEPS})
-    # Standard output has what robosuite prints.
+    # The records go to a file, because robosuite prints to standard output.
     pathlib.Path(sys.argv[1]).write_text(
         f'{head[:-1]}, "scenarios": [\n' + ",\n".join(lines) + "\n]}\n"
     )

@@ -2,7 +2,7 @@
 
 /// Most lines that `-h` may print.
 const MAX_SHORT_LINES: usize = 45;
-/// Words of released ids. Commands accept them, but helps must not mention them.
+/// Words in the ids of earlier releases. Commands accept them, but no help text mentions them.
 const OLD_WORDS: [&str; 2] = ["clean", "combination"];
 
 /// The help of a command.

@@ -95,7 +95,7 @@ class Benchmark:
         return [task.name for task in self.tasks]
 
     def get_task_problems(self) -> list[str]:
-        """The tasks' problems: the word `Libero`."""
+        """The problem name of each task, which is always `Libero`."""
         return [task.problem for task in self.tasks]
 
     def get_task_bddl_files(self) -> list[str]:
@@ -114,7 +114,7 @@ class Benchmark:
         return f"{self.tasks[i].problem_folder}/{self.tasks[i].name}_demo.hdf5"
 
     def get_task(self, i: int) -> Task:
-        """A task."""
+        """Returns a task by its index."""
         return self.tasks[i]
 
     def get_task_emb(self, i: int) -> Any:

@@ -22,7 +22,7 @@ import numpy as np
 _MOST_BYTES = 64 << 20
 # An array takes some sixty operations. `worker` reads as many.
 _MOST_OPERATIONS = 256
-# Python's unpickler keeps notes in a list up to the highest number.
+# Python's unpickler allocates its memo as a list up to the highest index.
 _MOST_NOTES = 256
 
 
@@ -99,9 +99,9 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _check(content: bytes) -> None:
-    """Walks a pickle without executing it, since a few bytes can request a huge list of notes.
+    """Scans a pickle without executing it, since a few bytes can request a huge memo.
 
-    Raises _Tensors; ValueError if it has more operations or notes than an array takes.
+    Raises _Tensors; ValueError if it has more operations or memo entries than an array needs.
     """
     for count, (operation, argument, _) in enumerate(pickletools.genops(content), 1):
         if operation.name == "GLOBAL" and str(argument).startswith("torch"):
@@ -117,7 +117,7 @@ def _pickle_in(path: str | os.PathLike[str]) -> bytes:
     """The pickle in a file."""
     with zipfile.ZipFile(path) as archive:
         member = next(one for one in archive.infolist() if one.filename.endswith("/data.pkl"))
-        # A read unpacks whole blocks of other methods, whatever it asks for.
+        # With other methods, a read decompresses whole blocks, regardless of the requested size.
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError("its pickle is neither stored nor deflated")
         with archive.open(member) as packed:

@@ -58,11 +58,11 @@ class Observation(OrderedDict[str, Any]):
         value = super().__getitem__(key)
         if type(value) is Undrawn:
             value = value.array()
-            # Bypasses OrderedDict, which keeps the order of existing keys anyway.
+            # `dict`'s method suffices, because the order of existing keys does not change.
             dict.__setitem__(self, key, value)
         return value
 
-    # Without an `__iter__` of its own, CPython copies a dictionary without calling `__getitem__`.
+    # CPython copies a subclass of `dict` without `__getitem__`, unless it defines `__iter__`.
     def __iter__(self) -> Iterator[str]:
         return super().__iter__()
 

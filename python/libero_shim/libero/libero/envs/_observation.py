@@ -48,7 +48,7 @@ class Observer:
         model: TaskModel,
         unused: Collection[str] = (),
     ) -> None:
-        """Frames of `unused` cameras are zeros, which nothing draws."""
+        """Frames of `unused` cameras are zeros and are never rendered."""
         self._held = held
         self._objects = [(one.name, one.root_body) for one in model.objects.values()]
         self._pictures: dict[str, Callable[[Look], NDArray[Any]]] = {}

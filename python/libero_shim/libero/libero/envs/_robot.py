@@ -15,7 +15,7 @@ from libero.libero.envs._simulation import Held
 
 F64 = NDArray[np.float64]
 
-#: The arm at home, rad.
+#: Joint positions of the arm's home posture, rad.
 _HOME = (0.0, -0.161037389, 0.0, -2.44459747, 0.0, 2.2267522, np.pi / 4)
 _DIMENSIONS = 6
 _GRIP_SITE = "gripper0_grip_site"
@@ -77,12 +77,12 @@ class Controller:
 
     @property
     def output_min(self) -> F64:
-        """Displacements for the least values [6], m and rad."""
+        """Displacements that the least values of an action command [6], m and rad."""
         return _six(OSC_POSE["output_min"])
 
     @property
     def output_max(self) -> F64:
-        """Displacements for the largest values [6], m and rad."""
+        """Displacements that the largest values of an action command [6], m and rad."""
         return _six(OSC_POSE["output_max"])
 
     @property

@@ -53,8 +53,8 @@ class Held:
     def start_over(self, model_loads: int, *, hard: bool) -> int:
         """Resets all placements, drawing from NumPy's global generator as the original does.
 
-        `model_loads` counts how often the original had loaded its model before. Returns the count
-        afterwards, which is higher if it repeated placements for lack of room.
+        `model_loads` is the number of times that the original would have loaded its model before.
+        Returns the number afterwards, which is higher if placements were repeated for lack of room.
         """
         simulation = self.get()
         with _drawing:

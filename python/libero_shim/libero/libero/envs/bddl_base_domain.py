@@ -91,7 +91,7 @@ class BDDLBaseDomain:
         self.obj_of_interest: list[str] = self.parsed_problem["obj_of_interest"]
         unused = unused_cameras(self.sim.model.camera_names)
         self._observer = Observer(self._held, settings.cameras, self.model, unused)
-        #: Control steps since the reset; True once the horizon has been reached.
+        #: Control steps since the reset; `done` is True once they reach the horizon.
         self.timestep = 0
         self.done = False
         self._model_loads = 1

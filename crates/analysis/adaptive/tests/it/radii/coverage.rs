@@ -17,12 +17,12 @@ const BOOTSTRAP: Bootstrap = Bootstrap {
     seed: 1,
 };
 
-/// A population of thresholds: log-normal about a median, partly by task.
+/// A log-normal population of thresholds, with part of its variance between tasks.
 #[derive(Clone, Copy)]
 struct Population {
     condition: Condition,
     median: f64,
-    /// Standard deviations of the logarithm, over tasks and within.
+    /// Standard deviations of the logarithm: between tasks, and within a task.
     spread: [f64; 2],
     /// Share of the outcomes at the largest radius that are in quarantine.
     quarantined: f64,
@@ -66,7 +66,7 @@ impl Population {
         let perturbed = |task, condition, level, config| {
             RolloutId::perturbed(task, condition, level, config).expect("perturbed")
         };
-        // The axes alone determine which axes the campaign has.
+        // The single-axis rollouts determine the campaign's axes.
         let alone = [Axis::Camera, Axis::Language].map(Condition::Single);
         let conditions = alone.into_iter().chain([self.condition]);
         let source = TaskRef::all().flat_map(|task| {
@@ -143,7 +143,7 @@ fn thresholds_whose_failure_is_not_known_are_censored_and_bias_nothing() {
 
 #[test]
 fn where_no_radius_between_is_run_the_interval_is_as_wide_as_the_bracket() {
-    // Medians anywhere between L1 and L2.
+    // Medians near L1, halfway, and near L2.
     for median in [2.1, 3.0, 3.9] {
         let population = Population {
             condition: Condition::Single(Axis::Language),

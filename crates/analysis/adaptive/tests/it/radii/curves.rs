@@ -1,4 +1,4 @@
-//! Curves of many rays: planted thresholds are found again, and budgets are kept.
+//! Tests of the curves of many rays: they recover planted thresholds, and budgets are respected.
 
 use std::collections::BTreeSet;
 
@@ -19,8 +19,8 @@ fn thresholds(budget: Option<u32>, seed: u64) -> Thresholds {
     }
 }
 
-/// Radius from which a configuration fails: evenly from 0 to 12 over configurations,
-/// earlier where two axes act together; the first of each task fails nominally.
+/// Radius from which a configuration fails: evenly spaced from 0 to 12, and halved under both axes
+/// together. The first configuration of each task fails nominally.
 fn fails_at(id: RolloutId) -> f64 {
     let config = f64::from(id.number()) + f64::from(id.task().index()) / 10.0;
     let share = match id.condition() {

@@ -34,8 +34,8 @@ fn run(search: &Search, outcome: impl Fn(Level) -> Outcome) -> Outcomes<Level> {
     outcomes
 }
 
-/// Returns an outcome that is unrelated to the radius: of 16, `failing` fail and `quarantined` are
-/// in quarantine.
+/// Returns a pseudorandom outcome, independent of the radius: of 16 outcomes, `failing` are
+/// failures and `quarantined` are in quarantine.
 fn any(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outcome {
     let mut bits = seed ^ (level.radius() * 1e6) as u64;
     for _ in 0..3 {
@@ -172,7 +172,7 @@ proptest! {
     }
 }
 
-/// A policy is late by whole steps: radii of 2, 4, 6, …
+/// Delays are whole control steps, that is, radii of 2, 4, 6, …
 #[test]
 fn a_delay_is_found_to_the_control_step() {
     for (max_radius, grid) in [
@@ -224,7 +224,7 @@ fn what_fails_nominally_is_not_perturbed_further() {
         Finding::new(&outcomes, &search).threshold,
         Threshold::NominalFails
     );
-    // A rollout that was run before may contradict this; its level is then reported.
+    // A perturbed rollout may succeed nevertheless; `recovers_at` then contains its level.
     outcomes.record_source(Level::L2, Outcome::Success);
     let finding = Finding::new(&outcomes, &search);
     assert_eq!(finding.threshold, Threshold::NominalFails);

@@ -21,10 +21,10 @@ pub(crate) enum Kind {
     DisjointPairs,
     /// A pair fails, and a triple that does not contain it.
     PairOrTriple,
-    /// An axis fails alone, unless one of one or two others is present.
+    /// An axis fails alone unless one of its one or two compensating axes is present.
     Compensation,
-    /// Two axes fail alone, each unless one of one or two others of its own is
-    /// present: what compensates one of them fails again beside the other.
+    /// Two axes fail alone, each unless one of its own one or two compensating axes is present. A
+    /// compensated axis fails again if the other one is added uncompensated.
     TwoCompensations,
     /// A pair fails unless a third axis is present; another pair or triple always
     /// does.
@@ -46,7 +46,7 @@ impl Kind {
         Self::Compensation,
     ];
 
-    /// The kinds whose outcomes are not.
+    /// The kinds whose outcomes are not monotone.
     pub(crate) const NON_MONOTONE: [Self; 4] = [
         Self::TwoCompensations,
         Self::MaskedPair,

@@ -36,7 +36,7 @@ fn search(coins: Coins, strategy: Strategy, rng: &mut ChaCha12Rng) -> Lattice {
     lattice
 }
 
-/// Returns the number of claims about a lattice, and of false ones: all, for a fair coin.
+/// Returns the number of claims about a lattice and of false ones; with a fair coin, all are false.
 fn claims(coins: Coins, lattice: &Lattice) -> [usize; 2] {
     if explain(lattice).is_err() {
         return [0, 0];
@@ -118,6 +118,6 @@ fn a_transition_that_is_there_is_claimed_with_its_pair() {
         minimal.map(|it| it.set.name()).eq(["camera+robot"])
     };
     let found = (0..200).filter(is_found).count();
-    // Not all, because outcomes select some configurations that do not succeed otherwise.
+    // Not all 200, because some transitions form by chance and are not confirmed by the repeats.
     assert!(found >= 170, "{found} of 200");
 }
