@@ -168,6 +168,18 @@ impl<T> Doing<T> for Result<T, sqlx::Error> {
     }
 }
 
+/// Returns the options of a pool whose connections stay open until it is closed.
+///
+/// With a lifetime or an idle timeout, sqlx 0.9 starts a task that counts idle connections. Its
+/// counter can fall below zero while a connection is released, and then the task loops for ever
+/// and the runtime never ends.
+fn pool_options(connections: u32) -> SqlitePoolOptions {
+    SqlitePoolOptions::new()
+        .max_connections(connections)
+        .max_lifetime(None)
+        .idle_timeout(None)
+}
+
 /// Returns the error for a stored value that cannot be decoded.
 pub(crate) fn undecodable(
     error: impl Into<Box<dyn std::error::Error + Send + Sync>>,
@@ -228,8 +240,7 @@ impl Store {
             path: path.clone(),
             source,
         };
-        let writer = SqlitePoolOptions::new()
-            .max_connections(1)
+        let writer = pool_options(1)
             // SQLite rolls back by itself when the disk is full, but the connection would still
             // count its transaction as open.
             .before_acquire(|connection, _| {
@@ -253,8 +264,7 @@ impl Store {
                 known: newest_known_schema(),
                 source,
             })?;
-        let readers = SqlitePoolOptions::new()
-            .max_connections(READERS)
+        let readers = pool_options(READERS)
             .connect_with(options.create_if_missing(false))
             .await
             .map_err(database)?;
