@@ -39,7 +39,9 @@ pub(crate) fn add(messages: &mut Messages) {
         WeightsError::Unknown { .. } => WeightsError::Unknown { tensor: text() },
     );
     variants!(messages, ExpertError,
-        ExpertError::Entities { .. } => ExpertError::Entities { given: 1_001 },
+        ExpertError::Entities { .. } => ExpertError::Entities {
+            given: 1_001, most: 1_000,
+        },
         ExpertError::NoEntity { .. } => ExpertError::NoEntity { name: text() },
         ExpertError::NoJointNamed { .. } => ExpertError::NoJointNamed { name: text() },
         ExpertError::NoJoint { .. } => ExpertError::NoJoint { fixture: text() },

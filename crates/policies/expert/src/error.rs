@@ -1,17 +1,15 @@
 //! Reasons for which the expert cannot act.
 
-use crate::world::MAX_ENTITIES;
-
 /// Error: the expert does not support the scene or its goal.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ExpertError {
     /// The scene has too many entities.
-    #[error(
-        "the scene has {given} objects, fixtures and regions; the expert supports {MAX_ENTITIES}"
-    )]
+    #[error("the scene has {given} objects, fixtures and regions; the expert supports {most}")]
     Entities {
         /// Number of entities.
         given: usize,
+        /// Largest number that the expert supports.
+        most: usize,
     },
     /// The goal names an entity that the scene lacks.
     #[error("the scene has no object, fixture or region named '{name}'")]

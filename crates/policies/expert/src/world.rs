@@ -88,7 +88,7 @@ const LARGEST_M: f64 = 100.0;
 /// Largest component of a unit quaternion, with room for its rounding.
 const LARGEST_OF_UNIT: f64 = 1.001;
 /// Largest number of objects, fixtures and regions of a scene.
-pub(crate) const MAX_ENTITIES: usize = 1_000;
+const MAX_ENTITIES: usize = 1_000;
 
 impl World {
     /// Converts and validates a state.
@@ -99,6 +99,7 @@ impl World {
         if state.entities.len() > MAX_ENTITIES {
             return Err(ExpertError::Entities {
                 given: state.entities.len(),
+                most: MAX_ENTITIES,
             });
         }
         let mut entities = Vec::with_capacity(state.entities.len());

@@ -57,7 +57,7 @@ impl Caller {
 /// Reason why a token is not sent to a server on this machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Untrusted {
-    #[error("the server there belongs to another user of this machine, who would get the token")]
+    #[error("another user of this machine listens there, who would get the token")]
     AnotherUser,
     #[error("the kernel does not report the user of the server there, who would get the token")]
     UnknownUser,
