@@ -1,10 +1,8 @@
 //! `cargo xtask test`: all tests of the workspace, of the Python packages and of the policy server
 //! in TypeScript.
 
-use std::num::NonZero;
 use std::path::Path;
 use std::process::Command;
-use std::thread;
 use std::time::Instant;
 
 use anyhow::Result;
@@ -134,11 +132,7 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
     let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
     let mut tests = cargo(root);
     match nextest {
-        true => {
-            // Many tests wait for processes, leases or clocks most of the time.
-            let threads = thread::available_parallelism().map_or(2, NonZero::get) + 1;
-            tests.args(["nextest", "run", "--test-threads", &threads.to_string()])
-        }
+        true => tests.args(["nextest", "run"]),
         false => tests.arg("test"),
     };
     // Leaves out the examples: the lints compile them, and linking them takes a minute.
