@@ -105,7 +105,7 @@ enum Bench {
     },
     /// Our renderer and OpenGL's, in turn on the same scenes: time and agreement.
     Draw {
-        /// Passed on: [--tasks SUITE/N,…|all] [--conditions [LIST]] [--assets
+        /// Passed on: [--tasks SUITE/N,…|all] [--conditions [ID,…]] [--assets
         /// PACK_OR_PATH] [--frames N] [--alone] [--output DIR].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
