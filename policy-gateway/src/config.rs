@@ -1,5 +1,5 @@
 //! A gateway's configuration, which consists of routes. An invalid configuration is refused before
-//! any back-end is created; [`file`] reads a configuration from TOML.
+//! any back-end is created; [`mod@file`] reads a configuration from TOML.
 
 use std::{collections::BTreeMap, path::PathBuf, str::FromStr, time::Duration};
 

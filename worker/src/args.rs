@@ -485,7 +485,7 @@ pub struct FetchArguments {
     pub into: Option<PathBuf>,
     /// The package index, or a mirror of it; the URL may hold credentials [default:
     /// $ROLLOUT_INDEX_URL, $PIP_INDEX_URL, $UV_DEFAULT_INDEX, $UV_INDEX_URL, else
-    /// https://pypi.org/simple]
+    /// `https://pypi.org/simple`]
     #[arg(long, value_name = "URL", group = "from")]
     pub index: Option<String>,
     /// A folder with the five wheels of the package index, for a machine without a

@@ -60,7 +60,7 @@ pub struct Report {
     pub replication: Vec<Replication>,
     /// Variance components by level; empty without replicates.
     pub components: Vec<Components>,
-    /// Sentences about the figures, see [`findings`].
+    /// Sentences about the figures, see [`findings`](fn@crate::findings).
     pub findings: Vec<Finding>,
     /// Quarantined rollouts, which no rate includes: `ID` or `ID#rK`.
     pub quarantined: Vec<String>,
@@ -126,7 +126,7 @@ pub struct Cell {
     /// Inference about these figures; absent while no configuration is complete.
     pub inference: Option<Inference>,
     /// The smallest |`i`| detectable with this many configurations, see
-    /// [`minimum_detectable_effect`].
+    /// `minimum_detectable_effect`.
     pub minimum_detectable_i: Option<f64>,
 }
 

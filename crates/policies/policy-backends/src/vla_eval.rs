@@ -1,7 +1,7 @@
 //! Back-end of unmodified vla-eval model servers, which speak msgpack over WebSocket. Acts like
 //! vla-eval's LIBERO benchmark: in the order of messages, the observations sent, and the use of
-//! the actions; and manages the connections. [`hello`] negotiates the observations, [`state`] and
-//! [`image`] compute them, [`message`] encodes and decodes.
+//! the actions; and manages the connections. `hello` negotiates the observations, `state` and
+//! `image` compute them, `message` encodes and decodes.
 //!
 //! Such a server identifies a session with a connection, which holds its chunks, histories and
 //! ensembles. So every episode has its own connection, which is closed with it.

@@ -12,7 +12,7 @@ pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
 /// Name of the setting that holds the asset pack on which a policy was trained.
 pub const TAUGHT_ON: &str = "taught on";
 
-/// Name of the setting that holds the execution model; absent for [`WAIT`].
+/// Name of the setting that holds the execution model; absent for `WAIT`.
 pub const EXECUTION: &str = "execution model";
 
 /// The execution model of results that name none.

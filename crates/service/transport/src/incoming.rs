@@ -28,7 +28,7 @@ use tonic::transport::server::Connected;
 use crate::refusals::LOG_AGAIN_AFTER;
 use crate::users::Caller;
 
-/// Longest wait for the first [`GREETING_BYTES`] of a connection.
+/// Longest wait for the first `GREETING_BYTES` of a connection.
 pub const GREETING_TIMEOUT: Duration = Duration::from_secs(10);
 /// Bytes after which a connection counts as active: the length of HTTP/2's preface; no HTTP/1
 /// request or TLS handshake is shorter.

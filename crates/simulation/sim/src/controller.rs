@@ -3,7 +3,7 @@
 //! -1..1: end-effector translation, rotation, gripper.
 //!
 //! The arithmetic follows the original's order and precision where results depend on it, including
-//! one computation in single precision ([`rotation_of`]).
+//! one computation in single precision (`rotation_of`).
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use scene::rotation::single_precision_matrix;

@@ -14,7 +14,7 @@ pub struct Target {
     pub url: String,
     /// Name of the policy; empty selects the server's only one.
     pub policy: String,
-    /// Suite of the synthetic task, one of [`scene::TASKS`].
+    /// Suite of the synthetic task, one of `scene::TASKS`.
     pub suite: String,
     /// Credentials of the client.
     pub access: Access,

@@ -14,7 +14,7 @@ use super::own::OwnArrays;
 use super::slices::values;
 use crate::error::SimError;
 
-/// A compiled model. It owns the arrays that a rollout changes ([`own`](super::own)) and shares
+/// A compiled model. It owns the arrays that a rollout changes (`own`) and shares
 /// everything else (meshes, textures and data computed from them) with the other models of its
 /// compilation.
 pub struct Model {
