@@ -54,7 +54,7 @@ pub(super) struct ImportArguments {
 
 #[derive(Args, Debug)]
 pub(super) struct MergeArguments {
-    /// Archives of the halves of one design.
+    /// Archives of parts of one design, two or more.
     #[arg(required = true, num_args = 2.., value_name = "ARCHIVE")]
     archives: Vec<PathBuf>,
     /// Archive to write.
@@ -152,6 +152,7 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
     let mut whole = read(first, &folder, 0).await?;
     let mut halves = vec![half(&whole)];
     let mut merged = Merged::default();
+    let mut repeated = 0;
     for (number, path) in archives {
         let other = read(path, &folder, number).await?;
         halves.push(half(&other));
@@ -159,6 +160,7 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
         let name = arguments.name.as_ref();
         let done = merge_halves(&whole.campaign, &other.campaign, &into, name).await;
         let (campaign, counts) = done.map_err(|error| refused(error, first, path))?;
+        repeated += counts.both;
         merged = counts;
         films_into(&into, &campaign, [&whole, &other]).await?;
         whole = Unpacked {
@@ -176,16 +178,14 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
     package.write(file.writer(), output).map_err(failure)?;
     file.finish()?;
     let Merged {
-        first,
-        second,
-        both,
-        quarantined,
-        open,
+        quarantined, open, ..
     } = merged;
     Ok(print_line(&format!(
-        "merged into campaign {name}: {} with an outcome of the first only, {second} of the \
-         second only, {both} of both alike; {quarantined} in quarantine, {open} to be run; wrote {}",
-        counted(first, "rollout"),
+        "merged {} archives into campaign {name}: {} with an outcome, {repeated} of an archive \
+         equal to those of an earlier one; {quarantined} in quarantine, {open} still to run; \
+         wrote {}",
+        arguments.archives.len(),
+        counted(merged.first + merged.second + merged.both, "rollout"),
         output.display()
     ))?)
 }
@@ -243,7 +243,7 @@ async fn read(path: &Path, folder: &TempDir, number: usize) -> Result<Unpacked, 
     })
 }
 
-/// Describes an archive for the list of halves of a merged one.
+/// Describes an input archive for the contents of the merged archive.
 fn half(of: &Unpacked) -> Half {
     let members = &of.contents.members;
     let database = members.iter().find(|it| it.name == DATABASE_FILE);

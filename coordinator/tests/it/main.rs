@@ -26,6 +26,7 @@ mod json;
 mod latency;
 mod launch;
 mod manifests;
+mod merging;
 mod moving;
 mod operating;
 mod outages;

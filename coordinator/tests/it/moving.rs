@@ -1,4 +1,4 @@
-//! Transfer of campaigns between coordinators, whole or in halves, and the refusal of invalid
+//! Transfer of campaigns between coordinators, and the refusal of invalid
 //! archives.
 
 use std::fs::File;
@@ -24,7 +24,7 @@ use crate::process::{Serve, succeed, text};
 static WORKERS: AtomicU32 = AtomicU32::new(0);
 
 /// Three axes and their combination at three levels, and one nominal rollout: 13 rollouts.
-fn spec() -> Value {
+pub(crate) fn spec() -> Value {
     with(
         small_spec("moved"),
         json!({"axes": ["camera", "sensor", "robot"], "levels": ["L1", "L2", "L3"]}),
@@ -32,7 +32,7 @@ fn spec() -> Value {
 }
 
 /// Returns the outcome of a rollout, which is the same on every machine.
-fn succeeds(rollout: &str) -> bool {
+pub(crate) fn succeeds(rollout: &str) -> bool {
     !rollout.contains("sensor/L2")
 }
 
@@ -553,116 +553,4 @@ async fn a_campaign_that_follows_from_another_comes_after_it() {
     other.run(3, "").await;
     let said = other.refused(&["campaign", "import", &path]);
     assert!(said.contains("others here"), "{said}");
-}
-
-/// Runs `coordinator merge` on archives; returns its output or its error message.
-fn merge(archives: &[&Path], output: &Path) -> Result<String, String> {
-    let archives: Vec<String> = archives.iter().map(|it| it.display().to_string()).collect();
-    let output = output.display().to_string();
-    let mut arguments = vec!["merge"];
-    arguments.extend(archives.iter().map(String::as_str));
-    arguments.extend(["--output", &output]);
-    let done = crate::process::coordinator(&arguments);
-    match done.status.success() {
-        true => Ok(text(&done.stdout).to_owned()),
-        false => Err(text(&done.stderr).to_owned()),
-    }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn two_halves_that_agree_become_the_campaign_that_one_coordinator_would_have_run() {
-    let mut first = Bench::with(&spec()).await;
-    first.run(4, "L3").await;
-    let endpoint = json!({"policy": {"name": "expert", "endpoint": "http://10.0.0.2:50051"}});
-    let mut second = Bench::with(&with(spec(), endpoint)).await;
-    second.run(64, "L1").await;
-    let filmed = second.worker.claim_one().await;
-    let success = succeeds(&rollout_id(&filmed));
-    assert_eq!(
-        second.worker.commit(&filmed, success).await,
-        Verdict::Accepted
-    );
-    put(&mut second.worker, &filmed, "video.mp4", &[vec![5; 99]])
-        .await
-        .expect("kept");
-    let (a, b) = (first.archive("moved"), second.archive("moved"));
-    let folder = tempfile::tempdir().expect("a folder");
-    let whole = folder.path().join("whole.tar.gz");
-    let said = merge(&[&a, &b], &whole).expect("merged");
-    assert!(said.contains("of both alike"), "{said}");
-    let other_way = folder.path().join("other.tar.gz");
-    merge(&[&b, &a], &other_way).expect("merged");
-
-    let mut there = Bench::empty().await;
-    there.import(&whole);
-    there.in_order().await;
-    let films = there.folder.path().join("artifacts/moved");
-    assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
-    // Rollouts that neither half has run are still waiting.
-    there.run(64, "").await;
-    there.in_order().await;
-    first.run(64, "").await;
-    assert_eq!(there.report("moved"), first.report("moved"));
-    // A campaign merged with itself stays the same.
-    let done = there.archive("moved");
-    let again = folder.path().join("again.tar.gz");
-    let said = merge(&[&done, &done], &again).expect("merged");
-    assert!(
-        said.contains("13 of both alike; 0 in quarantine, 0 to be run"),
-        "{said}"
-    );
-    let three = folder.path().join("three.tar.gz");
-    merge(&[&a, &b, &done], &three).expect("merged");
-    let last = Bench::empty().await;
-    last.import(&three);
-    last.in_order().await;
-    assert_eq!(last.report("moved"), first.report("moved"));
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn halves_that_contradict_each_other_are_refused_with_both_outcomes() {
-    let mut first = Bench::with(&spec()).await;
-    let mut second = Bench::with(&spec()).await;
-    first.run(6, "").await;
-    let lease = second.worker.claim_one().await;
-    let (id, success) = (rollout_id(&lease), succeeds(&rollout_id(&lease)));
-    assert_eq!(
-        second.worker.commit(&lease, !success).await,
-        Verdict::Accepted
-    );
-    let (a, b) = (first.archive("moved"), second.archive("moved"));
-    let folder = tempfile::tempdir().expect("a folder");
-    let whole = folder.path().join("whole.tar.gz");
-    let said = merge(&[&a, &b], &whole).expect_err("a contradiction");
-    for word in [
-        id.as_str(),
-        "success after 120 steps",
-        "failure after 280 steps",
-        "on bench",
-        "1 of their rollouts",
-    ] {
-        assert!(said.contains(word), "{said} lacks {word}");
-    }
-    assert!(!whole.exists());
-
-    // A rollout in another scene is a different rollout, even with the same outcome.
-    let mut third = Bench::with(&spec()).await;
-    let lease = third.worker.claim_one().await;
-    let mut report = third.worker.report(&lease, succeeds(&rollout_id(&lease)));
-    let scene = &mut report.provenance.as_mut().expect("provenance").scene_digest;
-    *scene = "0".repeat(64);
-    let (verdict, _) = third.worker.commit_request(report).await;
-    assert_eq!(verdict, Verdict::Accepted);
-    let c = third.archive("moved");
-    let said = merge(&[&a, &c], &whole).expect_err("another scene");
-    assert!(said.contains("scene digest"), "{said}");
-
-    // A campaign of another design is not a half of this one.
-    let fourth = Bench::with(&with(spec(), json!({"levels": ["L1"]}))).await;
-    let d = fourth.archive("moved");
-    let said = merge(&[&a, &d], &whole).expect_err("another design");
-    assert!(said.contains("`levels`"), "{said}");
-    assert!(!whole.exists());
-    let mut left = std::fs::read_dir(folder.path()).expect("a folder");
-    assert!(left.next().is_none(), "nothing is left of what was refused");
 }
