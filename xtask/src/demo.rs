@@ -62,7 +62,8 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
         running.elapsed().as_secs(),
         start.elapsed().as_secs()
     );
-    println!("To look at one rollout:  worker rollout --help");
+    println!("Next: README.md, \"A campaign of your own\"; for one rollout:");
+    println!("  '{}' rollout --help", programs.join("worker").display());
     Ok(())
 }
 
@@ -109,7 +110,7 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
         command
     };
     let slots = options.slots.to_string();
-    let _worker = start_one(
+    let mut worker = start_one(
         "worker",
         &[
             "--connect",
@@ -127,7 +128,7 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
         "--nominal", "eval", "--record", "transitions",
     ]))?;
     println!();
-    run_command(&mut call(&["campaign", "status", CAMPAIGN, "--watch"]))?;
+    worker.run_while_alive(&mut call(&["campaign", "status", CAMPAIGN, "--watch"]))?;
     println!();
     let page = dir.join("report.html");
     let page_arg = page.to_string_lossy();

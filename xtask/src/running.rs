@@ -2,20 +2,26 @@
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
+
+use crate::process::shown;
 
 /// Longest wait for a program to announce its address.
 const START_LIMIT: Duration = Duration::from_secs(30);
+/// Interval between two looks at a program.
+const PERIOD: Duration = Duration::from_millis(50);
 /// Longest wait for a program to end after SIGTERM.
 const END_LIMIT: Duration = Duration::from_secs(20);
 
 /// Background program. Dropping it ends the program.
 pub(crate) struct Running {
+    name: String,
     child: Child,
+    log: PathBuf,
     /// Listening address as a URL; empty for a worker.
     pub(crate) url: String,
 }
@@ -33,24 +39,55 @@ impl Running {
             .spawn()
             .with_context(|| format!("start {name}"))?;
         let mut running = Self {
+            name: name.to_owned(),
             child,
+            log,
             url: String::new(),
         };
         let start = Instant::now();
         loop {
-            if let Some(url) = announced(&log, name)? {
+            if let Some(url) = announced(&running.log, name)? {
                 running.url = url;
                 return Ok(running);
             }
-            if let Some(status) = running.child.try_wait()? {
-                let said = std::fs::read_to_string(&log).unwrap_or_default();
-                bail!("start {name}: {status}\n{}", said.trim_end());
-            }
+            running.check()?;
             if start.elapsed() > START_LIMIT {
-                bail!("start {name}: it does not answer; see {}", log.display());
+                let log = running.log.display();
+                bail!("start {name}: it does not answer; see {log}");
             }
-            std::thread::sleep(Duration::from_millis(50));
+            std::thread::sleep(PERIOD);
         }
+    }
+
+    /// Runs a command with its output on this terminal.
+    ///
+    /// # Errors
+    /// If its exit status is not 0, or if this program ends before it.
+    pub(crate) fn run_while_alive(&mut self, command: &mut Command) -> Result<()> {
+        let mut beside = command
+            .spawn()
+            .with_context(|| format!("start `{}`", shown(command)))?;
+        loop {
+            if let Some(status) = beside.try_wait()? {
+                ensure!(status.success(), "run `{}`: {status}", shown(command));
+                return Ok(());
+            }
+            if let Err(error) = self.check() {
+                let _ = beside.kill();
+                let _ = beside.wait();
+                return Err(error);
+            }
+            std::thread::sleep(PERIOD);
+        }
+    }
+
+    /// Fails with the program's log if it has ended.
+    fn check(&mut self) -> Result<()> {
+        if let Some(status) = self.child.try_wait()? {
+            let said = std::fs::read_to_string(&self.log).unwrap_or_default();
+            bail!("keep {} running: {status}\n{}", self.name, said.trim_end());
+        }
+        Ok(())
     }
 }
 
@@ -84,6 +121,9 @@ fn announced(log: &Path, name: &str) -> Result<Option<String>> {
 impl Drop for Running {
     /// Sends SIGTERM, and kills the program if it does not end in time.
     fn drop(&mut self) {
+        if matches!(self.child.try_wait(), Ok(Some(_))) {
+            return;
+        }
         let _ = Command::new("kill")
             .arg(self.child.id().to_string())
             .status();
@@ -92,7 +132,7 @@ impl Drop for Running {
             if matches!(self.child.try_wait(), Ok(Some(_)) | Err(_)) {
                 return;
             }
-            std::thread::sleep(Duration::from_millis(50));
+            std::thread::sleep(PERIOD);
         }
         let _ = self.child.kill();
         let _ = self.child.wait();
