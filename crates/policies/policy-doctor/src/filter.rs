@@ -85,10 +85,11 @@ impl fmt::Display for Filter {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    fn image(rgb: &[u8]) -> Image {
+    /// Returns a grey picture of 2 × 2 pixels.
+    pub(crate) fn image(rgb: &[u8]) -> Image {
         Image {
             camera: "agentview".to_owned(),
             width: 2,

@@ -295,19 +295,7 @@ impl fmt::Display for Variant {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn image(rgb: &[u8]) -> Image {
-        Image {
-            camera: "agentview".to_owned(),
-            width: 2,
-            height: 2,
-            rgb: rgb
-                .iter()
-                .flat_map(|it| [*it; 3])
-                .collect::<Vec<u8>>()
-                .into(),
-        }
-    }
+    use crate::filter::tests::image;
 
     #[test]
     fn frames_are_turned_as_people_see_them() {

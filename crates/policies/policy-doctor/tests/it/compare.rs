@@ -65,6 +65,24 @@ fn acting(change: impl Fn(&mut Action) + Send + Sync + 'static) -> Planted {
     Planted::sound().finishing(move |actions| actions.iter_mut().for_each(&change))
 }
 
+/// Policies without a mistake.
+pub(crate) const SOUND: [fn() -> Planted; 4] = [
+    Planted::sound,
+    || Planted::drawing(0.3),
+    || {
+        let mut unseeded = Planted::drawing(0.1);
+        unseeded.described.unseeded = true;
+        unseeded.preparing(|seen| seen.seed = seen.asked_before)
+    },
+    // Batch kernels change low-order bits.
+    || {
+        Planted::sound().preparing(|seen| {
+            let moved = 1e-5 * hash(&[9, seen.asked_before]);
+            seen.state.iter_mut().for_each(|it| *it += moved);
+        })
+    },
+];
+
 #[tokio::test]
 async fn frames_fed_upside_down_are_named() {
     let flipping = Planted::sound().preparing(|seen| seen.frames.iter_mut().for_each(upside_down));
@@ -266,30 +284,14 @@ async fn what_descriptions_say_otherwise_is_said_and_no_mistake_by_itself() {
 
 #[tokio::test]
 async fn servers_that_answer_alike_are_not_accused() {
-    let twice: [fn() -> Planted; 5] = [
-        Planted::sound,
-        || Planted::drawing(0.3),
-        || {
-            let mut unseeded = Planted::drawing(0.1);
-            unseeded.described.unseeded = true;
-            unseeded.preparing(|seen| seen.seed = seen.asked_before)
-        },
-        // Batch kernels change low-order bits.
-        || {
-            Planted::sound().preparing(|seen| {
-                let moved = 1e-5 * hash(&[9, seen.asked_before]);
-                seen.state.iter_mut().for_each(|it| *it += moved);
-            })
-        },
-        || {
-            let mut one_by_one = Planted::sound();
-            one_by_one.described.horizon = 1;
-            one_by_one.described.execute = 1;
-            one_by_one.described.stateful = true;
-            one_by_one
-        },
-    ];
-    for policy in twice {
+    let one_by_one = || {
+        let mut one_by_one = Planted::sound();
+        one_by_one.described.horizon = 1;
+        one_by_one.described.execute = 1;
+        one_by_one.described.stateful = true;
+        one_by_one
+    };
+    for policy in [&SOUND[..], &[one_by_one]].concat() {
         both_ways(policy(), policy(), &[]).await;
     }
     for builtin in ["builtin:expert", "builtin:noop"] {
