@@ -29,11 +29,13 @@ pub fn in_words(campaign: &NewCampaign) -> Option<String> {
     match campaign.record {
         "none" => None,
         "transitions" => Some(format!(
-            "videos of changed configurations: up to {}\nif as many change as in the paper \
-             ({:.0} %), {} with the\nmost that changed there; until then up to {} of actions",
+            "videos of configurations whose outcome changes: up to\n  {} if {:.0} % change, \
+             as in the paper;\n  {} if {:.0} % do, the most of a policy there;\nuntil they \
+             are filmed, up to {} of actions",
             videos(CHANGED_IN_THE_PAPER),
             CHANGED_IN_THE_PAPER * 100.0,
             videos(MOST_CHANGED_IN_THE_PAPER),
+            MOST_CHANGED_IN_THE_PAPER * 100.0,
             size(steps * ACTION_BYTES_PER_STEP),
         )),
         which => Some(format!(
@@ -87,9 +89,10 @@ mod tests {
         check(
             "transitions",
             Some(
-                "videos of changed configurations: up to 1 MB and 1m09s of one core\n\
-                 if as many change as in the paper (17 %), 3 MB and 2m17s of one core with the\n\
-                 most that changed there; until then up to 1 MB of actions",
+                "videos of configurations whose outcome changes: up to\n  \
+                 1 MB and 1m09s of one core if 17 % change, as in the paper;\n  \
+                 3 MB and 2m17s of one core if 34 % do, the most of a policy there;\n\
+                 until they are filmed, up to 1 MB of actions",
             ),
         );
     }

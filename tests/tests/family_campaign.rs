@@ -26,7 +26,7 @@ const IDS: [&str; 5] = [
     "goal/t8/plus:view_0_0_190_0_0/i00",
 ];
 
-/// What must be the same of a rollout, whoever runs it.
+/// Outcome and digests of a rollout, equal for a campaign and `worker variants`.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Outcome {
     success: bool,

@@ -59,7 +59,10 @@ impl Original {
                 assets.display()
             )
         })?;
-        step("what the original draws with", setup::original_packages)?;
+        step(
+            "the original's rendering libraries",
+            setup::original_packages,
+        )?;
         let dir = cache.join("original");
         let python = dir.join("bin/python");
         step("the original's Python packages", || install(&dir, &python))?;

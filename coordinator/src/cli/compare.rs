@@ -53,8 +53,8 @@ impl Args for Sources {
             .action(ArgAction::Append)
             .value_parser(value_parser!(PathBuf))
             .help(
-                "In place of a campaign: folder with a `rollouts.jsonl` of the reference or of \
-                 `export`, or such a file",
+                "Folder with a `rollouts.jsonl`, or that file, in place of a campaign; written by \
+                 `export` or by the reference implementation",
             );
         command.arg(campaigns).arg(from)
     }

@@ -56,7 +56,7 @@ Examples:
     coordinator campaign create --name floor --policy student \\
         --endpoint http://127.0.0.1:7412 --tasks all --axes all --levels L0,L2 \\
         --placebo-configs 0-1
-  The variants of LIBERO-Plus that LIBERO's own assets show, as its table counts them:
+  The variants of LIBERO-Plus whose files are in a package index, by its official protocol:
     coordinator campaign create --name plus --policy student \\
         --endpoint http://127.0.0.1:7412 --suite libero-plus --runnable
   The specification as a file, to be edited and used:
@@ -142,7 +142,7 @@ struct SpecFlags {
     #[arg(long, default_value_t = 1, value_parser = number(1..=MAX_REPLICATES, "times"))]
     replicates: u32,
     /// Rollouts to film: `none`; `failures`; `transitions`, those of configurations whose outcome
-    /// simultaneous perturbation changes, filmed afterwards by `worker film`; or `all`.
+    /// changes under simultaneous perturbation, filmed afterwards by `worker film`; or `all`.
     #[arg(long, value_parser = one_of::<Record>(RECORDS), default_value = "none")]
     record: Record,
     /// Asset pack required of the workers: `primitives`, `libero`, or the first digits of a pack's
@@ -216,8 +216,9 @@ struct StopFlags {
 #[command(next_help_heading = "Design")]
 struct DesignFlags {
     /// Axes, each run alone and all simultaneously: names, `metric` (all but language), `all`, or
-    /// `none`. `latency`, added with a comma, is a late policy and runs alone only: by 1, 2 and 4
-    /// control steps at L1, L2 and L3, and by half the radius at other levels.
+    /// `none`. `latency`, appended after a comma, delays the policy's answers and is never
+    /// combined with other axes: by 1, 2 and 4 control steps at L1, L2 and L3, and by half the
+    /// radius at other levels.
     #[arg(long, value_delimiter = ',', default_value = "metric")]
     axes: Vec<String>,
     /// Further conditions of several axes: names joined by +, such as `camera+robot`; `pairs`; or
@@ -342,7 +343,7 @@ fn tell_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
     if lacking.count() > 0 {
         let count = counted(lacking.count() as u64, "variant");
         print_line(&format!(
-            "it leaves out {count}, whose files are missing:\n{lacking}"
+            "the campaign leaves out {count}, whose files are missing:\n{lacking}"
         ))?;
     }
     Ok(())
@@ -353,7 +354,7 @@ fn tell_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
     let placebo = campaign.jobs.iter().filter(|job| job.is_placebo()).count();
     if placebo > 0 {
         let of_them = counted(placebo as u64, "rollout");
-        print_line(&format!("  of them {of_them} of the placebo level L0"))?;
+        print_line(&format!("  including {of_them} at the placebo level L0"))?;
     }
     Ok(())
 }
@@ -362,7 +363,8 @@ fn tell_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), CommandE
     if let Some(Stop { rule, seed, strata }) = &spec.stop {
         let strata = strata.name().replace('_', " ");
         print_line(&format!(
-            "it ends early once {rule} at every level; order of seed {seed}, rounds of {strata}"
+            "the campaign ends early once {rule} at every level; configurations run in the order \
+             of seed {seed}, in rounds of {strata}"
         ))?;
         for line in stopping::in_words(rule, campaign.stops_among.unwrap_or_default()) {
             print_line(&wrapped("  ", 4, &line))?;

@@ -32,9 +32,9 @@ pub(super) struct Following<'a> {
     /// `None` if it records as its source does.
     pub(super) record: Option<Record>,
     /// True if flags were given that apply only to a campaign to be created.
-    pub(super) has_how_flags: bool,
+    pub(super) has_creation_flags: bool,
     /// True if the campaign must exist unless it is created.
-    pub(super) needs_it: bool,
+    pub(super) must_exist: bool,
 }
 
 /// Flags that determine whether the campaign is created.
@@ -60,7 +60,7 @@ impl Following<'_> {
         let is_there = self.is_there(client).await?;
         let command = format!("coordinator {} {}", self.command, self.source);
         if !flags.create && !flags.dry_run {
-            if self.has_how_flags {
+            if self.has_creation_flags {
                 return Err(usage(anyhow!(
                     "read `{command}`: the flags that say how to run it need --create, or \
                      --dry-run to see what it would take"
@@ -69,7 +69,7 @@ impl Following<'_> {
             if is_there {
                 return Ok(true);
             }
-            if self.needs_it {
+            if self.must_exist {
                 return Err(failure(anyhow!(
                     "show the results of `{command}`: there is no such campaign yet; \
                      `{command} --create` creates it"
@@ -177,7 +177,7 @@ async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError>
 
 /// Fetches the findings once or, with `until_complete`, polls until they are complete. Prints the
 /// first line of their text to standard error whenever it changes.
-pub(super) async fn look<T>(
+pub(super) async fn poll_findings<T>(
     until_complete: bool,
     found: impl AsyncFn() -> Result<T, CommandError>,
     is_complete: impl Fn(&T) -> bool,

@@ -16,7 +16,7 @@ const MAX_REPEATS: u32 = 1_000;
 /// Printed below the long help.
 const EXAMPLES: &str = "\
 Examples:
-  coordinator explain first                  # the findings, or what they would take
+  coordinator explain first                  # the findings, or the rollouts they need
   coordinator explain first --create --watch
   coordinator explain first --dry-run --budget 200";
 
@@ -77,8 +77,8 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         subject: "transition",
         rollouts: Rollouts::Explanation(explanation.clone()),
         record: arguments.record,
-        has_how_flags: arguments.asks_for_something(),
-        needs_it: arguments.json || arguments.watch,
+        has_creation_flags: arguments.has_creation_flags(),
+        must_exist: arguments.json || arguments.watch,
     };
     let prospect = |source: &Subject| Findings::prospect(source, &explanation).map_err(usage);
     if !following.begin(&client, arguments.create, prospect).await? {
@@ -91,7 +91,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         Ok(found.ok_or_else(nothing)?)
     };
     let is_complete = |found: &Findings| found.complete;
-    let found = derived::look(arguments.watch, found, is_complete, Findings::text).await?;
+    let found = derived::poll_findings(arguments.watch, found, is_complete, Findings::text).await?;
     let text = match arguments.json {
         true => found.json().map_err(anyhow::Error::from)?,
         false => found.text(),
@@ -101,7 +101,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
 
 impl ExplainArguments {
     /// Returns true if a flag of the campaign to be created was given, such as `--budget`.
-    fn asks_for_something(&self) -> bool {
+    fn has_creation_flags(&self) -> bool {
         self.budget.is_some()
             || self.seed.is_some()
             || self.exhaustive

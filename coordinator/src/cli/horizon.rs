@@ -93,7 +93,7 @@ async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<us
 fn unknown(spec: &CampaignSpec, model: &Execution, problem: &str) -> String {
     let (name, endpoint) = (&spec.policy.name, &spec.policy.endpoint);
     format!(
-        "policy {name} at {endpoint} does not say yet how long its answers are ({problem}): its \
-         first rollout fails if {model} drops all of them"
+        "the length of the answers of policy {name} at {endpoint} is unknown yet ({problem}): the \
+         campaign's first rollout fails if {model} drops every action of an answer"
     )
 }

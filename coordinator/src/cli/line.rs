@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stopped_campaign_says_after_what_and_what_that_saved() {
+    fn the_note_of_an_early_stop_gives_configurations_rule_and_saved_rollouts() {
         let stopped = CampaignStatus {
             state: State::Stopped.into(),
             leased: 0,
@@ -177,7 +177,7 @@ mod tests {
 
     /// Regression: 137 of 140 with three in quarantine read "140/140 100%  finished".
     #[test]
-    fn what_is_in_quarantine_is_not_done_and_the_end_says_so() {
+    fn quarantined_rollouts_are_not_progress_and_are_named_at_the_end() {
         let status = CampaignStatus {
             campaign: "demo".to_owned(),
             total: 140,
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_campaign_without_jobs_divides_by_nothing() {
+    fn the_line_of_a_campaign_without_jobs_shows_0_percent() {
         let empty = CampaignStatus::default();
         assert!(line(&empty).contains("0/0 0%"));
     }

@@ -154,8 +154,8 @@ pub(super) fn in_words(planning: &Planning) -> Option<String> {
         "",
         2,
         &format!(
-            "smallest differences that it finds with a power of 80 % (two-sided test at 5 %), \
-             if its outcomes are like {}:",
+            "smallest differences that the campaign detects with a power of 80 % (two-sided test \
+             at 5 %), if its outcomes are like {}:",
             planning.assumed_from
         ),
     )];
@@ -178,8 +178,8 @@ fn of_level(of: &PlannedLevel) -> String {
     let Found { difference, i, r_d } = &of.new_tasks;
     if (difference, i, r_d) == (&None, &None, &None) {
         return format!(
-            "{level}, {configurations} of {tasks}: none; more tasks show more, and fewer than 10 \
-             have no interval"
+            "{level}, {configurations} of {tasks}: none; more tasks detect more, and an interval \
+             needs at least 10"
         );
     }
     let against = match (of.floor, of.floor_configurations) {
@@ -192,8 +192,8 @@ fn of_level(of: &PlannedLevel) -> String {
     };
     let these = &of.these_tasks;
     format!(
-        "{level}, {configurations} of {tasks}: for new tasks A - B {} points, I {} from 0, R_d {} \
-         {against}; for these tasks only {}, {} and {}",
+        "{level}, {configurations} of {tasks}: for new tasks, a difference of two policies (A - B) \
+         of {} points, I {} from 0, R_d {} {against}; for these tasks only {}, {} and {}",
         points(*difference),
         points(*i),
         points(*r_d),

@@ -71,8 +71,8 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         subject: "threshold",
         rollouts: Rollouts::Thresholds(thresholds.clone()),
         record: Some(Record::None),
-        has_how_flags: arguments.asks_for_something(),
-        needs_it: arguments.json || arguments.watch || arguments.figures.is_some(),
+        has_creation_flags: arguments.has_creation_flags(),
+        must_exist: arguments.json || arguments.watch || arguments.figures.is_some(),
     };
     let prospect = |source: &Subject| {
         ThresholdReport::is_affordable(source, &thresholds).map_err(usage)?;
@@ -87,7 +87,8 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         Ok(found.ok_or_else(nothing)?)
     };
     let is_complete = |found: &ThresholdReport| found.complete;
-    let found = derived::look(arguments.watch, found, is_complete, ThresholdReport::text).await?;
+    let found =
+        derived::poll_findings(arguments.watch, found, is_complete, ThresholdReport::text).await?;
     if let Some(folder) = &arguments.figures {
         write_figures(&figures::of_thresholds(&found), folder)?;
     }
@@ -100,7 +101,7 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
 
 impl ThresholdsArguments {
     /// Returns true if a flag of the campaign to be created was given, such as `--tolerance`.
-    fn asks_for_something(&self) -> bool {
+    fn has_creation_flags(&self) -> bool {
         let measures = self.tolerance.or(self.max_radius).is_some();
         measures || !self.axes.is_empty() || self.budget.is_some() || self.seed.is_some()
     }

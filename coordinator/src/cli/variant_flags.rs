@@ -22,8 +22,8 @@ pub(super) struct VariantFlags {
     #[arg(long, value_name = "BENCHMARK", hide_short_help = true,
         conflicts_with_all = DESIGN_FLAGS)]
     suite: Option<Benchmark>,
-    /// The protocol, which docs/FAMILY.md tells apart. Without it, that of the benchmark's
-    /// published table: `plus-official` or `pro-official`.
+    /// Evaluation protocol, see docs/FAMILY.md. If omitted, that of the benchmark's published
+    /// table: `plus-official` or `pro-official`.
     #[arg(long, value_name = "NAME", requires = "suite", hide_short_help = true)]
     protocol: Option<Protocol>,
     /// Variants of LIBERO-Plus, by the benchmark's names.
@@ -35,7 +35,7 @@ pub(super) struct VariantFlags {
         hide_short_help = true
     )]
     variants: Vec<String>,
-    /// Those of suites: `libero_goal` of LIBERO-Plus, `libero_goal_swap` of LIBERO-PRO.
+    /// Variants of these suites: `libero_goal` of LIBERO-Plus, `libero_goal_swap` of LIBERO-PRO.
     #[arg(
         long,
         value_name = "SUITE,...",
@@ -44,7 +44,7 @@ pub(super) struct VariantFlags {
         hide_short_help = true
     )]
     suites: Vec<String>,
-    /// Those of dimensions of LIBERO-Plus: background, robot, camera, language, noise,
+    /// Variants of LIBERO-Plus in these dimensions: background, robot, camera, language, noise,
     /// layout, light.
     #[arg(
         long = "dimension",
@@ -54,15 +54,15 @@ pub(super) struct VariantFlags {
         hide_short_help = true
     )]
     dimensions: Vec<String>,
-    /// Those of difficulties of LIBERO-Plus, 1 to 5; 0: those that have none.
+    /// Variants of LIBERO-Plus of these difficulties, 1 to 5, or 0 for those without one.
     #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', requires = "suite",
         hide_short_help = true, value_parser = number(0..=5_u8, ""))]
     difficulties: Vec<u8>,
-    /// Trials of each task of LIBERO-PRO; without it, 50.
+    /// Trials of each task of LIBERO-PRO. If omitted, 50.
     #[arg(long, value_name = "N", requires = "suite", hide_short_help = true,
         value_parser = number(1..=STATES, "trials"))]
     trials: Option<u16>,
-    /// Leaves out the variants whose files no package index has.
+    /// Leaves out variants whose files are in no package index.
     #[arg(long, requires = "suite", hide_short_help = true)]
     runnable: bool,
 }

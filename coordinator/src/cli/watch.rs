@@ -34,9 +34,9 @@ pub(super) async fn watch(
         false => LOG_PERIOD,
     };
     screen.say(&format!(
-        "ETA = rollouts left / rate; rate = rollouts committed in the last {} minutes,\n\
-         or since the first of them began or the last resume, if that is less; of a\n\
-         policy, what is left of its running campaigns / the sum of their rates",
+        "ETA: rollouts left divided by the rate of the last {} minutes, or of the time\n\
+         since the first rollout or the last resume, if that is shorter. The ETA of a\n\
+         policy covers all its running campaigns.",
         RATE_WINDOW.as_secs() / 60
     ))?;
     loop {

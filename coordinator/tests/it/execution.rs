@@ -177,8 +177,8 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
         .collect::<Vec<_>>()
         .join(" ");
     for part in [
-        "does not say yet how long its answers are",
-        "if overlap:10 drops all",
+        "the length of the answers of policy",
+        "if overlap:10 drops every action of an answer",
     ] {
         assert!(told.contains(part), "{told}");
     }

@@ -228,11 +228,15 @@ async fn a_placebo_is_planned_counted_and_listed_by_its_level() {
     let words = serve.command(&dry);
     let words = text(&words.stdout);
     assert!(
-        words.contains("of them 30 rollouts of the placebo level L0"),
+        words.contains("including 30 rollouts at the placebo level L0"),
         "{words}"
     );
     assert!(
-        words.contains("above a floor of 11.5 % over 10 configurations"),
+        words
+            .split_whitespace()
+            .collect::<Vec<_>>()
+            .join(" ")
+            .contains("above a floor of 11.5 % over 10 configurations"),
         "{words}"
     );
     fits_a_terminal(words);

@@ -107,7 +107,7 @@ fn what_is_written_is_whole_bash_whatever_the_values_hold() {
     std::fs::write(&edited, "mine").expect("edited");
     let complaint = &fail(launch(programs.path(), &arguments), 1);
     assert!(
-        complaint.contains("workers.sbatch: there is one that differs"),
+        complaint.contains("workers.sbatch: the file exists with other content"),
         "{complaint}"
     );
     assert_eq!(read("workers.sbatch"), "mine");

@@ -437,7 +437,7 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     run(
         &["campaign", "status", "--watch"],
         0,
-        &["ETA = ", "1/14 7%  cancelled"],
+        &["ETA: ", "1/14 7%  cancelled"],
     );
     run(&["campaign", "resume", "demo"], 1, &["final"]);
     run(

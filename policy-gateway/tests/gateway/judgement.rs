@@ -71,13 +71,13 @@ async fn a_judgement_is_0_or_1_and_fits_80_columns() {
             &["doctor", &sound],
             0,
             "pass  the gripper opens",
-            "nothing found",
+            "no fault found",
         ),
         (
             &["doctor", &url(&unopened), "--episodes", "3"],
             1,
             "FAIL  the gripper opens: its number",
-            "found something",
+            "faults found: see FAIL above",
         ),
     ];
     for (arguments, status, holds, last) in cases {

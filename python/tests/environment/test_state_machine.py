@@ -17,7 +17,8 @@ from rollout_libero._library import native
 from .conftest import diverge, open_the_drawer
 
 TASKS = ("libero_goal/0", "libero_object/1", "libero_goal/0")
-RANKS, SHARING = (0, 0, 1), (2, 1, 2)
+# Per environment: its rank among those of its task, and their number.
+RANKS, STRIDES = (0, 0, 1), (2, 1, 2)
 STATES, SETTLE, BUDGET = 50, 1, 4
 ROUNDS, MOST_ROUNDS = 50, 300
 PERTURBATIONS = (None, "robot/L2/c01", "actuation/L3/c02", "language/L1/c03")
@@ -30,8 +31,8 @@ class One:
 
     task: str
     rank: int
-    sharing: int
-    drawn: bool
+    stride: int
+    random_states: bool
     simulation: Any
     generator: Any = None
     turn: int = 0
@@ -50,11 +51,11 @@ class One:
             if wanted is not None:
                 row["init_id"] = wanted
         else:
-            if wanted is None and self.drawn:
+            if wanted is None and self.random_states:
                 wanted = int(self.generator.integers(STATES))
             elif wanted is None:
                 wanted = self.turn % STATES
-                self.turn += self.sharing
+                self.turn += self.stride
             row = json.loads(native.nominal_row(self.task, wanted))
         row["num_steps_wait"] = SETTLE
         self.simulation.begin(json.dumps(row))
@@ -93,10 +94,10 @@ class Machine:
             settle_steps=SETTLE, max_steps=BUDGET, autoreset_mode=self.mode,
         )  # fmt: skip
         self.model = [
-            One(task, rank, sharing, self.init_states == "random",
+            One(task, rank, stride, self.init_states == "random",
                 native.Simulation(simulation.scene), turn=rank)
-            for task, rank, sharing, simulation
-            in zip(TASKS, RANKS, SHARING, self.real.simulations, strict=True)
+            for task, rank, stride, simulation
+            in zip(TASKS, RANKS, STRIDES, self.real.simulations, strict=True)
         ]  # fmt: skip
         self.kept = None
         self.reset(seed=self.chance.randrange(1000))
@@ -267,7 +268,7 @@ EXPECTED = {
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("init_states", ["cycle", "random"])
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_whatever_happens_the_environments_are_as_the_model_is(mode, init_states, seed):
+def test_environments_match_the_model_under_random_operations(mode, init_states, seed):
     machine = Machine(mode, init_states, random.Random(seed))
     story = []
     try:
@@ -277,7 +278,7 @@ def test_whatever_happens_the_environments_are_as_the_model_is(mode, init_states
             story.append(chosen)
             getattr(machine, chosen)()
     except BaseException:
-        print("what happened:", " ".join(story))
+        print("operations:", " ".join(story))
         raise
     finally:
         machine.close()

@@ -7,9 +7,9 @@ use anyhow::{Context, anyhow};
 use super::super::command::{CommandError, usage};
 
 /// Returns the absolute path, since the jobs run in another working directory.
-pub(super) fn whole(path: &Path) -> Result<PathBuf, CommandError> {
-    let whole = absolute(path).with_context(|| format!("find {}", path.display()));
-    whole.map_err(usage)
+pub(super) fn absolute_path(path: &Path) -> Result<PathBuf, CommandError> {
+    let found = absolute(path).with_context(|| format!("find {}", path.display()));
+    found.map_err(usage)
 }
 
 pub(super) fn text(path: &Path) -> Result<String, CommandError> {
@@ -42,7 +42,7 @@ pub(super) fn options(flag: &str, given: &[String]) -> Result<Vec<String>, Comma
     let option = |option: &String| match option.starts_with('-') {
         true => line(flag, option.clone()),
         false => Err(usage(anyhow!(
-            "use {flag} {option:?}: write an option of sbatch, {flag}=--constraint=avx2"
+            "use {flag} {option:?}: write an option of sbatch, such as {flag}=--constraint=avx2"
         ))),
     };
     given.iter().map(option).collect()

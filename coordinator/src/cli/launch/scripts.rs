@@ -24,8 +24,8 @@ pub(super) fn write(scripts: &[Script]) -> anyhow::Result<()> {
         let there = std::fs::read(path);
         ensure!(
             !path.exists() || there.is_ok_and(|there| there == text.as_bytes()),
-            "write {}: there is one that differs, perhaps edited; remove it, or name another \
-             folder",
+            "write {}: the file exists with other content, perhaps edited; remove it, or name \
+             another folder",
             path.display()
         );
     }
@@ -46,7 +46,7 @@ pub(super) fn submit(scripts: &[Script]) -> anyhow::Result<()> {
         sbatch.arg("--parsable");
         sbatch.args(before.map(|job| format!("--dependency=after:{job}")));
         let output = sbatch.arg(path).output();
-        let output = output.context("run sbatch: call this where Slurm's commands are")?;
+        let output = output.context("run sbatch: use a machine that has Slurm's commands")?;
         let complaint = String::from_utf8_lossy(&output.stderr);
         ensure!(
             output.status.success(),

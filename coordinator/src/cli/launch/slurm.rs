@@ -9,7 +9,7 @@ use terminal::number;
 use transport::{Role, SecurityError, ServerArguments, Tokens, parse_endpoint};
 
 use super::super::command::{CommandError, failure, print, print_line, usage};
-use super::checked::{line, options, text, whole, word};
+use super::checked::{absolute_path, line, options, text, word};
 use super::scripts::{Script, submit, write};
 use super::template::{Values, fill, for_shell};
 use super::time_limit::TimeLimit;
@@ -202,7 +202,7 @@ impl SlurmArguments {
     /// Returns the scripts in order of submission, the coordinator's first.
     fn scripts(&self) -> Result<Vec<Script>, CommandError> {
         let values = self.values()?;
-        let folder = whole(self.into.as_deref().unwrap_or(Path::new(".")))?;
+        let folder = absolute_path(self.into.as_deref().unwrap_or(Path::new(".")))?;
         let mut templates = vec![COORDINATOR];
         templates.extend(self.gateway.policy.is_some().then_some(GATEWAY));
         templates.push(WORKERS);
@@ -218,9 +218,9 @@ impl SlurmArguments {
         let (workers, gateway) = (&self.workers, &self.gateway);
         let mut values = Values::default();
         self.set_servers(&mut values)?;
-        let folder = whole(self.into.as_deref().unwrap_or(Path::new(".")))?;
+        let folder = absolute_path(self.into.as_deref().unwrap_or(Path::new(".")))?;
         values.set("folder", line("--into", text(&folder)?)?);
-        values.set("data", line("--data", text(&whole(&self.data)?)?)?);
+        values.set("data", line("--data", text(&absolute_path(&self.data)?)?)?);
         let partition = word("--partition", self.partition.as_ref())?;
         let own = word("--gateway-partition", gateway.gateway_partition.as_ref())?;
         values.set_all("gateway_partition", own.or_else(|| partition.clone()));
@@ -231,7 +231,7 @@ impl SlurmArguments {
 
         let assets = match workers.assets.as_str() {
             name @ (LIBERO | PRIMITIVES) => name.to_owned(),
-            path => text(&whole(Path::new(path))?)?,
+            path => text(&absolute_path(Path::new(path))?)?,
         };
         values.set("assets", line("--assets", assets)?);
         values.set("workers", workers.workers);
@@ -319,7 +319,7 @@ impl SlurmArguments {
             ("--tls-key", &self.security.tls_key),
         ] {
             if let Some(file) = file {
-                guard.extend([flag.to_owned(), line(flag, text(&whole(file)?)?)?]);
+                guard.extend([flag.to_owned(), line(flag, text(&absolute_path(file)?)?)?]);
             }
         }
         guard.extend(self.security.insecure.then(|| "--insecure".to_owned()));
@@ -330,7 +330,7 @@ impl SlurmArguments {
             ("worker_token_file", "--worker-token-file", &of_workers),
             ("ca", "--ca", &self.ca),
         ] {
-            let path = file.as_deref().map(whole).transpose()?;
+            let path = file.as_deref().map(absolute_path).transpose()?;
             let path = path.map(|path| text(&path)).transpose()?;
             values.set_all(name, path.map(|path| line(flag, path)).transpose()?);
         }
@@ -370,7 +370,7 @@ impl SlurmArguments {
 
     fn programs_folder(&self) -> Result<PathBuf, CommandError> {
         if let Some(folder) = &self.programs {
-            return whole(folder);
+            return absolute_path(folder);
         }
         let own = std::env::current_exe().context("find this program's own file")?;
         Ok(own.parent().unwrap_or(Path::new("/")).to_owned())

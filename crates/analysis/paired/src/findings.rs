@@ -265,9 +265,9 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
                 )
             });
             format!(
-                "At {level}, {r_d} % of configurations end otherwise simultaneously than under the axes \
-                 alone; how many of them by chance is unknown without a placebo (`--levels \
-                 L0,{level}`).{bound}"
+                "At {level}, the simultaneous outcome of {r_d} % of configurations is not the one that \
+                 the single axes imply; how many of them differ by chance is unknown without a \
+                 placebo (`--levels L0,{level}`).{bound}"
             )
         }
     };

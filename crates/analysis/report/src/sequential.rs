@@ -118,9 +118,9 @@ impl Sequential {
                 holm_p: None,
                 sentence: format!(
                     "At {level}, {low} to {high} % of the campaign's {} configurations succeed \
-                     simultaneously, and the net effect of simultaneity on them is {least} to {most} \
-                     points: these confidence sequences hold at any look, and say nothing of new \
-                     tasks.",
+                     under simultaneous perturbation, and its net effect on them is {least} to {most} \
+                     points: these confidence sequences are valid at any look, and for these \
+                     configurations only.",
                     self.configurations
                 ),
             })
@@ -141,8 +141,8 @@ impl Sequential {
                 claims: false,
                 holm_p: None,
                 sentence: format!(
-                    "At {level}, of new tasks of these suites under these directions, {}: these \
-                     confidence sequences hold at any look.",
+                    "At {level}, confidence sequences for new tasks of these suites under these \
+                     directions, valid at any look: {}.",
                     intervals.join(", ")
                 ),
             }
@@ -156,10 +156,10 @@ impl Sequential {
             let configurations = [self.used as u64, self.configurations as u64];
             let rollouts = [self.saved as u64, self.rollouts as u64];
             return Some(format!(
-                "{}; figures are of these {} configurations, and their bootstrap intervals and \
-                 p-values are not valid, because they hold for one look that was settled \
-                 beforehand: use the confidence sequences, whose estimates weigh suites as the \
-                 campaign has them. Other rates weigh them by what was drawn{}",
+                "{}; other figures cover these {} configurations only, and their bootstrap \
+                 intervals and p-values are not valid, because they assume a sample size fixed in advance: \
+                 use the confidence sequences, whose estimates weight suites as the campaign does. \
+                 Other rates weight them by the configurations that were drawn{}",
                 stopped_in_words(configurations, &self.rule.to_string(), rollouts),
                 self.used,
                 self.overstated_in_words()
@@ -167,9 +167,8 @@ impl Sequential {
         }
         (self.used < self.configurations).then(|| {
             format!(
-                "the campaign ends early once {}: until it is through, use the confidence \
-                 sequences; bootstrap intervals and p-values hold for one look that was settled \
-                 beforehand",
+                "the campaign ends early once {}: until it ends, use the confidence sequences; \
+                 bootstrap intervals and p-values assume a sample size fixed in advance",
                 self.rule
             )
         })
@@ -181,7 +180,8 @@ impl Sequential {
         match names.as_slice() {
             [] => String::new(),
             names => format!(
-                "; overstated wherever it stands: {}, because the campaign ended when it was large",
+                "; estimates of {} are overstated in all of this report, because the campaign \
+                 ended when they were large",
                 names.join(", ")
             ),
         }
@@ -210,8 +210,8 @@ impl Sequential {
         let measures = self.levels.values().flat_map(BTreeMap::keys);
         match measures.copied().any(|it| self.is_overstated(it)) {
             true => {
-                ". * is overstated: the campaign ended because it was large at that look; the end \
-                 of the interval that is nearest to the excluded value bounds it"
+                ". An estimate marked * is overstated, because the campaign ended when it was \
+                 large; the end of its interval that is nearest to the excluded value bounds it"
             }
             false => "",
         }
@@ -227,9 +227,9 @@ impl Sequential {
         };
         format!(
             "confidence sequences: at each level, they hold together at all looks with a \
-             probability of 95 %, whichever rule ends the campaign; about {about}, from the first \
-             {} in the order of seed {} (rounds of {}); beside them estimates that weigh suites or \
-             tasks as that population does{}",
+             probability of 95 %, whichever rule ends the campaign. They concern {about}, and are \
+             computed from the first {} in the order of seed {} (rounds of {}). The estimates \
+             beside them weight suites or tasks as in that population{}",
             self.used,
             self.seed,
             self.strata.name().replace('_', " "),

@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn tasks_have_directions_of_their_own_if_they_are_to() {
+    fn own_directions_differ_by_task_axis_configuration_and_seed() {
         let own = |task: TaskRef, axis, config, seed| {
             direction(Directions::Own, task, axis, config, seed)
         };

@@ -12,8 +12,8 @@ pub const TOLERANCES: [f64; 2] = [0.01, 100.0];
 pub const MAX_RADII: [f64; 2] = [2.0, 100.0];
 
 /// Parameters of a campaign that measures the thresholds of another one: it runs that
-/// campaign's configurations at further radii. The radii follow from the outcomes of both
-/// campaigns, so that it starts without rows.
+/// campaign's configurations at further radii. The campaign starts without manifest rows, because
+/// its radii follow from the outcomes of both campaigns.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Thresholds {

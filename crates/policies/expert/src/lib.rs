@@ -3,7 +3,7 @@
 //! that mostly succeed, and provides demonstrations for visual policies; it is not a
 //! baseline for them. Skills are in the modules; this file runs them in sequence.
 
-#![allow(missing_docs, reason = "names and messages say it")]
+#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod error;
 mod geometry;
@@ -192,13 +192,13 @@ mod tests {
     }
 
     #[test]
-    fn what_it_does_follows_from_what_it_sees_alone() {
+    fn an_expert_interrupted_at_every_step_succeeds() {
         // Interrupted at every step, the expert keeps no phase.
         assert!(ends(250, |_, action| Some(action)));
     }
 
     #[test]
-    fn a_hand_that_something_else_held_back_moved_or_emptied_ends_all_the_same() {
+    fn the_expert_succeeds_after_another_controller_stops_moves_or_opens_the_hand() {
         let still = |gripper| move |_: Action| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, gripper];
         let aside = |_: Action| [0.6, -0.6, 0.3, 0.0, 0.0, 0.0, 1.0];
         let meddlers: [&dyn Fn(Action) -> Action; 3] = [&still(-1.0), &still(1.0), &aside];

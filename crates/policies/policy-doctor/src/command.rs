@@ -158,8 +158,8 @@ impl Doctor {
         let sound = diagnosis::examine(&server, &situations, measures, &mut report).await?;
         match self.shown.json {
             true => say(&json(&ExaminationJson::of(asked, &findings))),
-            false if sound => say("nothing found"),
-            false => say("found something"),
+            false if sound => say("no fault found"),
+            false => say("faults found: see FAIL above"),
         }
         Ok(sound)
     }

@@ -177,7 +177,7 @@ impl Part {
     }
 }
 
-/// Formats parts as a list: "position, axis times angle and fingers".
+/// Formats parts as a list: "position, axis-angle and two finger joints".
 pub(crate) struct Parts<'a>(pub &'a [Part]);
 
 impl fmt::Display for Parts<'_> {
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_taken_for_a_state_has_its_width_and_other_numbers() {
+    fn confusable_layouts_have_the_same_width_and_other_numbers() {
         let declared = [
             vec![EefPos, EefAxisAngle, GripperPos],
             vec![EefPos, EefQuatXyzw],
@@ -252,11 +252,12 @@ mod tests {
         ];
         for fields in declared {
             let own: Vec<Part> = fields.iter().map(|&field| Field(field)).collect();
-            let own = numbers(&own, &situation()).expect("it is there");
+            let own = numbers(&own, &situation()).expect("the situation has every reading");
             let others = others(&fields, &[]);
             assert!(others.len() > 1, "{fields:?}");
             for other in others {
-                let numbers = numbers(&other, &situation()).expect("it is there");
+                let numbers =
+                    numbers(&other, &situation()).expect("the situation has every reading");
                 assert_eq!(numbers.len(), own.len(), "{}", Parts(&other));
                 let pairs = numbers.iter().zip(&own);
                 let apart = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

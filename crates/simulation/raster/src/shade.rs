@@ -102,7 +102,7 @@ impl Lists {
     }
 }
 
-/// Lists the fragments in a window whose records the lists were cleared for.
+/// Lists the fragments of a window; `lists` must have been cleared for its records.
 pub(crate) fn list_fragments(
     visible: &Visible,
     instances: &[Instance],

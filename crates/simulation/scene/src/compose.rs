@@ -52,8 +52,8 @@ impl Scene {
         &self.mjcf
     }
 
-    /// Verifies the meshes and textures that the MJCF references against LIBERO's table, if the
-    /// pack is named `libero`. Call it before compiling.
+    /// Verifies the meshes and textures that the MJCF references against the digests of
+    /// LIBERO's files, if the pack is named `libero`. Call it before compiling.
     ///
     /// # Errors
     /// If a file differs from LIBERO's.

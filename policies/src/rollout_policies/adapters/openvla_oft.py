@@ -169,9 +169,9 @@ def load(entry: Entry, options: Options) -> Policy:
     constants = require("prismatic.vla.constants", entry)
     if constants.NUM_ACTIONS_CHUNK != CHUNK:
         raise UnusableCheckpoint(
-            f"prismatic/vla/constants.py says chunks of {constants.NUM_ACTIONS_CHUNK} actions,"
-            f" and LIBERO's are {CHUNK}: it reads the name of a robot from the command line,"
-            " where another robot's must not occur"
+            f"prismatic/vla/constants.py has chunks of {constants.NUM_ACTIONS_CHUNK} actions, but"
+            f" LIBERO needs {CHUNK}: it searches the command line for a robot's name, so remove"
+            " other robots' names from arguments and paths"
         )
     width = network.llm_dim
     heads = require("prismatic.models.action_heads", entry)

@@ -80,7 +80,7 @@ pub(crate) struct Both {
     lengths: Vec<f64>,
 }
 
-/// Two policies that find the same tasks difficult, and whose axes cost unequally much.
+/// Two policies with correlated task difficulty and different success costs per axis.
 pub(crate) struct TwoPolicies([Policy; 2]);
 
 impl TwoPolicies {
@@ -202,8 +202,8 @@ impl TwoPolicies {
         truth
     }
 
-    /// Returns the probability that A succeeds in more configurations of a task drawn at random
-    /// than B, ties counting half.
+    /// Returns the probability that, in a random task, A succeeds in more configurations than B;
+    /// ties count half.
     ///
     /// Given the directions and the effect that a task has in all conditions, the policies are
     /// independent.

@@ -96,11 +96,11 @@ fn an_estimate_that_ended_a_campaign_has_a_star_and_the_warning_and_others_have_
     }
     assert!(text.contains("* is overstated"), "{text}");
     assert!(text.contains("I = S_sim-S_conj * +"), "{text}");
-    assert!(text.contains("overstated wherever it stands: I,"), "{text}");
+    assert!(text.contains("estimates of I are overstated"), "{text}");
     assert_eq!(sequential["overstated"], serde_json::json!(["I"]));
     assert_eq!(found["reports"][0]["overstated"], serde_json::json!(["I"]));
     let page = report::page(&stopped);
-    assert!(page.contains(">*</abbr>") && page.contains("overstated wherever it stands: I,"));
+    assert!(page.contains(">*</abbr>") && page.contains("estimates of I are overstated"));
     let width = document(early("width(I) < 0.2", true)).text();
     assert!(
         !width.contains("overstated") && !width.contains("* "),

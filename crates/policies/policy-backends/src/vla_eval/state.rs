@@ -27,8 +27,8 @@ pub(super) fn states(
 
 /// Returns `controller_states`: the same quantities for the site that robosuite's controller
 /// moves, in single precision. That site has the same position as that of `states`, and is rotated
-/// against the hand by −90° about its z axis. In vla-eval they belong to the end of a control
-/// step, here to the instant of observation, which is up to 50 ms earlier, because LIBERO's
+/// against the hand by −90° about its z axis. vla-eval reads them at the end of a control step.
+/// Here they are those of the instant of observation, up to 50 ms earlier, because LIBERO's
 /// readings and frames lag.
 ///
 /// `hand` is the hand's rotation matrix in row-major order.

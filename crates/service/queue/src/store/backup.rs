@@ -15,7 +15,7 @@ const BACKUP_FILE: &str = "backup.partial";
 pub(crate) async fn copy(store: &Store) -> Result<TempPath, StoreError> {
     remove_leftover(store.folder());
     let mut reader = store.reader().await?;
-    // Also removes an incomplete copy.
+    // Dropping the path on an error removes an incomplete copy.
     let copy = place(store).map_err(sqlx::Error::Io);
     let copy = copy.doing("copy the database")?;
     sqlx::query("VACUUM INTO ?")
