@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 use tests::programs::{Campaigns, Process, program};
-use tests::slurm::{Cluster, NODES, free_ports, host_name, succeeded};
+use tests::slurm::{CREDENTIAL_SECS, Cluster, NODES, free_ports, host_name, succeeded};
 
 const NAME: &str = "a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody";
 const CAMPAIGN: &str = "cluster";
@@ -48,6 +48,7 @@ fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {
     // A worker that is asked to end while it waits for its next rollout gives nothing back.
     while lab.given_back() == 0 {
         assert!(!lab.is_finished(), "no worker was told to end in a rollout");
+        lab.wait_until("the gateway runs", |lab| lab.is_back(&gateway, 0));
         lab.is_preempted(&on_second);
     }
     lab.loses_its_node(&on_second);
@@ -148,12 +149,14 @@ impl Lab {
     /// Lets a job of a partition with higher priority take a worker's node.
     fn is_preempted(&self, task: &str) {
         let restarts = self.cluster.job(task).restarts;
-        // A task that reaches its time limit just then is not preempted; the loop then tries again.
-        let is_told = || {
+        let times_told = || {
             let log = std::fs::read_to_string(self.cluster.path("slurmctld.log"));
-            log.is_ok_and(|log| log.contains(&format!("preempted JobId={task}(")))
+            let told = format!("preempted JobId={task}(");
+            log.unwrap_or_default().matches(&told).count()
         };
-        while !is_told() {
+        let before = times_told();
+        // A task that reaches its time limit just then is not preempted; the loop then tries again.
+        while times_told() == before {
             self.wait_until("the worker runs", |lab| lab.is_back(task, 0));
             let node = format!("--nodelist={}", self.cluster.job(task).node);
             let options = ["--partition=high", &node, "--exclusive"];
@@ -177,8 +180,7 @@ impl Lab {
         self.wait_until("the worker has left the drained node", |lab| {
             lab.cluster.job(task).restarts > before.restarts
         });
-        // Longer than a requeued job waits until it may start.
-        sleep(Duration::from_secs(8));
+        sleep(Duration::from_secs(CREDENTIAL_SECS + 3));
         let now = self.cluster.job(task);
         assert!(now.state != "RUNNING" || now.node != before.node, "{now:?}");
         scontrol(&["update", &name, "State=RESUME"]);
