@@ -25,9 +25,6 @@ const PROGRAMS: [&str; 8] = [
 ];
 /// Debian's folder of daemons, which may be missing from `PATH`.
 const DAEMONS: &str = "/usr/sbin";
-/// Seconds for which a credential of the cluster is valid, and for which a requeued job waits.
-/// A job that a busy machine starts later than that is held for ever.
-pub const CREDENTIAL_SECS: u64 = 20;
 /// Timeout of the cluster's operations.
 const PATIENCE: Duration = Duration::from_secs(300);
 /// Timeout of the end of the cluster's jobs.
@@ -110,7 +107,7 @@ impl Cluster {
              SlurmdUser={me}\n\
              AuthType=auth/munge\n\
              CryptoType=crypto/munge\n\
-             AuthInfo=socket={here}/munge.socket,cred_expire={CREDENTIAL_SECS}\n\
+             AuthInfo=socket={here}/munge.socket,cred_expire=5\n\
              StateSaveLocation={here}/state\n\
              SlurmdSpoolDir={here}/spool-%n\n\
              SlurmctldPidFile={here}/slurmctld.pid\n\

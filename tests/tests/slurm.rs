@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 use tests::programs::{Campaigns, Process, program};
-use tests::slurm::{CREDENTIAL_SECS, Cluster, NODES, free_ports, host_name, succeeded};
+use tests::slurm::{Cluster, NODES, free_ports, host_name, succeeded};
 
 const NAME: &str = "a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody";
 const CAMPAIGN: &str = "cluster";
@@ -43,12 +43,16 @@ fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {
         }
     };
     assert_eq!([node(&on_first), node(&on_second)], NODES);
-    lab.wait_until("some rollouts are committed", |lab| lab.committed() >= 4);
+    lab.wait_until("some rollouts are committed", |lab| {
+        lab.count("committed") >= 4
+    });
 
     // A worker that is asked to end while it waits for its next rollout gives nothing back.
     while lab.given_back() == 0 {
         assert!(!lab.is_finished(), "no worker was told to end in a rollout");
-        lab.wait_until("the gateway runs", |lab| lab.is_back(&gateway, 0));
+        lab.wait_until("both workers have rollouts", |lab| {
+            lab.count("leased") == 2 || lab.is_finished()
+        });
         lab.is_preempted(&on_second);
     }
     lab.loses_its_node(&on_second);
@@ -122,8 +126,10 @@ impl Lab {
             launch.arg("--into").arg(&scripts);
             launch.arg("--data").arg(cluster.path("campaigns"));
             #[rustfmt::skip]
+            // With one minute, Slurm ends jobs after 30 seconds, and starts them again 30 seconds later:
+            // the gateway might only run while the workers do not.
             launch.args([
-                "--assets", "primitives", "--partition", "low", "--time", "1", "--ahead-secs", "10",
+                "--assets", "primitives", "--partition", "low", "--time", "2", "--ahead-secs", "10",
                 "--workers", "2", "--slots", "1", "--drain-secs", "0",
                 "--policy", "expert=builtin:expert", "--gpus", "1", "--gateway-port", &gateway,
             ]);
@@ -180,7 +186,8 @@ impl Lab {
         self.wait_until("the worker has left the drained node", |lab| {
             lab.cluster.job(task).restarts > before.restarts
         });
-        sleep(Duration::from_secs(CREDENTIAL_SECS + 3));
+        // Longer than a requeued job waits until it may start.
+        sleep(Duration::from_secs(8));
         let now = self.cluster.job(task);
         assert!(now.state != "RUNNING" || now.node != before.node, "{now:?}");
         scontrol(&["update", &name, "State=RESUME"]);
@@ -265,10 +272,11 @@ impl Lab {
         status.contains("finished")
     }
 
-    fn committed(&self) -> u64 {
+    /// Returns the number of the campaign's rollouts in a state.
+    fn count(&self, state: &str) -> u64 {
         let status = self.json(&["campaign", "status", CAMPAIGN]);
-        let committed = &status["campaigns"][0]["rollouts"]["committed"];
-        committed.as_u64().expect("a number")
+        let count = &status["campaigns"][0]["rollouts"][state];
+        count.as_u64().expect("a number")
     }
 
     fn json(&self, arguments: &[&str]) -> Value {
