@@ -25,8 +25,8 @@ impl AssetPack {
         Ok(files)
     }
 
-    /// Verifies the files of tasks, and fetches missing or altered ones from the origin that the
-    /// environment names. Does nothing for a pack that is not managed, since its files belong to
+    /// Verifies the files of tasks, and fetches missing or altered ones from the origin that
+    /// the environment variables set. Does nothing for a pack that is not managed, since its files belong to
     /// its owner.
     ///
     /// # Errors

@@ -112,18 +112,18 @@ fn what_the_initial_state_cannot_mean_is_refused_with_the_statement() {
         (
             "(Open white_cabinet_1_bottom_region)",
             "(On butter_1 kitchen_table_basket_region)",
-            "(on butter_1 ketchup_1), but `butter_1` has a place already",
+            "(on butter_1 ketchup_1), but `butter_1` is already placed",
         ),
         (
             "(On basket_1 kitchen_table_basket_region)",
             "",
-            "(on cream_cheese_1 basket_1_contain_region), but `basket_1` has no place itself",
+            "(on cream_cheese_1 basket_1_contain_region), but `basket_1` is not placed",
         ),
         (
             "(Open white_cabinet_1_bottom_region)",
             "(TurnOn white_cabinet_1_bottom_region)",
-            "(turnon white_cabinet_1_bottom_region), but `white_cabinet_1_bottom_region` has \
-             nothing that could turnon",
+            "(turnon white_cabinet_1_bottom_region), but `white_cabinet_1_bottom_region` does \
+             not support `turnon`",
         ),
         (
             "(On white_cabinet_1 kitchen_table_cabinet_region)",
