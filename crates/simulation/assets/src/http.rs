@@ -253,7 +253,8 @@ impl<R: Read> Read for MinimumRateReader<R> {
     }
 }
 
-/// Reads the certificates that are set in the environment variables; they replace the built-in ones.
+/// Reads the certificates that are set in the environment variables; they replace the built-in
+/// ones.
 fn certificates() -> Result<Option<RootCerts>, AssetsError> {
     let named = CERTIFICATES.iter().filter_map(std::env::var_os);
     let Some(path) = named.map(PathBuf::from).find(|path| path.is_file()) else {

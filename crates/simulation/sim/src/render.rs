@@ -9,7 +9,7 @@ mod prepare;
 mod software;
 #[allow(
     unsafe_code,
-    reason = "what a thread owns is carried, not used, by others"
+    reason = "other threads may move the value but never use it"
 )]
 mod thread_bound;
 mod view;
@@ -212,7 +212,7 @@ mod tests {
 
     /// Returns a canvas of 64 × 48 pixels.
     fn canvas(drawer: &Drawer, model: &mut Model) -> Canvas {
-        let prepare = |model: &Model| Prepared::of(model).map(Arc::new);
+        let prepare = |model: &Model| Prepared::from_model(model).map(Arc::new);
         Canvas::new(drawer, model, prepare, [64, 48]).expect("a canvas")
     }
 
@@ -310,8 +310,9 @@ mod tests {
             canvas.draw(view(&own, &mut data)).expect("a picture");
             let mut refused = |model: &Model, data: &mut Data| {
                 let drawn = AssertUnwindSafe(|| canvas.draw(view(model, data)));
-                let said = catch_unwind(drawn).expect_err("another model");
-                said.downcast_ref::<&str>()
+                let message = catch_unwind(drawn).expect_err("another model");
+                message
+                    .downcast_ref::<&str>()
                     .copied()
                     .unwrap_or_default()
                     .to_owned()
@@ -325,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn a_renderer_is_named_in_three_ways() {
+    fn renderers_are_parsed_and_displayed_in_three_forms() {
         for (text, renderer) in [
             ("software", Renderer::Software),
             ("gl", Renderer::Gl(GlDevice::Auto)),

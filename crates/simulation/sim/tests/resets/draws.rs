@@ -106,7 +106,7 @@ fn check(task: TaskRef, recorded: &Recorded) {
     environment
         .reset(&mut ours, Reset::Hard, LOADED_TWICE)
         .unwrap();
-    assert_eq!(ours, theirs, "{task}: another number of draws");
+    assert_eq!(ours, theirs, "{task}: the number of draws differs");
     let model = environment.model();
     for (name, (pos, quat)) in &recorded.body_pos_seed0 {
         let body = model.id(ObjectKind::Body, name).unwrap();
