@@ -45,7 +45,7 @@ impl Axis {
         Self::Actuation,
     ];
 
-    /// Name in rollout ids and manifests.
+    /// Returns the name in rollout ids and manifests.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Camera => "camera",

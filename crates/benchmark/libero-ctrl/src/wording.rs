@@ -160,7 +160,7 @@ mod tests {
     #[derive(Debug, Deserialize)]
     #[serde(deny_unknown_fields)]
     #[expect(dead_code, reason = "only read")]
-    struct Asked {
+    struct Request {
         count: u32,
         kind: Option<Kind>,
         flag: Option<bool>,
@@ -176,9 +176,9 @@ mod tests {
     }
 
     #[test]
-    fn what_a_json_text_lacks_is_said_in_plain_words() {
+    fn errors_of_the_json_parser_are_reworded() {
         let check = |text: &str, expected: &str| {
-            let error = serde_json::from_str::<Asked>(text).expect_err(text);
+            let error = serde_json::from_str::<Request>(text).expect_err(text);
             assert_eq!(JsonError::from(error).to_string(), expected, "{text}");
         };
         check("{}", "the field `count` is not there (line 1, column 2)");
