@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_misspelt_axis_lists_the_six() {
+    fn the_error_for_an_unknown_axis_lists_the_six() {
         let error = "camrea".parse::<Axis>().expect_err("no such axis");
         assert_eq!(
             error.to_string(),

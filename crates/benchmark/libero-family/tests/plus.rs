@@ -176,7 +176,7 @@ fn the_needed_assets_of_each_variant_are_counted() {
     assert_eq!(by_suite, [1644, 1827, 1791, 1783]);
     let scenes = |assets| {
         let all = inventory().iter().filter(|entry| entry.assets() == assets);
-        let scenes = all.filter_map(|it| it.class.as_ref()?.scene.clone());
+        let scenes = all.filter_map(|entry| entry.class.as_ref()?.scene.clone());
         scenes.collect::<BTreeSet<_>>().len()
     };
     assert_eq!(scenes(Assets::Lights), 998);

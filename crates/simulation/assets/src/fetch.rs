@@ -150,9 +150,9 @@ impl Fetch<'_> {
         let mut receiver = receive::Receiver::new(self.origin, parcel, self.into, incoming);
         let mut tries = Tries::default();
         while !receiver.is_done() {
-            let before = receiver.gained();
+            let before = receiver.received_bytes();
             let outcome = receiver.stream(progress, self.progress);
-            if receiver.gained() - before >= GAIN_BYTES {
+            if receiver.received_bytes() - before >= GAIN_BYTES {
                 tries = Tries::default();
             }
             match outcome {

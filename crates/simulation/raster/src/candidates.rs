@@ -96,7 +96,9 @@ impl Candidates {
             let is_small =
                 (row1 - row0).lt(splat(SMALL[1])) & (column1 - column0).lt(splat(SMALL[0]));
             let grid = [[column0, column1], [row0, row1]];
-            let mut bits = (selected & (!is_small | small_covers(&x, &y, grid))).bits() & !left_out;
+            let mut bits = (selected & (!is_small | small_triangles_with_samples(&x, &y, grid)))
+                .bits()
+                & !left_out;
             while bits != 0 {
                 let lane = bits.trailing_zeros() as usize;
                 bits &= bits - 1;
@@ -124,7 +126,7 @@ fn sample_column(row: I) -> I {
 /// Returns the mask of the triangles, of eight small ones, that cover a sample. `columns` and
 /// `rows` are the first and last that they may cover.
 #[inline(always)]
-fn small_covers(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
+fn small_triangles_with_samples(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
     let splat = |value: i32| I::splat(value);
     // Positions of the first column and the first row of samples, in subpixel units.
     let [first_x, first_y] = [columns[0], rows[0]].map(|first| (first << 6i32) + splat(32));

@@ -164,26 +164,26 @@ fn clip_by_plane<V: Values>(
     let mut last = polygon.first()?;
     let mut last_distance = distance(last);
     for corner in polygon.iter().skip(1).chain(polygon.first()) {
-        let here = distance(corner);
-        if !here.is_finite() || !last_distance.is_finite() {
+        let corner_distance = distance(corner);
+        if !corner_distance.is_finite() || !last_distance.is_finite() {
             return None;
         }
         if last_distance >= 0.0 {
             push(*last)?;
         }
-        if (last_distance >= 0.0) != (here >= 0.0) {
+        if (last_distance >= 0.0) != (corner_distance >= 0.0) {
             // Interpolates from the nearer corner, for precision.
-            let between = here - last_distance;
-            let from_here = match here < 0.0 {
-                true => -here < last_distance,
-                false => -last_distance >= here,
+            let between = corner_distance - last_distance;
+            let from_corner = match corner_distance < 0.0 {
+                true => -corner_distance < last_distance,
+                false => -last_distance >= corner_distance,
             };
-            push(match from_here {
-                true => toward(corner, last, here / between),
+            push(match from_corner {
+                true => toward(corner, last, corner_distance / between),
                 false => toward(last, corner, -last_distance / between),
             })?;
         }
-        (last, last_distance) = (corner, here);
+        (last, last_distance) = (corner, corner_distance);
     }
     Some(count)
 }

@@ -118,7 +118,7 @@ fn fill_parts<const INSIDE: bool>(
     lane: usize,
     setup: &Setup,
     (block, at): ([i32; 2], [i32; 3]),
-    (x, y, triangle): Part,
+    (x, y, triangle): Area,
     drawing: &mut Drawing<'_>,
 ) -> bool {
     let (parts, whole) = drawing.visible.depth_bounds(block);

@@ -130,8 +130,8 @@ fn blend(picture: &mut Picture, painted: &[Painted]) -> Option<Window> {
                 *under = blended(*under, *colour);
             }
         }
-        let here = Window::pixel(fragment.x() as i32, fragment.y() as i32);
-        window = Window::union(window, Some(here));
+        let pixel = Window::pixel(fragment.x() as i32, fragment.y() as i32);
+        window = Window::union(window, Some(pixel));
     }
     window
 }

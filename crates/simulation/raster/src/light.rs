@@ -153,13 +153,13 @@ fn dot8(a: Vec3x8, b: Vec3x8) -> F {
 }
 
 #[inline(always)]
-fn unit8(v: Vec3x8) -> Vec3x8 {
+fn normalize8(v: Vec3x8) -> Vec3x8 {
     let scale = F::splat(1.0) / dot8(v, v).sqrt();
     v.map(|part| part * scale)
 }
 
 #[inline(always)]
-fn minus8(a: Vec3x8, b: Vec3x8) -> Vec3x8 {
+fn subtract8(a: Vec3x8, b: Vec3x8) -> Vec3x8 {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
@@ -170,10 +170,10 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
     let splat = |value: f32| F::splat(value);
     let (zero, one) = (splat(0.0), splat(1.0));
     let vec = |v: Vec3| v.map(splat);
-    let normal = unit8(normal);
+    let normal = normalize8(normal);
     let has_highlights = shading.shininess != 0.0;
     let towards_pos = match has_highlights {
-        true => unit8(pos),
+        true => normalize8(pos),
         false => pos,
     };
     let mut colour = vec(shading.base);
@@ -183,9 +183,9 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
         let (to_light, over_distance) = if light.is_directional {
             (vec(light.place), one)
         } else {
-            let off = minus8(vec(light.place), pos);
-            let over_distance = one / dot8(off, off).sqrt();
-            (off.map(|part| part * over_distance), over_distance)
+            let offset = subtract8(vec(light.place), pos);
+            let over_distance = one / dot8(offset, offset).sqrt();
+            (offset.map(|part| part * over_distance), over_distance)
         };
         let facing = dot8(normal, to_light);
         if *adds_only_ambient && facing.le(zero).all() {
@@ -201,7 +201,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
         let (is_lit, lit) = (facing.gt(zero), facing.max(zero));
         // Without shininess, Mesa's program uses the register of the dot product `facing`.
         let (near, exponent) = if has_highlights && products[2] != [0.0; 3] {
-            let half = unit8(minus8(to_light, towards_pos));
+            let half = normalize8(subtract8(to_light, towards_pos));
             (
                 dot8(normal, half),
                 splat(shading.shininess.min(MAX_SHININESS)),

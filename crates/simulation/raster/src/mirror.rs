@@ -84,8 +84,8 @@ pub(crate) fn add(
     glass::add(reflection, mirrored, &translucent, work);
     for (pixel, samples) in face.pixels {
         for sample in (0..SAMPLES).filter(|sample| samples & (1 << sample) != 0) {
-            let own = &mut picture.samples[pixel][sample];
-            *own = saturating_sum(*own, reflection.samples[pixel][sample]);
+            let reflecting = &mut picture.samples[pixel][sample];
+            *reflecting = saturating_sum(*reflecting, reflection.samples[pixel][sample]);
         }
     }
     Some(face.window)

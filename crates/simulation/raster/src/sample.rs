@@ -25,12 +25,12 @@ pub(crate) struct Place {
 pub(crate) fn flat(
     texels: Texels<'_>,
     srgb: bool,
-    own: Place,
+    place: Place,
     [corner, right, above]: [Place; 3],
 ) -> Colour {
     let changes = [right, above].map(|to| [0, 1].map(|axis| to.at[axis] - corner.at[axis]));
     let levels = Levels::choose(texels, footprint(texels, changes));
-    let [s, t, _] = own.at;
+    let [s, t, _] = place.at;
     match srgb {
         false => flat_in_bytes(texels, &levels, s, t),
         true => flat_in_floats(texels, &levels, s, t),
@@ -41,9 +41,9 @@ pub(crate) fn flat(
 /// along x and y in each 2 × 2 quad: on a cube every pixel has its own level of detail. The sign of
 /// a difference does not matter, so a neighbour may be on either side.
 #[inline(always)]
-pub(crate) fn cube(texels: Texels<'_>, own: Place, [beside, over]: [Place; 2]) -> Colour {
-    let changes = [beside, over].map(|to| [0, 1, 2].map(|axis| to.at[axis] - own.at[axis]));
-    let (face, changes) = Face::new(&own, &changes);
+pub(crate) fn cube(texels: Texels<'_>, place: Place, [beside, over]: [Place; 2]) -> Colour {
+    let changes = [beside, over].map(|to| [0, 1, 2].map(|axis| to.at[axis] - place.at[axis]));
+    let (face, changes) = Face::new(&place, &changes);
     let levels = Levels::choose(texels, footprint(texels, changes));
     let first = sample_cube_level(texels, &levels.first, &face);
     if levels.is_one {

@@ -386,18 +386,18 @@ fn colour_eight(
                 at: along.map(|plane| plane.at(px, py) * w * over_fourth),
             }
         };
-        let own = at(px, py);
+        let place = at(px, py);
         let texel = match texture.texture.kind {
             TextureKind::Flat { srgb } => {
                 let even = I::splat(!1);
                 let (qx, qy) = (centre(x & even), centre(y & even));
                 let square = [at(qx, qy), at(qx + one, qy), at(qx, qy + one)];
-                sample::flat(texture, srgb, own, square)
+                sample::flat(texture, srgb, place, square)
             }
             TextureKind::Cube => {
-                let other = I::splat(1);
-                let neighbours = [at(centre(x ^ other), py), at(px, centre(y ^ other))];
-                sample::cube(texture, own, neighbours)
+                let last_bit = I::splat(1);
+                let neighbours = [at(centre(x ^ last_bit), py), at(px, centre(y ^ last_bit))];
+                sample::cube(texture, place, neighbours)
             }
         };
         for (part, texel) in colour.iter_mut().zip(texel) {

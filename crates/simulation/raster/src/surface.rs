@@ -94,10 +94,10 @@ impl Vertices {
                 *vertex = vertices[usize::from(*id)];
             }
             let from = Corners::new(eight);
-            let placed = from.place(instance, size);
-            placed.x.store(&mut self.x[at..at + LANES]);
-            placed.y.store(&mut self.y[at..at + LANES]);
-            let values = F::transpose(from.values(instance, shading, placed.over_w));
+            let projected = from.project(instance, size);
+            projected.x.store(&mut self.x[at..at + LANES]);
+            projected.y.store(&mut self.y[at..at + LANES]);
+            let values = F::transpose(from.values(instance, shading, projected.over_w));
             for (varying, values) in self.varying[at..at + LANES].iter_mut().zip(values) {
                 *varying = values.to_array();
             }
@@ -151,7 +151,8 @@ struct Corners {
     st: [F; 2],
 }
 
-struct Placed {
+/// Positions of eight vertices in the picture, and 1/w.
+struct Projected {
     x: F,
     y: F,
     over_w: F,
@@ -170,12 +171,12 @@ impl Corners {
 
     /// Repeats the computation of [`transform`](crate::place::transform) bit for bit.
     #[inline(always)]
-    fn place(&self, instance: &Instance, size: [f32; 2]) -> Placed {
+    fn project(&self, instance: &Instance, size: [f32; 2]) -> Projected {
         let [x, y, z] = self.pos;
         let row = instance.to_clip.rows([x, y, z]);
         let half = size.map(|size| F::splat(size * 0.5));
         let over_w = F::splat(1.0) / row(3);
-        Placed {
+        Projected {
             x: (row(0) * over_w).fused(half[0], half[0]),
             y: (row(1) * over_w).fused(half[1], half[1]),
             over_w,

@@ -224,11 +224,11 @@ impl Ranks<'_> {
     /// in the drawing order.
     #[inline(never)]
     pub(crate) fn lost_ties(&self, ties: u32, ids: &[u32], record: &Record) -> u32 {
-        let own = self.rank(record);
+        let rank = self.rank(record);
         let mut lost = 0;
         for (lane, id) in ids.iter().enumerate() {
             let current = self.records.get(*id as usize);
-            if ties & (1 << lane) != 0 && current.is_some_and(|current| self.rank(current) > own) {
+            if ties & (1 << lane) != 0 && current.is_some_and(|current| self.rank(current) > rank) {
                 lost |= 1 << lane;
             }
         }

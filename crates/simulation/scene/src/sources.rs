@@ -80,15 +80,15 @@ impl Sources {
     }
 
     fn fetched(dir: &Path, name: &str) -> PathBuf {
-        let here = dir.join(name);
+        let in_dir = dir.join(name);
         let is_release_dir = || {
             let canonical = dir.canonicalize().ok();
             canonical.is_some() && canonical == Self::release_dir()
         };
-        if !here.is_dir() && is_release_dir() {
+        if !in_dir.is_dir() && is_release_dir() {
             return Self::in_cache().join(name);
         }
-        here
+        in_dir
     }
 
     /// Returns `share/rollout/sources` beside the `bin` folder of this program, if it exists.

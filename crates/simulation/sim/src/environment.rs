@@ -314,7 +314,7 @@ impl Environment {
         if self
             .canvas
             .as_ref()
-            .is_none_or(|canvas| !canvas.suits(drawer, wide, high))
+            .is_none_or(|canvas| !canvas.is_usable_for(drawer, wide, high))
         {
             self.canvas = None;
             self.canvas = Some(Canvas::new(

@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn every_bit_of_motion_and_frames_counts() {
+    fn the_fingerprint_depends_on_every_bit_of_motion_and_frames() {
         let (_, _, numbers) = simulated();
         let frames = vec![vec![1, 2, 3], vec![4]];
         let whole = digest(&numbers, &frames);

@@ -162,12 +162,12 @@ impl Canvas {
 
     /// Returns true if this canvas was made for the renderer and has room for a picture of this
     /// size.
-    pub(crate) fn suits(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
+    pub(crate) fn is_usable_for(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
         match (self, drawer) {
             (Self::Software(_), Drawer::Software) => true,
             (Self::Gl(canvas), Drawer::Gl(context)) => canvas
                 .get()
-                .is_some_and(|canvas| canvas.suits(context, [width, height])),
+                .is_some_and(|canvas| canvas.is_usable_for(context, [width, height])),
             _ => false,
         }
     }
@@ -270,7 +270,7 @@ mod tests {
         let mut first = canvas(&one, &mut model);
         let picture = first.draw(view(&model, &mut data)).expect("a picture");
         let mut second = canvas(&other, &mut model);
-        assert!(first.suits(&one, 64, 48) && !first.suits(&other, 64, 48));
+        assert!(first.is_usable_for(&one, 64, 48) && !first.is_usable_for(&other, 64, 48));
         for _ in 0..2 {
             for canvas in [&mut first, &mut second] {
                 let again = canvas.draw(view(&model, &mut data)).expect("a picture");
@@ -291,7 +291,10 @@ mod tests {
         let (mut model, _) = scene();
         let canvas = canvas(&drawer, &mut model);
         for size in [4096, i32::MAX as u32 + 1, u32::MAX] {
-            assert!(!canvas.suits(&drawer, size, 48), "{size} pixels wide");
+            assert!(
+                !canvas.is_usable_for(&drawer, size, 48),
+                "{size} pixels wide"
+            );
         }
     }
 

@@ -60,16 +60,16 @@ fn realise(row: &ManifestRow, mode: Realisation) -> Realised {
         let randomness = Randomness::of(&row.id, Axis::Sensor, mode);
         let mut stage = SensorStage::new(corruption, &randomness);
         let fixed = stage.realised();
-        let seen = pictures(&mut stage);
-        realised.add(Axis::Sensor, &corruption.values(), &fixed, &seen);
+        let pixels = pictures(&mut stage);
+        realised.add(Axis::Sensor, &corruption.values(), &fixed, &pixels);
     }
     if let Some(distortion) = &perturbation.actuation {
         let randomness = Randomness::of(&row.id, Axis::Actuation, mode);
         let rms = row.id.task().suite().demo_action_rms();
         let mut stage = ActuationStage::new(distortion, rms, &randomness);
         let fixed = stage.realised();
-        let acted = actions(&mut stage);
-        realised.add(Axis::Actuation, &distortion.values(), &fixed, &acted);
+        let outputs = actions(&mut stage);
+        realised.add(Axis::Actuation, &distortion.values(), &fixed, &outputs);
     }
     realised
 }
@@ -85,7 +85,7 @@ impl Realised {
 }
 
 fn pictures(stage: &mut SensorStage) -> Vec<f64> {
-    let mut seen = Vec::new();
+    let mut pixels = Vec::new();
     for step in PICTURED_STEPS {
         for source in FrameSource::ALL {
             let bytes = 0..PICTURE_PX * PICTURE_PX * 3;
@@ -97,10 +97,10 @@ fn pictures(stage: &mut SensorStage) -> Vec<f64> {
                 height: PICTURE_PX,
                 rgb: &mut rgb,
             });
-            seen.extend(rgb.into_iter().map(f64::from));
+            pixels.extend(rgb.into_iter().map(f64::from));
         }
     }
-    seen
+    pixels
 }
 
 fn actions(stage: &mut ActuationStage) -> Vec<f64> {

@@ -37,7 +37,7 @@ pub(super) struct Receiver<'a> {
     /// False once the server has answered a range request with the whole parcel.
     supports_ranges: bool,
     /// Bytes received so far.
-    gained: u64,
+    received_bytes: u64,
     /// Number of corrupted receptions, by file.
     corruptions: HashMap<&'static str, u32>,
 }
@@ -56,7 +56,7 @@ impl<'a> Receiver<'a> {
             incoming,
             done: 0,
             supports_ranges: true,
-            gained: 0,
+            received_bytes: 0,
             corruptions: HashMap::new(),
         }
     }
@@ -66,8 +66,8 @@ impl<'a> Receiver<'a> {
     }
 
     /// Returns the number of bytes received so far.
-    pub(super) fn gained(&self) -> u64 {
-        self.gained
+    pub(super) fn received_bytes(&self) -> u64 {
+        self.received_bytes
     }
 
     /// Sends one request and stores the files that its answer contains.
@@ -139,15 +139,15 @@ impl<'a> Receiver<'a> {
             .open(&path);
         let mut file = file.map_err(failed)?;
         let missing = member.stored.saturating_sub(present);
-        let mut gained = 0;
+        let mut received_bytes = 0;
         let outcome = self.read(stream, missing, &mut block, |bytes| {
             file.write_all(bytes).map_err(failed)?;
             present += bytes.len() as u64;
-            gained += bytes.len() as u64;
+            received_bytes += bytes.len() as u64;
             let bytes = progress.bytes + present;
             send_progress(show, Progress { bytes, ..*progress })
         });
-        self.gained += gained;
+        self.received_bytes += received_bytes;
         outcome
     }
 

@@ -249,7 +249,7 @@ fn a_stalled_answer_times_out_and_a_slow_one_does_not() {
 
 #[test]
 fn an_index_that_sends_byte_by_byte_is_given_up() {
-    for fault in [Fault::DripsPages, Fault::DripsWheels] {
+    for fault in [Fault::SlowPages, Fault::SlowWheels] {
         let (_folder, into) = temporary_pack();
         let index = TestIndex::start(fault);
         let short = Deadlines {
@@ -267,7 +267,7 @@ fn an_index_that_sends_byte_by_byte_is_given_up() {
         let error = done.error();
         assert!(error.contains("tried 5 times"), "{error}");
         let why = match fault {
-            Fault::DripsPages => "the server does not answer in time",
+            Fault::SlowPages => "the server does not answer in time",
             _ => "the server is too slow",
         };
         assert!(error.contains(why), "{error}");

@@ -138,12 +138,12 @@ mod tests {
     fn pointers_outlive_moves_of_the_owner_and_lead_to_copies() {
         let mut shared = Arrays::with_rows(2);
         let mut model = shared.model(2);
-        let own = OwnArrays::copy_of(&mut model);
-        let moved = Box::new(own);
+        let arrays = OwnArrays::copy_of(&mut model);
+        let boxed = Box::new(arrays);
         add_one(&model);
-        let again = std::iter::once(*moved).collect::<Vec<_>>();
+        let moved = std::iter::once(*boxed).collect::<Vec<_>>();
         add_one(&model);
-        let [last] = <[OwnArrays; 1]>::try_from(again).ok().expect("one");
+        let [last] = <[OwnArrays; 1]>::try_from(moved).ok().expect("one");
         let mut expected = Arrays::with_rows(2);
         let plain = expected.model(2);
         add_one(&plain);
@@ -161,8 +161,8 @@ mod tests {
     fn a_model_without_cameras_and_lights_has_empty_arrays() {
         let mut none = Arrays::default();
         let mut model = none.model(0);
-        let own = OwnArrays::copy_of(&mut model);
+        let arrays = OwnArrays::copy_of(&mut model);
         assert_eq!(read(&model), Arrays::default());
-        drop(own);
+        drop(arrays);
     }
 }

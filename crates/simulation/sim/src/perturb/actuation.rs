@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gripper_is_never_touched() {
+    fn the_gripper_component_is_unchanged() {
         let distortion = ActuationDistortion::from([1.0, 2.0, 30.0, 1.0, 2.0]);
         let mut stage = stage("goal/t0/actuation/L3/c00", &distortion);
         for _ in 0..20 {

@@ -59,7 +59,7 @@ impl GlCanvas {
     }
 
     /// Returns true if this was made in the context, and a picture of this size fits the buffers.
-    pub(crate) fn suits(&self, opengl: &Rc<GlContext>, size: [u32; 2]) -> bool {
+    pub(crate) fn is_usable_for(&self, opengl: &Rc<GlContext>, size: [u32; 2]) -> bool {
         Rc::ptr_eq(&self.opengl, opengl) && self.fits(size)
     }
 

@@ -187,11 +187,11 @@ fn shared<T>(
     if let Some(found) = lock().get(&digest).and_then(Weak::upgrade) {
         return Ok(found);
     }
-    let made = Arc::new(make()?);
+    let item = Arc::new(make()?);
     let mut cache = lock();
     cache.retain(|_, item| item.strong_count() > 0);
-    cache.insert(digest, Arc::downgrade(&made));
-    Ok(made)
+    cache.insert(digest, Arc::downgrade(&item));
+    Ok(item)
 }
 
 fn digest_of_mesh(mesh: &MeshData<'_>) -> u128 {

@@ -114,11 +114,11 @@ impl SceneFolder {
         if self.exists_and_is_trusted()? {
             return Ok(());
         }
-        let made = DirBuilder::new()
+        let created = DirBuilder::new()
             .recursive(true)
             .mode(0o700)
             .create(&self.dir);
-        made.map_err(|source| failure("make", &self.dir, source))?;
+        created.map_err(|source| failure("make", &self.dir, source))?;
         self.exists_and_is_trusted().map(drop)
     }
 
@@ -257,7 +257,7 @@ impl SceneFolder {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
             Err(error) => return Err(failure("read", &self.dir, error)),
         };
-        match self.trusts(&metadata) {
+        match self.is_trusted(&metadata) {
             true => Ok(true),
             false => Err(SceneFileError::Untrusted {
                 path: self.dir.clone(),
@@ -267,7 +267,7 @@ impl SceneFolder {
         }
     }
 
-    fn trusts(&self, metadata: &fs::Metadata) -> bool {
+    fn is_trusted(&self, metadata: &fs::Metadata) -> bool {
         [self.user, ROOT].contains(&metadata.uid()) && metadata.mode() & OTHERS_WRITE == 0
     }
 
@@ -284,7 +284,7 @@ impl SceneFolder {
         };
         let failed = |source| failure("read", path, source);
         let metadata = file.metadata().map_err(failed)?;
-        if !(metadata.is_file() && self.trusts(&metadata)) {
+        if !(metadata.is_file() && self.is_trusted(&metadata)) {
             return Ok(None);
         }
         let checksum = container::read_head(&file, name, metadata.len()).map_err(failed)?;

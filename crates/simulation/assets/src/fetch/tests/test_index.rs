@@ -51,9 +51,9 @@ pub(super) enum Fault {
     /// Bytes arrive slowly but steadily.
     Slow,
     /// Pages arrive byte by byte, too slowly for any timeout.
-    DripsPages,
+    SlowPages,
     /// Wheels arrive byte by byte.
-    DripsWheels,
+    SlowWheels,
     /// The wheels have the wrong size.
     OtherWheel,
     /// Requests without credentials are refused.
@@ -276,9 +276,9 @@ impl Server {
                 {{\"filename\": \"{name}\", \"url\": \"/files/{name}\", \"hashes\": {{}}}}]}}"
         );
         let kind = "Content-Type: application/vnd.pypi.simple.v1+json\r\n";
-        if self.fault == Fault::DripsPages {
+        if self.fault == Fault::SlowPages {
             send_head(&stream, "200 OK", kind, page.len())?;
-            return drip(stream, page.as_bytes());
+            return send_slowly(stream, page.as_bytes());
         }
         send(stream, "200 OK", kind, page.as_bytes())
     }
@@ -320,7 +320,7 @@ impl Server {
                 let _ = BufReader::new(&stream).read_line(&mut String::new());
                 Ok(())
             }
-            Fault::DripsWheels => drip(stream, part),
+            Fault::SlowWheels => send_slowly(stream, part),
             Fault::Slow => {
                 for piece in part.chunks(part.len().div_ceil(8)) {
                     stream.write_all(piece)?;
@@ -361,7 +361,7 @@ fn send_head(
 }
 
 /// Sends a byte every few milliseconds until the client has closed the connection.
-fn drip(mut stream: TcpStream, body: &[u8]) -> std::io::Result<()> {
+fn send_slowly(mut stream: TcpStream, body: &[u8]) -> std::io::Result<()> {
     stream.set_nodelay(true)?;
     for byte in body.chunks(1) {
         stream.write_all(byte)?;
