@@ -340,7 +340,7 @@ fn image_count(kind: TextureKind, width: usize, height: usize, channels: usize) 
     }
 }
 
-/// Returns the two texels beside a point between 0 and 1, and its distance from the first in
+/// Returns the two texels around a point between 0 and 1, and its distance from the first in
 /// 256ths.
 fn fixed(at: f32, size: usize) -> (usize, usize, i32) {
     let place = (at * (size * 256) as f32).round_ties_even() as i32 - 128;

@@ -1,5 +1,5 @@
 //! Task files of the LIBERO family, fetched as wheels. Files that LIBERO does not have are unpacked
-//! beside LIBERO's own.
+//! into a folder next to LIBERO's.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
