@@ -368,7 +368,7 @@ fn errors_for_invalid_names_and_numbers_list_the_valid_ones() {
     check(
         "directions",
         json(r#""mine""#),
-        "`mine` has no meaning; write",
+        "`mine` is not valid; write",
     );
     check("levels", json("null"), "the field `levels` is not there");
     check(
@@ -376,7 +376,7 @@ fn errors_for_invalid_names_and_numbers_list_the_valid_ones() {
         json("[1000]"),
         "`configs` has 1000, valid are 0 to 999",
     );
-    check("nominal", json(r#""some""#), "`some` has no meaning; write");
+    check("nominal", json(r#""some""#), "`some` is not valid; write");
     check(
         "replicates",
         json("0"),
