@@ -307,13 +307,8 @@ impl CampaignSpec {
             Rollouts::Variants(_) => {
                 let (execution, stops) = (&self.execution, self.stop.is_some());
                 let (realisation, replicates) = (self.realisation, self.replicates);
-                let excluded = VariantsError::excluded_field(
-                    realisation,
-                    replicates,
-                    self.record,
-                    execution,
-                    stops,
-                );
+                let excluded =
+                    VariantsError::excluded(realisation, replicates, self.record, execution, stops);
                 if let Some(error) = excluded {
                     return Err(error.into());
                 }
@@ -326,10 +321,7 @@ impl CampaignSpec {
             }
             Rollouts::Thresholds(thresholds) => {
                 if thresholds.campaign.is_empty() {
-                    return empty(
-                        "thresholds.campaign",
-                        "name the campaign whose thresholds to measure",
-                    );
+                    return empty("thresholds.campaign", "name the campaign to measure");
                 }
                 if let Some((field, given, valid)) = thresholds.out_of_range() {
                     return Err(SpecError::Radius {

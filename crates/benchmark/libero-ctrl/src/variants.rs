@@ -49,7 +49,7 @@ pub struct VariantsError {
 
 impl VariantsError {
     /// Returns the first field of a specification that variants exclude, if there is any.
-    pub(crate) fn excluded_field(
+    pub(crate) fn excluded(
         realisation: Realisation,
         replicates: u32,
         record: Record,
